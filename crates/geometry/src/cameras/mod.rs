@@ -216,6 +216,14 @@ impl Intrinsics {
         indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
     }
 
+    /// The 3×3 matrix K of the perspective part, without distortion.
+    pub fn calibration_matrix(&self) -> Matrix3<f64> {
+        let indices = self.kind().focal_indices();
+        let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);
+        let centre = self.principal_point();
+        Matrix3::new(fx, 0.0, centre.x, 0.0, fy, centre.y, 0.0, 0.0, 1.0)
+    }
+
     /// (cx, cy) in pixels.
     pub fn principal_point(&self) -> Vector2<f64> {
         let [cx, cy] = self.kind().principal_point_indices();
