@@ -10,7 +10,7 @@ mod pinhole;
 mod radial;
 mod undistort;
 
-use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use crate::{Block, Error, Manifold};
 pub use opencv::Opencv;
