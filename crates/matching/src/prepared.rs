@@ -8,6 +8,8 @@ use tiepoint_features::{Descriptor, Features};
 
 /// Descriptors in a panel.
 pub(crate) const PANEL: usize = 16;
+/// Panels in the widest tile of the kernel; lists of panels are filled up to a multiple of it.
+pub(crate) const TILE: usize = 4;
 /// Groups of four bytes in a descriptor.
 pub(crate) const GROUPS: usize = 32;
 
@@ -32,18 +34,15 @@ pub struct Prepared {
 impl Prepared {
     /// Packs descriptors. Their indices stay what they are in the slice.
     pub fn new(descriptors: &[Descriptor]) -> Self {
-        let panels = descriptors
-            .chunks(PANEL)
-            .map(|chunk| {
-                let mut panel = Panel([[0; PANEL]; GROUPS]);
-                for (lane, descriptor) in chunk.iter().enumerate() {
-                    for (group, bytes) in descriptor.as_chunks::<4>().0.iter().enumerate() {
-                        panel.0[group][lane] = u32::from_le_bytes(*bytes);
-                    }
+        let count = descriptors.len().div_ceil(PANEL).next_multiple_of(TILE);
+        let mut panels = vec![Panel([[0; PANEL]; GROUPS]); count];
+        for (panel, chunk) in panels.iter_mut().zip(descriptors.chunks(PANEL)) {
+            for (lane, descriptor) in chunk.iter().enumerate() {
+                for (group, bytes) in descriptor.as_chunks::<4>().0.iter().enumerate() {
+                    panel.0[group][lane] = u32::from_le_bytes(*bytes);
                 }
-                panel
-            })
-            .collect();
+            }
+        }
         Prepared {
             len: descriptors.len(),
             panels,
@@ -90,11 +89,11 @@ mod tests {
 
     #[test]
     fn panels_hold_every_byte() {
-        // 37 descriptors: two full panels and a part of one.
+        // 37 descriptors: two full panels, a part of one, and one to fill up.
         let descriptors: Vec<Descriptor> =
             (0..37u32).map(|i| std::array::from_fn(|k| (i * 131 + k as u32 * 7) as u8)).collect();
         let prepared = Prepared::new(&descriptors);
-        assert_eq!((prepared.len(), prepared.panels.len()), (37, 3));
+        assert_eq!((prepared.len(), prepared.panels.len()), (37, 4));
         for (i, descriptor) in descriptors.iter().enumerate() {
             let bytes: Vec<u8> = (0..GROUPS).flat_map(|g| prepared.word(i, g).to_le_bytes()).collect();
             assert_eq!(bytes, descriptor);

@@ -74,7 +74,7 @@ impl Isa {
             // SAFETY: an `Isa` is made only where the processor has the features it stands for.
             Kind::Avx2 => unsafe { super::x86::sweep_avx2(a, b) },
             // SAFETY: needs no particular processor.
-            Kind::Portable => unsafe { sweep::<Portable, 4, 2>(a, b) },
+            Kind::Portable => unsafe { sweep::<Portable, 4, 4>(a, b) },
         }
     }
 }

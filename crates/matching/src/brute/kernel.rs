@@ -17,10 +17,10 @@
 use super::NearestBothWays;
 use super::lanes::Lanes;
 use crate::matches::Nearest;
-use crate::prepared::{GROUPS, PANEL, Prepared};
+use crate::prepared::{GROUPS, PANEL, Prepared, TILE};
 
 /// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number fits into a key.
-const ROWS: usize = 96;
+const ROWS: usize = 192;
 /// Bits of a key that hold an index.
 const INDEX_BITS: u32 = 8;
 const INDICES: usize = 1 << INDEX_BITS;
@@ -117,12 +117,13 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize>(
     b: &Prepared,
 ) -> NearestBothWays {
     const { assert!(ROWS.is_multiple_of(R) && ROWS <= INDICES && INDICES.is_multiple_of(C)) };
+    const { assert!((C * L::LANES).is_multiple_of(PANEL) && TILE.is_multiple_of(C * L::LANES / PANEL)) };
     let tile = C * L::LANES;
     let tiles = b.len.div_ceil(tile);
     let mut row_operands = Buffer::new(ROWS * L::STEPS, 0);
     let mut row_constants = [0; ROWS];
     let mut row_keys = Keys::new(ROWS * L::LANES);
-    let mut column_operands = Buffer::new(tile * L::STEPS, 0);
+    let mut widened = Buffer::new(tile * L::STEPS, 0);
     let mut column_constants = Buffer::new(tile, 0);
     let mut column_keys = Keys::new(tile);
     let mut column_totals = Totals::new(tiles * tile);
@@ -137,16 +138,18 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize>(
         // Column vectors since the row keys were last merged.
         let mut counted = 0;
         for t in 0..tiles {
+            let panels = &b.panels[t * tile / PANEL..(t + 1) * tile / PANEL];
+            fill_column_constants::<L>(b, t * tile, counted, &mut column_constants.words()[..tile]);
             // SAFETY: as above.
             unsafe {
-                pack_columns::<L, C>(b, t * tile, counted, column_operands.words(), column_constants.words());
+                let columns = L::columns(panels, widened.words());
                 for group in 0..groups {
                     multiply_and_rank::<L, R, C>(
                         row_operands.words()[group * R * L::STEPS..].as_ptr(),
                         &row_constants[group * R..],
                         [row_keys.first.words(), row_keys.second.words()]
                             .map(|k| k[group * R * L::LANES..].as_mut_ptr()),
-                        column_operands.words().as_ptr(),
+                        columns,
                         column_constants.words().as_ptr(),
                         [column_keys.first.words(), column_keys.second.words()].map(|k| k.as_mut_ptr()),
                     );
@@ -202,42 +205,19 @@ unsafe fn pack_rows<L: Lanes, const R: usize>(
     }
 }
 
-/// Packs one tile of columns as `[step][column]`, and its constants: 256 (|b|² − 256 Σb) plus the number of the column's
-/// vector, which is what rows take from the product.
+/// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus the number of the
+/// column's vector.
 #[inline(always)]
-unsafe fn pack_columns<L: Lanes, const C: usize>(
-    b: &Prepared,
-    at: usize,
-    counted: usize,
-    operands: &mut [i32],
-    constants: &mut [i32],
-) {
-    let tile = C * L::LANES;
-    let per_group = L::STEPS / GROUPS;
-    for c in 0..C {
-        let start = at + c * L::LANES;
-        let panel = b.panels.get(start / PANEL);
-        for group in 0..GROUPS {
-            let mut from = [0; PANEL];
-            if let Some(panel) = panel {
-                from[..L::LANES].copy_from_slice(&panel.0[group][start % PANEL..][..L::LANES]);
-            }
-            for (lane, word) in from.iter().enumerate().take(L::LANES) {
-                // SAFETY: the caller vouches for the instruction set.
-                let words = unsafe { L::column_words(*word) };
-                for (part, word) in words.iter().take(per_group).enumerate() {
-                    operands[(group * per_group + part) * tile + c * L::LANES + lane] = *word;
-                }
-            }
-        }
-        for lane in 0..L::LANES {
-            let column = start + lane;
-            let base = if column < b.len {
-                (b.squares[column] - 256 * b.sums[column]) << INDEX_BITS
-            } else {
-                PADDING
-            };
-            constants[c * L::LANES + lane] = base + (counted + c) as i32;
+fn fill_column_constants<L: Lanes>(b: &Prepared, at: usize, counted: usize, constants: &mut [i32]) {
+    let squares = b.squares.get(at..).unwrap_or_default();
+    let sums = b.sums.get(at..).unwrap_or_default();
+    constants.fill(PADDING);
+    for ((constant, square), sum) in constants.iter_mut().zip(squares).zip(sums) {
+        *constant = (square - 256 * sum) << INDEX_BITS;
+    }
+    for (c, constants) in constants.chunks_mut(L::LANES).enumerate() {
+        for constant in constants {
+            *constant += (counted + c) as i32;
         }
     }
 }
@@ -245,7 +225,7 @@ unsafe fn pack_columns<L: Lanes, const C: usize>(
 /// Multiplies one group of rows with one tile of columns and lets the products update the two largest keys of both.
 ///
 /// # Safety
-/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` `[step][C][lane]`, `row_keys` `[R][lane]`
+/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C` vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]`
 /// each, `column_constants` and `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
 #[inline(always)]
 unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
@@ -262,7 +242,8 @@ unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
         for step in 0..L::STEPS {
             let mut column = [L::splat(0); C];
             for (c, column) in column.iter_mut().enumerate() {
-                *column = L::load(columns.add((step * C + c) * L::LANES));
+                let (panel, lane) = (c * L::LANES / PANEL, c * L::LANES % PANEL);
+                *column = L::load(columns.add((panel * L::STEPS + step) * PANEL + lane));
             }
             for (r, dot) in dot.iter_mut().enumerate() {
                 let row = L::splat(*rows.add(step * R + r));

@@ -1,5 +1,7 @@
 //! A vector of 32-bit integers and the few operations that the kernel needs of it.
 
+use crate::prepared::{PANEL, Panel};
+
 /// A row's half of the product: the bytes of descriptor `a` as `a − 128`, so that they fit into `i8`.
 pub(super) const OFFSET: i32 = 128;
 
@@ -15,10 +17,12 @@ pub(super) trait Lanes {
     /// Multiply-adds for one descriptor: 32 where one takes four bytes, 64 where it takes two 16-bit numbers.
     const STEPS: usize;
 
-    /// Column operands of the steps that one group of four bytes gives; `STEPS / 32` of them are used.
-    unsafe fn column_words(word: u32) -> [i32; 2];
-    /// Row operands of the same steps, of bytes taken as `byte − 128`.
+    /// Row operands of the steps that one group of four bytes gives, of bytes taken as `byte − 128`; `STEPS / 32` of
+    /// them are used.
     unsafe fn row_words(word: u32) -> [i32; 2];
+    /// Column operands of some panels, `[panel][step][column]`: the panels themselves, or something made of them in
+    /// `buffer`, which has room for it.
+    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32;
 
     unsafe fn load(from: *const i32) -> Self::Vector;
     unsafe fn store(to: *mut i32, v: Self::Vector);
@@ -32,15 +36,23 @@ pub(super) trait Lanes {
     unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector;
 }
 
-/// Splits four bytes into two words of two 16-bit numbers: those at even and those at odd places.
+/// Splits every group of four bytes into two words of two 16-bit numbers: those at even and those at odd places.
 #[inline(always)]
-pub(super) fn even_odd(word: u32) -> [i32; 2] {
-    [(word & 0x00FF_00FF) as i32, ((word >> 8) & 0x00FF_00FF) as i32]
+pub(super) fn widen(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+    let groups = panels.iter().flat_map(|panel| &panel.0);
+    for (group, words) in groups.zip(buffer.as_chunks_mut::<{ 2 * PANEL }>().0) {
+        let (even, odd) = words.split_at_mut(PANEL);
+        for ((word, even), odd) in group.iter().zip(even).zip(odd) {
+            *even = (word & 0x00FF_00FF) as i32;
+            *odd = ((word >> 8) & 0x00FF_00FF) as i32;
+        }
+    }
+    buffer.as_ptr()
 }
 
-/// As [`even_odd`], of bytes taken as `byte − 128`.
+/// The row operands that go with [`widen`].
 #[inline(always)]
-pub(super) fn even_odd_signed(word: u32) -> [i32; 2] {
+pub(super) fn widen_signed(word: u32) -> [i32; 2] {
     let pair = |low: u8, high: u8| {
         let [low, high] = [low, high].map(|x| (i32::from(x) - OFFSET) as u16);
         (u32::from(high) << 16 | u32::from(low)) as i32
@@ -65,12 +77,12 @@ impl Lanes for Portable {
     const STEPS: usize = 64;
 
     #[inline(always)]
-    unsafe fn column_words(word: u32) -> [i32; 2] {
-        even_odd(word)
+    unsafe fn row_words(word: u32) -> [i32; 2] {
+        widen_signed(word)
     }
     #[inline(always)]
-    unsafe fn row_words(word: u32) -> [i32; 2] {
-        even_odd_signed(word)
+    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+        widen(panels, buffer)
     }
     #[inline(always)]
     unsafe fn load(from: *const i32) -> Self::Vector {

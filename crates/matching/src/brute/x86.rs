@@ -11,8 +11,8 @@ use std::arch::x86_64::*;
 
 use super::NearestBothWays;
 use super::kernel::sweep;
-use super::lanes::{Lanes, even_odd, even_odd_signed};
-use crate::prepared::Prepared;
+use super::lanes::{Lanes, widen, widen_signed};
+use crate::prepared::{Panel, Prepared};
 
 /// Bit that turns a byte `x` into `x − 128` as a signed byte, in all four bytes of a word.
 const SIGN_BITS: u32 = 0x8080_8080;
@@ -48,12 +48,12 @@ impl Lanes for Avx512Vnni {
     const STEPS: usize = 32;
 
     #[inline(always)]
-    unsafe fn column_words(word: u32) -> [i32; 2] {
-        [word as i32, 0]
-    }
-    #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         [(word ^ SIGN_BITS) as i32, 0]
+    }
+    #[inline(always)]
+    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+        panels.as_ptr().cast()
     }
     #[inline(always)]
     unsafe fn load(from: *const i32) -> __m512i {
@@ -146,12 +146,12 @@ impl Lanes for AvxVnni {
     const STEPS: usize = 32;
 
     #[inline(always)]
-    unsafe fn column_words(word: u32) -> [i32; 2] {
-        [word as i32, 0]
-    }
-    #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         [(word ^ SIGN_BITS) as i32, 0]
+    }
+    #[inline(always)]
+    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+        panels.as_ptr().cast()
     }
     #[inline(always)]
     unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
@@ -165,12 +165,12 @@ impl Lanes for Avx2 {
     const STEPS: usize = 64;
 
     #[inline(always)]
-    unsafe fn column_words(word: u32) -> [i32; 2] {
-        even_odd(word)
+    unsafe fn row_words(word: u32) -> [i32; 2] {
+        widen_signed(word)
     }
     #[inline(always)]
-    unsafe fn row_words(word: u32) -> [i32; 2] {
-        even_odd_signed(word)
+    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+        widen(panels, buffer)
     }
     #[inline(always)]
     unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
