@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+#[macro_use]
 pub mod cameras;
 mod error;
 mod loss;
@@ -8,6 +9,7 @@ mod rigid3;
 mod rng;
 mod sim3;
 pub mod so3;
+pub mod testing;
 
 pub use cameras::{CameraModel, CameraModelKind, Intrinsics, Projection};
 pub use error::Error;
