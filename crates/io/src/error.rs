@@ -41,6 +41,14 @@ pub enum Error {
         /// What is wrong.
         what: String,
     },
+    /// SQLite refuses.
+    #[error("{path}: {cause}")]
+    Database {
+        /// Which file.
+        path: PathBuf,
+        /// What it says.
+        cause: String,
+    },
     /// What was read, or is to be written, is no consistent reconstruction.
     #[error("{path}: {cause}")]
     Model {

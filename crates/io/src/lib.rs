@@ -3,6 +3,8 @@
 mod atomic;
 mod binary;
 pub mod colmap;
+#[cfg(feature = "database")]
+pub mod database;
 mod error;
 mod text;
 

@@ -1,4 +1,5 @@
 //! Random but consistent reconstructions, for the round trips.
+#![allow(dead_code)] // each test binary uses a part
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
