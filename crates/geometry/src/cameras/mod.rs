@@ -10,7 +10,7 @@ mod pinhole;
 mod radial;
 mod undistort;
 
-use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use crate::{Block, Error, Manifold};
 pub use opencv::Opencv;
@@ -39,7 +39,7 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const COLMAP_ID: i32;
     /// Names of the parameters, in order.
     const PARAM_NAMES: &'static [&'static str];
-    /// Indices of the focal lengths: [f] or [fx, fy].
+    /// Indices of the focal lengths: of f, or of fx and fy.
     const FOCAL: &'static [usize];
     /// Indices of cx and cy.
     const PRINCIPAL_POINT: [usize; 2];
@@ -214,6 +214,14 @@ impl Intrinsics {
     pub fn mean_focal_px(&self) -> f64 {
         let indices = self.kind().focal_indices();
         indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
+    }
+
+    /// K, from the focal lengths and the principal point; what a model adds to it is left out.
+    pub fn calibration_matrix(&self) -> Matrix3<f64> {
+        let indices = self.kind().focal_indices();
+        let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);
+        let centre = self.principal_point();
+        Matrix3::new(fx, 0.0, centre.x, 0.0, fy, centre.y, 0.0, 0.0, 1.0)
     }
 
     /// (cx, cy) in pixels.
