@@ -113,7 +113,8 @@ impl Bundle {
         let mut bundle =
             Self { problem: Problem::new(), cameras: Vec::new(), poses: Vec::new(), points: Vec::new() };
         let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
-        let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> = vec![Vec::new(); model.images().count()];
+        let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
+            vec![Vec::new(); model.images().count()];
         let mut num_observations = 0;
         for (point, track) in model.tracks() {
             if track.is_held_out || !track.observations.iter().any(|o| moves(o.image)) {
@@ -127,8 +128,11 @@ impl Bundle {
                 observations_of_image[observation.image.index()].push((observation.keypoint, key));
             }
         }
-        let posed: Vec<ImageId> =
-            model.registered().map(|(id, ..)| id).filter(|id| !observations_of_image[id.index()].is_empty()).collect();
+        let posed: Vec<ImageId> = model
+            .registered()
+            .map(|(id, ..)| id)
+            .filter(|id| !observations_of_image[id.index()].is_empty())
+            .collect();
         if posed.len() < 2 || num_observations == 0 {
             return Err(Error::NothingToAdjust {
                 images: posed.len(),
@@ -260,7 +264,8 @@ fn intrinsics_prior<const N: usize>(
 
 /// Moves each held-out point to where the poses see it now.
 fn retriangulate_held_out(model: &mut Reconstruction) {
-    let held_out: Vec<PointId> = model.tracks().filter(|(_, t)| t.is_held_out).map(|(point, _)| point).collect();
+    let held_out: Vec<PointId> =
+        model.tracks().filter(|(_, t)| t.is_held_out).map(|(point, _)| point).collect();
     for point in held_out {
         let Some(track) = model.track(point) else { continue };
         let sights: Vec<_> =

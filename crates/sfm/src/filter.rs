@@ -55,7 +55,12 @@ pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) ->
 }
 
 /// Whether any two cameras see the point under at least `min_angle_rad`.
-fn has_angle(model: &Reconstruction, observations: &[Observation], xyz: &Vector3<f64>, min_angle_rad: f64) -> bool {
+fn has_angle(
+    model: &Reconstruction,
+    observations: &[Observation],
+    xyz: &Vector3<f64>,
+    min_angle_rad: f64,
+) -> bool {
     let max_cosine = min_angle_rad.cos();
     let directions: Vec<Vector3<f64>> = observations
         .iter()
@@ -67,8 +72,11 @@ fn has_angle(model: &Reconstruction, observations: &[Observation], xyz: &Vector3
 
 /// Takes the pose of images that see fewer than `min_points` points; returns them.
 pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
-    let poor: Vec<ImageId> =
-        model.registered().filter(|(_, image, _)| image.num_points() < min_points).map(|(id, ..)| id).collect();
+    let poor: Vec<ImageId> = model
+        .registered()
+        .filter(|(_, image, _)| image.num_points() < min_points)
+        .map(|(id, ..)| id)
+        .collect();
     poor.iter().for_each(|&image| model.deregister(image));
     poor
 }

@@ -23,7 +23,8 @@ const NUM_ROUNDS: usize = 3;
 
 /// Estimates the focal length of each camera that has none from elsewhere; returns those that were found.
 pub fn estimate_focal_lengths(graph: &CorrespondenceGraph, model: &mut Reconstruction) -> Vec<CameraId> {
-    let unknown: Vec<CameraId> = model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
+    let unknown: Vec<CameraId> =
+        model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
     let mut found = vec![false; unknown.len()];
     let rounds = if unknown.len() > 1 { NUM_ROUNDS } else { 1 };
     for _ in 0..rounds {
@@ -44,7 +45,9 @@ fn best_focal_px(graph: &CorrespondenceGraph, model: &Reconstruction, camera: Ca
     let pairs: Vec<(&Matrix3<f64>, CameraId, CameraId, f64)> = graph
         .pairs()
         .iter()
-        .filter(|(_, two_view)| two_view.kind == TwoViewKind::Uncalibrated && two_view.matches.len() >= MIN_MATCHES)
+        .filter(|(_, two_view)| {
+            two_view.kind == TwoViewKind::Uncalibrated && two_view.matches.len() >= MIN_MATCHES
+        })
         .filter_map(|(pair, two_view)| {
             let (a, b) = (model.image(pair.a).camera, model.image(pair.b).camera);
             let concerns = a == camera || b == camera;
@@ -61,8 +64,12 @@ fn best_focal_px(graph: &CorrespondenceGraph, model: &Reconstruction, camera: Ca
             let intrinsics = &model.camera(id).intrinsics;
             if id == camera { with_focal(intrinsics, focal_px) } else { intrinsics.calibration_matrix() }
         };
-        let sum: f64 =
-            pairs.iter().map(|(f, a, b, weight)| weight * imbalance(&(calibration(*b).transpose() * *f * calibration(*a)))).sum();
+        let sum: f64 = pairs
+            .iter()
+            .map(|(f, a, b, weight)| {
+                weight * imbalance(&(calibration(*b).transpose() * *f * calibration(*a)))
+            })
+            .sum();
         sum
     };
     let ratio = (RANGE.1 / RANGE.0).powf(1.0 / (NUM_STEPS - 1) as f64);
@@ -73,7 +80,8 @@ fn best_focal_px(graph: &CorrespondenceGraph, model: &Reconstruction, camera: Ca
     let (least, focal_px) = grid.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let mut costs: Vec<f64> = grid.iter().map(|g| g.0).collect();
     costs.sort_by(f64::total_cmp);
-    (least < MAX_RELATIVE_MINIMUM * costs[NUM_STEPS / 2]).then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
+    (least < MAX_RELATIVE_MINIMUM * costs[NUM_STEPS / 2])
+        .then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
 }
 
 fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Matrix3<f64> {

@@ -26,7 +26,9 @@ pub fn held_out_rms_px(model: &Reconstruction) -> Option<f64> {
     /// Fewest observations of a track that can contradict the poses.
     const MIN_OBSERVATIONS: usize = 3;
     let (mut sum, mut count) = (0.0, 0usize);
-    for (_, track) in model.tracks().filter(|(_, t)| t.is_held_out && t.observations.len() >= MIN_OBSERVATIONS) {
+    for (_, track) in
+        model.tracks().filter(|(_, t)| t.is_held_out && t.observations.len() >= MIN_OBSERVATIONS)
+    {
         for error in track.observations.iter().filter_map(|o| model.error_of_px(o, &track.xyz)) {
             sum += error * error;
             count += 1;

@@ -33,6 +33,8 @@ pub struct MapperOptions {
     pub min_initial_inliers: usize,
     /// Models with fewer images are dropped, unless it is the only one.
     pub min_model_size: usize,
+    /// Of each weighted residual in an adjustment.
+    pub loss: Loss,
     /// Images in a local adjustment.
     pub local_images: usize,
     /// A global adjustment follows when images or points have grown by this factor.
@@ -50,6 +52,7 @@ impl Default for MapperOptions {
             register: RegisterOptions::default(),
             min_initial_inliers: 30,
             min_model_size: 3,
+            loss: Loss::SoftL1(1.0),
             local_images: 6,
             global_growth: 1.1,
             seed: 0,
@@ -64,7 +67,7 @@ const MAX_INITIAL_TRIALS: usize = 20;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
-/// A refinement is over when a round changes fewer than this share of the observations.
+/// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
 /// With fewer images the distortion and the principal point are too weakly determined to be moved.
 const MIN_IMAGES_FOR_FULL_INTRINSICS: usize = 5;
@@ -78,11 +81,15 @@ pub fn map(
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<Reconstruction>, Error> {
     let mut scene = scene.clone();
+    let mut options = *options;
+    options.tracks.two_view |= graph.num_images() == 2;
+    let options = &options;
     estimate_focal_lengths(graph, &mut scene);
     let mut models: Vec<Reconstruction> = Vec::new();
     let mut taken: BTreeSet<ImageId> = BTreeSet::new();
     loop {
-        let mut mapper = Mapper { graph, model: scene.clone(), options, taken: &taken, trials: BTreeMap::new() };
+        let mut mapper =
+            Mapper { graph, model: scene.clone(), options, taken: &taken, trials: BTreeMap::new() };
         match mapper.run(watch) {
             Ok(()) => {}
             Err(Error::NoInitialPair { .. }) if !models.is_empty() => break,
@@ -128,15 +135,14 @@ impl Mapper<'_> {
                 let grown = |now: usize, then: usize| now as f64 >= self.options.global_growth * then as f64;
                 if grown(images, images_at_global) || grown(points, points_at_global) {
                     self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
-                    (images_at_global, points_at_global) = (self.model.num_registered(), self.model.num_tracks());
+                    (images_at_global, points_at_global) =
+                        (self.model.num_registered(), self.model.num_tracks());
                 }
             }
             // What fails before the last refinement may succeed after it.
-            let before = self.model.num_registered();
-            self.refine_globally(FINAL_ROUNDS, 1e-6, 50, watch)?;
+            self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
             self.trials.clear();
-            if self.remaining().is_empty() || !self.try_remaining()? {
-                debug_assert!(before >= self.model.num_registered());
+            if !self.try_remaining()? {
                 break;
             }
         }
@@ -174,7 +180,9 @@ impl Mapper<'_> {
         for candidate in &candidates {
             let pair = candidate.pair;
             let seed = self.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
-            let Some(cam2_from_cam1) = initial_pair::refine(self.graph, &self.model, pair, seed) else { continue };
+            let Some(cam2_from_cam1) = initial_pair::refine(self.graph, &self.model, pair, seed) else {
+                continue;
+            };
             self.model.register(pair.a, Rigid3::identity());
             self.model.register(pair.b, cam2_from_cam1);
             triangulate_image(self.graph, &mut self.model, pair.a, &self.options.tracks);
@@ -223,7 +231,8 @@ impl Mapper<'_> {
                 *shared.entry(observation.image).or_insert(0) += 1;
             }
         }
-        let mut neighbours: Vec<(usize, ImageId)> = shared.into_iter().map(|(id, count)| (count, id)).collect();
+        let mut neighbours: Vec<(usize, ImageId)> =
+            shared.into_iter().map(|(id, count)| (count, id)).collect();
         neighbours.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
         let bundle: BTreeSet<ImageId> = std::iter::once(image)
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
@@ -255,25 +264,31 @@ impl Mapper<'_> {
         max_iterations: usize,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
+        let mut before = (self.model.num_observations(), f64::INFINITY);
         for _ in 0..rounds {
-            let mut changed = retriangulate(self.graph, &mut self.model, &self.options.tracks);
+            retriangulate(self.graph, &mut self.model, &self.options.tracks);
             let points: Vec<PointId> = self.model.tracks().map(|(point, _)| point).collect();
-            changed += complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
-            changed += merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
+            complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
+            merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
             let options = self.adjust_options(function_tolerance, max_iterations);
             let summary = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
-            changed += filter_all_points(&mut self.model, &self.options.filter);
+            filter_all_points(&mut self.model, &self.options.filter);
             filter_images(&mut self.model, self.options.register.min_num_inliers / 2);
-            let num_observations = self.model.num_observations();
-            tell(watch, &Event::Adjusted {
-                num_images: self.model.num_registered(),
-                num_observations,
-                cost: summary.final_cost,
-                iterations: summary.iterations.len(),
-            })?;
-            if (changed as f64) < MIN_CHANGE * num_observations as f64 {
+            let after = (self.model.num_observations(), summary.final_cost);
+            tell(
+                watch,
+                &Event::Adjusted {
+                    num_images: self.model.num_registered(),
+                    num_observations: after.0,
+                    cost: after.1,
+                    iterations: summary.iterations.len(),
+                },
+            )?;
+            let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
+            if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
                 break;
             }
+            before = after;
         }
         Ok(())
     }
@@ -286,7 +301,13 @@ impl Mapper<'_> {
         if self.model.num_registered() < 3 {
             refine = RefineIntrinsics::NONE;
         }
-        AdjustOptions { refine, loss: Loss::SoftL1(1.0), max_iterations, function_tolerance, ..AdjustOptions::default() }
+        AdjustOptions {
+            refine,
+            loss: self.options.loss,
+            max_iterations,
+            function_tolerance,
+            ..AdjustOptions::default()
+        }
     }
 
     fn seed_of(&self, key: &[u64]) -> u64 {

@@ -33,7 +33,8 @@ pub fn initial_pairs(
     max_error_px: f64,
     count: usize,
 ) -> Vec<InitialPair> {
-    let pairs: Vec<(&ImagePair, &TwoView)> = graph.pairs().iter().filter(|(pair, _)| is_free(**pair)).collect();
+    let pairs: Vec<(&ImagePair, &TwoView)> =
+        graph.pairs().iter().filter(|(pair, _)| is_free(**pair)).collect();
     let mut rated: Vec<InitialPair> = pairs
         .par_iter()
         .filter_map(|(pair, two_view)| {
@@ -62,14 +63,20 @@ fn relative_pose(model: &Reconstruction, pair: &ImagePair, two_view: &TwoView) -
 }
 
 /// Estimates the relative pose of an initial pair anew with the present intrinsics.
-pub(crate) fn refine(graph: &CorrespondenceGraph, model: &Reconstruction, pair: ImagePair, seed: u64) -> Option<Rigid3> {
+pub(crate) fn refine(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    pair: ImagePair,
+    seed: u64,
+) -> Option<Rigid3> {
     let two_view = graph.pairs().get(&pair)?;
     let pixels = |image, keypoint: u32| model.image(image).keypoints[keypoint as usize].pixel;
     let (points1, points2): (Vec<_>, Vec<_>) =
         two_view.matches.iter().map(|m| (pixels(pair.a, m.a), pixels(pair.b, m.b))).unzip();
     let (camera1, camera2) = (model.camera_of(pair.a), model.camera_of(pair.b));
     let options = RansacOptions { max_error: 4.0, seed, ..RansacOptions::default() };
-    estimate::relative_pose(&points1, &points2, &camera1.intrinsics, &camera2.intrinsics, &options).map(|r| r.model)
+    estimate::relative_pose(&points1, &points2, &camera1.intrinsics, &camera2.intrinsics, &options)
+        .map(|r| r.model)
 }
 
 /// Every `step`-th match as unit rays.
@@ -83,7 +90,12 @@ fn rays(
         let pixel = model.image(image).keypoints[keypoint as usize].pixel;
         model.camera_of(image).intrinsics.unproject(&pixel)
     };
-    two_view.matches.iter().step_by(step.max(1)).filter_map(|m| Some((ray(pair.a, m.a)?, ray(pair.b, m.b)?))).unzip()
+    two_view
+        .matches
+        .iter()
+        .step_by(step.max(1))
+        .filter_map(|m| Some((ray(pair.a, m.a)?, ray(pair.b, m.b)?)))
+        .unzip()
 }
 
 /// Σ over matches that triangulate in front of both cameras and project back, of min(angle / 16°, 1).

@@ -36,8 +36,10 @@ pub fn register_image(
     if candidates.len() < options.min_num_inliers {
         return None;
     }
-    let pixels: Vec<Vector2<f64>> =
-        candidates.iter().map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel).collect();
+    let pixels: Vec<Vector2<f64>> = candidates
+        .iter()
+        .map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel)
+        .collect();
     let points: Vec<Vector3<f64>> =
         candidates.iter().filter_map(|(_, point)| model.track(*point)).map(|track| track.xyz).collect();
     let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };

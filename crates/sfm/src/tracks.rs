@@ -19,6 +19,9 @@ pub struct TrackOptions {
     pub max_merge_error_px: f64,
     /// Smallest angle between two rays of a new point, in radians.
     pub min_angle_rad: f64,
+    /// Whether keypoints that match nothing but each other become points. They are many, their points are the least certain,
+    /// and nothing contradicts them; with two images there is nothing else.
+    pub two_view: bool,
     /// How many correspondences away from a track its further observations are looked for.
     pub max_transitivity: usize,
 }
@@ -29,6 +32,7 @@ impl Default for TrackOptions {
             max_create_error_px: 12.0,
             max_merge_error_px: 4.0,
             min_angle_rad: 1.5_f64.to_radians(),
+            two_view: false,
             max_transitivity: 5,
         }
     }
@@ -45,6 +49,9 @@ pub fn triangulate_image(
     let mut added = 0;
     for keypoint in 0..model.image(image).keypoints.len() as u32 {
         let observation = Observation { image, keypoint };
+        if !options.two_view && graph.is_two_view(observation) {
+            continue;
+        }
         let targets: Vec<Observation> = graph
             .correspondences(observation)
             .iter()
@@ -108,7 +115,13 @@ fn create(
 
 /// Tries [`triangulate_image`] again on every registered image: what failed between the poses of an earlier day may succeed
 /// between those of today.
-pub fn retriangulate(graph: &CorrespondenceGraph, model: &mut Reconstruction, options: &TrackOptions) -> usize {
+pub fn retriangulate(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    options: &TrackOptions,
+) -> usize {
+    // Between adjusted poses, what is off by more than a merge allows would be filtered right after.
+    let options = &TrackOptions { max_create_error_px: options.max_merge_error_px, ..*options };
     let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
     images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
 }
@@ -157,7 +170,9 @@ pub fn merge_tracks(
     for &first in points {
         let mut point = first;
         let mut refused = BTreeSet::new();
-        while let Some((other, xyz)) = mergeable(graph, model, point, &mut refused, options.max_merge_error_px) {
+        while let Some((other, xyz)) =
+            mergeable(graph, model, point, &mut refused, options.max_merge_error_px)
+        {
             match model.merge_tracks(point, other, xyz) {
                 Some(merged) => point = merged,
                 None => break,

@@ -23,7 +23,13 @@ impl<'a> Sight<'a> {
     /// `None` where no ray leads through the pixel.
     pub fn new(cam_from_world: &'a Rigid3, intrinsics: &'a Intrinsics, pixel: Vector2<f64>) -> Option<Self> {
         let ray_in_world = cam_from_world.rotation.inverse() * intrinsics.unproject(&pixel)?;
-        Some(Self { cam_from_world, intrinsics, pixel, centre_in_world: cam_from_world.origin_in_a(), ray_in_world })
+        Some(Self {
+            cam_from_world,
+            intrinsics,
+            pixel,
+            centre_in_world: cam_from_world.origin_in_a(),
+            ray_in_world,
+        })
     }
 
     /// The sighting that an observation is; `None` where its image has no pose.
@@ -71,8 +77,9 @@ pub fn triangulate(sights: &[Sight], max_error_px: f64, min_angle_rad: f64) -> O
         }
     }
     let (score, mut xyz) = best?;
-    let inliers_of =
-        |xyz: &Vector3<f64>| (0..sights.len()).filter(|&i| sights[i].squared_error(xyz) < max_squared).collect();
+    let inliers_of = |xyz: &Vector3<f64>| {
+        (0..sights.len()).filter(|&i| sights[i].squared_error(xyz) < max_squared).collect()
+    };
     let mut inliers: Vec<usize> = inliers_of(&xyz);
     if inliers.len() > 2
         && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &sights[i]))
@@ -94,13 +101,16 @@ fn angle_cosine(a: &Sight, b: &Sight, xyz: &Vector3<f64>) -> f64 {
 
 /// The point nearest to all rays, each weighed by the inverse square of its distance once that is known, so that what is small
 /// is the angle and not the length: Σ w (I − d dᵀ)(x − c) = 0, twice.
-pub(crate) fn nearest_to_rays<'a>(sights: impl Iterator<Item = &'a Sight<'a>> + Clone) -> Option<Vector3<f64>> {
+pub(crate) fn nearest_to_rays<'a>(
+    sights: impl Iterator<Item = &'a Sight<'a>> + Clone,
+) -> Option<Vector3<f64>> {
     let mut xyz: Option<Vector3<f64>> = None;
     for _ in 0..2 {
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
         for sight in sights.clone() {
             let weight = xyz.map_or(1.0, |x| 1.0 / (x - sight.centre_in_world).norm_squared());
-            let projector = (Matrix3::identity() - sight.ray_in_world * sight.ray_in_world.transpose()) * weight;
+            let projector =
+                (Matrix3::identity() - sight.ray_in_world * sight.ray_in_world.transpose()) * weight;
             a += projector;
             b += projector * sight.centre_in_world;
         }

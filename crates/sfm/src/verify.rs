@@ -37,7 +37,13 @@ pub struct View<'a> {
 }
 
 /// Verifies the matches of two images. `seed` makes the random samples reproducible.
-pub fn verify_pair(view1: View, view2: View, matches: &[Match], options: &VerifyOptions, seed: u64) -> TwoView {
+pub fn verify_pair(
+    view1: View,
+    view2: View,
+    matches: &[Match],
+    options: &VerifyOptions,
+    seed: u64,
+) -> TwoView {
     let degenerate = TwoView { kind: TwoViewKind::Degenerate, ..TwoView::default() };
     if matches.len() < options.min_num_inliers {
         return degenerate;
@@ -47,7 +53,13 @@ pub fn verify_pair(view1: View, view2: View, matches: &[Match], options: &Verify
     let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
 
     let essential = if view1.camera.has_focal_prior && view2.camera.has_focal_prior {
-        estimate::relative_pose(&points1, &points2, &view1.camera.intrinsics, &view2.camera.intrinsics, &ransac)
+        estimate::relative_pose(
+            &points1,
+            &points2,
+            &view1.camera.intrinsics,
+            &view2.camera.intrinsics,
+            &ransac,
+        )
     } else {
         None
     };
@@ -86,8 +98,10 @@ pub fn verify_pair(view1: View, view2: View, matches: &[Match], options: &Verify
     if two_view.matches.len() < options.min_num_inliers {
         return degenerate;
     }
-    let inliers1: Vec<Vector2<f64>> = two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
-    let inliers2: Vec<Vector2<f64>> = two_view.matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
+    let inliers1: Vec<Vector2<f64>> =
+        two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
+    let inliers2: Vec<Vector2<f64>> =
+        two_view.matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
     if let Some(homography) = estimate::homography(&inliers1, &inliers2, &ransac)
         && homography.num_inliers as f64 > options.max_homography_share * inliers1.len() as f64
     {

@@ -28,7 +28,8 @@ pub(crate) fn visibility(graph: &CorrespondenceGraph, model: &Reconstruction, im
         if targets.iter().any(|t| model.image(t.image).point_of(t.keypoint).is_some()) {
             num_points += 1;
             let cell = |v: f64, size: u32| ((v / f64::from(size) * side as f64) as usize).min(side - 1);
-            occupied[cell(keypoint.pixel.y, camera.height) * side + cell(keypoint.pixel.x, camera.width)] = true;
+            occupied[cell(keypoint.pixel.y, camera.height) * side + cell(keypoint.pixel.x, camera.width)] =
+                true;
         }
     }
     Visibility { num_points, score: spread(occupied, side) }
@@ -57,7 +58,8 @@ mod tests {
     fn points_all_over_beat_as_many_in_a_corner() {
         let side = 8;
         let corner: Vec<bool> = (0..side * side).map(|i| i / side < 2 && i % side < 2).collect();
-        let everywhere: Vec<bool> = (0..side * side).map(|i| (i / side) % 4 == 1 && i % side % 4 == 1).collect();
+        let everywhere: Vec<bool> =
+            (0..side * side).map(|i| (i / side) % 4 == 1 && i % side % 4 == 1).collect();
         assert_eq!(corner.iter().filter(|o| **o).count(), everywhere.iter().filter(|o| **o).count());
         assert!(spread(everywhere, side) > spread(corner, side));
     }

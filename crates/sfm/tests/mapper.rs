@@ -76,7 +76,10 @@ fn truth(seed: u64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).unwrap();
             let view = |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
-            two_views.push((pair, verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed)));
+            two_views.push((
+                pair,
+                verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed),
+            ));
         }
     }
     let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
@@ -86,8 +89,10 @@ fn truth(seed: u64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
 /// Largest error of a distance between two camera centres, relative to the largest distance, after scaling the model to the
 /// truth by the sum of all distances.
 fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
-    let centres: Vec<(Vector3<f64>, Vector3<f64>)> =
-        model.registered().map(|(id, _, pose)| (pose.origin_in_a(), poses[id.index()].origin_in_a())).collect();
+    let centres: Vec<(Vector3<f64>, Vector3<f64>)> = model
+        .registered()
+        .map(|(id, _, pose)| (pose.origin_in_a(), poses[id.index()].origin_in_a()))
+        .collect();
     let pairs: Vec<(f64, f64)> = centres
         .iter()
         .enumerate()
@@ -99,8 +104,8 @@ fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
 }
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
-    let mut models =
-        map(&truth.graph, &truth.scene, options, &mut |_| ControlFlow::Continue(())).expect("the scene is easy");
+    let mut models = map(&truth.graph, &truth.scene, options, &mut |_| ControlFlow::Continue(()))
+        .expect("the scene is easy");
     models.remove(0)
 }
 
@@ -115,7 +120,8 @@ const MAX_RELATIVE_FOCAL_ERROR: f64 = 0.01;
 fn calibrated_images_come_out_in_the_right_shape() {
     for seed in 0..3 {
         let truth = truth(seed, FOCAL_PX, true);
-        let model = run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, seed, ..Default::default() });
+        let model =
+            run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, seed, ..Default::default() });
         model.validate().unwrap();
         assert_eq!(model.num_registered(), NUM_IMAGES);
         let error = shape_error(&model, &truth.poses);
@@ -157,7 +163,10 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let graph = CorrespondenceGraph::new(&counts, pairs);
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
     let models = map(&graph, &scene, &options, &mut |_| ControlFlow::Continue(())).unwrap();
-    assert_eq!(models.iter().map(Reconstruction::num_registered).collect::<Vec<_>>(), [NUM_IMAGES, NUM_IMAGES]);
+    assert_eq!(
+        models.iter().map(Reconstruction::num_registered).collect::<Vec<_>>(),
+        [NUM_IMAGES, NUM_IMAGES]
+    );
 }
 
 #[test]
@@ -185,8 +194,9 @@ fn held_out_tracks_take_no_part_and_still_fit() {
     assert!((0.1..0.3).contains(&(held_out as f64 / model.num_tracks() as f64)));
     let options = tiepoint_sfm::AdjustOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
     let all = model.num_observations();
-    let summary =
-        tiepoint_sfm::adjust(&mut model, &tiepoint_sfm::Scope::Global, &options, &mut |_| ControlFlow::Continue(()));
+    let summary = tiepoint_sfm::adjust(&mut model, &tiepoint_sfm::Scope::Global, &options, &mut |_| {
+        ControlFlow::Continue(())
+    });
     assert!(summary.is_ok());
     assert_eq!(model.num_observations(), all);
     // Two coordinates of NOISE_PX each, less what the point itself absorbs.
