@@ -13,6 +13,8 @@ mod scale_space;
 mod sift;
 mod simd;
 mod source;
+#[cfg(test)]
+mod tests;
 mod types;
 mod view;
 

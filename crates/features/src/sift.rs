@@ -35,7 +35,7 @@ pub fn extract(image: &GrayView<'_>, options: &Options) -> Result<Features, Erro
 /// was computed. Have one per thread.
 pub struct Sift {
     options: Options,
-    isa: Isa,
+    pub(crate) isa: Isa,
     /// Levels 1 … S of each octave, the finest first.
     octaves: Vec<Vec<AlignedBuf>>,
     scratches: Vec<Scratch>,
