@@ -54,6 +54,12 @@ pub(crate) struct Frame {
     pub(crate) angle: f32,
 }
 
+/// How far the turned cells reach.
+#[inline(always)]
+pub(crate) fn radius_of(sigma: f32) -> f32 {
+    (std::f32::consts::SQRT_2 * MAGNIFICATION * sigma * REACH + 0.5).floor()
+}
+
 /// Measures a descriptor.
 #[inline(always)]
 pub(crate) fn describe<S: Simd>(level: &Level<'_>, frame: Frame, normalization: Normalization) -> Descriptor {
@@ -72,7 +78,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
     let (sin, cos) = frame.angle.sin_cos();
     let cell = MAGNIFICATION * frame.sigma;
     let (sin, cos) = (sin / cell, cos / cell);
-    let radius = (std::f32::consts::SQRT_2 * cell * REACH + 0.5).floor();
+    let radius = radius_of(frame.sigma);
     let (y_first, y_end) = window(frame.y, -radius, radius, level.height);
     let (one, limit) = (S::splat(1.0), S::splat(REACH));
     // exp(−(u² + v²) / (2 σ²)) with σ = half of the cells.

@@ -29,6 +29,11 @@ pub(crate) struct Directions {
 }
 
 impl Directions {
+    /// The direction of +x.
+    pub(crate) fn upright() -> Self {
+        Directions { angles: [0.0; MAX_PEAKS], len: 1 }
+    }
+
     /// The directions.
     pub(crate) fn as_slice(&self) -> &[f32] {
         &self.angles[..self.len]

@@ -1,13 +1,15 @@
 //! The fast path against a plain one, against itself on other instruction sets, and against truth.
 
+use crate::bands::{SweepAll, sweep_all};
 use crate::buffer::AlignedBuf;
 use crate::extrema::{Extremum, Thresholds};
-use crate::octave::{Plan, Scratch, Sweep};
+use crate::octave::Plan;
 use crate::scale_space::{kernel_from_image, kernels_between_levels};
-use crate::simd::{Isa, dispatch};
+use crate::simd::Isa;
 use crate::source::Source;
 use crate::{Features, GrayView, Keep, Options, Orientation, Sift};
 use proptest::prelude::*;
+use std::num::NonZeroUsize;
 
 /// Deterministic texture: blobs of many sizes and some noise, so that every octave has extrema.
 fn texture(width: usize, height: usize, seed: u64) -> Vec<u8> {
@@ -69,6 +71,10 @@ fn threads_and_reused_memory_do_not_change_anything() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert!(pool.install(|| sift.extract_parallel(&view, None)).unwrap() == one, "{threads} threads");
     }
+    // Levels that are not kept are computed again, in parts.
+    sift.max_level_bytes = 4 << 20;
+    assert!(sift.extract(&view, None).unwrap() == one);
+    assert!(sift.extract_parallel(&view, None).unwrap() == one);
     let small = GrayView { data: &image, width: 97, height: 61, stride: width };
     let fresh = Sift::new(Options::default()).unwrap().extract(&small, None).unwrap();
     assert!(sift.extract(&small, None).unwrap() == fresh);
@@ -154,20 +160,18 @@ fn swept(view: &GrayView<'_>, octave: i32, thresholds: Thresholds, isa: Isa) -> 
         ((view.width, view.height), Source::Image(*view))
     };
     let plan = Plan::new(octave, size, 3, Some(-1));
-    let mut bufs: Vec<AlignedBuf> = (0..3).map(|_| AlignedBuf::default()).collect();
-    let (mut scratch, mut found) = (Scratch::default(), Vec::new());
-    let mut levels: Vec<&mut [f32]> = bufs.iter_mut().map(|b| b.reserve(plan.level_len())).collect();
-    let rows = 0..size.1;
-    let sweep = Sweep {
+    let mut bufs = Vec::new();
+    let found = sweep_all(SweepAll {
         plan: &plan,
         source,
-        thresholds,
-        rows,
-        levels: &mut levels,
-        scratch: &mut scratch,
-        found: &mut found,
-    };
-    dispatch(isa, sweep);
+        rows: 0..size.1,
+        levels: Some(&mut bufs),
+        next_octave: None,
+        thresholds: Some(thresholds),
+        scratches: &mut Vec::new(),
+        isa,
+        threads: NonZeroUsize::MIN,
+    });
     let plane = |b: &AlignedBuf| {
         Plane::from_fn(size.0, size.1, |x, y| {
             f64::from(b.as_slice()[y as usize * plan.stride() + x as usize])
