@@ -123,6 +123,7 @@ impl Task for Sweep<'_, '_> {
             self.sweep_tile::<S>((x0, x1), tile, &mut found);
             x0 = x1;
         }
+        S::fence();
         found
     }
 }
@@ -245,7 +246,8 @@ impl Sweep<'_, '_> {
                     };
                     if let Some(rows) = self.levels.get_mut(level - 1) {
                         let at = (y - band.start) * self.plan.stride() + x0;
-                        rows[at..at + x1 - x0].copy_from_slice(row);
+                        // SAFETY: rows of levels and of rings begin on cache lines, and so do tiles.
+                        unsafe { stream_row::<S>(row, &mut rows[at..at + x1 - x0]) };
                     }
                     if let Some(rows) = self.next_octave.as_mut().filter(|_| level == levels && y % 2 == 0) {
                         let at = (y - band.start) / 2 * self.plan.next_stride() + x0 / 2;
@@ -276,6 +278,20 @@ impl Sweep<'_, '_> {
             }
         }
     }
+}
+
+/// Copies a row to memory that is not read soon.
+///
+/// # Safety
+/// Both are equally long and begin on cache lines.
+#[inline(always)]
+unsafe fn stream_row<S: Simd>(row: &[f32], out: &mut [f32]) {
+    let whole = row.len() / LANES * LANES;
+    for x in (0..whole).step_by(LANES) {
+        // SAFETY: the caller's promise.
+        unsafe { S::stream(out.as_mut_ptr().add(x), S::load(row.as_ptr().add(x))) };
+    }
+    out[whole..].copy_from_slice(&row[whole..]);
 }
 
 /// One blur of a tile.

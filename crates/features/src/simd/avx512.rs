@@ -40,6 +40,21 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_ps(p, v) }
     }
     #[inline(always)]
+    unsafe fn stream(p: *mut f32, v: __m512) {
+        // SAFETY: see above; aligned, as the caller promises.
+        unsafe { _mm512_stream_ps(p, v) }
+    }
+    #[inline(always)]
+    fn fence() {
+        // SAFETY: part of every x86-64.
+        unsafe { _mm_sfence() }
+    }
+    #[inline(always)]
+    unsafe fn store_int(p: *mut i32, v: __m512) {
+        // SAFETY: see above.
+        unsafe { _mm512_storeu_epi32(p, _mm512_cvttps_epi32(v)) }
+    }
+    #[inline(always)]
     fn add(a: __m512, b: __m512) -> __m512 {
         // SAFETY: see above.
         unsafe { _mm512_add_ps(a, b) }

@@ -102,6 +102,18 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     /// `p` must be valid for writing sixteen `f32`.
     unsafe fn store(p: *mut f32, v: Self::F);
+    /// Writes sixteen values past the caches where the machine can; to be followed by [`fence`](Self::fence).
+    ///
+    /// # Safety
+    /// As [`store`](Self::store), and `p` must be a multiple of 64 bytes.
+    unsafe fn stream(p: *mut f32, v: Self::F);
+    /// Orders the writes of [`stream`](Self::stream) before whatever other threads are told later.
+    fn fence();
+    /// Writes sixteen whole numbers.
+    ///
+    /// # Safety
+    /// `p` must be valid for writing sixteen `i32`, the values within their range.
+    unsafe fn store_int(p: *mut i32, v: Self::F);
     /// a + b
     fn add(a: Self::F, b: Self::F) -> Self::F;
     /// a − b
