@@ -114,6 +114,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
                 let dx = S::add(S::splat(x as f32 - frame.x), lanes);
                 let u = S::mul_add(S::splat(cos), dx, u_row);
                 let v = S::mul_add(S::splat(-sin), dx, v_row);
+                level.prefetch::<S>(x, y);
                 let Gradient { magnitude, angle } = level.gradient::<S>(x, y);
                 let outside = S::max(S::abs(u), S::abs(v));
                 let r2 = S::mul_add(u, u, S::mul(v, v));

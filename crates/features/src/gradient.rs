@@ -26,7 +26,17 @@ pub(crate) struct Gradient<S: Simd> {
     pub(crate) angle: S::F,
 }
 
+/// Rows ahead that are asked for while a row is measured: the processor does not foresee steps of a whole row.
+const ROWS_AHEAD: usize = 8;
+
 impl Level<'_> {
+    /// Asks for the samples that are measured some rows later.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self, x: usize, y: usize) {
+        let at = (y + ROWS_AHEAD - self.first_row) * self.stride + x;
+        S::prefetch(self.data.as_ptr().wrapping_add(at));
+    }
+
     /// Central differences at the samples from (x, y) on.
     ///
     /// # Safety

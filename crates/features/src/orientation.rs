@@ -74,6 +74,7 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
             for x in (x_first..x_end).step_by(LANES) {
                 let dx = S::add(S::splat(x as f32 - at.x), lanes);
                 let r2 = S::mul_add(dx, dx, S::splat(dy * dy));
+                level.prefetch::<S>(x, y);
                 let Gradient { magnitude, angle } = level.gradient::<S>(x, y);
                 let weight = S::mul(exp_minus::<S>(S::mul(S::min(r2, limit), falloff)), magnitude);
                 let weight = S::select_lt(r2, limit, weight, zero);

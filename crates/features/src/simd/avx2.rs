@@ -68,6 +68,17 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
+        // Across the halves of a register it would take two shuffles.
+        // SAFETY: see above.
+        unsafe { Self::load(p) }
+    }
+    #[inline(always)]
+    fn prefetch(p: *const f32) {
+        // SAFETY: a hint, without effect on what is computed.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     fn add(a: Self::F, b: Self::F) -> Self::F {
         // SAFETY: see above.
         unsafe { [_mm256_add_ps(a[0], b[0]), _mm256_add_ps(a[1], b[1])] }
