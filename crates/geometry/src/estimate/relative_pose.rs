@@ -76,8 +76,8 @@ impl Estimator for RelativePose {
         }
     }
 
-    fn refine(&self, model: &Rigid3, inliers: &[usize]) -> Option<Rigid3> {
-        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers }, model, Loss::Trivial, MAX_LM_ITERATIONS))
+    fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
+        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers: data }, model, loss, MAX_LM_ITERATIONS))
     }
 }
 
