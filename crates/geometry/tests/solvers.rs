@@ -19,7 +19,8 @@ fn solvers_find_the_truth() {
         let (mut bad, mut missed) = (0, 0);
         let mut residuals = Vec::new();
         for _ in 0..PROBLEMS {
-            let trial = testing::solver_trial(info, &mut rng).expect("a generator for every row");
+            let problem = testing::solver_problem(info, &mut rng).expect("a generator for every row");
+            let trial = problem.judge();
             assert!(trial.solutions <= info.max_solutions);
             bad += usize::from(trial.residual > RESIDUAL);
             missed += usize::from(trial.distance > FOUND);
