@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use crate::simd::LANES;
 use crate::{Loss, Rng};
 
 /// What the loop needs to know about a problem.
@@ -115,7 +116,7 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
     let squared = scorer.squared_residuals(&model);
     let inliers: Vec<bool> = squared.iter().map(|&s| s < options.max_error * options.max_error).collect();
     let num_inliers = inliers.iter().filter(|inlier| **inlier).count();
-    let score = squared.iter().map(|&s| scorer.loss.evaluate(s)[0]).sum();
+    let score = truncated_sum(&squared, options.max_error * options.max_error);
     (num_inliers >= E::SAMPLE_SIZE).then_some(Report { model, inliers, num_inliers, score, iterations })
 }
 
@@ -142,7 +143,7 @@ impl<'a, E: Estimator> Scorer<'a, E> {
         for range in chunks(self.estimator.num_data()) {
             let squared = &mut self.squared[..range.len()];
             self.estimator.squared_residuals(model, range, squared);
-            score += squared.iter().map(|&s| self.loss.evaluate(s)[0]).sum::<f64>();
+            score += truncated_sum(squared, self.max_error * self.max_error);
             if score >= bound {
                 return None;
             }
@@ -194,6 +195,21 @@ impl<'a, E: Estimator> Scorer<'a, E> {
 /// The indices of the values below a bound.
 fn below(squared: &[f64], bound: f64) -> Vec<usize> {
     (0..squared.len()).filter(|&i| squared[i] < bound).collect()
+}
+
+/// The sum of min(s, bound), which is ρ of [`Loss::Truncated`]; NaN counts as `bound`. Eight partial sums, for vectors.
+fn truncated_sum(squared: &[f64], bound: f64) -> f64 {
+    let mut sums = [0.0; LANES];
+    let (blocks, rest) = squared.as_chunks::<LANES>();
+    for block in blocks {
+        for (sum, s) in sums.iter_mut().zip(block) {
+            *sum += if *s < bound { *s } else { bound };
+        }
+    }
+    for (sum, s) in sums.iter_mut().zip(rest) {
+        *sum += if *s < bound { *s } else { bound };
+    }
+    sums.iter().sum()
 }
 
 fn chunks(num_data: usize) -> impl Iterator<Item = Range<usize>> {

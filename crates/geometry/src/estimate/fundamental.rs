@@ -4,7 +4,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
-use super::{MAX_LM_ITERATIONS, sampson::Pair};
+use super::{
+    MAX_LM_ITERATIONS,
+    sampson::{Pair, Pairs},
+};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{Normal, Problem, minimize};
 use crate::solvers::normalisation;
@@ -27,7 +30,7 @@ pub fn fundamental(
     let pair = |(x1, x2): (&Vector2<f64>, &Vector2<f64>)| {
         Pair::of_points(&(to_unit1 * x1.push(1.0)).xy(), &(to_unit2 * x2.push(1.0)).xy())
     };
-    let pairs = points1.iter().zip(points2).map(pair).collect();
+    let pairs = Pairs::new(points1.iter().zip(points2).map(pair).collect());
     let report = ransac(&Fundamental { pairs, px_per_unit: 1.0 / scale }, options)?;
     Some(report.map(|f| (to_unit2.transpose() * f * to_unit1).normalize()))
 }
@@ -44,7 +47,7 @@ impl WithUnitCorner for Matrix3<f64> {
 }
 
 struct Fundamental {
-    pairs: Vec<Pair>,
+    pairs: Pairs,
     px_per_unit: f64,
 }
 
@@ -63,10 +66,7 @@ impl Estimator for Fundamental {
     }
 
     fn squared_residuals(&self, model: &Matrix3<f64>, range: Range<usize>, squared: &mut [f64]) {
-        let unit_to_px2 = self.px_per_unit * self.px_per_unit;
-        for (squared, pair) in squared.iter_mut().zip(&self.pairs[range]) {
-            *squared = pair.squared_error(model) * unit_to_px2;
-        }
+        self.pairs.squared_errors(model, self.px_per_unit * self.px_per_unit, range, squared);
     }
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
