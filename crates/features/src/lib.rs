@@ -1,5 +1,23 @@
 #![doc = include_str!("../README.md")]
 
+mod blur;
+mod buffer;
+mod descriptor;
+mod error;
+mod extrema;
+mod gradient;
+mod octave;
+mod options;
+mod orientation;
+mod scale_space;
+mod sift;
+mod simd;
+mod source;
 mod types;
+mod view;
 
+pub use error::Error;
+pub use options::{Keep, Normalization, Options, Orientation};
+pub use sift::{Sift, extract};
 pub use types::{Descriptor, Features, Keypoint};
+pub use view::GrayView;

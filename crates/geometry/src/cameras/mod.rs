@@ -39,7 +39,7 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const COLMAP_ID: i32;
     /// Names of the parameters, in order.
     const PARAM_NAMES: &'static [&'static str];
-    /// Indices of the focal lengths: [f] or [fx, fy].
+    /// Indices of the focal lengths: of f, or of fx and fy.
     const FOCAL: &'static [usize];
     /// Indices of cx and cy.
     const PRINCIPAL_POINT: [usize; 2];
@@ -216,7 +216,7 @@ impl Intrinsics {
         indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
     }
 
-    /// The 3×3 matrix K of the perspective part, without distortion.
+    /// K, from the focal lengths and the principal point; what a model adds to it is left out.
     pub fn calibration_matrix(&self) -> Matrix3<f64> {
         let indices = self.kind().focal_indices();
         let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);

@@ -1,9 +1,12 @@
 //! Laws that every manifold, camera model, loss and Jacobian obeys, as plain functions of values: `Err` says what is broken.
 //! Tests feed them with random values; a new type costs one line there.
 
+mod solver_laws;
+
 use nalgebra::{SVector, Vector3};
 
 use crate::{Block, CameraModel, Intrinsics, Loss, Manifold};
+pub use solver_laws::{SolverTrial, solver_trial};
 
 /// Step of numeric differentiation in the tangent space, relative to the size of the value; with the five-point rule the error is
 /// h⁴ of the fifth derivative plus ε/h: about 1e-12 for functions of unit size.
