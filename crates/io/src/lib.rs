@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod atomic;
+pub mod bal;
 mod binary;
 pub mod colmap;
 #[cfg(feature = "database")]
@@ -9,9 +10,14 @@ mod error;
 mod exif;
 mod images;
 mod jpeg;
+pub mod kitti;
 mod pixels;
+pub mod ply;
+mod rotation;
+pub mod strecha;
 mod text;
 pub mod timestamps;
+pub mod trajectory;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
