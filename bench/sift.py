@@ -186,4 +186,5 @@ def main():
         print(f"  tiepoint has COLMAP's (first image, no limit): {agreement(a, b)}")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -100,32 +100,129 @@ const ROW_BESIDE: usize = 4;
 /// `below` as well: `difference[x] = out[x] − below[x]`.
 ///
 /// # Safety
-/// `row` is readable from `from − radius` and all others accessible from `from`, up to `to + radius` (or `to`) rounded
-/// up by less than `4 · LANES`.
+/// `from` is a multiple of `LANES`. `row` is readable from `from − radius` rounded down to, and up to `to + radius`
+/// rounded up by, less than `4 · LANES` and a vector; the others are accessible from `from` up to `to` rounded up.
 #[inline(always)]
 pub(crate) unsafe fn blur_row<S: Simd>(
     row: *const f32,
     kernel: &[f32],
     out: *mut f32,
     difference: Option<(*const f32, *mut f32)>,
+    columns: (usize, usize),
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        // The radii of three levels per octave; others need not be as fast.
+        match kernel.len() - 1 {
+            5 => blur_row_by::<S, 5>(row, kernel, out, difference, columns),
+            7 => blur_row_by::<S, 7>(row, kernel, out, difference, columns),
+            8 => blur_row_by::<S, 8>(row, kernel, out, difference, columns),
+            10 => blur_row_by::<S, 10>(row, kernel, out, difference, columns),
+            13 => blur_row_by::<S, 13>(row, kernel, out, difference, columns),
+            _ => blur_row_by::<S, ANY>(row, kernel, out, difference, columns),
+        }
+    }
+}
+
+/// Instead of a radius: that of the kernel.
+const ANY: usize = 0;
+
+/// Adds the taps `RIGHT` values to the right and as many to the left, `16 − LEFT`, of vectors whose values and their
+/// neighbours are in registers.
+///
+/// # Safety
+/// As [`blur_row`]; `near` are the vectors from the one before `row` on.
+#[inline(always)]
+unsafe fn add_taps<S: Simd, const LEFT: i32, const RIGHT: i32>(
+    row: *const f32,
+    near: &[S::F; ROW_BESIDE + 2],
+    weight: f32,
+    sums: &mut [S::F; ROW_BESIDE],
+) {
+    let weight = S::splat(weight);
+    for (b, sum) in sums.iter_mut().enumerate() {
+        // SAFETY: the caller's promise.
+        unsafe {
+            let at = row.add(b * LANES);
+            let left = S::load_between::<LEFT>(at.sub(RIGHT as usize), near[b], near[b + 1]);
+            let right = S::load_between::<RIGHT>(at.add(RIGHT as usize), near[b + 1], near[b + 2]);
+            *sum = S::mul_add(S::add(left, right), weight, *sum);
+        }
+    }
+}
+
+/// # Safety
+/// As [`blur_row`], and `RADIUS` is that of the kernel, or [`ANY`].
+#[inline(always)]
+unsafe fn blur_row_by<S: Simd, const RADIUS: usize>(
+    row: *const f32,
+    kernel: &[f32],
+    out: *mut f32,
+    difference: Option<(*const f32, *mut f32)>,
     (from, to): (usize, usize),
 ) {
-    let radius = kernel.len() - 1;
     let mut x = from;
     while x < to {
         // SAFETY: the caller's promise.
         unsafe {
-            let centre = S::splat(*kernel.get_unchecked(0));
-            let mut sums = [centre; ROW_BESIDE];
-            for (b, sum) in sums.iter_mut().enumerate() {
-                *sum = S::mul(S::load(row.add(x + b * LANES)), centre);
+            let mut near = [S::splat(0.0); ROW_BESIDE + 2];
+            for (b, near) in near.iter_mut().enumerate() {
+                *near = S::load(row.add(x + b * LANES).sub(LANES));
             }
-            for t in 1..=radius {
-                let weight = S::splat(*kernel.get_unchecked(t));
-                let (left, right) = (row.add(x - t), row.add(x + t));
-                for (b, sum) in sums.iter_mut().enumerate() {
-                    let pair = S::add(S::load(left.add(b * LANES)), S::load(right.add(b * LANES)));
-                    *sum = S::mul_add(pair, weight, *sum);
+            let mut sums = [S::splat(*kernel.get_unchecked(0)); ROW_BESIDE];
+            for (b, sum) in sums.iter_mut().enumerate() {
+                *sum = S::mul(near[b + 1], *sum);
+            }
+            if RADIUS == ANY {
+                for (t, &weight) in kernel.iter().enumerate().skip(1) {
+                    let weight = S::splat(weight);
+                    for (b, sum) in sums.iter_mut().enumerate() {
+                        let at = row.add(x + b * LANES);
+                        let pair = S::add(S::load(at.sub(t)), S::load(at.add(t)));
+                        *sum = S::mul_add(pair, weight, *sum);
+                    }
+                }
+            } else {
+                let at = row.add(x);
+                let weight = |t: usize| *kernel.get_unchecked(t);
+                if RADIUS >= 1 {
+                    add_taps::<S, 15, 1>(at, &near, weight(1), &mut sums);
+                }
+                if RADIUS >= 2 {
+                    add_taps::<S, 14, 2>(at, &near, weight(2), &mut sums);
+                }
+                if RADIUS >= 3 {
+                    add_taps::<S, 13, 3>(at, &near, weight(3), &mut sums);
+                }
+                if RADIUS >= 4 {
+                    add_taps::<S, 12, 4>(at, &near, weight(4), &mut sums);
+                }
+                if RADIUS >= 5 {
+                    add_taps::<S, 11, 5>(at, &near, weight(5), &mut sums);
+                }
+                if RADIUS >= 6 {
+                    add_taps::<S, 10, 6>(at, &near, weight(6), &mut sums);
+                }
+                if RADIUS >= 7 {
+                    add_taps::<S, 9, 7>(at, &near, weight(7), &mut sums);
+                }
+                if RADIUS >= 8 {
+                    add_taps::<S, 8, 8>(at, &near, weight(8), &mut sums);
+                }
+                if RADIUS >= 9 {
+                    add_taps::<S, 7, 9>(at, &near, weight(9), &mut sums);
+                }
+                if RADIUS >= 10 {
+                    add_taps::<S, 6, 10>(at, &near, weight(10), &mut sums);
+                }
+                if RADIUS >= 11 {
+                    add_taps::<S, 5, 11>(at, &near, weight(11), &mut sums);
+                }
+                if RADIUS >= 12 {
+                    add_taps::<S, 4, 12>(at, &near, weight(12), &mut sums);
+                }
+                if RADIUS >= 13 {
+                    add_taps::<S, 3, 13>(at, &near, weight(13), &mut sums);
                 }
             }
             for (b, &sum) in sums.iter().enumerate() {

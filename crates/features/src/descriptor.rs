@@ -29,16 +29,27 @@ const BYTE_SCALE: f32 = 512.0;
 
 const HISTOGRAM: usize = PADDED * PADDED * BINS;
 
-/// Row `b` is 1 at direction `b` of both cells of a vector.
-static ONE_HOT: [[f32; LANES]; BINS + 2] = {
-    let mut rows = [[0.0; LANES]; BINS + 2];
+/// Samples that are added to a histogram each: as many do not wait for each other.
+const BESIDE: usize = 4;
+
+/// In row `b`, 1 at direction `b` of both cells of a vector; then what changes that to direction `b + 1`.
+#[repr(align(64))]
+struct OneHot([[[f32; LANES]; 2]; BINS + 1]);
+
+static ONE_HOT: OneHot = {
+    let mut rows = [[[0.0; LANES]; 2]; BINS + 1];
     let mut b = 0;
-    while b < BINS + 2 {
-        rows[b][b % BINS] = 1.0;
-        rows[b][b % BINS + BINS] = 1.0;
+    while b <= BINS {
+        let (here, next) = (b % BINS, (b + 1) % BINS);
+        rows[b][0][here] = 1.0;
+        rows[b][0][here + BINS] = 1.0;
+        rows[b][1][here] = -1.0;
+        rows[b][1][here + BINS] = -1.0;
+        rows[b][1][next] = 1.0;
+        rows[b][1][next + BINS] = 1.0;
         b += 1;
     }
-    rows
+    OneHot(rows)
 };
 
 /// Where a descriptor is measured, in samples of its octave.
@@ -54,6 +65,12 @@ pub(crate) struct Frame {
     pub(crate) angle: f32,
 }
 
+/// How far the turned cells reach.
+#[inline(always)]
+pub(crate) fn radius_of(sigma: f32) -> f32 {
+    (std::f32::consts::SQRT_2 * MAGNIFICATION * sigma * REACH + 0.5).floor()
+}
+
 /// Measures a descriptor.
 #[inline(always)]
 pub(crate) fn describe<S: Simd>(level: &Level<'_>, frame: Frame, normalization: Normalization) -> Descriptor {
@@ -67,14 +84,14 @@ pub(crate) fn describe<S: Simd>(level: &Level<'_>, frame: Frame, normalization: 
 
 #[inline(always)]
 fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
-    // Samples alternate between two histograms: adding to a cell need not wait for the sample before.
-    let mut histograms = [[0.0f32; HISTOGRAM]; 2];
+    // Neighbouring samples go to different histograms: adding to a cell need not wait for the sample before.
+    let mut histograms = [[0.0f32; HISTOGRAM]; BESIDE];
     let (sin, cos) = frame.angle.sin_cos();
     let cell = MAGNIFICATION * frame.sigma;
     let (sin, cos) = (sin / cell, cos / cell);
-    let radius = (std::f32::consts::SQRT_2 * cell * REACH + 0.5).floor();
+    let radius = radius_of(frame.sigma);
     let (y_first, y_end) = window(frame.y, -radius, radius, level.height);
-    let (one, limit) = (S::splat(1.0), S::splat(REACH));
+    let limit = S::splat(REACH);
     // exp(−(u² + v²) / (2 σ²)) with σ = half of the cells.
     let falloff = S::splat(0.5 / (CELLS as f32 / 2.0).powi(2));
     let to_bins = S::splat(BINS as f32 / TAU);
@@ -97,12 +114,15 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
                 let dx = S::add(S::splat(x as f32 - frame.x), lanes);
                 let u = S::mul_add(S::splat(cos), dx, u_row);
                 let v = S::mul_add(S::splat(-sin), dx, v_row);
+                level.prefetch::<S>(x, y);
                 let Gradient { magnitude, angle } = level.gradient::<S>(x, y);
                 let outside = S::max(S::abs(u), S::abs(v));
                 let r2 = S::mul_add(u, u, S::mul(v, v));
                 let bounded = S::min(r2, S::splat(2.0 * REACH * REACH));
                 let weight = S::mul(exp_minus::<S>(S::mul(bounded, falloff)), magnitude);
                 let weight = S::select_lt(outside, limit, weight, S::splat(0.0));
+                let count = LANES.min(x_end - x);
+                let weight = S::select_lt(lanes, S::splat(count as f32), weight, S::splat(0.0));
                 // In cells, from the first cell of the border; from 0 up to below PADDED − 1.
                 let u = S::add(S::max(S::min(u, limit), S::splat(-REACH)), limit);
                 let v = S::add(S::max(S::min(v, limit), S::splat(-REACH)), limit);
@@ -124,30 +144,27 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
                 let samples =
                     Samples::<S> { index, bin_below, bin_share, left: S::sub(weight, right), right, v_share };
                 let samples = samples.to_arrays();
-                for i in 0..LANES.min(x_end - x) {
-                    let index = samples.index[i].to_int_unchecked::<i32>() as usize;
-                    let bin = samples.bin_below[i].to_int_unchecked::<i32>() as usize;
-                    debug_assert!(index + PADDED * BINS + LANES <= HISTOGRAM && bin <= BINS);
-                    let share = S::splat(samples.bin_share[i]);
-                    let lower = S::load(ONE_HOT.as_ptr().add(bin).cast());
-                    let upper = S::load(ONE_HOT.as_ptr().add(bin + 1).cast());
-                    let shares = S::mul_add(upper, share, S::mul(lower, S::sub(one, share)));
-                    let shares = S::mul(shares, S::halves(samples.left[i], samples.right[i]));
-                    let below = S::mul(shares, S::splat(samples.v_share[i]));
-                    let above = S::sub(shares, below);
-                    let at = histograms[i % 2].as_mut_ptr().add(index);
-                    S::store(at, S::add(S::load(at), above));
-                    let at = at.add(PADDED * BINS);
-                    S::store(at, S::add(S::load(at), below));
+                for i in (0..count).step_by(BESIDE) {
+                    for (j, histogram) in histograms.iter_mut().enumerate() {
+                        let (index, bin) = (samples.index[i + j] as usize, samples.bin_below[i + j] as usize);
+                        debug_assert!(index + PADDED * BINS + LANES <= HISTOGRAM && bin <= BINS);
+                        let [direction, change] = ONE_HOT.0.get_unchecked(bin);
+                        let share = S::splat(samples.bin_share[i + j]);
+                        let shares = S::mul_add(S::load(change.as_ptr()), share, S::load(direction.as_ptr()));
+                        let shares = S::mul(shares, S::halves(samples.left[i + j], samples.right[i + j]));
+                        let below = S::mul(shares, S::splat(samples.v_share[i + j]));
+                        let above = S::sub(shares, below);
+                        let at = histogram.as_mut_ptr().add(index);
+                        S::store(at, S::add(S::load(at), above));
+                        let at = at.add(PADDED * BINS);
+                        S::store(at, S::add(S::load(at), below));
+                    }
                 }
             }
         }
     }
-    let [mut sum, odd] = histograms;
-    for (sum, odd) in sum.iter_mut().zip(odd) {
-        *sum += odd;
-    }
-    sum
+    let [a, b, c, d] = &histograms;
+    std::array::from_fn(|i| (a[i] + b[i]) + (c[i] + d[i]))
 }
 
 /// What a sample adds, for a vector of samples.
@@ -167,8 +184,8 @@ struct Samples<S: Simd> {
 }
 
 struct SampleArrays {
-    index: [f32; LANES],
-    bin_below: [f32; LANES],
+    index: [i32; LANES],
+    bin_below: [i32; LANES],
     bin_share: [f32; LANES],
     left: [f32; LANES],
     right: [f32; LANES],
@@ -184,9 +201,15 @@ impl<S: Simd> Samples<S> {
             unsafe { S::store(a.as_mut_ptr(), v) };
             a
         };
+        let whole = |v: S::F| {
+            let mut a = [0; LANES];
+            // SAFETY: the array is one vector long; indices and directions are small.
+            unsafe { S::store_int(a.as_mut_ptr(), v) };
+            a
+        };
         SampleArrays {
-            index: array(self.index),
-            bin_below: array(self.bin_below),
+            index: whole(self.index),
+            bin_below: whole(self.bin_below),
             bin_share: array(self.bin_share),
             left: array(self.left),
             right: array(self.right),

@@ -6,7 +6,7 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 /// A stored level of an octave.
 #[derive(Clone, Copy)]
 pub(crate) struct Level<'a> {
-    /// Samples, and at least two vectors more.
+    /// Samples, and at least two vectors more; rows as far as anything here is measured.
     pub(crate) data: &'a [f32],
     /// Distance between rows.
     pub(crate) stride: usize,
@@ -14,6 +14,8 @@ pub(crate) struct Level<'a> {
     pub(crate) width: usize,
     /// Rows.
     pub(crate) height: usize,
+    /// The first row in `data`.
+    pub(crate) first_row: usize,
 }
 
 /// Gradients at neighbouring samples of a row.
@@ -24,15 +26,25 @@ pub(crate) struct Gradient<S: Simd> {
     pub(crate) angle: S::F,
 }
 
+/// Rows ahead that are asked for while a row is measured: the processor does not foresee steps of a whole row.
+const ROWS_AHEAD: usize = 8;
+
 impl Level<'_> {
+    /// Asks for the samples that are measured some rows later.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self, x: usize, y: usize) {
+        let at = (y + ROWS_AHEAD - self.first_row) * self.stride + x;
+        S::prefetch(self.data.as_ptr().wrapping_add(at));
+    }
+
     /// Central differences at the samples from (x, y) on.
     ///
     /// # Safety
     /// (x, y) is neither in the first nor in the last column or row.
     #[inline(always)]
     pub(crate) unsafe fn gradient<S: Simd>(&self, x: usize, y: usize) -> Gradient<S> {
-        let at = y * self.stride + x;
-        debug_assert!(x > 0 && y > 0 && x + 1 < self.width && y + 1 < self.height);
+        let at = (y - self.first_row) * self.stride + x;
+        debug_assert!(x > 0 && y > self.first_row && x + 1 < self.width && y + 1 < self.height);
         debug_assert!(at + self.stride + LANES <= self.data.len());
         // SAFETY: rows above and below exist, and beyond the last one there is room for two vectors.
         let (left, right, up, down) = unsafe {

@@ -1,11 +1,13 @@
 #![doc = include_str!("../README.md")]
 
+mod bands;
 mod blur;
 mod buffer;
 mod descriptor;
 mod error;
 mod extrema;
 mod gradient;
+mod measure;
 mod octave;
 mod options;
 mod orientation;
@@ -13,6 +15,8 @@ mod scale_space;
 mod sift;
 mod simd;
 mod source;
+#[cfg(test)]
+mod tests;
 mod types;
 mod view;
 

@@ -60,9 +60,14 @@ impl Plan {
         self.width.next_multiple_of(LINE)
     }
 
-    /// Values of a stored level, with what kernels may read beyond its end.
-    pub(crate) fn level_len(&self) -> usize {
-        self.stride() * self.height + SLACK
+    /// Values of so many rows of a stored level, with what kernels may read beyond their end.
+    pub(crate) fn level_len(&self, rows: usize) -> usize {
+        self.stride() * rows + SLACK
+    }
+
+    /// Distance between the rows of the next octave's level 0.
+    pub(crate) fn next_stride(&self) -> usize {
+        (self.width / 2).next_multiple_of(LINE)
     }
 
     /// The stage whose output is level 0, or none if the source is.
@@ -74,11 +79,11 @@ impl Plan {
 /// Memory for a sweep.
 #[derive(Default)]
 pub(crate) struct Scratch {
-    /// The input of each stage.
+    /// The input of each stage, and the output of the last one.
     rings: Vec<Ring>,
     /// Differences of levels.
     differences: Vec<Ring>,
-    /// Rows that are blurred along columns only, then the unused highest level.
+    /// Rows that are blurred along columns only.
     rows: AlignedBuf,
     /// For the source.
     source: AlignedBuf,
@@ -90,32 +95,36 @@ pub(crate) struct Sweep<'a, 'b> {
     pub(crate) plan: &'a Plan,
     /// From what.
     pub(crate) source: Source<'a>,
-    /// Which extrema count.
-    pub(crate) thresholds: Thresholds,
-    /// The band.
+    /// The band; it begins at an even row.
     pub(crate) rows: Range<usize>,
-    /// Levels 1 … S of these rows.
-    pub(crate) levels: &'b mut [&'a mut [f32]],
+    /// These rows of levels 1 … S, or nothing if they are not wanted.
+    pub(crate) levels: Vec<&'b mut [f32]>,
+    /// These rows of the next octave's level 0, if that is wanted.
+    pub(crate) next_octave: Option<&'b mut [f32]>,
+    /// Which extrema count; without it, none are looked for.
+    pub(crate) thresholds: Option<Thresholds>,
     /// Memory.
     pub(crate) scratch: &'b mut Scratch,
-    /// Where the extrema go.
-    pub(crate) found: &'b mut Vec<Extremum>,
 }
 
 impl Task for Sweep<'_, '_> {
-    type Output = ();
+    /// Refined extrema.
+    type Output = Vec<Extremum>;
 
     #[inline(always)]
-    fn run<S: Simd>(mut self) {
+    fn run<S: Simd>(mut self) -> Vec<Extremum> {
+        let mut found = Vec::new();
         let width = self.plan.width;
         let tiles = width.div_ceil(TILE);
         let tile = width.div_ceil(tiles).next_multiple_of(LINE);
         let mut x0 = 0;
         while x0 < width {
             let x1 = (x0 + tile).min(width);
-            self.sweep_tile::<S>(x0, x1, tile);
+            self.sweep_tile::<S>((x0, x1), tile, &mut found);
             x0 = x1;
         }
+        S::fence();
+        found
     }
 }
 
@@ -146,72 +155,74 @@ impl Columns {
 
 impl Sweep<'_, '_> {
     #[inline(always)]
-    fn sweep_tile<S: Simd>(&mut self, x0: usize, x1: usize, tile: usize) {
-        let Plan { width, height, levels, .. } = *self.plan;
-        let (halos, stages) = (&self.plan.halos, &self.plan.stages);
-        let last = stages.len();
-        let margin = (halos[0] + LINE).next_multiple_of(LINE);
+    fn sweep_tile<S: Simd>(&mut self, (x0, x1): (usize, usize), tile: usize, found: &mut Vec<Extremum>) {
+        let Plan { width, height, levels, ref stages, ref halos, .. } = *self.plan;
+        let level_0 = self.plan.stages_before_level_0();
+        // Without a search, level S is the last one that is needed, and nothing beyond the tile.
+        let (last, reach) = match self.thresholds {
+            Some(_) => (stages.len(), REACH),
+            None => (level_0 + levels, 0),
+        };
+        let halo = |stage: usize| halos[stage] - halos[last] + reach;
+        let margin = (halo(0) + LINE).next_multiple_of(LINE);
         let stride = tile + 2 * margin + SLACK;
         let columns = Columns { x0, x1, width, origin: margin };
-        let first_row = |stage: usize| self.rows.start.saturating_sub(halos[stage]);
-        let end_row = |stage: usize| (self.rows.end + halos[stage]).min(height);
+        let band = self.rows.clone();
+        let first_row = |stage: usize| band.start.saturating_sub(halo(stage));
+        let end_row = |stage: usize| (band.end + halo(stage)).min(height);
 
         let scratch = &mut *self.scratch;
-        scratch.rings.resize_with(last, Ring::default);
+        scratch.rings.resize_with(stages.len() + 1, Ring::default);
         scratch.differences.resize_with(levels + 2, Ring::default);
-        for (stage, ring) in scratch.rings.iter_mut().enumerate() {
-            let radius = stages[stage].len() - 1;
+        for (stage, ring) in scratch.rings[..=last].iter_mut().enumerate() {
+            let radius = stages.get(stage).map_or(0, |kernel| kernel.len() - 1);
             ring.reset(2 * radius + 3 * BLOCK, stride, first_row(stage));
         }
-        let level_0 = self.plan.stages_before_level_0();
-        for (i, ring) in scratch.differences.iter_mut().enumerate() {
-            let stage = level_0 + i + 1;
-            let ahead = halos[stage] - halos[last] + BLOCK * (last - stage + 2);
-            ring.reset(2 * REACH + 1 + ahead, stride, first_row(stage));
+        if self.thresholds.is_some() {
+            for (i, ring) in scratch.differences.iter_mut().enumerate() {
+                let stage = level_0 + i + 1;
+                let ahead = halo(stage) - halo(last) + BLOCK * (last - stage + 2);
+                ring.reset(2 * REACH + 1 + ahead, stride, first_row(stage));
+            }
         }
-        scratch.rows.reserve((BLOCK + 1) * stride);
+        scratch.rows.reserve(BLOCK * stride);
         scratch.source.reserve(stride);
-        let mut next_of_last = first_row(last);
-        let mut next_searched = self.rows.start;
+        let mut next_searched = band.start;
 
-        while next_searched < self.rows.end {
-            // The source.
-            for _ in 0..BLOCK {
+        while scratch.rings[last].next < end_row(last) || next_searched < band.end {
+            for _ in 0..BLOCK.min(end_row(0) - scratch.rings[0].next) {
                 let y = scratch.rings[0].next;
-                if y < end_row(0) {
-                    let (from, to) = columns.extended(halos[0]);
-                    let image_columns = (from + x0 - margin, to + x0 - margin);
-                    let out = scratch.rings[0].next_row();
-                    // SAFETY: rows of rings and of `source` have `stride` values.
-                    unsafe {
-                        let temp = scratch.source.reserve(stride);
-                        self.source.fill_row::<S>(y, image_columns, out.add(from), temp);
-                    }
+                let (from, to) = columns.extended(halo(0));
+                let image_columns = (from + x0 - margin, to + x0 - margin);
+                let out = scratch.rings[0].next_row();
+                // SAFETY: rows of rings and of `source` have `stride` values.
+                unsafe {
+                    let temp = scratch.source.reserve(stride);
+                    self.source.fill_row::<S>(y, image_columns, out.add(from), temp);
                 }
             }
-            // The levels.
-            for stage in 0..last {
-                let radius = stages[stage].len() - 1;
+            for (stage, kernel) in stages.iter().enumerate().take(last) {
+                let radius = kernel.len() - 1;
                 let input = &scratch.rings[stage];
                 let end = end_row(stage + 1);
                 let ready =
                     if input.next == end_row(stage) { end } else { input.next.saturating_sub(radius) };
                 // One block at a time: further ones would overwrite rows of the ring that are still needed.
-                let y = if stage + 1 == last { next_of_last } else { scratch.rings[stage + 1].next };
+                let y = scratch.rings[stage + 1].next;
                 let rows = BLOCK.min(end - y);
                 if y + rows > ready {
                     continue;
                 }
                 let job = Stage {
-                    kernel: &stages[stage],
+                    kernel,
                     stage,
                     height,
                     stride,
-                    difference: (stage >= level_0).then(|| stage - level_0),
-                    input_columns: columns.extended(halos[stage]),
-                    output_columns: columns.extended(halos[stage + 1]),
-                    at_left: x0 <= halos[stage],
-                    at_right: x1 + halos[stage] >= width,
+                    difference: (reach > 0 && stage >= level_0).then(|| stage - level_0),
+                    input_columns: columns.extended(halo(stage)),
+                    output_columns: columns.extended(halo(stage + 1)),
+                    at_left: x0 <= halo(stage),
+                    at_right: x1 + halo(stage) >= width,
                 };
                 // SAFETY: the rings hold the rows, and the columns are inside of them.
                 unsafe {
@@ -223,39 +234,64 @@ impl Sweep<'_, '_> {
                         }
                     }
                 }
-                if stage + 1 == last {
-                    next_of_last += rows;
-                    continue;
-                }
                 // Level i is the input of stage `level_0 + i`.
                 let level = (stage + 1).wrapping_sub(level_0);
-                if (1..=levels).contains(&level) {
-                    for y in (y..y + rows).filter(|y| self.rows.contains(y)) {
-                        let at = (y - self.rows.start) * self.plan.stride() + x0;
-                        let row = scratch.rings[stage + 1].row(y);
-                        // SAFETY: a row of a ring holds the columns of the tile.
-                        let row = unsafe { std::slice::from_raw_parts(row.add(margin), x1 - x0) };
-                        self.levels[level - 1][at..at + x1 - x0].copy_from_slice(row);
+                if !(1..=levels).contains(&level) {
+                    continue;
+                }
+                for y in (y..y + rows).filter(|y| band.contains(y)) {
+                    // SAFETY: a row of a ring holds the columns of the tile.
+                    let row = unsafe {
+                        std::slice::from_raw_parts(scratch.rings[stage + 1].row(y).add(margin), x1 - x0)
+                    };
+                    if let Some(rows) = self.levels.get_mut(level - 1) {
+                        let at = (y - band.start) * self.plan.stride() + x0;
+                        // SAFETY: rows of levels and of rings begin on cache lines, and so do tiles.
+                        unsafe { stream_row::<S>(row, &mut rows[at..at + x1 - x0]) };
+                    }
+                    if let Some(rows) = self.next_octave.as_mut().filter(|_| level == levels && y % 2 == 0) {
+                        let at = (y - band.start) / 2 * self.plan.next_stride() + x0 / 2;
+                        for (out, pair) in rows[at..].iter_mut().zip(row.chunks_exact(2)) {
+                            *out = pair[0];
+                        }
                     }
                 }
             }
-            // Extrema.
-            let ready = if next_of_last == height { height } else { next_of_last.saturating_sub(REACH) };
-            while next_searched < ready.min(self.rows.end) {
-                let search = extrema::Search {
-                    differences: &scratch.differences,
-                    origin: margin,
-                    columns: (x0, x1),
-                    size: (width, height),
-                    octave: self.plan.octave,
-                    levels,
-                    thresholds: self.thresholds,
-                };
-                search.row::<S>(next_searched, self.found);
+            let Some(thresholds) = self.thresholds else {
+                next_searched = band.end;
+                continue;
+            };
+            let next = scratch.rings[last].next;
+            let ready = if next == height { height } else { next.saturating_sub(REACH) };
+            let search = extrema::Search {
+                differences: &scratch.differences,
+                origin: margin,
+                columns: (x0, x1),
+                size: (width, height),
+                octave: self.plan.octave,
+                levels,
+                thresholds,
+            };
+            while next_searched < ready.min(band.end) {
+                search.row::<S>(next_searched, found);
                 next_searched += 1;
             }
         }
     }
+}
+
+/// Copies a row to memory that is not read soon.
+///
+/// # Safety
+/// Both are equally long and begin on cache lines.
+#[inline(always)]
+unsafe fn stream_row<S: Simd>(row: &[f32], out: &mut [f32]) {
+    let whole = row.len() / LANES * LANES;
+    for x in (0..whole).step_by(LANES) {
+        // SAFETY: the caller's promise.
+        unsafe { S::stream(out.as_mut_ptr().add(x), S::load(row.as_ptr().add(x))) };
+    }
+    out[whole..].copy_from_slice(&row[whole..]);
 }
 
 /// One blur of a tile.
@@ -289,10 +325,10 @@ impl Stage<'_> {
         for (t, row) in rows.iter_mut().enumerate() {
             *row = input.row((y + t).saturating_sub(radius).min(self.height - 1));
         }
-        let all = scratch.rows.reserve((BLOCK + 1) * self.stride).as_mut_ptr();
+        let all = scratch.rows.reserve(BLOCK * self.stride).as_mut_ptr();
         let (first, end) = self.input_columns;
         let (out_first, out_end) = self.output_columns;
-        // SAFETY: `scratch.rows` has room for one row more than a block; the rest is the caller's promise.
+        // SAFETY: `scratch.rows` has room for a block; the rest is the caller's promise.
         unsafe {
             let blurred: [*mut f32; ROWS] = std::array::from_fn(|j| all.add(j * self.stride));
             blur_columns::<S, ROWS>(rows, self.kernel, blurred, (first / LINE * LINE, end));
@@ -309,10 +345,7 @@ impl Stage<'_> {
                         *row.add(x) = border;
                     }
                 }
-                let out = match outputs.first_mut() {
-                    Some(ring) => ring.next_row(),
-                    None => all.add(BLOCK * self.stride),
-                };
+                let out = outputs[0].next_row();
                 let difference =
                     self.difference.map(|i| (input.row(y + j), scratch.differences[i].next_row()));
                 blur_row::<S>(row, self.kernel, out, difference, (out_first / LINE * LINE, out_end));

@@ -10,6 +10,8 @@ use crate::simd::{LANES, Simd};
 use std::f32::consts::TAU;
 
 const BINS: usize = 36;
+/// Samples that are added to a histogram each.
+const BESIDE: usize = 4;
 /// σ of the weight, in σ of the extremum.
 const WEIGHT_SIGMA: f32 = 1.5;
 /// Radius of the window, in σ of the weight.
@@ -29,6 +31,11 @@ pub(crate) struct Directions {
 }
 
 impl Directions {
+    /// The direction of +x.
+    pub(crate) fn upright() -> Self {
+        Directions { angles: [0.0; MAX_PEAKS], len: 1 }
+    }
+
     /// The directions.
     pub(crate) fn as_slice(&self) -> &[f32] {
         &self.angles[..self.len]
@@ -43,8 +50,9 @@ pub(crate) fn directions<S: Simd>(level: &Level<'_>, at: &Extremum, max: usize) 
 
 #[inline(always)]
 fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
-    // Samples are shared by the bins to both sides of them, of which the last wraps round.
-    let mut histogram = [0.0; BINS + 2];
+    // Samples are shared by the bins to both sides of them. Shares of lower and upper ones, and those of neighbouring
+    // samples, are added up apart, so that none waits for the one before.
+    let mut histograms = [[[0.0f32; BINS + 1]; 2]; BESIDE];
     let sigma = WEIGHT_SIGMA * at.sigma;
     let radius = (RADIUS * sigma).floor().max(1.0);
     let (xi, yi) = (at.x.round() as usize, at.y.round() as usize);
@@ -66,6 +74,7 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
             for x in (x_first..x_end).step_by(LANES) {
                 let dx = S::add(S::splat(x as f32 - at.x), lanes);
                 let r2 = S::mul_add(dx, dx, S::splat(dy * dy));
+                level.prefetch::<S>(x, y);
                 let Gradient { magnitude, angle } = level.gradient::<S>(x, y);
                 let weight = S::mul(exp_minus::<S>(S::mul(S::min(r2, limit), falloff)), magnitude);
                 let weight = S::select_lt(r2, limit, weight, zero);
@@ -74,25 +83,31 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
                 let whole = S::floor(bin);
                 let upper = S::mul(S::sub(bin, whole), weight);
                 let lower = S::mul(S::sub(S::add(one, whole), bin), weight);
-                let (mut bins, mut uppers, mut lowers) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-                S::store(bins.as_mut_ptr(), whole);
-                S::store(uppers.as_mut_ptr(), upper);
-                S::store(lowers.as_mut_ptr(), lower);
-                for i in 0..LANES.min(x_end - x) {
-                    // `whole` is from 0 to BINS, as angles are from 0 to 2π.
-                    let bin = bins[i].to_int_unchecked::<i32>() as usize;
-                    debug_assert!(bin <= BINS);
-                    *histogram.get_unchecked_mut(bin) += lowers[i];
-                    *histogram.get_unchecked_mut(bin + 1) += uppers[i];
+                let count = LANES.min(x_end - x);
+                let inside = S::splat(count as f32);
+                let (mut bins, mut uppers, mut lowers) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+                S::store_int(bins.as_mut_ptr(), whole);
+                S::store(uppers.as_mut_ptr(), S::select_lt(lanes, inside, upper, zero));
+                S::store(lowers.as_mut_ptr(), S::select_lt(lanes, inside, lower, zero));
+                for i in (0..count).step_by(BESIDE) {
+                    for (j, [lower, upper]) in histograms.iter_mut().enumerate() {
+                        // From 0 to BINS, as angles are from 0 to 2π.
+                        let bin = bins[i + j] as usize;
+                        debug_assert!(bin <= BINS);
+                        *lower.get_unchecked_mut(bin) += lowers[i + j];
+                        *upper.get_unchecked_mut(bin) += uppers[i + j];
+                    }
                 }
             }
         }
     }
-    let mut wrapped = [0.0; BINS];
-    wrapped.copy_from_slice(&histogram[1..=BINS]);
-    wrapped[BINS - 1] += histogram[0];
-    wrapped[0] += histogram[BINS + 1];
-    wrapped
+    let [a, b, c, d] = &histograms;
+    let sum = |side: usize, i: usize| (a[side][i] + b[side][i]) + (c[side][i] + d[side][i]);
+    // Bin `i` is the lower one at `i + 1` and the upper one at `i`; the first lower and the last upper wrap round.
+    let mut histogram: [f32; BINS] = std::array::from_fn(|i| sum(0, i + 1) + sum(1, i));
+    histogram[BINS - 1] += sum(0, 0);
+    histogram[0] += sum(1, BINS);
+    histogram
 }
 
 #[inline(always)]

@@ -1,27 +1,24 @@
 //! The whole of it: octaves, choice of extrema, orientations and descriptors.
 
+use crate::bands::{SweepAll, sweep_all};
 use crate::buffer::AlignedBuf;
-use crate::descriptor::{Frame, describe};
 use crate::extrema::{Extremum, Thresholds};
-use crate::gradient::Level;
-use crate::octave::{Plan, Scratch, Sweep};
-use crate::options::{Keep, Normalization, Orientation};
-use crate::orientation::{Directions, directions};
-use crate::simd::{Isa, Simd, Task, dispatch};
+use crate::measure::{Measured, measure, window_reach};
+use crate::octave::{Plan, Scratch};
+use crate::options::Keep;
+use crate::simd::Isa;
 use crate::source::Source;
-use crate::{Descriptor, Error, Features, GrayView, Keypoint, Options};
-use rayon::prelude::*;
+use crate::{Error, Features, GrayView, Keypoint, Options};
 use std::f32::consts::{PI, TAU};
 use std::num::NonZeroUsize;
 
 /// An octave with fewer columns or rows is not looked at: its extrema would all lie at its border.
 const MIN_SIDE: usize = 8;
-/// Bands per thread when one image is divided: more balance the load, fewer compute less twice.
-const BANDS_PER_THREAD: usize = 2;
-/// A band has at least this many rows: below, most of its work would be the overlap with its neighbours.
-const MIN_BAND: usize = 128;
-/// Extrema that are described as one task.
-const DESCRIBE_CHUNK: usize = 128;
+/// Levels of an octave that take more memory than this are not kept, but computed once more, a part at a time, where
+/// orientations and descriptors need them: the doubled octave of images beyond 11 megapixels.
+const MAX_LEVEL_BYTES: usize = 512 << 20;
+/// Such a part takes the limit divided by this.
+const PARTS_PER_LIMIT: usize = 4;
 /// Where the centre of the first pixel is in pixel coordinates.
 const PIXEL_CENTRE: f32 = 0.5;
 
@@ -32,27 +29,39 @@ pub fn extract(image: &GrayView<'_>, options: &Options) -> Result<Features, Erro
 }
 
 /// Extracts features, image after image, in memory that it keeps: 12 bytes for each pixel of the finest octave that
-/// was computed. Have one per thread.
+/// was computed, at most 512 MiB for an octave. Have one per thread.
 pub struct Sift {
     options: Options,
-    isa: Isa,
-    /// Levels 1 … S of each octave, the finest first.
-    octaves: Vec<Vec<AlignedBuf>>,
+    pub(crate) isa: Isa,
+    pub(crate) max_level_bytes: usize,
+    octaves: Vec<Octave>,
     scratches: Vec<Scratch>,
 }
 
-/// Levels of an octave that was swept.
-struct Swept {
+/// What is kept of an octave.
+#[derive(Default)]
+struct Octave {
+    /// Levels 1 … S, unless they are too large.
+    levels: Vec<AlignedBuf>,
+    /// Level 0 of the next one.
+    next: AlignedBuf,
+}
+
+/// An octave of the image at hand.
+struct Swept<'a> {
     plan: Plan,
-    /// Where its levels are.
-    slot: usize,
+    /// What it is made from; nothing if it is the octave before.
+    image: Option<Source<'a>>,
+    /// Whether its levels were kept.
+    is_kept: bool,
 }
 
 impl Sift {
     /// Checks the options.
     pub fn new(options: Options) -> Result<Self, Error> {
         options.validate()?;
-        Ok(Sift { options, isa: Isa::best(), octaves: Vec::new(), scratches: Vec::new() })
+        let (octaves, scratches) = Default::default();
+        Ok(Sift { options, isa: Isa::best(), max_level_bytes: MAX_LEVEL_BYTES, octaves, scratches })
     }
 
     /// Extracts the features of an image on the calling thread: the way for many images, each on its own thread. Where
@@ -88,54 +97,67 @@ impl Sift {
             }
         }
         let (extrema, swept) = self.detect(image, mask, threads);
-        Ok(self.describe(&extrema, &swept, threads))
+        let measured = self.measure(&extrema, &swept, threads);
+        let mut features = Features::default();
+        for (extremum, measured) in extrema.iter().zip(&measured) {
+            let each = measured.directions.as_slice().iter().zip(&measured.descriptors);
+            for (&angle, &descriptor) in each.take(self.options.max_features - features.keypoints.len()) {
+                features.keypoints.push(keypoint(extremum, angle));
+                features.descriptors.push(descriptor);
+            }
+        }
+        Ok(features)
     }
 
-    /// The extrema that are to be described, the most wanted first, and the levels for it.
-    fn detect(
+    /// The extrema that are to be described, the most wanted first, and the octaves for it, the doubled one last.
+    fn detect<'a>(
         &mut self,
-        image: &GrayView<'_>,
+        image: &GrayView<'a>,
         mask: Option<&GrayView<'_>>,
         threads: NonZeroUsize,
-    ) -> (Vec<Extremum>, Vec<Swept>) {
+    ) -> (Vec<Extremum>, Vec<Swept<'a>>) {
         let Options { first_octave, octaves, levels, max_features, keep, .. } = self.options;
-        let mut swept: Vec<Swept> = Vec::new();
+        let mut swept: Vec<Swept<'a>> = Vec::new();
         let mut extrema = Vec::new();
         let end = first_octave + octaves as i32;
         // The octave of the image itself and those above it, then the doubled one, if it can still contribute.
-        let order = (0..end).chain((first_octave == -1).then_some(-1));
-        for (slot, octave) in order.enumerate() {
+        for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
             if octave == -1 && keep == Keep::Coarsest && extrema.len() >= max_features {
                 break;
             }
-            let size = if octave < 0 {
-                (2 * image.width, 2 * image.height)
-            } else {
-                (image.width >> octave, image.height >> octave)
+            let size = match octave {
+                -1 => (2 * image.width, 2 * image.height),
+                _ => (image.width >> octave, image.height >> octave),
             };
             if size.0.min(size.1) < MIN_SIDE {
                 continue;
             }
-            self.octaves.resize_with(self.octaves.len().max(slot + 1), Vec::new);
-            let mut levels_here = std::mem::take(&mut self.octaves[slot]);
-            let from_image = octave <= 0;
-            let plan = Plan::new(octave, size, levels, from_image.then_some(first_octave));
-            let source = if octave < 0 {
-                Source::Doubled(*image)
-            } else if from_image {
-                Source::Image(*image)
-            } else {
-                let before = &swept[swept.len() - 1].plan;
-                Source::Halved {
-                    level: self.octaves[slot - 1][levels - 1].as_slice(),
-                    stride: before.stride(),
-                }
+            let source = match octave {
+                -1 => Some(Source::Doubled(*image)),
+                0 => Some(Source::Image(*image)),
+                _ => None,
             };
-            let mut scratches = std::mem::take(&mut self.scratches);
-            let mut found = sweep(&plan, source, self, &mut scratches, &mut levels_here, threads);
-            self.scratches = scratches;
-            self.octaves[slot] = levels_here;
-            swept.push(Swept { plan, slot });
+            let plan = Plan::new(octave, size, levels, source.is_some().then_some(first_octave));
+            let is_kept =
+                4 * levels * plan.level_len(size.1) <= self.max_level_bytes && octave >= first_octave;
+            self.octaves.resize_with(self.octaves.len().max(swept.len() + 1), Octave::default);
+            let (before, here) = self.octaves.split_at_mut(swept.len());
+            let Octave { levels: kept, next } = &mut here[0];
+            let mut found = sweep_all(SweepAll {
+                plan: &plan,
+                source: source.unwrap_or_else(|| halved(&plan, &before[before.len() - 1])),
+                rows: 0..size.1,
+                levels: is_kept.then_some(kept),
+                next_octave: (0..end - 1).contains(&octave).then_some(next),
+                thresholds: Some(Thresholds {
+                    peak: self.options.peak_threshold,
+                    edge: self.options.edge_threshold,
+                }),
+                scratches: &mut self.scratches,
+                isa: self.isa,
+                threads,
+            });
+            swept.push(Swept { plan, image: source, is_kept });
             if octave >= first_octave {
                 if let Some(mask) = mask {
                     found.retain(|e| is_unmasked(mask, e));
@@ -147,81 +169,64 @@ impl Sift {
         (extrema, swept)
     }
 
-    fn describe(&self, extrema: &[Extremum], swept: &[Swept], threads: NonZeroUsize) -> Features {
-        let Options { orientation, max_orientations, max_features, normalization, .. } = self.options;
-        let oriented: Vec<(Extremum, f32)> = match orientation {
-            Orientation::Upright => extrema.iter().map(|&e| (e, 0.0)).collect(),
-            Orientation::Dominant => {
-                let found = in_chunks(extrema, threads, |chunk| {
-                    dispatch(self.isa, Orient { sift: self, swept, extrema: chunk, max: max_orientations })
-                });
-                let pairs = extrema.iter().zip(&found);
-                pairs.flat_map(|(&e, found)| found.as_slice().iter().map(move |&angle| (e, angle))).collect()
+    /// Orientations and descriptors, in the order of the extrema.
+    fn measure(&mut self, extrema: &[Extremum], swept: &[Swept<'_>], threads: NonZeroUsize) -> Vec<Measured> {
+        let mut all = vec![Measured::default(); extrema.len()];
+        for (slot, Swept { plan, image, is_kept }) in swept.iter().enumerate() {
+            // From top to bottom, so that windows that overlap are in the cache.
+            let mut order: Vec<usize> =
+                (0..extrema.len()).filter(|&i| extrema[i].octave == plan.octave).collect();
+            order.sort_unstable_by_key(|&i| (extrema[i].iy, extrema[i].level, extrema[i].ix));
+            let here: Vec<Extremum> = order.iter().map(|&i| extrema[i]).collect();
+            let mut measured = Vec::with_capacity(here.len());
+            if *is_kept {
+                let levels: Vec<&[f32]> =
+                    self.octaves[slot].levels.iter().map(AlignedBuf::as_slice).collect();
+                measured = measure(&here, plan, &levels, 0, &self.options, self.isa, threads);
+            } else {
+                let row_bytes = 4 * plan.levels * plan.stride();
+                let mut part = Vec::new();
+                let mut rest = &here[..];
+                while let [first, ..] = rest {
+                    let end = first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
+                    let (group, others) = rest.split_at(rest.partition_point(|e| e.iy < end));
+                    let reach = window_reach(group);
+                    let rows = first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
+                    sweep_all(SweepAll {
+                        plan,
+                        source: image.unwrap_or_else(|| halved(plan, &self.octaves[slot - 1])),
+                        rows: rows.clone(),
+                        levels: Some(&mut part),
+                        next_octave: None,
+                        thresholds: None,
+                        scratches: &mut self.scratches,
+                        isa: self.isa,
+                        threads,
+                    });
+                    let levels: Vec<&[f32]> = part.iter().map(AlignedBuf::as_slice).collect();
+                    measured.extend(measure(
+                        group,
+                        plan,
+                        &levels,
+                        rows.start,
+                        &self.options,
+                        self.isa,
+                        threads,
+                    ));
+                    rest = others;
+                }
             }
-        };
-        let oriented = &oriented[..oriented.len().min(max_features)];
-        let descriptors = in_chunks(oriented, threads, |chunk| {
-            dispatch(self.isa, Describe { sift: self, swept, oriented: chunk, normalization })
-        });
-        Features { keypoints: oriented.iter().map(|(e, angle)| keypoint(e, *angle)).collect(), descriptors }
-    }
-
-    /// The level in whose gradients an extremum is described.
-    #[inline(always)]
-    fn level<'a>(&'a self, swept: &[Swept], extremum: &Extremum) -> Level<'a> {
-        let found = swept.iter().find(|s| s.plan.octave == extremum.octave);
-        let Swept { plan, slot } = found.expect("extrema come from octaves that were swept");
-        let data = self.octaves[*slot][extremum.level - 1].as_slice();
-        Level { data, stride: plan.stride(), width: plan.width, height: plan.height }
+            for (i, measured) in order.into_iter().zip(measured) {
+                all[i] = measured;
+            }
+        }
+        all
     }
 }
 
-/// Computes the levels of an octave and finds its extrema.
-fn sweep(
-    plan: &Plan,
-    source: Source<'_>,
-    sift: &Sift,
-    scratches: &mut Vec<Scratch>,
-    levels: &mut Vec<AlignedBuf>,
-    threads: NonZeroUsize,
-) -> Vec<Extremum> {
-    levels.resize_with(plan.levels, AlignedBuf::default);
-    let bands = match threads.get() {
-        1 => 1,
-        threads => (threads * BANDS_PER_THREAD).min(plan.height / MIN_BAND).max(1),
-    };
-    let band = plan.height.div_ceil(bands);
-    let bands = plan.height.div_ceil(band);
-    scratches.resize_with(scratches.len().max(bands), Scratch::default);
-    let Options { peak_threshold, edge_threshold, .. } = sift.options;
-
-    // Each band with its rows of every level.
-    let mut rows_of_levels: Vec<_> =
-        levels.iter_mut().map(|l| l.reserve(plan.level_len()).chunks_mut(band * plan.stride())).collect();
-    let jobs: Vec<_> = scratches[..bands]
-        .iter_mut()
-        .enumerate()
-        .map(|(i, scratch)| {
-            let rows = i * band..((i + 1) * band).min(plan.height);
-            let levels: Vec<&mut [f32]> = rows_of_levels.iter_mut().filter_map(Iterator::next).collect();
-            (rows, levels, scratch)
-        })
-        .collect();
-    let work = |(rows, mut levels, scratch): (_, Vec<&mut [f32]>, &mut Scratch)| {
-        let mut found = Vec::new();
-        let thresholds = Thresholds { peak: peak_threshold, edge: edge_threshold };
-        dispatch(
-            sift.isa,
-            Sweep { plan, source, thresholds, rows, levels: &mut levels, scratch, found: &mut found },
-        );
-        found
-    };
-    let found: Vec<Vec<Extremum>> = if bands > 1 {
-        jobs.into_par_iter().map(work).collect()
-    } else {
-        jobs.into_iter().map(work).collect()
-    };
-    found.concat()
+/// Level 0 of an octave that is made from the one before it.
+fn halved<'a>(plan: &Plan, before: &'a Octave) -> Source<'a> {
+    Source::Halved { data: before.next.as_slice(), stride: plan.stride() }
 }
 
 /// Sorts extrema by how much they are wanted, drops duplicates, and keeps the first `max`.
@@ -255,59 +260,5 @@ fn keypoint(extremum: &Extremum, angle: f32) -> Keypoint {
         y: extremum.y * pixels + PIXEL_CENTRE,
         scale: extremum.sigma * pixels,
         orientation: if angle > PI { angle - TAU } else { angle },
-    }
-}
-
-/// Maps chunks of a list to lists, on one thread or all, and joins these.
-fn in_chunks<T: Sync, U: Send>(
-    items: &[T],
-    threads: NonZeroUsize,
-    work: impl Fn(&[T]) -> Vec<U> + Sync + Send,
-) -> Vec<U> {
-    if threads.get() == 1 {
-        return work(items);
-    }
-    let parts: Vec<Vec<U>> = items.par_chunks(DESCRIBE_CHUNK).map(work).collect();
-    parts.into_iter().flatten().collect()
-}
-
-struct Orient<'a> {
-    sift: &'a Sift,
-    swept: &'a [Swept],
-    extrema: &'a [Extremum],
-    max: usize,
-}
-
-impl Task for Orient<'_> {
-    type Output = Vec<Directions>;
-
-    #[inline(always)]
-    fn run<S: Simd>(self) -> Self::Output {
-        let mut all = Vec::with_capacity(self.extrema.len());
-        for extremum in self.extrema {
-            all.push(directions::<S>(&self.sift.level(self.swept, extremum), extremum, self.max));
-        }
-        all
-    }
-}
-
-struct Describe<'a> {
-    sift: &'a Sift,
-    swept: &'a [Swept],
-    oriented: &'a [(Extremum, f32)],
-    normalization: Normalization,
-}
-
-impl Task for Describe<'_> {
-    type Output = Vec<Descriptor>;
-
-    #[inline(always)]
-    fn run<S: Simd>(self) -> Self::Output {
-        let mut all = Vec::with_capacity(self.oriented.len());
-        for (extremum, angle) in self.oriented {
-            let frame = Frame { x: extremum.x, y: extremum.y, sigma: extremum.sigma, angle: *angle };
-            all.push(describe::<S>(&self.sift.level(self.swept, extremum), frame, self.normalization));
-        }
-        all
     }
 }

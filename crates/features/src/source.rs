@@ -13,11 +13,11 @@ pub(crate) enum Source<'a> {
     Image(GrayView<'a>),
     /// The image at twice its resolution: pixels interleaved with the means of neighbours, the last ones repeated.
     Doubled(GrayView<'a>),
-    /// Every second sample of a level of the octave before.
+    /// Every second sample of a level of the octave before, which is level 0 itself.
     Halved {
-        /// The level.
-        level: &'a [f32],
-        /// Distance between its rows.
+        /// The samples.
+        data: &'a [f32],
+        /// Distance between their rows.
         stride: usize,
     },
 }
@@ -52,11 +52,9 @@ impl Source<'_> {
                     let pairs = to.div_ceil(2) - first;
                     double(&temp[..=pairs], out.sub(from % 2), pairs);
                 }
-                Source::Halved { level, stride } => {
-                    let row = &level[2 * y * stride..][2 * from..2 * to - 1];
-                    for (i, pair) in row.chunks(2).enumerate() {
-                        *out.add(i) = pair[0];
-                    }
+                Source::Halved { data, stride } => {
+                    let row = &data[y * stride..][from..to];
+                    out.copy_from_nonoverlapping(row.as_ptr(), row.len());
                 }
             }
         }

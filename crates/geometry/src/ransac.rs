@@ -1,11 +1,12 @@
 //! Robust estimation: RANSAC with local optimisation (Chum, Matas, Kittler 2003) and MSAC scores (Torr, Zisserman 2000).
 //!
-//! One loop for every problem. Each minimal model that beats all minimal models before it is refined on its inliers by
-//! nonlinear least squares, again while that helps; the best refined model wins. Data are scored in order, in chunks, and a
-//! model is dropped as soon as its score can no longer win. Everything follows from the seed.
+//! One loop for every problem. Each minimal model that beats all minimal models before it is refined by nonlinear optimisation of
+//! the truncated loss that scores it; the best refined model wins, and is refined once more under a smoother loss. Data are
+//! scored in order, in chunks, and a model is dropped as soon as its score can no longer win. Everything follows from the seed.
 
 use std::ops::Range;
 
+use crate::simd::LANES;
 use crate::{Loss, Rng};
 
 /// What the loop needs to know about a problem.
@@ -20,8 +21,8 @@ pub trait Estimator {
     fn models(&self, sample: &[usize], models: &mut Vec<Self::Model>);
     /// Squared residuals of the data in `range`, into `squared` (of the same length); infinite where undefined.
     fn squared_residuals(&self, model: &Self::Model, range: Range<usize>, squared: &mut [f64]);
-    /// The least-squares model of the data `inliers`, starting from `model`.
-    fn refine(&self, model: &Self::Model, inliers: &[usize]) -> Option<Self::Model>;
+    /// The model of least loss over some of the data, starting from `model`.
+    fn refine(&self, model: &Self::Model, data: &[usize], loss: Loss) -> Option<Self::Model>;
 }
 
 /// When to stop, and what counts as an inlier.
@@ -71,8 +72,15 @@ impl<M> Report<M> {
 /// Data per scoring step: long enough for vector code, short enough to drop bad models early.
 const CHUNK: usize = 64;
 
-/// Most refinements of one model.
-const MAX_REFINEMENTS: usize = 10;
+/// Data with residuals up to this multiple of the threshold take part in the local optimisation.
+const OPTIMISATION_REACH: f64 = 3.0;
+
+/// Final refinements; each has the spread and the inliers of the one before.
+const POLISHES: usize = 2;
+
+/// Scale of the Cauchy loss in medians of the residual norm: 2.385 standard deviations, of 1.4826 medians each, keep 95 % of the
+/// efficiency of least squares on Gaussian noise (Holland and Welsch 1977).
+const CAUCHY_PER_MEDIAN: f64 = 2.385 * 1.4826;
 
 /// The model with the best MSAC score; `None` where no sample gave a model with at least `SAMPLE_SIZE` inliers.
 pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Report<E::Model>> {
@@ -81,7 +89,7 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
         return None;
     }
     let mut sampler = Sampler::new(num_data, E::SAMPLE_SIZE, options);
-    let mut scorer = Scorer { estimator, loss: Loss::Truncated(options.max_error), squared: [0.0; CHUNK] };
+    let mut scorer = Scorer::new(estimator, options.max_error);
     let mut models = Vec::new();
     let mut best: Option<Scored<E::Model>> = None;
     let mut best_minimal_score = f64::INFINITY;
@@ -97,22 +105,19 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
             best_minimal_score = score;
             let candidate = scorer.optimise(Scored { model, score });
             if best.as_ref().is_none_or(|best| candidate.score < best.score) {
-                let num_inliers = scorer.inliers(&candidate.model).len();
+                let squared = scorer.squared_residuals(&candidate.model);
+                let num_inliers = below(&squared, options.max_error * options.max_error).len();
                 needed = needed_iterations(num_inliers as f64 / num_data as f64, E::SAMPLE_SIZE, options);
                 best = Some(candidate);
             }
         }
     }
-    let Scored { model, score } = best?;
-    let inliers = scorer.inliers(&model);
-    if inliers.len() < E::SAMPLE_SIZE {
-        return None;
-    }
-    let mut mask = vec![false; num_data];
-    for &index in &inliers {
-        mask[index] = true;
-    }
-    Some(Report { model, inliers: mask, num_inliers: inliers.len(), score, iterations })
+    let model = scorer.polish(best?.model);
+    let squared = scorer.squared_residuals(&model);
+    let inliers: Vec<bool> = squared.iter().map(|&s| s < options.max_error * options.max_error).collect();
+    let num_inliers = inliers.iter().filter(|inlier| **inlier).count();
+    let score = truncated_sum(&squared, options.max_error * options.max_error);
+    (num_inliers >= E::SAMPLE_SIZE).then_some(Report { model, inliers, num_inliers, score, iterations })
 }
 
 struct Scored<M> {
@@ -122,18 +127,23 @@ struct Scored<M> {
 
 struct Scorer<'a, E> {
     estimator: &'a E,
+    max_error: f64,
     loss: Loss,
     squared: [f64; CHUNK],
 }
 
-impl<E: Estimator> Scorer<'_, E> {
+impl<'a, E: Estimator> Scorer<'a, E> {
+    fn new(estimator: &'a E, max_error: f64) -> Self {
+        Self { estimator, max_error, loss: Loss::Truncated(max_error), squared: [0.0; CHUNK] }
+    }
+
     /// The MSAC score, if it is below `bound`.
     fn score(&mut self, model: &E::Model, bound: f64) -> Option<f64> {
         let mut score = 0.0;
         for range in chunks(self.estimator.num_data()) {
             let squared = &mut self.squared[..range.len()];
             self.estimator.squared_residuals(model, range, squared);
-            score += squared.iter().map(|&s| self.loss.evaluate(s)[0]).sum::<f64>();
+            score += truncated_sum(squared, self.max_error * self.max_error);
             if score >= bound {
                 return None;
             }
@@ -141,38 +151,65 @@ impl<E: Estimator> Scorer<'_, E> {
         (score < bound).then_some(score)
     }
 
-    /// The data whose residuals the loss does not truncate.
-    fn inliers(&mut self, model: &E::Model) -> Vec<usize> {
-        let mut inliers = Vec::new();
-        for range in chunks(self.estimator.num_data()) {
-            let squared = &mut self.squared[..range.len()];
-            self.estimator.squared_residuals(model, range.clone(), squared);
-            let loss = self.loss;
-            inliers.extend(
-                range.zip(squared).filter(|(_, s)| loss.evaluate(**s)[1] > 0.0).map(|(index, _)| index),
-            );
-        }
-        inliers
+    /// The squared residuals of all data.
+    fn squared_residuals(&self, model: &E::Model) -> Vec<f64> {
+        let mut squared = vec![0.0; self.estimator.num_data()];
+        self.estimator.squared_residuals(model, 0..squared.len(), &mut squared);
+        squared
     }
 
-    /// Least squares on the inliers, whose set then changes, until the score falls no more.
-    fn optimise(&mut self, mut best: Scored<E::Model>) -> Scored<E::Model> {
-        let mut inliers = self.inliers(&best.model);
-        for _ in 0..MAX_REFINEMENTS {
+    /// Least truncated loss near a minimal model: over data a little beyond the threshold too, so that inliers that the noise of
+    /// the sample hides come in.
+    fn optimise(&mut self, minimal: Scored<E::Model>) -> Scored<E::Model> {
+        let reach = (OPTIMISATION_REACH * self.max_error).powi(2);
+        let near = below(&self.squared_residuals(&minimal.model), reach);
+        if near.len() <= E::SAMPLE_SIZE {
+            return minimal;
+        }
+        let refined = self.estimator.refine(&minimal.model, &near, self.loss);
+        let scored =
+            refined.and_then(|model| Some(Scored { score: self.score(&model, minimal.score)?, model }));
+        scored.unwrap_or(minimal)
+    }
+
+    /// The model of the inliers under a loss that weighs them down where they exceed their own spread: within the threshold
+    /// there are wrong data too.
+    fn polish(&mut self, mut model: E::Model) -> E::Model {
+        for _ in 0..POLISHES {
+            let squared = self.squared_residuals(&model);
+            let inliers = below(&squared, self.max_error * self.max_error);
             if inliers.len() <= E::SAMPLE_SIZE {
                 break;
             }
-            let Some(model) = self.estimator.refine(&best.model, &inliers) else { break };
-            let Some(score) = self.score(&model, best.score) else { break };
-            best = Scored { model, score };
-            let next = self.inliers(&best.model);
-            if next == inliers {
-                break;
-            }
-            inliers = next;
+            let mut sorted: Vec<f64> = inliers.iter().map(|&i| squared[i]).collect();
+            let middle = sorted.len() / 2;
+            let median = sorted.select_nth_unstable_by(middle, f64::total_cmp).1.sqrt();
+            let scale = (CAUCHY_PER_MEDIAN * median).min(self.max_error);
+            let Some(next) = self.estimator.refine(&model, &inliers, Loss::Cauchy(scale)) else { break };
+            model = next;
         }
-        best
+        model
     }
+}
+
+/// The indices of the values below a bound.
+fn below(squared: &[f64], bound: f64) -> Vec<usize> {
+    (0..squared.len()).filter(|&i| squared[i] < bound).collect()
+}
+
+/// The sum of min(s, bound), which is ρ of [`Loss::Truncated`]; NaN counts as `bound`. Eight partial sums, for vectors.
+fn truncated_sum(squared: &[f64], bound: f64) -> f64 {
+    let mut sums = [0.0; LANES];
+    let (blocks, rest) = squared.as_chunks::<LANES>();
+    for block in blocks {
+        for (sum, s) in sums.iter_mut().zip(block) {
+            *sum += if *s < bound { *s } else { bound };
+        }
+    }
+    for (sum, s) in sums.iter_mut().zip(rest) {
+        *sum += if *s < bound { *s } else { bound };
+    }
+    sums.iter().sum()
 }
 
 fn chunks(num_data: usize) -> impl Iterator<Item = Range<usize>> {

@@ -282,9 +282,9 @@ impl Estimator for Line {
             *squared = (a * x + b - y).powi(2);
         }
     }
-    fn refine(&self, _: &[f64; 2], inliers: &[usize]) -> Option<[f64; 2]> {
-        let n = inliers.len() as f64;
-        let sum = |f: &dyn Fn([f64; 2]) -> f64| inliers.iter().map(|&i| f(self.0[i])).sum::<f64>();
+    fn refine(&self, _: &[f64; 2], data: &[usize], _: Loss) -> Option<[f64; 2]> {
+        let n = data.len() as f64;
+        let sum = |f: &dyn Fn([f64; 2]) -> f64| data.iter().map(|&i| f(self.0[i])).sum::<f64>();
         let (x, y) = (sum(&|p| p[0]) / n, sum(&|p| p[1]) / n);
         let a = sum(&|p| (p[0] - x) * (p[1] - y)) / sum(&|p| (p[0] - x).powi(2));
         Some([a, y - a * x])

@@ -19,7 +19,8 @@ fn solvers_find_the_truth() {
         let (mut bad, mut missed) = (0, 0);
         let mut residuals = Vec::new();
         for _ in 0..PROBLEMS {
-            let trial = testing::solver_trial(info, &mut rng).expect("a generator for every row");
+            let problem = testing::solver_problem(info, &mut rng).expect("a generator for every row");
+            let trial = problem.judge();
             assert!(trial.solutions <= info.max_solutions);
             bad += usize::from(trial.residual > RESIDUAL);
             missed += usize::from(trial.distance > FOUND);
@@ -34,5 +35,14 @@ fn solvers_find_the_truth() {
         assert!(residuals[PROBLEMS / 2] < 1e-12, "{}", info.name);
         assert!(bad <= PROBLEMS / 1000, "{}: {bad} inexact", info.name);
         assert!(missed <= PROBLEMS / 1000, "{}: {missed} missed", info.name);
+    }
+}
+
+#[test]
+fn the_readme_lists_every_solver() {
+    let readme = include_str!("../README.md");
+    for solvers::SolverInfo { name, finds, sample_size, max_solutions, paper } in solvers::TABLE {
+        let row = format!("| `{name}` | {finds} | {sample_size} | {max_solutions} | {paper} |");
+        assert!(readme.contains(&row), "README.md lacks: {row}");
     }
 }

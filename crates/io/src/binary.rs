@@ -6,14 +6,9 @@ use std::io::{self, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_geometry::nalgebra::Vector3;
 
-use crate::{Error, Result};
-
-/// A quaternion whose squared norm differs from 1 by less is taken as it is, so that what we wrote is read bit by bit.
-const UNIT_TOLERANCE: f64 = 1e-12;
-/// A quaternion shorter than this is no rotation.
-const MIN_QUATERNION_NORM: f64 = 1e-6;
+use crate::{Error, Result, rotation};
 
 pub(crate) struct Reader<R = BufReader<File>> {
     inner: R,
@@ -33,6 +28,10 @@ impl Reader {
 impl<R: Read> Reader<R> {
     pub(crate) fn error(&self, what: impl Into<String>) -> Error {
         Error::Bytes { path: self.path.clone(), offset: self.offset, what: what.into() }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
     }
 
     pub(crate) fn remaining(&self) -> u64 {
@@ -103,7 +102,7 @@ impl<R: Read> Reader<R> {
     /// qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
         let wxyz = [self.f64(what)?, self.f64(what)?, self.f64(what)?, self.f64(what)?];
-        let rotation = rotation_from_wxyz(wxyz).map_err(|norm| self.error(quaternion_error(what, norm)))?;
+        let rotation = rotation::from_wxyz(wxyz).map_err(|cause| self.error(format!("{what}: {cause}")))?;
         Ok(Rigid3::new(rotation, self.vector3(what)?))
     }
 
@@ -119,6 +118,21 @@ impl<R: Read> Reader<R> {
         String::from_utf8(bytes).map_err(|_| self.error(format!("{what} is not UTF-8")))
     }
 
+    /// Bytes up to the end of a line, as text.
+    pub(crate) fn line(&mut self, max_bytes: u64) -> Result<String> {
+        let mut bytes = Vec::new();
+        loop {
+            match self.u8("a line")? {
+                b'\n' => break,
+                byte => bytes.push(byte),
+            }
+            if bytes.len() as u64 > max_bytes {
+                return Err(self.error(format!("a line is longer than {max_bytes} bytes")));
+            }
+        }
+        String::from_utf8(bytes).map_err(|_| self.error("a line is not UTF-8"))
+    }
+
     /// Nothing may follow.
     pub(crate) fn end(&self) -> Result<()> {
         match self.remaining() {
@@ -126,23 +140,6 @@ impl<R: Read> Reader<R> {
             left => Err(self.error(format!("{left} bytes follow the last record"))),
         }
     }
-}
-
-/// A rotation from the four numbers of a file, or the norm that is none of a rotation.
-pub(crate) fn rotation_from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, f64> {
-    let quaternion = Quaternion::new(w, x, y, z);
-    let norm = quaternion.norm();
-    if !norm.is_finite() || norm < MIN_QUATERNION_NORM {
-        return Err(norm);
-    }
-    if (norm * norm - 1.0).abs() < UNIT_TOLERANCE {
-        return Ok(UnitQuaternion::new_unchecked(quaternion));
-    }
-    Ok(UnitQuaternion::new_normalize(quaternion))
-}
-
-pub(crate) fn quaternion_error(what: &str, norm: f64) -> String {
-    format!("{what}: a quaternion of norm {norm} is no rotation")
 }
 
 /// qw qx qy qz tx ty tz.

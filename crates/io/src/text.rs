@@ -9,8 +9,7 @@ use std::str::FromStr;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 
-use crate::binary::{quaternion_error, rotation_from_wxyz};
-use crate::{Error, Result};
+use crate::{Error, Result, rotation};
 
 /// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64 characters.
 const MAX_LINE_BYTES: u64 = 1 << 26;
@@ -45,7 +44,7 @@ impl Lines {
         if bytes as u64 == MAX_LINE_BYTES {
             return Err(self.error(format!("is longer than {MAX_LINE_BYTES} bytes")));
         }
-        Ok((bytes > 0).then(|| Words { rest: self.buffer.trim(), path: &self.path, line: self.line }))
+        Ok((bytes > 0).then(|| self.current()))
     }
 
     /// The next line that is neither empty nor a comment.
@@ -58,7 +57,22 @@ impl Lines {
                 Some(_) => break,
             }
         }
-        Ok(Some(Words { rest: self.buffer.trim(), path: &self.path, line: self.line }))
+        Ok(Some(self.current()))
+    }
+}
+
+impl Lines {
+    /// The next line that is neither empty nor a comment; an error where there is none.
+    pub(crate) fn expect(&mut self, what: &str) -> Result<Words<'_>> {
+        // Whether there is one is asked first: the borrow of a line would last into the branch of the error.
+        if self.next()?.is_none() {
+            return Err(self.error(format!("the file ends where {what} should be")));
+        }
+        Ok(self.current())
+    }
+
+    fn current(&self) -> Words<'_> {
+        Words { rest: self.buffer.trim(), path: &self.path, line: self.line }
     }
 }
 
@@ -72,6 +86,14 @@ pub(crate) struct Words<'a> {
 impl<'a> Words<'a> {
     pub(crate) fn error(&self, what: impl Into<String>) -> Error {
         Error::Line { path: self.path.to_owned(), line: self.line, what: what.into() }
+    }
+
+    /// Other words in place of this line's, for errors to name the line.
+    pub(crate) fn again<'b>(&self, text: &'b str) -> Words<'b>
+    where
+        'a: 'b,
+    {
+        Words { rest: text.trim(), path: self.path, line: self.line }
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -116,7 +138,7 @@ impl<'a> Words<'a> {
     /// qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
         let rotation =
-            rotation_from_wxyz(self.f64s(what)?).map_err(|norm| self.error(quaternion_error(what, norm)))?;
+            rotation::from_wxyz(self.f64s(what)?).map_err(|cause| self.error(format!("{what}: {cause}")))?;
         Ok(Rigid3::new(rotation, Vector3::from(self.f64s::<3>(what)?)))
     }
 

@@ -27,7 +27,7 @@ fn round_trip(model: &Reconstruction, format: Format) -> Reconstruction {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..Default::default() })]
 
     /// Bit by bit: all numbers are f64 on both sides, and text has the digits that identify them.
     #[test]

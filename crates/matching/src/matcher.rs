@@ -5,20 +5,42 @@ use tiepoint_features::Descriptor;
 
 use crate::accept::Acceptance;
 use crate::brute::{NearestBothWays, nearest};
+use crate::forest::ForestOptions;
 use crate::matches::Match;
-use crate::options::Options;
+use crate::options::{Method, Options};
 use crate::pairs::Pair;
 use crate::prepared::Prepared;
 
 /// Matches the descriptors of two images; ascending in `a`. For images that are matched more than once, prepare them and
 /// use [`match_prepared`].
 pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> Vec<Match> {
-    match_prepared(&Prepared::new(a), &Prepared::new(b), options)
+    let [a, b] = [a, b].map(|descriptors| {
+        let mut prepared = Prepared::new(descriptors);
+        if options.method.is_forest_for(a.len(), b.len()) {
+            prepared.grow_forest(&ForestOptions::default());
+        }
+        prepared
+    });
+    match_prepared(&a, &b, options)
 }
 
 /// Matches two images; ascending in `a`.
 pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    if is_hopeless(a, b, options) { Vec::new() } else { select(&nearest(a, b), options) }
+    if is_hopeless(a, b, options) {
+        return Vec::new();
+    }
+    let found = match (options.method, &a.forest, &b.forest) {
+        (Method::Forest(checks) | Method::Cheapest(checks), Some(forest_a), Some(forest_b))
+            if options.method.is_forest_for(a.len(), b.len()) =>
+        {
+            NearestBothWays {
+                of_a: forest_b.nearest_of(forest_a, checks),
+                of_b: forest_a.nearest_of(forest_b, checks),
+            }
+        }
+        _ => nearest(a, b),
+    };
+    select(&found, options)
 }
 
 /// Matches many pairs of images, in parallel over pairs; one list for each pair, in the same order. Every index in

@@ -2,9 +2,11 @@
 //!
 //! Sixteen descriptors make a panel. Within it the bytes are transposed in groups of four, so that one vector load gives
 //! the same four bytes of sixteen (or eight) descriptors: what a `u8 × i8` dot-product instruction wants. Matching one
-//! image against eighty neighbours in a video packs it once.
+//! image against eighty neighbours in a video packs it once, and grows its forest once if it is searched that way.
 
 use tiepoint_features::{Descriptor, Features};
+
+use crate::forest::{Forest, ForestOptions};
 
 /// Descriptors in a panel.
 pub(crate) const PANEL: usize = 16;
@@ -19,7 +21,7 @@ pub(crate) const GROUPS: usize = 32;
 pub(crate) struct Panel(pub(crate) [[u32; PANEL]; GROUPS]);
 
 /// The descriptors of one image, ready to be matched against those of many others.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default)]
 pub struct Prepared {
     pub(crate) len: usize,
     pub(crate) panels: Vec<Panel>,
@@ -29,6 +31,8 @@ pub struct Prepared {
     pub(crate) sums: Vec<i32>,
     /// The features of largest scale, for preemptive matching; in descending order of scale.
     pub(crate) leading: Option<Box<Prepared>>,
+    /// Randomized kd-trees, where wanted.
+    pub(crate) forest: Option<Forest>,
 }
 
 impl Prepared {
@@ -52,6 +56,7 @@ impl Prepared {
                 .collect(),
             sums: descriptors.iter().map(|d| d.iter().map(|&x| i32::from(x)).sum()).collect(),
             leading: None,
+            forest: None,
         }
     }
 
@@ -64,6 +69,20 @@ impl Prepared {
         });
         let largest: Vec<Descriptor> = order.iter().take(leading).map(|&i| features.descriptors[i]).collect();
         Prepared { leading: Some(Box::new(Prepared::new(&largest))), ..Prepared::new(&features.descriptors) }
+    }
+
+    /// Grows randomized kd-trees for [`crate::Method::Forest`].
+    pub fn grow_forest(&mut self, options: &ForestOptions) {
+        let descriptors: Vec<Descriptor> = (0..self.len)
+            .map(|index| {
+                let mut descriptor = [0; 128];
+                for (group, bytes) in descriptor.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+                    *bytes = self.word(index, group).to_le_bytes();
+                }
+                descriptor
+            })
+            .collect();
+        self.forest = Some(Forest::new(&descriptors, options));
     }
 
     /// How many descriptors there are.
@@ -92,12 +111,17 @@ mod tests {
         // 37 descriptors: two full panels, a part of one, and one to fill up.
         let descriptors: Vec<Descriptor> =
             (0..37u32).map(|i| std::array::from_fn(|k| (i * 131 + k as u32 * 7) as u8)).collect();
-        let prepared = Prepared::new(&descriptors);
+        let mut prepared = Prepared::new(&descriptors);
         assert_eq!((prepared.len(), prepared.panels.len()), (37, 4));
         for (i, descriptor) in descriptors.iter().enumerate() {
             let bytes: Vec<u8> = (0..GROUPS).flat_map(|g| prepared.word(i, g).to_le_bytes()).collect();
             assert_eq!(bytes, descriptor);
             assert_eq!(prepared.sums[i], descriptor.iter().map(|&x| i32::from(x)).sum());
         }
+        prepared.grow_forest(&ForestOptions::default());
+        let found = prepared.forest.unwrap().nearest(&descriptors, crate::Checks::Total(1000));
+        assert!(
+            found.iter().enumerate().all(|(i, nearest)| (nearest.index, nearest.distance) == (i as u32, 0))
+        );
     }
 }

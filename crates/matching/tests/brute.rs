@@ -140,7 +140,7 @@ proptest! {
     ) {
         let padded = |list: &[Vec<u8>]| list.iter().map(|d| std::array::from_fn(|k| *d.get(k).unwrap_or(&0))).collect::<Vec<Descriptor>>();
         let (a, b) = (padded(&a), padded(&b));
-        let options = Options { max_ratio, max_angle_rad, mutual, preempt: None };
+        let options = Options { max_ratio, max_angle_rad, mutual, preempt: None, ..Options::default() };
         let nearest = triple_loop(&a, &b);
         let angle = |distance: u32| 2.0 * (f64::from(distance).sqrt() / 1024.0).min(0.5f64.sqrt()).asin();
         let passes = |n: &Nearest| n.index != u32::MAX

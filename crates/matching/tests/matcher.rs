@@ -1,7 +1,9 @@
 //! From features to matches: mutual matching, preemption, parallel pairs.
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
-use tiepoint_matching::{Options, Preempt, Prepared, match_features, match_pairs, match_prepared};
+use tiepoint_matching::{
+    Checks, Method, Options, Preempt, Prepared, match_features, match_pairs, match_prepared,
+};
 
 /// Descriptor `k` of a family in which all are far apart: one block of eight entries stands out.
 fn distinct(k: usize) -> Descriptor {
@@ -67,4 +69,27 @@ fn pairs_give_the_same_as_one_by_one_on_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert_eq!(pool.install(|| match_pairs(&images, &pairs, &options)), expected);
     }
+}
+
+#[test]
+fn forests_find_the_same_distinct_features() {
+    let (a, b) = (features(0..200), features((100..220).rev()));
+    let brute = Options::default();
+    let forest = Options { method: Method::Forest(Checks::Total(256)), ..Options::default() };
+    let expected = match_features(&a.descriptors, &b.descriptors, &brute);
+    assert_eq!(match_features(&a.descriptors, &b.descriptors, &forest), expected);
+    // Prepared without a forest: brute force.
+    let (a, b) = (Prepared::new(&a.descriptors), Prepared::new(&b.descriptors));
+    assert_eq!(match_prepared(&a, &b, &forest), expected);
+}
+
+#[test]
+fn the_cheapest_method_turns_to_forests_for_many_features() {
+    let cheapest = Method::Cheapest(Checks::default());
+    assert!(!cheapest.uses_forest(500) && cheapest.uses_forest(1_000_000));
+    assert!(!Method::BruteForce.uses_forest(1_000_000) && Method::Forest(Checks::default()).uses_forest(1));
+    // More checks put it off.
+    let turn =
+        |checks| (0..40).find(|&k| Method::Cheapest(Checks::Total(checks)).uses_forest(1 << k)).unwrap();
+    assert!(turn(1024) > turn(64));
 }

@@ -47,6 +47,38 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    unsafe fn stream(p: *mut f32, v: Self::F) {
+        // SAFETY: see above; aligned, as the caller promises.
+        unsafe {
+            _mm256_stream_ps(p, v[0]);
+            _mm256_stream_ps(p.add(8), v[1]);
+        }
+    }
+    #[inline(always)]
+    fn fence() {
+        // SAFETY: part of every x86-64.
+        unsafe { _mm_sfence() }
+    }
+    #[inline(always)]
+    unsafe fn store_int(p: *mut i32, v: Self::F) {
+        // SAFETY: see above.
+        unsafe {
+            _mm256_storeu_si256(p.cast(), _mm256_cvttps_epi32(v[0]));
+            _mm256_storeu_si256(p.add(8).cast(), _mm256_cvttps_epi32(v[1]));
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
+        // Across the halves of a register it would take two shuffles.
+        // SAFETY: see above.
+        unsafe { Self::load(p) }
+    }
+    #[inline(always)]
+    fn prefetch(p: *const f32) {
+        // SAFETY: a hint, without effect on what is computed.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     fn add(a: Self::F, b: Self::F) -> Self::F {
         // SAFETY: see above.
         unsafe { [_mm256_add_ps(a[0], b[0]), _mm256_add_ps(a[1], b[1])] }

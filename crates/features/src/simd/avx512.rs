@@ -40,6 +40,35 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_ps(p, v) }
     }
     #[inline(always)]
+    unsafe fn stream(p: *mut f32, v: __m512) {
+        // SAFETY: see above; aligned, as the caller promises.
+        unsafe { _mm512_stream_ps(p, v) }
+    }
+    #[inline(always)]
+    fn fence() {
+        // SAFETY: part of every x86-64.
+        unsafe { _mm_sfence() }
+    }
+    #[inline(always)]
+    unsafe fn store_int(p: *mut i32, v: __m512) {
+        // SAFETY: see above.
+        unsafe { _mm512_storeu_epi32(p, _mm512_cvttps_epi32(v)) }
+    }
+    #[inline(always)]
+    unsafe fn load_between<const OFFSET: i32>(_: *const f32, low: __m512, high: __m512) -> __m512 {
+        // A load would cross a cache line, which costs twice as much.
+        // SAFETY: see above.
+        unsafe {
+            let (low, high) = (_mm512_castps_si512(low), _mm512_castps_si512(high));
+            _mm512_castsi512_ps(_mm512_alignr_epi32::<OFFSET>(high, low))
+        }
+    }
+    #[inline(always)]
+    fn prefetch(p: *const f32) {
+        // SAFETY: a hint, without effect on what is computed.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     fn add(a: __m512, b: __m512) -> __m512 {
         // SAFETY: see above.
         unsafe { _mm512_add_ps(a, b) }

@@ -102,6 +102,25 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     /// `p` must be valid for writing sixteen `f32`.
     unsafe fn store(p: *mut f32, v: Self::F);
+    /// Writes sixteen values past the caches where the machine can; to be followed by [`fence`](Self::fence).
+    ///
+    /// # Safety
+    /// As [`store`](Self::store), and `p` must be a multiple of 64 bytes.
+    unsafe fn stream(p: *mut f32, v: Self::F);
+    /// Orders the writes of [`stream`](Self::stream) before whatever other threads are told later.
+    fn fence();
+    /// Writes sixteen whole numbers.
+    ///
+    /// # Safety
+    /// `p` must be valid for writing sixteen `i32`, the values within their range.
+    unsafe fn store_int(p: *mut i32, v: Self::F);
+    /// Reads sixteen values at `p`, which lie `OFFSET` values into those of `low` and `high` one after the other.
+    ///
+    /// # Safety
+    /// As [`load`](Self::load); the values at `p` are those in the registers.
+    unsafe fn load_between<const OFFSET: i32>(p: *const f32, low: Self::F, high: Self::F) -> Self::F;
+    /// Asks for the cache line at `p`, which may be any address.
+    fn prefetch(p: *const f32);
     /// a + b
     fn add(a: Self::F, b: Self::F) -> Self::F;
     /// a − b

@@ -36,6 +36,25 @@ impl Simd for Portable {
         unsafe { p.cast::<Self::F>().write_unaligned(v) }
     }
     #[inline(always)]
+    unsafe fn stream(p: *mut f32, v: Self::F) {
+        // SAFETY: the caller's promise.
+        unsafe { Self::store(p, v) };
+    }
+    #[inline(always)]
+    fn fence() {}
+    #[inline(always)]
+    unsafe fn store_int(p: *mut i32, v: Self::F) {
+        // SAFETY: the caller's promise.
+        unsafe { p.cast::<[i32; LANES]>().write_unaligned(v.map(|v| v.to_int_unchecked())) }
+    }
+    #[inline(always)]
+    unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
+        // SAFETY: the caller's promise.
+        unsafe { Self::load(p) }
+    }
+    #[inline(always)]
+    fn prefetch(_: *const f32) {}
+    #[inline(always)]
     fn add(a: Self::F, b: Self::F) -> Self::F {
         map2(a, b, |a, b| a + b)
     }

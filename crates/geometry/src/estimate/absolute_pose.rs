@@ -78,8 +78,8 @@ impl Estimator for AbsolutePose<'_> {
         );
     }
 
-    fn refine(&self, model: &Rigid3, inliers: &[usize]) -> Option<Rigid3> {
-        Some(minimize(&Reprojection { data: self, inliers }, model, Loss::Trivial, MAX_LM_ITERATIONS))
+    fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
+        Some(minimize(&Reprojection { data: self, inliers: data }, model, loss, MAX_LM_ITERATIONS))
     }
 }
 
@@ -213,7 +213,7 @@ impl Estimator for AbsolutePoseFocal<'_> {
         }
         // Between two of the focal lengths tried: the four points determine the best.
         if let Some((_, model)) = best {
-            models.extend(self.refine(&model, sample));
+            models.extend(self.refine(&model, sample, Loss::Trivial));
         }
     }
 
@@ -223,9 +223,9 @@ impl Estimator for AbsolutePoseFocal<'_> {
         squared_reprojection_errors(pose, &camera, pixels, points, squared);
     }
 
-    fn refine(&self, model: &Self::Model, inliers: &[usize]) -> Option<Self::Model> {
-        let problem = ReprojectionFocal { data: &self.data, inliers };
-        Some(minimize(&problem, model, Loss::Trivial, MAX_LM_ITERATIONS))
+    fn refine(&self, model: &Self::Model, data: &[usize], loss: Loss) -> Option<Self::Model> {
+        let problem = ReprojectionFocal { data: &self.data, inliers: data };
+        Some(minimize(&problem, model, loss, MAX_LM_ITERATIONS))
     }
 }
 

@@ -4,7 +4,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
-use super::{MAX_LM_ITERATIONS, sampson::Pair};
+use super::{
+    MAX_LM_ITERATIONS,
+    sampson::{Pair, Pairs},
+};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{Normal, Problem, minimize};
 use crate::solvers::normalisation;
@@ -27,8 +30,8 @@ pub fn fundamental(
     let pair = |(x1, x2): (&Vector2<f64>, &Vector2<f64>)| {
         Pair::of_points(&(to_unit1 * x1.push(1.0)).xy(), &(to_unit2 * x2.push(1.0)).xy())
     };
-    let pairs = points1.iter().zip(points2).map(pair).collect();
-    let report = ransac(&Fundamental { pairs, unit_to_px2: 1.0 / (scale * scale) }, options)?;
+    let pairs = Pairs::new(points1.iter().zip(points2).map(pair).collect());
+    let report = ransac(&Fundamental { pairs, px_per_unit: 1.0 / scale }, options)?;
     Some(report.map(|f| (to_unit2.transpose() * f * to_unit1).normalize()))
 }
 
@@ -44,8 +47,8 @@ impl WithUnitCorner for Matrix3<f64> {
 }
 
 struct Fundamental {
-    pairs: Vec<Pair>,
-    unit_to_px2: f64,
+    pairs: Pairs,
+    px_per_unit: f64,
 }
 
 impl Estimator for Fundamental {
@@ -63,15 +66,13 @@ impl Estimator for Fundamental {
     }
 
     fn squared_residuals(&self, model: &Matrix3<f64>, range: Range<usize>, squared: &mut [f64]) {
-        for (squared, pair) in squared.iter_mut().zip(&self.pairs[range]) {
-            *squared = pair.squared_error(model) * self.unit_to_px2;
-        }
+        self.pairs.squared_errors(model, self.px_per_unit * self.px_per_unit, range, squared);
     }
 
-    fn refine(&self, model: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+    fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
         let start = Factors::of(model)?;
-        let problem = SampsonFundamental { pairs: &self.pairs, inliers };
-        Some(minimize(&problem, &start, Loss::Trivial, MAX_LM_ITERATIONS).matrix())
+        let problem = SampsonFundamental { data: self, inliers: data };
+        Some(minimize(&problem, &start, loss, MAX_LM_ITERATIONS).matrix())
     }
 }
 
@@ -111,7 +112,7 @@ impl Factors {
 }
 
 struct SampsonFundamental<'a> {
-    pairs: &'a [Pair],
+    data: &'a Fundamental,
     inliers: &'a [usize],
 }
 
@@ -134,9 +135,10 @@ impl Problem<7> for SampsonFundamental<'_> {
         let directions: [Matrix3<f64>; 7] =
             [axes[0] * f, axes[1] * f, axes[2] * f, -f * axes[0], -f * axes[1], -f * axes[2], d_sigma];
         for &i in self.inliers {
-            let Some((error, derivative)) = self.pairs[i].error_with_derivative(&f) else { continue };
+            let Some((error, derivative)) = self.data.pairs[i].error_with_derivative(&f) else { continue };
             let jacobian = SMatrix::<f64, 1, 7>::from_fn(|_, k| derivative.dot(&directions[k]));
-            normal.add(&SVector::<f64, 1>::new(error), &jacobian);
+            let px_per_unit = self.data.px_per_unit;
+            normal.add(&SVector::<f64, 1>::new(error * px_per_unit), &(jacobian * px_per_unit));
         }
     }
 }

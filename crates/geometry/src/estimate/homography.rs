@@ -25,7 +25,7 @@ pub fn homography(
     let estimator = Homography {
         points1: apply(&to_unit1, points1),
         points2: apply(&to_unit2, points2),
-        unit_to_px2: to_unit2.m11.powi(-2),
+        px_per_unit: 1.0 / to_unit2.m11,
     };
     let px_from_unit2 = to_unit2.try_inverse()?;
     let report = ransac(&estimator, options)?;
@@ -35,7 +35,7 @@ pub fn homography(
 struct Homography {
     points1: Vec<Vector2<f64>>,
     points2: Vec<Vector2<f64>>,
-    unit_to_px2: f64,
+    px_per_unit: f64,
 }
 
 impl Estimator for Homography {
@@ -56,18 +56,18 @@ impl Estimator for Homography {
         let points = self.points1[range.clone()].iter().zip(&self.points2[range]);
         for (squared, (x1, x2)) in squared.iter_mut().zip(points) {
             let y = model * x1.push(1.0);
-            let error2 = (y.xy() / y.z - x2).norm_squared() * self.unit_to_px2;
+            let error2 = ((y.xy() / y.z - x2) * self.px_per_unit).norm_squared();
             *squared = if y.z > 0.0 { error2 } else { f64::INFINITY };
         }
     }
 
-    fn refine(&self, model: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+    fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
         // The corner is the depth at the centre of the points; it is zero only if the centre is on the horizon.
         let start = model / model.m33;
         if model.m33 <= 0.0 || !start.iter().all(|v| v.is_finite()) {
             return None;
         }
-        Some(minimize(&Transfer { data: self, inliers }, &start, Loss::Trivial, MAX_LM_ITERATIONS))
+        Some(minimize(&Transfer { data: self, inliers: data }, &start, loss, MAX_LM_ITERATIONS))
     }
 }
 
@@ -94,14 +94,14 @@ impl Problem<8> for Transfer<'_> {
                 normal.refuse();
                 continue;
             }
-            let w = 1.0 / image.z;
+            let (w, px_per_unit) = (1.0 / image.z, self.data.px_per_unit);
             let [u, v] = [image.x * w, image.y * w];
             #[rustfmt::skip]
             let jacobian = SMatrix::<f64, 2, 8>::from_row_slice(&[
                 x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y,
                 0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y,
-            ]) * w;
-            normal.add(&(Vector2::new(u, v) - self.data.points2[i]), &jacobian);
+            ]) * (w * px_per_unit);
+            normal.add(&((Vector2::new(u, v) - self.data.points2[i]) * px_per_unit), &jacobian);
         }
     }
 }

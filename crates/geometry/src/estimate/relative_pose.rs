@@ -4,7 +4,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::{MAX_LM_ITERATIONS, sampson::Pair};
+use super::{
+    MAX_LM_ITERATIONS,
+    sampson::{Pair, Pairs},
+};
 use crate::epipolar::{essential_from_pose, poses_of_exact_essential, rays_meet_in_front};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{Normal, Problem, minimize};
@@ -26,7 +29,7 @@ pub fn relative_pose(
         .enumerate()
         .filter_map(|(i, (p1, p2))| Some((i, Pair::of_pixels(p1, p2, intrinsics1, intrinsics2)?)))
         .unzip();
-    let mut report = ransac(&RelativePose { pairs }, options)?;
+    let mut report = ransac(&RelativePose { pairs: Pairs::new(pairs) }, options)?;
     let mut inliers = vec![false; pixels1.len().min(pixels2.len())];
     for (&index, &inlier) in indices.iter().zip(&report.inliers) {
         inliers[index] = inlier;
@@ -48,7 +51,7 @@ pub fn essential(
 }
 
 struct RelativePose {
-    pairs: Vec<Pair>,
+    pairs: Pairs,
 }
 
 impl Estimator for RelativePose {
@@ -70,19 +73,16 @@ impl Estimator for RelativePose {
     }
 
     fn squared_residuals(&self, model: &Rigid3, range: Range<usize>, squared: &mut [f64]) {
-        let essential = essential_from_pose(model);
-        for (squared, pair) in squared.iter_mut().zip(&self.pairs[range]) {
-            *squared = pair.squared_error(&essential);
-        }
+        self.pairs.squared_errors(&essential_from_pose(model), 1.0, range, squared);
     }
 
-    fn refine(&self, model: &Rigid3, inliers: &[usize]) -> Option<Rigid3> {
-        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers }, model, Loss::Trivial, MAX_LM_ITERATIONS))
+    fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
+        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers: data }, model, loss, MAX_LM_ITERATIONS))
     }
 }
 
 struct SampsonPose<'a> {
-    pairs: &'a [Pair],
+    pairs: &'a Pairs,
     inliers: &'a [usize],
 }
 

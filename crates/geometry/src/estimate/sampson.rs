@@ -3,9 +3,94 @@
 //! C = y₂ᵀ M y₁ over its gradient by the pixels: r = C / √(|J₂ᵀ M y₁|² + |J₁ᵀ Mᵀ y₂|²), where Jᵢ = d yᵢ / d pixelᵢ. For fundamental
 //! matrices y = (x, y, 1) and J = (I, 0), which is the usual Sampson error; for essential matrices y is a unit ray.
 
+use std::ops::{Index, Range};
+
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
+use crate::simd::{LANES, Lanes, blocks_of, pack, store};
 use crate::{CameraModel, Intrinsics};
+
+/// Correspondences, and the same packed for vectors.
+pub(super) struct Pairs {
+    pairs: Vec<Pair>,
+    /// y₁, y₂, J₁, J₂.
+    blocks: Vec<[Lanes; 18]>,
+}
+
+impl Pairs {
+    pub(super) fn new(pairs: Vec<Pair>) -> Self {
+        let blocks = pack(&pairs, |Pair { y1, y2, d1, d2 }| {
+            let parts = [y1.as_slice(), y2.as_slice(), d1.as_slice(), d2.as_slice()];
+            let mut numbers = parts.into_iter().flatten().copied();
+            std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
+        });
+        Self { pairs, blocks }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// The squared errors of the pairs in `range` under `m`, times `factor`.
+    pub(super) fn squared_errors(
+        &self,
+        m: &Matrix3<f64>,
+        factor: f64,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        squared_errors(&self.blocks, m, factor, range, squared);
+    }
+}
+
+impl Index<usize> for Pairs {
+    type Output = Pair;
+    fn index(&self, index: usize) -> &Pair {
+        &self.pairs[index]
+    }
+}
+
+dispatch! {
+    /// [`Pair::squared_error`], eight at a time.
+    fn squared_errors(
+        blocks: &[[Lanes; 18]],
+        m: &Matrix3<f64>,
+        factor: f64,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        for index in blocks_of(&range) {
+            let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = &blocks[index];
+            let [.., j20, j21, j22, j23, j24, j25] = &blocks[index];
+            let mut lanes = [0.0; LANES];
+            for l in 0..LANES {
+                let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
+                let line2 = [
+                    dot([m.m11, m.m12, m.m13], y1),
+                    dot([m.m21, m.m22, m.m23], y1),
+                    dot([m.m31, m.m32, m.m33], y1),
+                ];
+                let line1 = [
+                    dot([m.m11, m.m21, m.m31], y2),
+                    dot([m.m12, m.m22, m.m32], y2),
+                    dot([m.m13, m.m23, m.m33], y2),
+                ];
+                let product = dot(y2, line2);
+                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
+                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
+                let c = dot([j20[l], j21[l], j22[l]], line2);
+                let d = dot([j23[l], j24[l], j25[l]], line2);
+                lanes[l] = product * product * factor / ((a * a + b * b) + (c * c + d * d));
+            }
+            store(&lanes, index, &range, squared);
+        }
+    }
+}
+
+#[inline(always)]
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
 
 /// A correspondence.
 #[derive(Clone, Copy, Debug)]
@@ -35,9 +120,9 @@ impl Pair {
         Some(Self { y1, y2, d1, d2 })
     }
 
-    /// The squared error under the matrix `m`.
-    #[inline]
-    pub(super) fn squared_error(&self, m: &Matrix3<f64>) -> f64 {
+    /// The squared error under the matrix `m`: the slow twin of [`Pairs::squared_errors`].
+    #[cfg(test)]
+    fn squared_error(&self, m: &Matrix3<f64>) -> f64 {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
         let product = self.y2.dot(&line2);
         product * product / (self.d2.tr_mul(&line2).norm_squared() + self.d1.tr_mul(&line1).norm_squared())
@@ -70,4 +155,29 @@ fn ray_with_jacobian(
         with_camera_model!(intrinsics, M, params => M::project_with_jacobian(params, &ray)?.d_point);
     let d_ray = d_point.transpose() * (d_point * d_point.transpose()).try_inverse()?;
     Some((ray, d_ray))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CameraModelKind, Rng};
+
+    #[test]
+    fn eight_at_a_time_is_one_at_a_time() {
+        let mut rng = Rng::stream(1, &[]);
+        let camera = Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800);
+        let mut pixel = || Vector2::new(1000.0 * rng.uniform(), 800.0 * rng.uniform());
+        let pairs: Vec<Pair> =
+            (0..37).filter_map(|_| Pair::of_pixels(&pixel(), &pixel(), &camera, &camera)).collect();
+        let m = Matrix3::from_fn(|i, j| (1 + i + 3 * j) as f64 * if i == j { -1.0 } else { 0.5 });
+        let packed = Pairs::new(pairs.clone());
+        for range in [0..37, 0..8, 5..6, 7..31, 36..37, 12..12] {
+            let mut squared = vec![f64::NAN; range.len()];
+            packed.squared_errors(&m, 2.0, range.clone(), &mut squared);
+            for (squared, pair) in squared.iter().zip(&pairs[range]) {
+                let expected = 2.0 * pair.squared_error(&m);
+                assert!((squared - expected).abs() <= 1e-12 * expected, "{squared} {expected}");
+            }
+        }
+    }
 }

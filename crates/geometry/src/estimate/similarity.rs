@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::{Sim3, solvers};
+use crate::{Loss, Sim3, solvers};
 
 /// The similarity (of scale one unless `with_scale`) that takes `from[i]` to `to[i]`. Errors are distances in the unit of `to`.
 pub fn similarity(
@@ -49,7 +49,11 @@ impl Estimator for Similarity<'_> {
         }
     }
 
-    fn refine(&self, _: &Sim3, inliers: &[usize]) -> Option<Sim3> {
-        self.fit(inliers)
+    fn refine(&self, model: &Sim3, data: &[usize], loss: Loss) -> Option<Sim3> {
+        let is_trusted = |i: &usize| {
+            let squared = (*model * self.from[*i] - self.to[*i]).norm_squared();
+            loss.evaluate(squared)[1] >= 0.5
+        };
+        self.fit(&data.iter().copied().filter(is_trusted).collect::<Vec<_>>())
     }
 }

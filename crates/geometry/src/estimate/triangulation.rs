@@ -115,15 +115,15 @@ impl Estimator for Triangulation<'_> {
         }
     }
 
-    fn refine(&self, point: &Vector3<f64>, inliers: &[usize]) -> Option<Vector3<f64>> {
-        let problem = PointReprojection { observations: self.observations, inliers };
-        Some(minimize(&problem, point, Loss::Trivial, MAX_LM_ITERATIONS))
+    fn refine(&self, point: &Vector3<f64>, data: &[usize], loss: Loss) -> Option<Vector3<f64>> {
+        let problem = PointReprojection { data: self, inliers: data };
+        Some(minimize(&problem, point, loss, MAX_LM_ITERATIONS))
     }
 }
 
-/// Refinement is by pixels for both residuals: the noise is in pixels.
+/// Refinement is by pixels for both residuals, since the noise is in pixels; angles are pixels over the focal length.
 struct PointReprojection<'a> {
-    observations: &'a [Observation<'a>],
+    data: &'a Triangulation<'a>,
     inliers: &'a [usize],
 }
 
@@ -136,12 +136,19 @@ impl Problem<3> for PointReprojection<'_> {
 
     fn linearize(&self, value: &Vector3<f64>, normal: &mut Normal<3>) {
         for &i in self.inliers {
-            let Observation { cam_from_world, intrinsics, pixel } = self.observations[i];
+            let Observation { cam_from_world, intrinsics, pixel } = self.data.observations[i];
             let rotation = cam_from_world.rotation.to_rotation_matrix();
             let point_in_cam = rotation * value + cam_from_world.translation;
+            let unit_per_px = match self.data.options.residual {
+                TriangulationResidual::Angle => 1.0 / intrinsics.mean_focal_px(),
+                TriangulationResidual::Pixel => 1.0,
+            };
             with_camera_model!(intrinsics, M, params => {
                 match M::project_with_jacobian(params, &point_in_cam) {
-                    Some(p) => normal.add(&(p.pixel - pixel), &(p.d_point * rotation.matrix())),
+                    Some(p) => {
+                        let d_point = p.d_point * rotation.matrix() * unit_per_px;
+                        normal.add(&((p.pixel - pixel) * unit_per_px), &d_point);
+                    }
                     None => normal.refuse(),
                 }
             });

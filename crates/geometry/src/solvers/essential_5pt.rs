@@ -8,7 +8,7 @@ use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::null_space::{as_matrix, epipolar_row, null_space};
-use super::polynomial::real_roots;
+use super::sturm::real_roots;
 
 /// A linear form in (x, y, z, 1).
 type Linear = [f64; 4];

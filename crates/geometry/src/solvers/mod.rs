@@ -6,7 +6,8 @@ mod fundamental_7pt;
 mod homography_4pt;
 mod null_space;
 mod p3p;
-pub(crate) mod polynomial;
+mod polynomial;
+mod sturm;
 mod umeyama;
 
 pub use essential_5pt::essential_5pt;

@@ -6,7 +6,7 @@ mod solver_laws;
 use nalgebra::{SVector, Vector3};
 
 use crate::{Block, CameraModel, Intrinsics, Loss, Manifold};
-pub use solver_laws::{SolverTrial, solver_trial};
+pub use solver_laws::{SolverProblem, SolverTrial, solver_problem};
 
 /// Step of numeric differentiation in the tangent space, relative to the size of the value; with the five-point rule the error is
 /// h⁴ of the fifth derivative plus ε/h: about 1e-12 for functions of unit size.

@@ -1,9 +1,10 @@
 //! Random problems with known solutions for every row of [`solvers::TABLE`].
 
+use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::solvers::{self, SolverInfo};
-use crate::{Rigid3, Rng, Sim3, epipolar, so3};
+use crate::{Rigid3, Rng, Sim3, epipolar};
 
 /// What one solver made of one random problem.
 #[derive(Clone, Copy, Debug)]
@@ -16,14 +17,44 @@ pub struct SolverTrial {
     pub distance: f64,
 }
 
-impl SolverTrial {
-    fn new<T>(solutions: &[T], residual: impl Fn(&T) -> f64, distance: impl Fn(&T) -> f64) -> Self {
-        Self {
-            solutions: solutions.len(),
-            residual: solutions.iter().map(residual).fold(0.0, f64::max),
-            distance: solutions.iter().map(distance).fold(f64::INFINITY, f64::min),
-        }
+/// A random problem for a solver.
+pub struct SolverProblem {
+    solve: Box<dyn Fn() -> usize>,
+    judge: Box<dyn Fn() -> SolverTrial>,
+}
+
+impl SolverProblem {
+    fn new<T, S: AsRef<[T]>>(
+        solve: impl Fn() -> S + Copy + 'static,
+        residual: impl Fn(&T) -> f64 + 'static,
+        distance: impl Fn(&T) -> f64 + 'static,
+    ) -> Self {
+        let judge = move || {
+            let solutions = solve();
+            let solutions = solutions.as_ref();
+            SolverTrial {
+                solutions: solutions.len(),
+                residual: solutions.iter().map(&residual).fold(0.0, f64::max),
+                distance: solutions.iter().map(&distance).fold(f64::INFINITY, f64::min),
+            }
+        };
+        Self { solve: Box::new(move || solve().as_ref().len()), judge: Box::new(judge) }
     }
+
+    /// Solves it, for the sake of the time; how many solutions.
+    pub fn solve(&self) -> usize {
+        (self.solve)()
+    }
+
+    /// Solves it and compares with the truth.
+    pub fn judge(&self) -> SolverTrial {
+        (self.judge)()
+    }
+}
+
+/// One or no solution as a list.
+fn list<T>(solution: Option<T>) -> ArrayVec<T, 1> {
+    solution.into_iter().collect()
 }
 
 /// Two cameras and points in front of both.
@@ -92,10 +123,6 @@ fn projective_distance(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     (a - b).norm().min((a + b).norm())
 }
 
-fn rigid_distance(a: &Rigid3, b: &Rigid3) -> f64 {
-    a.rotation.angle_to(&b.rotation) + (a.translation - b.translation).norm()
-}
-
 fn epipolar_residual(m: &Matrix3<f64>, y1: &[Vector3<f64>], y2: &[Vector3<f64>]) -> f64 {
     y1.iter().zip(y2).map(|(y1, y2)| y2.dot(&(m.normalize() * y1)).abs()).fold(0.0, f64::max)
 }
@@ -110,75 +137,87 @@ fn transfer_residual(h: &Matrix3<f64>, x1: &[Vector2<f64>], x2: &[Vector2<f64>])
 }
 
 /// A random problem for the solver of that row; `None` for a row that is not known here.
-pub fn solver_trial(info: &SolverInfo, rng: &mut Rng) -> Option<SolverTrial> {
+pub fn solver_problem(info: &SolverInfo, rng: &mut Rng) -> Option<SolverProblem> {
     Some(match info.name {
         "p3p" => {
             let views = TwoViews::random(3, rng);
             let ([_, rays], truth) = (views.rays::<3>(), views.cam2_from_cam1);
             let points = [views.points[0], views.points[1], views.points[2]];
-            let residual = |pose: &Rigid3| {
+            let residual = move |pose: &Rigid3| {
                 let error = |i: usize| (*pose * points[i]).normalize() - rays[i];
                 (0..3).map(|i| error(i).norm()).fold(0.0, f64::max)
             };
-            SolverTrial::new(&solvers::p3p(&rays, &points), residual, |pose| rigid_distance(pose, &truth))
+            let distance = move |pose: &Rigid3| {
+                pose.rotation.angle_to(&truth.rotation) + (pose.translation - truth.translation).norm()
+            };
+            SolverProblem::new(move || solvers::p3p(&rays, &points), residual, distance)
         }
         "essential_5pt" => {
             let views = TwoViews::random(5, rng);
             let [rays1, rays2] = views.rays::<5>();
             let truth = epipolar::essential_from_pose(&views.cam2_from_cam1);
-            let residual = |e: &Matrix3<f64>| {
+            let residual = move |e: &Matrix3<f64>| {
                 // Norm √2: singular values are 1, 1, 0 where 2EEᵀE = tr(EEᵀ)E.
                 let cubic = e * e.transpose() * e * 2.0 - e * (e * e.transpose()).trace();
                 cubic.norm().max(e.determinant().abs()).max(epipolar_residual(e, &rays1, &rays2))
             };
-            let solutions = solvers::essential_5pt(&rays1, &rays2);
-            SolverTrial::new(&solutions, residual, |e| projective_distance(e, &truth))
+            let solve = move || solvers::essential_5pt(&rays1, &rays2);
+            SolverProblem::new(solve, residual, move |e| projective_distance(e, &truth))
         }
         "fundamental_7pt" => {
-            let views = TwoViews::random(7, rng);
-            let [x1, x2] = views.image_points::<7>();
-            let [y1, y2] = [x1, x2].map(|x| x.map(|x| x.push(1.0)));
-            let truth = epipolar::essential_from_pose(&views.cam2_from_cam1);
-            let residual = |f: &Matrix3<f64>| f.determinant().abs().max(epipolar_residual(f, &y1, &y2));
-            let solutions = solvers::fundamental_7pt(&x1, &x2);
-            SolverTrial::new(&solutions, residual, |f| projective_distance(f, &truth))
+            let (x1, x2, truth) = fundamental_problem::<7>(rng);
+            let solve = move || solvers::fundamental_7pt(&x1, &x2);
+            let residual = move |f: &Matrix3<f64>| fundamental_residual(f, &x1, &x2);
+            SolverProblem::new(solve, residual, move |f| projective_distance(f, &truth))
         }
         "fundamental_8pt" => {
-            let views = TwoViews::random(8, rng);
-            let [x1, x2] = views.image_points::<8>();
-            let [y1, y2] = [x1, x2].map(|x| x.map(|x| x.push(1.0)));
-            let truth = epipolar::essential_from_pose(&views.cam2_from_cam1);
-            let residual = |f: &Matrix3<f64>| f.determinant().abs().max(epipolar_residual(f, &y1, &y2));
-            let solutions: Vec<_> = solvers::fundamental_8pt(&x1, &x2).into_iter().collect();
-            SolverTrial::new(&solutions, residual, |f| projective_distance(f, &truth))
+            let (x1, x2, truth) = fundamental_problem::<8>(rng);
+            let solve = move || list(solvers::fundamental_8pt(&x1, &x2));
+            let residual = move |f: &Matrix3<f64>| fundamental_residual(f, &x1, &x2);
+            SolverProblem::new(solve, residual, move |f| projective_distance(f, &truth))
         }
         "homography_4pt" | "homography_dlt" => {
+            let is_minimal = info.name == "homography_4pt";
             let (views, truth) = TwoViews::random_plane(4, rng);
             let [x1, x2] = views.image_points::<4>();
-            let solution = match info.name {
-                "homography_4pt" => solvers::homography_4pt(&x1, &x2),
-                _ => solvers::homography_dlt(&x1, &x2),
+            let solve = move || {
+                list(if is_minimal {
+                    solvers::homography_4pt(&x1, &x2)
+                } else {
+                    solvers::homography_dlt(&x1, &x2)
+                })
             };
-            let solutions: Vec<_> = solution.into_iter().collect();
-            let residual = |h: &Matrix3<f64>| transfer_residual(h, &x1, &x2);
-            SolverTrial::new(&solutions, residual, |h| projective_distance(h, &truth))
+            let residual = move |h: &Matrix3<f64>| transfer_residual(h, &x1, &x2);
+            SolverProblem::new(solve, residual, move |h| projective_distance(h, &truth))
         }
         "umeyama" => {
+            let scale = rng.normal().exp();
             let pose = Rigid3::from_axis_angle(direction(rng) * 3.1 * rng.uniform(), direction(rng));
-            let truth =
-                Sim3 { scale: rng.normal().exp(), rotation: pose.rotation, translation: pose.translation };
+            let truth = Sim3 { scale, rotation: pose.rotation, translation: pose.translation };
             let from: [Vector3<f64>; 3] = std::array::from_fn(|_| direction(rng) * rng.uniform());
             let to = from.map(|p| truth * p);
-            let residual = |s: &Sim3| {
+            let residual = move |s: &Sim3| {
                 from.iter().zip(&to).map(|(from, to)| (*s * *from - to).norm()).fold(0.0, f64::max) / s.scale
             };
-            let distance = |s: &Sim3| {
-                let rotation = so3::log(&(s.rotation * truth.rotation.inverse())).norm();
+            let distance = move |s: &Sim3| {
+                let rotation = s.rotation.angle_to(&truth.rotation);
                 rotation + (s.translation - truth.translation).norm() + (s.scale / truth.scale).ln().abs()
             };
-            let solutions: Vec<_> = solvers::umeyama(&from, &to, true).into_iter().collect();
-            SolverTrial::new(&solutions, residual, distance)
+            SolverProblem::new(move || list(solvers::umeyama(&from, &to, true)), residual, distance)
         }
         _ => return None,
     })
+}
+
+fn fundamental_problem<const N: usize>(
+    rng: &mut Rng,
+) -> ([Vector2<f64>; N], [Vector2<f64>; N], Matrix3<f64>) {
+    let views = TwoViews::random(N, rng);
+    let [x1, x2] = views.image_points::<N>();
+    (x1, x2, epipolar::essential_from_pose(&views.cam2_from_cam1))
+}
+
+fn fundamental_residual(f: &Matrix3<f64>, x1: &[Vector2<f64>], x2: &[Vector2<f64>]) -> f64 {
+    let homogeneous = |x: &[Vector2<f64>]| x.iter().map(|x| x.push(1.0)).collect::<Vec<_>>();
+    f.determinant().abs().max(epipolar_residual(f, &homogeneous(x1), &homogeneous(x2)))
 }

@@ -6,8 +6,8 @@ use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_scene::{ImagePair, Match, TwoView, TwoViewKind};
 
 use super::{Database, MAX_IMAGE_ID, bytes, error, numbers};
-use crate::Result;
-use crate::binary::{pose_numbers, rotation_from_wxyz};
+use crate::binary::pose_numbers;
+use crate::{Result, rotation};
 
 const KINDS: [TwoViewKind; 9] = [
     TwoViewKind::Undefined,
@@ -120,7 +120,7 @@ impl Database {
             let matrix = |column| Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)));
             let cam2_from_cam1 = match (list(8, 4)?, list(9, 3)?) {
                 (Some(q), Some(t)) => {
-                    let rotation = rotation_from_wxyz([q[0], q[1], q[2], q[3]]);
+                    let rotation = rotation::from_wxyz([q[0], q[1], q[2], q[3]]);
                     let rotation = rotation.map_err(|_| bad("its quaternion is no rotation"))?;
                     Some(Rigid3::new(rotation, Vector3::from_column_slice(&t)))
                 }

@@ -6,8 +6,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Rig, RigId, RigSensor};
 
 use super::{Database, Moment, bytes, numbers};
-use crate::Result;
-use crate::binary::{pose_numbers, rotation_from_wxyz};
+use crate::binary::pose_numbers;
+use crate::{Result, rotation};
 
 /// COLMAP's number for a camera among the kinds of sensors.
 const SENSOR_CAMERA: i64 = 0;
@@ -120,7 +120,7 @@ impl Database {
             }
             let pose = pose.map(|pose| {
                 let values = numbers(&pose, 7)?;
-                let rotation = rotation_from_wxyz([values[0], values[1], values[2], values[3]]).ok()?;
+                let rotation = rotation::from_wxyz([values[0], values[1], values[2], values[3]]).ok()?;
                 Some(Rigid3::new(rotation, Vector3::from_column_slice(&values[4..])))
             });
             if pose == Some(None) {

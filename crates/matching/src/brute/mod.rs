@@ -18,6 +18,7 @@ use crate::matches::Nearest;
 use crate::prepared::Prepared;
 
 pub use isa::Isa;
+pub(crate) use isa::Kind;
 
 /// The nearest neighbours of two images' descriptors in each other.
 #[derive(Clone, Debug, PartialEq, Eq)]

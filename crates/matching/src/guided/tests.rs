@@ -52,7 +52,7 @@ proptest! {
         let fundamental = std::array::from_fn(|r| std::array::from_fn(|c| f[r][c] * unit[r] * unit[c]));
         let guide = EpipolarGuide { fundamental, max_error_px };
         for mutual in [false, true] {
-            let options = Options { mutual, max_ratio: None, max_angle_rad: None, preempt: None };
+            let options = Options { mutual, max_ratio: None, max_angle_rad: None, preempt: None, ..Options::default() };
             prop_assert_eq!(match_guided(&a, &b, &guide, &options), slow_twin(&a, &b, &guide, &options));
         }
     }
