@@ -37,8 +37,7 @@ pub struct Options {
     pub peak_threshold: f32,
     /// Largest ratio of the principal curvatures at an extremum: above it, it lies on an edge. At least 1.
     pub edge_threshold: f32,
-    /// Number of places at which features are, at most: one with several dominant orientations gives several features, as in
-    /// Lowe 2004 (about 15 % of the places) and COLMAP.
+    /// Number of features, at most.
     pub max_features: usize,
     /// Number of dominant orientations per keypoint, at most; each gives a feature. 1 to 4.
     pub max_orientations: usize,

@@ -101,7 +101,7 @@ impl Sift {
         let mut features = Features::default();
         for (extremum, measured) in extrema.iter().zip(&measured) {
             let each = measured.directions.as_slice().iter().zip(&measured.descriptors);
-            for (&angle, &descriptor) in each {
+            for (&angle, &descriptor) in each.take(self.options.max_features - features.keypoints.len()) {
                 features.keypoints.push(keypoint(extremum, angle));
                 features.descriptors.push(descriptor);
             }

@@ -388,15 +388,13 @@ fn masks_and_limits_hold() {
         for max_features in [0, 1, 50, 51] {
             let options = Options { max_features, keep, ..Options::default() };
             let few = extract_on(Isa::best(), options, &view);
-            let mut places: Vec<_> = few.keypoints.iter().map(|k| (k.x, k.y, k.scale)).collect();
-            places.dedup();
-            assert_eq!(places.len(), max_features);
-            assert_eq!(few.descriptors.len(), few.keypoints.len());
+            assert_eq!(few.keypoints.len(), max_features);
+            assert_eq!(few.descriptors.len(), max_features);
         }
     }
     // What is kept by default are the coarsest, whether or not the doubled octave was computed for it.
     let few = extract_on(Isa::best(), Options { max_features: 50, ..Options::default() }, &view);
-    assert_eq!(few.keypoints, all.keypoints[..few.keypoints.len()]);
+    assert_eq!(few.keypoints, all.keypoints[..50]);
 }
 
 #[test]
