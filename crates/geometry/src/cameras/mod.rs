@@ -1,0 +1,232 @@
+//! Camera models: from a point in the camera's frame to a pixel, and back to a bearing.
+//!
+//! Names, parameter orders and numbers are COLMAP's. To add a model: write `cameras/<name>.rs` with a unit struct that
+//! implements [`CameraModel`], and add one line to the `camera_models!` list below. Text names, dispatch, files and the laws in
+//! the tests follow from the list.
+
+mod opencv;
+mod opencv_fisheye;
+mod pinhole;
+mod radial;
+mod undistort;
+
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+
+use crate::{Block, Error, Manifold};
+pub use opencv::Opencv;
+pub use opencv_fisheye::OpencvFisheye;
+pub use pinhole::{Pinhole, SimplePinhole};
+pub use radial::{Radial, SimpleRadial};
+
+/// A projected point with its derivatives.
+#[derive(Clone, Copy, Debug)]
+pub struct Projection<M: CameraModel> {
+    /// Where, in pixels.
+    pub pixel: Vector2<f64>,
+    /// d pixel / d point_in_cam.
+    pub d_point: Matrix2x3<f64>,
+    /// d pixel / d parameters.
+    pub d_params: <M::Params as Manifold>::Jacobian<2>,
+}
+
+/// How one family of lenses maps rays to pixels. Implemented by unit structs; parameters are an argument.
+pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 'static {
+    /// The parameter vector, `SVector<f64, N>`, in pixels where it is a length.
+    type Params: Manifold + Block + std::ops::Index<usize, Output = f64> + std::ops::IndexMut<usize>;
+    /// COLMAP's name.
+    const NAME: &'static str;
+    /// COLMAP's number.
+    const COLMAP_ID: i32;
+    /// Names of the parameters, in order.
+    const PARAM_NAMES: &'static [&'static str];
+    /// Indices of the focal lengths: of f, or of fx and fy.
+    const FOCAL: &'static [usize];
+    /// Indices of cx and cy.
+    const PRINCIPAL_POINT: [usize; 2];
+
+    /// The pixel of a point in the camera's frame; `None` where the model does not see it (behind a perspective camera).
+    fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>>;
+    /// The same with derivatives.
+    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>>;
+    /// The unit ray, in the camera's frame, that is seen at a pixel; `None` where no ray is.
+    fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>>;
+}
+
+/// Points nearer to the plane of the camera than this (in units of the scene) count as behind it.
+pub const MIN_DEPTH: f64 = 1e-9;
+
+/// d pixel / d point from d pixel / d(u, v), where (u, v) = (x/z, y/z).
+fn perspective_chain(d_uv: &Matrix2<f64>, uv: &Vector2<f64>, inv_z: f64) -> Matrix2x3<f64> {
+    let d_xy = d_uv * inv_z;
+    let d_z = -(d_xy * uv);
+    Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z])
+}
+
+macro_rules! camera_models {
+    // `$d` is a dollar sign, for the macro inside the macro.
+    ($d:tt; $($model:ident $dof:literal),* $(,)?) => {
+        /// Which camera model.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum CameraModelKind { $(
+            #[doc = concat!("[`", stringify!($model), "`]")]
+            $model,
+        )* }
+
+        impl CameraModelKind {
+            /// Every model, in COLMAP's order.
+            pub const ALL: &'static [CameraModelKind] = &[$(CameraModelKind::$model),*];
+            /// COLMAP's name.
+            pub fn name(self) -> &'static str { match self { $(Self::$model => <$model as CameraModel>::NAME),* } }
+            /// COLMAP's number.
+            pub fn colmap_id(self) -> i32 { match self { $(Self::$model => <$model as CameraModel>::COLMAP_ID),* } }
+            /// Names of the parameters, in order.
+            pub fn param_names(self) -> &'static [&'static str] {
+                match self { $(Self::$model => <$model as CameraModel>::PARAM_NAMES),* }
+            }
+            /// Indices of the focal lengths.
+            pub fn focal_indices(self) -> &'static [usize] { match self { $(Self::$model => <$model as CameraModel>::FOCAL),* } }
+            /// Indices of the principal point.
+            pub fn principal_point_indices(self) -> [usize; 2] {
+                match self { $(Self::$model => <$model as CameraModel>::PRINCIPAL_POINT),* }
+            }
+        }
+
+        /// A camera model with its parameters.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        pub enum Intrinsics { $(
+            #[doc = concat!("[`", stringify!($model), "`]")]
+            $model(<$model as CameraModel>::Params),
+        )* }
+
+        impl Intrinsics {
+            /// Which model.
+            pub fn kind(&self) -> CameraModelKind { match self { $(Self::$model(_) => CameraModelKind::$model),* } }
+            /// The parameters.
+            pub fn params(&self) -> &[f64] { match self { $(Self::$model(p) => p.as_slice()),* } }
+            /// The parameters, to change.
+            pub fn params_mut(&mut self) -> &mut [f64] { match self { $(Self::$model(p) => p.as_mut_slice()),* } }
+            /// All parameters zero: to be filled through [`Intrinsics::params_mut`].
+            fn zeroed(kind: CameraModelKind) -> Self {
+                match kind { $(CameraModelKind::$model => Self::$model(nalgebra::SVector::<f64, $dof>::zeros())),* }
+            }
+            /// The pixel of a point in the camera's frame; `None` where the model does not see it.
+            pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
+                match self { $(Self::$model(p) => <$model>::project(p, point_in_cam)),* }
+            }
+            /// The unit ray, in the camera's frame, that is seen at a pixel.
+            pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+                match self { $(Self::$model(p) => <$model>::unproject(p, pixel)),* }
+            }
+        }
+
+        /// Runs generic code for the model of an [`Intrinsics`]: `with_camera_model!(intrinsics, M, params => expression)`
+        /// binds the type `M: CameraModel` and `params: &M::Params`.
+        #[macro_export]
+        macro_rules! with_camera_model {
+            ($d intrinsics:expr, $d M:ident, $d params:ident => $d body:expr) => {
+                match $d intrinsics { $(
+                    $crate::Intrinsics::$model($d params) => { type $d M = $crate::cameras::$model; $d body }
+                ),* }
+            };
+        }
+    };
+}
+
+// Model, number of parameters.
+camera_models! { $;
+    SimplePinhole 3,
+    Pinhole 4,
+    SimpleRadial 4,
+    Radial 5,
+    Opencv 8,
+    OpencvFisheye 8,
+}
+
+impl CameraModelKind {
+    /// The model of that name (COLMAP's, in upper case).
+    pub fn from_name(name: &str) -> Result<Self, Error> {
+        Self::ALL.iter().copied().find(|kind| kind.name() == name).ok_or_else(|| Error::UnknownCameraModel {
+            name: name.to_owned(),
+            known: Self::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// The model of that number (COLMAP's).
+    pub fn from_colmap_id(id: i32) -> Result<Self, Error> {
+        Self::ALL.iter().copied().find(|kind| kind.colmap_id() == id).ok_or_else(|| {
+            Error::UnknownCameraModel {
+                name: id.to_string(),
+                known: Self::ALL
+                    .iter()
+                    .map(|kind| format!("{} = {}", kind.colmap_id(), kind.name()))
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            }
+        })
+    }
+
+    /// How many parameters.
+    pub fn num_params(self) -> usize {
+        self.param_names().len()
+    }
+}
+
+impl Intrinsics {
+    /// From a model and its parameters, checked: the right number, finite, focal lengths positive.
+    pub fn new(kind: CameraModelKind, params: &[f64]) -> Result<Self, Error> {
+        let names = kind.param_names();
+        if params.len() != names.len() {
+            return Err(Error::CameraParamCount {
+                model: kind.name(),
+                expected: names.len(),
+                names: names.join(", "),
+                found: params.len(),
+            });
+        }
+        for (index, (&name, &value)) in names.iter().zip(params).enumerate() {
+            if !value.is_finite() || (kind.focal_indices().contains(&index) && value <= 0.0) {
+                return Err(Error::CameraParamRange { model: kind.name(), name, value });
+            }
+        }
+        let mut intrinsics = Self::zeroed(kind);
+        intrinsics.params_mut().copy_from_slice(params);
+        Ok(intrinsics)
+    }
+
+    /// From COLMAP's model name and its parameters, checked as in [`Intrinsics::new`].
+    pub fn from_name(name: &str, params: &[f64]) -> Result<Self, Error> {
+        Self::new(CameraModelKind::from_name(name)?, params)
+    }
+
+    /// No distortion, the principal point in the middle of a `width` × `height` image, focal length `focal_px`.
+    pub fn centred(kind: CameraModelKind, focal_px: f64, width: u32, height: u32) -> Self {
+        let mut intrinsics = Self::zeroed(kind);
+        for &index in kind.focal_indices() {
+            intrinsics.params_mut()[index] = focal_px;
+        }
+        let [cx, cy] = kind.principal_point_indices();
+        intrinsics.params_mut()[cx] = f64::from(width) / 2.0;
+        intrinsics.params_mut()[cy] = f64::from(height) / 2.0;
+        intrinsics
+    }
+
+    /// The mean of the focal lengths, in pixels.
+    pub fn mean_focal_px(&self) -> f64 {
+        let indices = self.kind().focal_indices();
+        indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
+    }
+
+    /// K, from the focal lengths and the principal point; what a model adds to it is left out.
+    pub fn calibration_matrix(&self) -> Matrix3<f64> {
+        let indices = self.kind().focal_indices();
+        let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);
+        let centre = self.principal_point();
+        Matrix3::new(fx, 0.0, centre.x, 0.0, fy, centre.y, 0.0, 0.0, 1.0)
+    }
+
+    /// (cx, cy) in pixels.
+    pub fn principal_point(&self) -> Vector2<f64> {
+        let [cx, cy] = self.kind().principal_point_indices();
+        Vector2::new(self.params()[cx], self.params()[cy])
+    }
+}

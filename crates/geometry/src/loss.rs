@@ -1,0 +1,75 @@
+//! Robust losses ρ of the squared residual norm s = |r|²; the only definition, used by RANSAC and by adjustment.
+//!
+//! Every ρ has ρ(0) = 0, ρ'(0) = 1 and 0 ≤ ρ' ≤ 1: near zero it is the plain square, far out it grows more slowly. `a` is the
+//! residual norm, in the residual's unit, at which the loss departs from the square (Ceres, `loss_function.h`; Barron 2019
+//! for Geman-McClure).
+
+/// A robust loss.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Loss {
+    /// ρ = s.
+    #[default]
+    Trivial,
+    /// ρ = s up to a², then 2a√s − a².
+    Huber(f64),
+    /// ρ = 2a² (√(1 + s/a²) − 1).
+    SoftL1(f64),
+    /// ρ = a² ln(1 + s/a²).
+    Cauchy(f64),
+    /// ρ = a² s / (a² + s).
+    GemanMcClure(f64),
+    /// Tukey's biweight: ρ = a²/3 (1 − (1 − s/a²)³) up to a², then a²/3.
+    Tukey(f64),
+    /// ρ = min(s, a²): MSAC's score.
+    Truncated(f64),
+}
+
+impl Loss {
+    /// ρ(s), ρ'(s), ρ''(s) of a squared norm s ≥ 0.
+    pub fn evaluate(&self, s: f64) -> [f64; 3] {
+        match *self {
+            Loss::Trivial => [s, 1.0, 0.0],
+            Loss::Huber(a) => {
+                if s <= a * a {
+                    [s, 1.0, 0.0]
+                } else {
+                    let r = s.sqrt();
+                    let d1 = a / r;
+                    [2.0 * a * r - a * a, d1, -0.5 * d1 / s]
+                }
+            }
+            Loss::SoftL1(a) => {
+                let b = a * a;
+                let root = (1.0 + s / b).sqrt();
+                let d1 = 1.0 / root;
+                [2.0 * b * (root - 1.0), d1, -0.5 * d1 / (b * root * root)]
+            }
+            Loss::Cauchy(a) => {
+                let b = a * a;
+                let d1 = b / (b + s);
+                [b * (s / b).ln_1p(), d1, -d1 * d1 / b]
+            }
+            Loss::GemanMcClure(a) => {
+                let b = a * a;
+                let ratio = b / (b + s);
+                [ratio * s, ratio * ratio, -2.0 * ratio * ratio / (b + s)]
+            }
+            Loss::Tukey(a) => {
+                let b = a * a;
+                if s < b {
+                    let v = 1.0 - s / b;
+                    [b / 3.0 * (1.0 - v * v * v), v * v, -2.0 * v / b]
+                } else {
+                    [b / 3.0, 0.0, 0.0]
+                }
+            }
+            Loss::Truncated(a) => {
+                if s < a * a {
+                    [s, 1.0, 0.0]
+                } else {
+                    [a * a, 0.0, 0.0]
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Rigid transforms of space.
+
+use std::ops::Mul;
+
+use nalgebra::{Matrix3x4, SMatrix, SVector, UnitQuaternion, Vector3};
+
+use crate::{Manifold, so3};
+
+/// A rotation followed by a translation: `point_in_b = rotation * point_in_a + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rigid3 {
+    /// Rotation of b from a.
+    pub rotation: UnitQuaternion<f64>,
+    /// The origin of a, seen in b.
+    pub translation: Vector3<f64>,
+}
+
+impl Rigid3 {
+    /// Leaves every point where it is.
+    pub fn identity() -> Self {
+        Self { rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
+    }
+
+    /// From a rotation and a translation.
+    pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
+        Self { rotation, translation }
+    }
+
+    /// From an axis-angle vector (radians) and a translation.
+    pub fn from_axis_angle(axis_angle: Vector3<f64>, translation: Vector3<f64>) -> Self {
+        Self { rotation: so3::exp(&axis_angle), translation }
+    }
+
+    /// `a_from_b` of this `b_from_a`.
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.inverse();
+        Self { rotation, translation: -(rotation * self.translation) }
+    }
+
+    /// The origin of b, seen in a: the camera's centre where `self` is `cam_from_world`.
+    pub fn origin_in_a(&self) -> Vector3<f64> {
+        -(self.rotation.inverse() * self.translation)
+    }
+
+    /// The 3×4 matrix [R | t].
+    pub fn to_matrix(&self) -> Matrix3x4<f64> {
+        let mut matrix = Matrix3x4::zeros();
+        matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(self.rotation.to_rotation_matrix().matrix());
+        matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&self.translation);
+        matrix
+    }
+}
+
+/// `c_from_b * b_from_a == c_from_a`.
+impl Mul for Rigid3 {
+    type Output = Rigid3;
+    fn mul(self, b_from_a: Rigid3) -> Rigid3 {
+        let mut rotation = self.rotation * b_from_a.rotation;
+        rotation.renormalize_fast();
+        Rigid3 { rotation, translation: self.rotation * b_from_a.translation + self.translation }
+    }
+}
+
+/// `b_from_a * point_in_a == point_in_b`.
+impl Mul<Vector3<f64>> for Rigid3 {
+    type Output = Vector3<f64>;
+    fn mul(self, point_in_a: Vector3<f64>) -> Vector3<f64> {
+        self.rotation * point_in_a + self.translation
+    }
+}
+
+/// SO(3) × R³ with tangent (rotation, translation); see CONVENTIONS.md.
+impl Manifold for Rigid3 {
+    const DOF: usize = 6;
+    type Tangent = SVector<f64, 6>;
+    type Jacobian<const R: usize> = SMatrix<f64, R, 6>;
+    fn plus(&self, delta: &Self::Tangent) -> Self {
+        let rotation = so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * self.rotation;
+        Self { rotation, translation: self.translation + delta.fixed_rows::<3>(3) }
+    }
+    fn minus(&self, base: &Self) -> Self::Tangent {
+        let mut delta = SVector::<f64, 6>::zeros();
+        delta.fixed_rows_mut::<3>(0).copy_from(&self.rotation.minus(&base.rotation));
+        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - base.translation));
+        delta
+    }
+}

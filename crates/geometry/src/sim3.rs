@@ -1,0 +1,79 @@
+//! Similarity transforms: what is left undetermined by images alone.
+
+use std::ops::Mul;
+
+use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
+
+use crate::{Manifold, Rigid3, so3};
+
+/// `point_in_b = scale * (rotation * point_in_a) + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sim3 {
+    /// Length in b of a unit of a; positive.
+    pub scale: f64,
+    /// Rotation of b from a.
+    pub rotation: UnitQuaternion<f64>,
+    /// The origin of a, seen in b.
+    pub translation: Vector3<f64>,
+}
+
+impl Sim3 {
+    /// Leaves every point where it is.
+    pub fn identity() -> Self {
+        Self { scale: 1.0, rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
+    }
+
+    /// `a_from_b` of this `b_from_a`.
+    pub fn inverse(&self) -> Self {
+        let (rotation, scale) = (self.rotation.inverse(), 1.0 / self.scale);
+        Self { scale, rotation, translation: -(rotation * self.translation) * scale }
+    }
+
+    /// The pose of the same camera when the world is moved by `self`, as `new_from_old`: the image stays the same, since
+    /// a camera does not see the scale.
+    pub fn transform_pose(&self, cam_from_old: &Rigid3) -> Rigid3 {
+        let rotation = cam_from_old.rotation * self.rotation.inverse();
+        Rigid3 { rotation, translation: cam_from_old.translation * self.scale - rotation * self.translation }
+    }
+}
+
+/// `c_from_b * b_from_a == c_from_a`.
+impl Mul for Sim3 {
+    type Output = Sim3;
+    fn mul(self, b_from_a: Sim3) -> Sim3 {
+        Sim3 {
+            scale: self.scale * b_from_a.scale,
+            rotation: self.rotation * b_from_a.rotation,
+            translation: self * b_from_a.translation,
+        }
+    }
+}
+
+/// `b_from_a * point_in_a == point_in_b`.
+impl Mul<Vector3<f64>> for Sim3 {
+    type Output = Vector3<f64>;
+    fn mul(self, point_in_a: Vector3<f64>) -> Vector3<f64> {
+        (self.rotation * point_in_a) * self.scale + self.translation
+    }
+}
+
+/// Tangent (rotation, translation, log scale); see CONVENTIONS.md.
+impl Manifold for Sim3 {
+    const DOF: usize = 7;
+    type Tangent = SVector<f64, 7>;
+    type Jacobian<const R: usize> = SMatrix<f64, R, 7>;
+    fn plus(&self, delta: &Self::Tangent) -> Self {
+        Self {
+            scale: self.scale * delta[6].exp(),
+            rotation: so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * self.rotation,
+            translation: self.translation + delta.fixed_rows::<3>(3),
+        }
+    }
+    fn minus(&self, base: &Self) -> Self::Tangent {
+        let mut delta = SVector::<f64, 7>::zeros();
+        delta.fixed_rows_mut::<3>(0).copy_from(&self.rotation.minus(&base.rotation));
+        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - base.translation));
+        delta[6] = (self.scale / base.scale).ln();
+        delta
+    }
+}
