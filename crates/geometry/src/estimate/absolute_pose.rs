@@ -2,10 +2,11 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix2x3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
 
 use super::MAX_LM_ITERATIONS;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
+use crate::simd::{LANES, Lanes, blocks_of, pack, store};
 use crate::small_lm::{Normal, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, so3, solvers};
 
@@ -30,8 +31,8 @@ pub fn refine_absolute_pose(
 ) -> Rigid3 {
     let is_seen = |i: &usize| intrinsics.project(&(*initial * points_in_world[*i])).is_some();
     let seen: Vec<usize> = (0..pixels.len().min(points_in_world.len())).filter(is_seen).collect();
-    let data = AbsolutePose { pixels, points_in_world, rays: Vec::new(), intrinsics };
-    minimize(&Reprojection { data: &data, inliers: &seen }, initial, loss, MAX_LM_ITERATIONS)
+    let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: &seen };
+    minimize(&problem, initial, loss, MAX_LM_ITERATIONS)
 }
 
 struct AbsolutePose<'a> {
@@ -39,6 +40,7 @@ struct AbsolutePose<'a> {
     points_in_world: &'a [Vector3<f64>],
     /// Zero where the pixel has no ray.
     rays: Vec<Vector3<f64>>,
+    blocks: Vec<[Lanes; 5]>,
     intrinsics: &'a Intrinsics,
 }
 
@@ -49,9 +51,15 @@ impl<'a> AbsolutePose<'a> {
         intrinsics: &'a Intrinsics,
     ) -> Self {
         let count = pixels.len().min(points_in_world.len());
-        let rays = pixels[..count].iter().map(|p| intrinsics.unproject(p).unwrap_or_default()).collect();
-        Self { pixels: &pixels[..count], points_in_world: &points_in_world[..count], rays, intrinsics }
+        let (pixels, points_in_world) = (&pixels[..count], &points_in_world[..count]);
+        let blocks = pack_observations(pixels, points_in_world);
+        Self { pixels, points_in_world, rays: rays(pixels, intrinsics), blocks, intrinsics }
     }
+}
+
+/// The unit rays of pixels; zero where there is none.
+fn rays(pixels: &[Vector2<f64>], intrinsics: &Intrinsics) -> Vec<Vector3<f64>> {
+    pixels.iter().map(|pixel| intrinsics.unproject(pixel).unwrap_or_default()).collect()
 }
 
 impl Estimator for AbsolutePose<'_> {
@@ -69,39 +77,57 @@ impl Estimator for AbsolutePose<'_> {
     }
 
     fn squared_residuals(&self, model: &Rigid3, range: Range<usize>, squared: &mut [f64]) {
-        squared_reprojection_errors(
-            model,
-            self.intrinsics,
-            &self.pixels[range.clone()],
-            &self.points_in_world[range],
-            squared,
-        );
+        with_camera_model!(self.intrinsics, M, params => {
+            squared_errors::<M>(&self.blocks, params, &model.to_matrix(), range, squared);
+        });
     }
 
     fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
-        Some(minimize(&Reprojection { data: self, inliers: data }, model, loss, MAX_LM_ITERATIONS))
+        let Self { pixels, points_in_world, intrinsics, .. } = *self;
+        let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: data };
+        Some(minimize(&problem, model, loss, MAX_LM_ITERATIONS))
     }
 }
 
-fn squared_reprojection_errors(
-    cam_from_world: &Rigid3,
-    intrinsics: &Intrinsics,
-    pixels: &[Vector2<f64>],
-    points_in_world: &[Vector3<f64>],
-    squared: &mut [f64],
-) {
-    let rotation = cam_from_world.rotation.to_rotation_matrix();
-    with_camera_model!(intrinsics, M, params => {
-        for ((squared, pixel), point) in squared.iter_mut().zip(pixels).zip(points_in_world) {
-            let point_in_cam = rotation * point + cam_from_world.translation;
-            let projected = M::project(params, &point_in_cam);
-            *squared = projected.map_or(f64::INFINITY, |projected| (projected - pixel).norm_squared());
+/// World points and pixels, packed for vectors: X, Y, Z, u, v.
+fn pack_observations(pixels: &[Vector2<f64>], points_in_world: &[Vector3<f64>]) -> Vec<[Lanes; 5]> {
+    let observations: Vec<_> = points_in_world.iter().zip(pixels).collect();
+    pack(&observations, |(point, pixel)| [point.x, point.y, point.z, pixel.x, pixel.y])
+}
+
+dispatch! {
+    /// Squared distances of the projections from the pixels, eight at a time.
+    fn squared_errors<M: CameraModel>(
+        blocks: &[[Lanes; 5]],
+        params: &M::Params,
+        cam_from_world: &Matrix3x4<f64>,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        let m = cam_from_world;
+        for index in blocks_of(&range) {
+            let [x, y, z, u, v] = &blocks[index];
+            let mut lanes = [f64::INFINITY; LANES];
+            for l in 0..LANES {
+                let point_in_cam = Vector3::new(
+                    m.m11 * x[l] + m.m12 * y[l] + m.m13 * z[l] + m.m14,
+                    m.m21 * x[l] + m.m22 * y[l] + m.m23 * z[l] + m.m24,
+                    m.m31 * x[l] + m.m32 * y[l] + m.m33 * z[l] + m.m34,
+                );
+                if let Some(pixel) = M::project(params, &point_in_cam) {
+                    let (du, dv) = (pixel.x - u[l], pixel.y - v[l]);
+                    lanes[l] = du * du + dv * dv;
+                }
+            }
+            store(&lanes, index, &range, squared);
         }
-    });
+    }
 }
 
 struct Reprojection<'a> {
-    data: &'a AbsolutePose<'a>,
+    pixels: &'a [Vector2<f64>],
+    points_in_world: &'a [Vector3<f64>],
+    intrinsics: &'a Intrinsics,
     inliers: &'a [usize],
 }
 
@@ -123,12 +149,12 @@ impl Problem<6> for Reprojection<'_> {
 
     fn linearize(&self, value: &Rigid3, normal: &mut Normal<6>) {
         let rotation = value.rotation.to_rotation_matrix();
-        with_camera_model!(self.data.intrinsics, M, params => {
+        with_camera_model!(self.intrinsics, M, params => {
             for &i in self.inliers {
-                let rotated = rotation * self.data.points_in_world[i];
+                let rotated = rotation * self.points_in_world[i];
                 match M::project_with_jacobian(params, &(rotated + value.translation)) {
                     Some(projection) => normal.add(
-                        &(projection.pixel - self.data.pixels[i]),
+                        &(projection.pixel - self.pixels[i]),
                         &d_pose(&projection.d_point, &rotated),
                     ),
                     None => normal.refuse(),
@@ -164,7 +190,7 @@ pub fn absolute_pose_focal(
             }
         })
         .into();
-    let data = AbsolutePose { pixels, points_in_world, rays: Vec::new(), intrinsics };
+    let data = AbsolutePose::new(pixels, points_in_world, intrinsics);
     let report = ransac(&AbsolutePoseFocal { data, cameras }, options)?;
     Some(report.map(|(pose, log_factor)| (pose, with_focal_factor(intrinsics, log_factor.exp()))))
 }
@@ -194,7 +220,7 @@ impl Estimator for AbsolutePoseFocal<'_> {
     const SAMPLE_SIZE: usize = 4;
 
     fn num_data(&self) -> usize {
-        self.cameras.first().map_or(0, |camera| camera.rays.len())
+        self.data.num_data()
     }
 
     fn models(&self, sample: &[usize], models: &mut Vec<Self::Model>) {
@@ -219,8 +245,9 @@ impl Estimator for AbsolutePoseFocal<'_> {
 
     fn squared_residuals(&self, (pose, log_factor): &Self::Model, range: Range<usize>, squared: &mut [f64]) {
         let camera = with_focal_factor(self.data.intrinsics, log_factor.exp());
-        let (pixels, points) = (&self.data.pixels[range.clone()], &self.data.points_in_world[range]);
-        squared_reprojection_errors(pose, &camera, pixels, points, squared);
+        with_camera_model!(&camera, M, params => {
+            squared_errors::<M>(&self.data.blocks, params, &pose.to_matrix(), range, squared);
+        });
     }
 
     fn refine(&self, model: &Self::Model, data: &[usize], loss: Loss) -> Option<Self::Model> {
