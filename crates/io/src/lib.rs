@@ -11,6 +11,8 @@ mod exif;
 mod images;
 mod jpeg;
 pub mod kitti;
+#[cfg(feature = "las")]
+pub mod las;
 pub mod nerfstudio;
 pub mod openmvs;
 mod pixels;
