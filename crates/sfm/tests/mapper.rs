@@ -74,7 +74,7 @@ fn truth(seed: u64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
                     matches.push(Match { a: i as u32, b: j as u32 });
                 }
             }
-            let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).unwrap();
+            let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
             let view = |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
             two_views.push((
                 pair,
