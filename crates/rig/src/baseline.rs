@@ -2,6 +2,10 @@
 //!
 //! It joins four camera poses, the left and the right one at time i and at time i + 1, and knows nothing of the calibration: only
 //! that it stays. It weighs metres against radians, so its strength depends on the unit of the model; see [`crate::paper`].
+//!
+//! A rotation has many axis-angle vectors, and which of them is the shortest changes at π, where cameras that look in opposite
+//! directions are. A difference of shortest vectors would change sign there, so the factor writes both rotations by the vectors
+//! nearest to a given one.
 
 use tiepoint_ba::{Factor, Linear, Refs};
 use tiepoint_geometry::Rigid3;
@@ -15,12 +19,14 @@ use crate::relative_pose::RelativePose;
 pub struct Baseline {
     /// Square root of the weight w (units: 1 / model unit for the translation, 1 / radian for the rotation).
     pub sqrt_weight: f64,
+    /// Both rotations are written by the axis-angle vectors nearest to that of this relative pose, say the first one's.
+    pub near: RelativePose,
 }
 
 impl Baseline {
     /// With weight w: Eq. (2)'s λ N_p/N_t, or Eq. (4)'s λ_i.
-    pub fn with_weight(weight: f64) -> Self {
-        Self { sqrt_weight: weight.sqrt() }
+    pub fn with_weight(weight: f64, near: RelativePose) -> Self {
+        Self { sqrt_weight: weight.sqrt(), near }
     }
 }
 
@@ -31,8 +37,8 @@ impl Factor<6> for Baseline {
         &self,
         (left, right, next_left, next_right): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 6>> {
-        let now = RelativePose::linearize(left, right);
-        let next = RelativePose::linearize(next_left, next_right).nearest_to(&now.p);
+        let now = RelativePose::linearize(left, right).nearest_to(&self.near);
+        let next = RelativePose::linearize(next_left, next_right).nearest_to(&self.near);
         let w = self.sqrt_weight;
         let residual = (now.p.to_vector() - next.p.to_vector()) * w;
         Some((residual, (now.d_left * w, now.d_right * w, next.d_left * -w, next.d_right * -w)))
@@ -42,8 +48,8 @@ impl Factor<6> for Baseline {
         &self,
         (left, right, next_left, next_right): Refs<'_, Self::Vars>,
     ) -> Option<SVector<f64, 6>> {
-        let now = RelativePose::between(left, right);
-        let next = RelativePose::between(next_left, next_right).nearest_to(&now);
+        let now = RelativePose::between(left, right).nearest_to(&self.near);
+        let next = RelativePose::between(next_left, next_right).nearest_to(&self.near);
         Some((now.to_vector() - next.to_vector()) * self.sqrt_weight)
     }
 }
