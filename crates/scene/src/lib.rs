@@ -1,0 +1,22 @@
+#![doc = include_str!("../README.md")]
+
+mod camera;
+mod correspondence_graph;
+mod error;
+mod ids;
+mod image;
+mod reconstruction;
+mod rig;
+mod track;
+mod two_view;
+
+pub use camera::Camera;
+pub use correspondence_graph::CorrespondenceGraph;
+pub use error::Error;
+pub use ids::{CameraId, FrameId, ImageId, PointId, RigId};
+pub use image::{Image, Keypoint};
+pub use reconstruction::Reconstruction;
+pub use rig::{Frame, Rig, RigSensor};
+pub use tiepoint_geometry as geometry;
+pub use track::{Observation, Track};
+pub use two_view::{ImagePair, Match, TwoView, TwoViewKind};

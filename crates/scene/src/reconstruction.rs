@@ -1,0 +1,279 @@
+//! The owner of cameras, images and tracks. Every change goes through a method that keeps both directions of the relation
+//! "this keypoint sees this point" true; [`Reconstruction::validate`] checks them all.
+
+use tiepoint_geometry::{Rigid3, Sim3, nalgebra::Vector3};
+
+use crate::{Camera, CameraId, Error, Frame, Image, ImageId, Observation, PointId, Rig, Track};
+
+/// A model: cameras, images with poses, points with tracks; rigs and frames where images are rigidly connected.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reconstruction {
+    cameras: Vec<Camera>,
+    images: Vec<Image>,
+    /// `None` where a point was deleted: ids stay valid.
+    tracks: Vec<Option<Track>>,
+    /// Rigs of more than one camera with rigid frames; images in no frame ride alone.
+    pub rigs: Vec<Rig>,
+    /// The frames of those rigs.
+    pub frames: Vec<Frame>,
+}
+
+impl Reconstruction {
+    /// Adds a camera.
+    pub fn add_camera(&mut self, camera: Camera) -> CameraId {
+        self.cameras.push(camera);
+        CameraId::from_index(self.cameras.len() - 1)
+    }
+
+    /// Adds an image.
+    pub fn add_image(&mut self, image: Image) -> ImageId {
+        self.images.push(image);
+        ImageId::from_index(self.images.len() - 1)
+    }
+
+    /// A camera.
+    pub fn camera(&self, id: CameraId) -> &Camera {
+        &self.cameras[id.index()]
+    }
+
+    /// A camera, to change.
+    pub fn camera_mut(&mut self, id: CameraId) -> &mut Camera {
+        &mut self.cameras[id.index()]
+    }
+
+    /// All cameras, in order of their ids.
+    pub fn cameras(&self) -> impl Iterator<Item = (CameraId, &Camera)> {
+        self.cameras.iter().enumerate().map(|(index, camera)| (CameraId::from_index(index), camera))
+    }
+
+    /// An image.
+    pub fn image(&self, id: ImageId) -> &Image {
+        &self.images[id.index()]
+    }
+
+    /// All images, registered or not, in order of their ids.
+    pub fn images(&self) -> impl Iterator<Item = (ImageId, &Image)> {
+        self.images.iter().enumerate().map(|(index, image)| (ImageId::from_index(index), image))
+    }
+
+    /// Images with a pose, in order of their ids.
+    pub fn registered(&self) -> impl Iterator<Item = (ImageId, &Image, &Rigid3)> {
+        self.images().filter_map(|(id, image)| image.cam_from_world.as_ref().map(|pose| (id, image, pose)))
+    }
+
+    /// How many images have a pose.
+    pub fn num_registered(&self) -> usize {
+        self.registered().count()
+    }
+
+    /// The camera of an image.
+    pub fn camera_of(&self, image: ImageId) -> &Camera {
+        self.camera(self.image(image).camera)
+    }
+
+    /// Gives an image a pose, or another one.
+    pub fn register(&mut self, image: ImageId, cam_from_world: Rigid3) {
+        self.images[image.index()].cam_from_world = Some(cam_from_world);
+    }
+
+    /// Sets the time of an image on its camera's clock.
+    pub fn set_time(&mut self, image: ImageId, time_s: Option<f64>) {
+        self.images[image.index()].time_s = time_s;
+    }
+
+    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two are deleted.
+    pub fn deregister(&mut self, image: ImageId) {
+        for keypoint in 0..self.image(image).points.len() as u32 {
+            self.remove_observation(Observation { image, keypoint });
+        }
+        self.images[image.index()].cam_from_world = None;
+    }
+
+    /// Adds a point. Its observations must be of keypoints that see no point yet.
+    pub fn add_track(&mut self, track: Track) -> PointId {
+        let id = PointId::from_index(self.tracks.len());
+        for observation in &track.observations {
+            let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+            debug_assert!(slot.is_none(), "{observation:?} already sees {slot:?}");
+            *slot = Some(id);
+        }
+        self.tracks.push(Some(track));
+        id
+    }
+
+    /// A point, unless it was deleted.
+    pub fn track(&self, id: PointId) -> Option<&Track> {
+        self.tracks.get(id.index()).and_then(Option::as_ref)
+    }
+
+    /// A point's position, colour and hold-out flag, to change. (Its observations change through the methods beside this.)
+    pub fn track_mut(&mut self, id: PointId) -> Option<&mut Track> {
+        self.tracks.get_mut(id.index()).and_then(Option::as_mut)
+    }
+
+    /// All points, in order of their ids.
+    pub fn tracks(&self) -> impl Iterator<Item = (PointId, &Track)> {
+        self.tracks
+            .iter()
+            .enumerate()
+            .filter_map(|(index, track)| track.as_ref().map(|track| (PointId::from_index(index), track)))
+    }
+
+    /// How many points.
+    pub fn num_tracks(&self) -> usize {
+        self.tracks.iter().flatten().count()
+    }
+
+    /// One more than the largest point id ever given: the length of a table indexed by point.
+    pub fn point_id_bound(&self) -> usize {
+        self.tracks.len()
+    }
+
+    /// How many observations all points have together.
+    pub fn num_observations(&self) -> usize {
+        self.tracks.iter().flatten().map(|track| track.observations.len()).sum()
+    }
+
+    /// Observations a point.
+    pub fn mean_track_length(&self) -> f64 {
+        self.num_observations() as f64 / self.num_tracks().max(1) as f64
+    }
+
+    /// Lets a keypoint see a point; nothing happens if it sees one already or the point is deleted.
+    pub fn add_observation(&mut self, point: PointId, observation: Observation) {
+        let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+        if let (None, Some(Some(track))) = (*slot, self.tracks.get_mut(point.index())) {
+            *slot = Some(point);
+            track.observations.push(observation);
+        }
+    }
+
+    /// Lets a keypoint see nothing; a point left with fewer than two observations is deleted.
+    pub fn remove_observation(&mut self, observation: Observation) {
+        let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+        let Some(point) = slot.take() else { return };
+        if let Some(track) = self.tracks[point.index()].as_mut() {
+            track.observations.retain(|o| *o != observation);
+            if track.observations.len() < 2 {
+                self.delete_track(point);
+            }
+        }
+    }
+
+    /// Deletes a point; its keypoints are free again.
+    pub fn delete_track(&mut self, point: PointId) {
+        let Some(track) = self.tracks.get_mut(point.index()).and_then(Option::take) else { return };
+        for observation in &track.observations {
+            self.images[observation.image.index()].points[observation.keypoint as usize] = None;
+        }
+    }
+
+    /// Replaces two points by one at `xyz` with all their observations. `None`, and nothing changes, where one is deleted.
+    pub fn merge_tracks(&mut self, one: PointId, other: PointId, xyz: Vector3<f64>) -> Option<PointId> {
+        if one == other || self.track(one).is_none() || self.track(other).is_none() {
+            return None;
+        }
+        let mut merged = self.track(one)?.clone();
+        merged.observations.extend(self.track(other)?.observations.iter().copied());
+        merged.xyz = xyz;
+        self.delete_track(one);
+        self.delete_track(other);
+        Some(self.add_track(merged))
+    }
+
+    /// Reprojection error of one observation of a point, in pixels; `None` where the camera does not see it.
+    pub fn reprojection_error_px(&self, point: PointId, observation: usize) -> Option<f64> {
+        let track = self.track(point)?;
+        self.error_of_px(track.observations.get(observation)?, &track.xyz)
+    }
+
+    /// Distance between a keypoint and the projection of a point, in pixels; `None` where the image has no pose or the camera
+    /// does not see the point.
+    pub fn error_of_px(&self, observation: &Observation, xyz: &Vector3<f64>) -> Option<f64> {
+        let image = self.image(observation.image);
+        let point_in_cam = *image.cam_from_world()? * *xyz;
+        let pixel = self.camera(image.camera).intrinsics.project(&point_in_cam)?;
+        Some((pixel - image.keypoints[observation.keypoint as usize].pixel).norm())
+    }
+
+    /// Mean of the reprojection errors of a point's observations, in pixels.
+    pub fn track_error_px(&self, track: &Track) -> f64 {
+        let errors = track.observations.iter().filter_map(|o| self.error_of_px(o, &track.xyz));
+        let (sum, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error, count + 1));
+        sum / count.max(1) as f64
+    }
+
+    /// Mean reprojection error over all observations, in pixels: what COLMAP calls so.
+    pub fn mean_reprojection_error_px(&self) -> f64 {
+        let sum: f64 = self
+            .tracks
+            .iter()
+            .flatten()
+            .map(|track| self.track_error_px(track) * track.observations.len() as f64)
+            .sum();
+        sum / self.num_observations().max(1) as f64
+    }
+
+    /// Moves the world: poses, points and frames.
+    pub fn transform(&mut self, new_from_old: &Sim3) {
+        for pose in self.images.iter_mut().filter_map(|image| image.cam_from_world.as_mut()) {
+            *pose = new_from_old.transform_pose(pose);
+        }
+        for track in self.tracks.iter_mut().flatten() {
+            track.xyz = *new_from_old * track.xyz;
+        }
+        for frame in &mut self.frames {
+            frame.rig_from_world = new_from_old.transform_pose(&frame.rig_from_world);
+        }
+        for sensor in self.rigs.iter_mut().flat_map(|rig| rig.sensors.iter_mut()) {
+            if let Some(cam_from_rig) = &mut sensor.cam_from_rig {
+                cam_from_rig.translation *= new_from_old.scale;
+            }
+        }
+    }
+
+    /// Checks every invariant.
+    pub fn validate(&self) -> Result<(), Error> {
+        let finite = |ok: bool, what: String| if ok { Ok(()) } else { Err(Error::NotFinite { what }) };
+        for (id, camera) in self.cameras() {
+            finite(
+                camera.intrinsics.params().iter().all(|p| p.is_finite()),
+                format!("a parameter of camera {id:?}"),
+            )?;
+        }
+        for (id, image) in self.images() {
+            if image.camera.index() >= self.cameras.len() {
+                return Err(Error::NoSuchCamera {
+                    image: id,
+                    camera: image.camera,
+                    cameras: self.cameras.len(),
+                });
+            }
+            if let Some(pose) = image.cam_from_world() {
+                let is_finite =
+                    pose.rotation.coords.iter().chain(pose.translation.iter()).all(|v| v.is_finite());
+                finite(is_finite, format!("the pose of image {id:?}"))?;
+            }
+            for (keypoint, point) in image.points.iter().enumerate() {
+                let Some(point) = *point else { continue };
+                let observation = Observation { image: id, keypoint: keypoint as u32 };
+                if !self.track(point).is_some_and(|track| track.observations.contains(&observation)) {
+                    return Err(Error::DanglingKeypoint { image: id, keypoint: keypoint as u32, point });
+                }
+            }
+        }
+        for (point, track) in self.tracks() {
+            finite(track.xyz.iter().all(|v| v.is_finite()), format!("the position of point {point:?}"))?;
+            for &Observation { image, keypoint } in &track.observations {
+                let found = self.image(image).points.get(keypoint as usize).copied().flatten();
+                if found != Some(point) {
+                    return Err(Error::TrackMismatch { point, image, keypoint, found });
+                }
+                if self.image(image).cam_from_world.is_none() {
+                    return Err(Error::UnposedObservation { point, image });
+                }
+            }
+        }
+        Ok(())
+    }
+}

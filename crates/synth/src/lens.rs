@@ -1,0 +1,238 @@
+//! How light falls on the sensor: an action camera's lens, and the ideal pinhole.
+//!
+//! The action lens has a radial profile with even and odd powers of the angle from the axis (as the maps that GoPro publishes
+//! for its lenses have), then decentring (Brown 1966) on the fisheye plane, then a principal point off the middle. With
+//! m(θ) = θ (1 + a₁θ + a₂θ² + a₃θ³ + a₄θ⁴) and (u, v) the point at distance m in the direction of the ray,
+//!
+//! u' = u + p₁ (m² + 2u²) + 2 p₂ uv,  v' = v + p₂ (m² + 2v²) + 2 p₁ uv,  pixel = c + f (u', v').
+//!
+//! The odd aⱼ (even powers of θ) and decentring on that plane are in none of COLMAP's families: an estimator is left with a
+//! residual, as with a real lens.
+
+use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
+
+/// Newton's iterations end when they move by less than this (radians, or units of the fisheye plane).
+const NEWTON_TOLERANCE: f64 = 1e-14;
+const NEWTON_ITERATIONS: usize = 30;
+
+/// An action camera's lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActionLens {
+    /// Focal length on the axis, in pixels.
+    pub focal_px: f64,
+    /// a₁ to a₄ of the radial profile, per radian, per radian², …
+    pub radial: [f64; 4],
+    /// p₁ and p₂, per radian.
+    pub decentring: [f64; 2],
+    /// Where the axis meets the sensor, in pixels.
+    pub principal_point: Vector2<f64>,
+    /// Rays further from the axis than this, in radians, are not imaged.
+    pub max_angle_rad: f64,
+}
+
+/// A lens with its sensor: from rays to pixels and back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lens {
+    /// No distortion at all: pixel = f (x/z, y/z) + c.
+    Pinhole {
+        /// Focal length, in pixels.
+        focal_px: f64,
+        /// Where the axis meets the sensor, in pixels.
+        principal_point: Vector2<f64>,
+    },
+    /// An action camera's.
+    Action(ActionLens),
+}
+
+impl ActionLens {
+    /// A lens as a maker sells it for this image size, and no two alike: all numbers scatter a little. The horizontal field of
+    /// view is about 94°, that of a GoPro's wide setting at 4:3.
+    pub fn sample(width: u32, height: u32, rng: &mut Rng) -> Self {
+        let (width, height) = (f64::from(width), f64::from(height));
+        let mut scattered = |value: f64, sigma: f64| value + sigma * rng.normal();
+        Self {
+            focal_px: 0.60 * width * scattered(1.0, 0.004),
+            radial: [
+                scattered(-0.012, 0.002),
+                scattered(0.060, 0.005),
+                scattered(-0.050, 0.004),
+                scattered(-0.022, 0.003),
+            ],
+            decentring: [scattered(0.0, 0.0008), scattered(0.0, 0.0008)],
+            principal_point: Vector2::new(width * scattered(0.5, 0.005), height * scattered(0.5, 0.005)),
+            max_angle_rad: 1.2,
+        }
+    }
+
+    /// m(θ) and its derivative.
+    fn radius(&self, angle: f64) -> (f64, f64) {
+        let [a1, a2, a3, a4] = self.radial;
+        let value = angle * (1.0 + angle * (a1 + angle * (a2 + angle * (a3 + angle * a4))));
+        let slope = 1.0 + angle * (2.0 * a1 + angle * (3.0 * a2 + angle * (4.0 * a3 + angle * 5.0 * a4)));
+        (value, slope)
+    }
+
+    /// The decentred point and the derivative by the point.
+    fn decentre(&self, point: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        let ([p1, p2], [u, v]) = (self.decentring, [point.x, point.y]);
+        let m2 = u * u + v * v;
+        let shift = Vector2::new(
+            p1 * (m2 + 2.0 * u * u) + 2.0 * p2 * u * v,
+            p2 * (m2 + 2.0 * v * v) + 2.0 * p1 * u * v,
+        );
+        let mixed = 2.0 * (p1 * v + p2 * u);
+        let jacobian =
+            Matrix2::new(1.0 + 6.0 * p1 * u + 2.0 * p2 * v, mixed, mixed, 1.0 + 6.0 * p2 * v + 2.0 * p1 * u);
+        (point + shift, jacobian)
+    }
+
+    fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let off_axis = point.xy().norm();
+        let angle = off_axis.atan2(point.z);
+        // Written so that NaN is not imaged either.
+        if angle > self.max_angle_rad || angle.is_nan() || point.norm_squared() == 0.0 {
+            return None;
+        }
+        let direction = if off_axis > 0.0 { point.xy() / off_axis } else { Vector2::zeros() };
+        let (decentred, _) = self.decentre(direction * self.radius(angle).0);
+        Some(self.principal_point + decentred * self.focal_px)
+    }
+
+    fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let decentred = (pixel - self.principal_point) / self.focal_px;
+        let mut point = decentred;
+        for _ in 0..NEWTON_ITERATIONS {
+            let (value, jacobian) = self.decentre(point);
+            let step = jacobian.try_inverse()? * (decentred - value);
+            point += step;
+            if step.norm() < NEWTON_TOLERANCE {
+                break;
+            }
+        }
+        let radius = point.norm();
+        let mut angle = radius.min(self.max_angle_rad);
+        for _ in 0..NEWTON_ITERATIONS {
+            let (value, slope) = self.radius(angle);
+            let step = (radius - value) / slope;
+            angle += step;
+            if step.abs() < NEWTON_TOLERANCE {
+                break;
+            }
+        }
+        if !(0.0..=self.max_angle_rad).contains(&angle) {
+            return None;
+        }
+        let (sin, cos) = angle.sin_cos();
+        let off_axis = if radius > 0.0 { point * (sin / radius) } else { Vector2::zeros() };
+        Some(Vector3::new(off_axis.x, off_axis.y, cos))
+    }
+}
+
+impl Lens {
+    /// An ideal pinhole with the axis in the middle of the image.
+    pub fn pinhole(focal_px: f64, width: u32, height: u32) -> Self {
+        let principal_point = Vector2::new(f64::from(width) / 2.0, f64::from(height) / 2.0);
+        Self::Pinhole { focal_px, principal_point }
+    }
+
+    /// The pixel of a point in the camera's frame; `None` where the lens does not image it. (Pixels may lie off the sensor.)
+    pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
+        match self {
+            Self::Pinhole { focal_px, principal_point } => (point_in_cam.z > 1e-9)
+                .then(|| point_in_cam.xy() * (focal_px / point_in_cam.z) + principal_point),
+            Self::Action(lens) => lens.project(point_in_cam),
+        }
+    }
+
+    /// The unit ray, in the camera's frame, that is seen at a pixel.
+    pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
+        match self {
+            Self::Pinhole { focal_px, principal_point } => {
+                Some(((pixel - principal_point) / *focal_px).push(1.0).normalize())
+            }
+            Self::Action(lens) => lens.unproject(pixel),
+        }
+    }
+
+    /// Focal length on the axis, in pixels.
+    pub fn focal_px(&self) -> f64 {
+        match self {
+            Self::Pinhole { focal_px, .. } => *focal_px,
+            Self::Action(lens) => lens.focal_px,
+        }
+    }
+
+    /// Where the axis meets the sensor, in pixels.
+    pub fn principal_point(&self) -> Vector2<f64> {
+        match self {
+            Self::Pinhole { principal_point, .. } => *principal_point,
+            Self::Action(lens) => lens.principal_point,
+        }
+    }
+
+    /// The pinhole with the same focal length and principal point: exact for a pinhole, right on the axis for the action lens,
+    /// which is in no family.
+    pub fn paraxial_intrinsics(&self) -> Intrinsics {
+        let (focal, centre) = (self.focal_px(), self.principal_point());
+        Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
+            .expect("a lens has a finite, positive focal length")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use tiepoint_geometry::Rng;
+
+    const SIZE: (u32, u32) = (2000, 1500);
+    /// Round trips through Newton's method in double precision, in pixels and in radians.
+    const PIXEL_TOLERANCE: f64 = 1e-9;
+    const RAY_TOLERANCE: f64 = 1e-12;
+
+    fn lenses() -> impl Strategy<Value = Lens> {
+        prop_oneof![
+            (300.0..2000.0f64).prop_map(|focal| Lens::pinhole(focal, SIZE.0, SIZE.1)),
+            (0u64..1000).prop_map(|seed| {
+                Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(seed, &[])))
+            }),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn pixel_to_ray_to_pixel(lens in lenses(), x in 0.0..2000.0, y in 0.0..1500.0, depth in 0.1..1000.0) {
+            let pixel = Vector2::new(x, y);
+            let ray = lens.unproject(&pixel).expect("every pixel of the sensor sees");
+            prop_assert!((ray.norm() - 1.0).abs() < RAY_TOLERANCE);
+            let back = lens.project(&(ray * depth)).expect("what a pixel sees is imaged");
+            prop_assert!((back - pixel).norm() < PIXEL_TOLERANCE, "{pixel} became {back}");
+        }
+
+        #[test]
+        fn ray_to_pixel_to_ray(lens in lenses(), x in -0.7..0.7f64, y in -0.7..0.7f64) {
+            let ray = Vector3::new(x, y, 1.0).normalize();
+            let back = lens.unproject(&lens.project(&ray).expect("in front")).expect("imaged");
+            prop_assert!((back - ray).norm() < RAY_TOLERANCE, "{ray} became {back}");
+        }
+    }
+
+    #[test]
+    fn what_is_behind_is_not_imaged() {
+        let action = Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(1, &[])));
+        for lens in [Lens::pinhole(900.0, SIZE.0, SIZE.1), action] {
+            for point in [Vector3::new(0.1, 0.2, -1.0), Vector3::zeros(), Vector3::new(1.0, 0.0, f64::NAN)] {
+                assert_eq!(lens.project(&point), None);
+            }
+        }
+    }
+
+    #[test]
+    fn the_field_of_view_is_a_gopros() {
+        let lens = Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(1, &[])));
+        let edge = |x: f64| lens.unproject(&Vector2::new(x, 750.0)).unwrap();
+        let degrees = edge(0.0).angle(&edge(2000.0)).to_degrees();
+        assert!((90.0..98.0).contains(&degrees), "{degrees}");
+    }
+}

@@ -1,0 +1,282 @@
+//! Where the vehicle is at any time: the dense output of its own integration.
+//!
+//! The car is integrated at 1 kHz (`vehicle`); between two steps the pose follows the cubic Hermite polynomial of the states
+//! and their rates, which is the integrator's dense output. A millisecond is far below anything that moves here, so this is
+//! exact to well under a micrometre, and it shares nothing with the splines that estimators put through image times.
+//!
+//! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z forward, with its origin on the
+//! road under the rear axle.
+
+mod vehicle;
+
+use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use tiepoint_geometry::{Rigid3, Rng, so3};
+
+use crate::error::{Error, require};
+use crate::route::Route;
+use vehicle::{HEAVE, PITCH, ROLL, State, TRAVELLED, X, Y, YAW};
+
+/// Step of the integration, in seconds.
+const STEP_S: f64 = 1e-3;
+/// The engine's frequency, and how slowly its strength comes and goes.
+const VIBRATION_HZ: f64 = 12.0;
+const VIBRATION_BEAT_HZ: f64 = 0.37;
+
+/// How the vehicle is driven.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motion {
+    /// Cruising speed, in m/s.
+    pub speed_mps: f64,
+    /// How many times it stops on the way.
+    pub stops: usize,
+    /// How long each stop takes, in seconds.
+    pub stop_duration_s: f64,
+    /// The lane: metres to the left of the centre line.
+    pub lane_left_m: f64,
+    /// A loop is driven this much further than once round, so that its ends see the same, in metres.
+    pub overlap_m: f64,
+    /// How far body pitch, roll and heave go: 1 as a car's, 0 not at all.
+    pub suspension: f64,
+    /// Amplitude of the 12 Hz vibration about each axis, in radians.
+    pub vibration_rad: f64,
+}
+
+impl Default for Motion {
+    /// 25 mph in the right lane, two stops; the body still.
+    fn default() -> Self {
+        Self {
+            speed_mps: 11.0,
+            stops: 2,
+            stop_duration_s: 3.0,
+            lane_left_m: -1.75,
+            overlap_m: 15.0,
+            suspension: 0.0,
+            vibration_rad: 0.0,
+        }
+    }
+}
+
+/// How the vehicle moves at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Velocity {
+    /// Of the vehicle's origin, seen in the world, in m/s.
+    pub linear_in_world: Vector3<f64>,
+    /// Seen in the vehicle, in rad/s.
+    pub angular_in_vehicle: Vector3<f64>,
+}
+
+/// A finished drive.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    states: Vec<State>,
+    suspension: f64,
+    vibration_rad: f64,
+    vibration_phases: [f64; 4],
+}
+
+impl Trajectory {
+    /// Drives a route from end to end, or once round and a little further.
+    pub fn drive(route: &Route, motion: &Motion, rng: &mut Rng) -> Result<Self, Error> {
+        require((1.0..=40.0).contains(&motion.speed_mps), "speed_mps", motion.speed_mps, "1 to 40 m/s")?;
+        require(motion.stop_duration_s >= 0.0, "stop_duration_s", motion.stop_duration_s, "at least 0")?;
+        require(motion.lane_left_m.abs() <= 3.0, "lane_left_m", motion.lane_left_m, "-3 to 3 m")?;
+        require(motion.overlap_m >= 0.0, "overlap_m", motion.overlap_m, "at least 0 m")?;
+        let distance_m = route.length_m() + if route.is_closed() { motion.overlap_m } else { 0.0 };
+        let states = vehicle::drive(route, motion, distance_m, rng);
+        let vibration_phases = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
+        Ok(Self {
+            states,
+            suspension: motion.suspension,
+            vibration_rad: motion.vibration_rad,
+            vibration_phases,
+        })
+    }
+
+    /// How long it takes, in seconds: poses are defined from 0 to here, and clamped outside.
+    pub fn duration_s(&self) -> f64 {
+        (self.states.len() - 1) as f64 * STEP_S
+    }
+
+    /// The states around a time, and where between them it lies, in 0..=1.
+    fn bracket(&self, time_s: f64) -> (&State, &State, f64) {
+        let steps = (time_s / STEP_S).clamp(0.0, (self.states.len() - 1) as f64);
+        let index = (steps as usize).min(self.states.len().saturating_sub(2));
+        (&self.states[index], &self.states[(index + 1).min(self.states.len() - 1)], steps - index as f64)
+    }
+
+    /// x, y, yaw, pitch, roll, heave and their rates.
+    fn body(&self, time_s: f64) -> ([f64; 6], [f64; 6]) {
+        let (before, after, u) = self.bracket(time_s);
+        let (rates0, rates1) = (vehicle::pose_rates(before), vehicle::pose_rates(after));
+        let (mut values, mut rates) = ([0.0; 6], [0.0; 6]);
+        for (k, &channel) in [X, Y, YAW, PITCH, ROLL, HEAVE].iter().enumerate() {
+            (values[k], rates[k]) = hermite(before[channel], after[channel], rates0[k], rates1[k], u);
+            if k >= 3 {
+                values[k] *= self.suspension;
+                rates[k] *= self.suspension;
+            }
+        }
+        (values, rates)
+    }
+
+    /// The vibration's axis-angle and its rate.
+    fn vibration(&self, time_s: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let (omega, beat) = (std::f64::consts::TAU * VIBRATION_HZ, std::f64::consts::TAU * VIBRATION_BEAT_HZ);
+        let (beat_sin, beat_cos) = (beat * time_s + self.vibration_phases[3]).sin_cos();
+        let (strength, strength_rate) = (0.8 + 0.2 * beat_sin, 0.2 * beat * beat_cos);
+        let (mut angle, mut rate) = (Vector3::zeros(), Vector3::zeros());
+        for axis in 0..3 {
+            let (sin, cos) = (omega * time_s + self.vibration_phases[axis]).sin_cos();
+            angle[axis] = self.vibration_rad * strength * sin;
+            rate[axis] = self.vibration_rad * (strength * omega * cos + strength_rate * sin);
+        }
+        (angle, rate)
+    }
+
+    /// The vehicle's pose at a time.
+    pub fn world_from_vehicle(&self, time_s: f64) -> Rigid3 {
+        let ([x, y, yaw, pitch, roll, heave], _) = self.body(time_s);
+        let (vibration, _) = self.vibration(time_s);
+        let rotation = upright(yaw) * about_x(pitch) * about_z(roll) * so3::exp(&vibration);
+        Rigid3::new(rotation, Vector3::new(x, y, heave))
+    }
+
+    /// How the vehicle moves at a time: the derivative of [`Trajectory::world_from_vehicle`].
+    pub fn velocity(&self, time_s: f64) -> Velocity {
+        let (values, rates) = self.body(time_s);
+        let (vibration, vibration_rate) = self.vibration(time_s);
+        // Yaw turns about the world's z, which is the upright vehicle's −y; then outwards through the other rotations.
+        let in_pitched =
+            about_x(values[3]).inverse() * Vector3::new(0.0, -rates[2], 0.0) + Vector3::x() * rates[3];
+        let in_rolled = about_z(values[4]).inverse() * in_pitched + Vector3::z() * rates[4];
+        let angular_in_vehicle = so3::exp(&vibration).inverse() * in_rolled
+            + so3::left_jacobian(&vibration).transpose() * vibration_rate;
+        Velocity { linear_in_world: Vector3::new(rates[0], rates[1], rates[5]), angular_in_vehicle }
+    }
+
+    /// Speed over ground, in m/s.
+    pub fn speed_mps(&self, time_s: f64) -> f64 {
+        self.velocity(time_s).linear_in_world.xy().norm()
+    }
+
+    /// Distance travelled since the start, in metres.
+    pub fn travelled_m(&self, time_s: f64) -> f64 {
+        let (before, after, u) = self.bracket(time_s);
+        before[TRAVELLED] + u * (after[TRAVELLED] - before[TRAVELLED])
+    }
+}
+
+/// Value and rate of the cubic through two values with given rates, `u` of a step after the first.
+fn hermite(value0: f64, value1: f64, rate0: f64, rate1: f64, u: f64) -> (f64, f64) {
+    let (slope0, slope1, rise) = (rate0 * STEP_S, rate1 * STEP_S, value1 - value0);
+    let (c, d) = (3.0 * rise - 2.0 * slope0 - slope1, slope0 + slope1 - 2.0 * rise);
+    (value0 + u * (slope0 + u * (c + u * d)), (slope0 + u * (2.0 * c + 3.0 * u * d)) / STEP_S)
+}
+
+/// World from a vehicle that stands level: its axes are right, down, forward.
+fn upright(yaw: f64) -> UnitQuaternion<f64> {
+    let (sin, cos) = yaw.sin_cos();
+    let axes = Matrix3::new(sin, 0.0, cos, -cos, 0.0, sin, 0.0, -1.0, 0.0);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
+}
+
+fn about_x(angle: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle)
+}
+
+fn about_z(angle: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SEEDS: std::ops::Range<u64> = 0..4;
+
+    fn drives() -> impl Iterator<Item = (Route, Trajectory)> {
+        SEEDS.map(|seed| {
+            let mut rng = Rng::stream(seed, &[7]);
+            let route = if seed % 2 == 0 {
+                Route::street_loop(260.0, &mut rng)
+            } else {
+                Route::open_street(260.0, &mut rng)
+            };
+            let route = route.unwrap();
+            let motion = Motion { suspension: 1.0, vibration_rad: 0.05f64.to_radians(), ..Motion::default() };
+            let trajectory = Trajectory::drive(&route, &motion, &mut rng).unwrap();
+            (route, trajectory)
+        })
+    }
+
+    #[test]
+    fn velocity_is_the_derivative_of_the_pose() {
+        // Central differences of step h: truncation h²/6 · |pose'''| ≈ (1e-4)²/6 · 0.05° · (75/s)³ ≈ 1e-6 rad/s.
+        const H_S: f64 = 1e-4;
+        const TOLERANCE: f64 = 1e-5;
+        for (_, trajectory) in drives() {
+            for k in 1..200 {
+                // Mid-step, so that no difference reaches across a step (the third derivative jumps there).
+                let time =
+                    (trajectory.duration_s() * k as f64 / 200.0 / STEP_S).floor() * STEP_S + 0.5 * STEP_S;
+                let (before, after) =
+                    (trajectory.world_from_vehicle(time - H_S), trajectory.world_from_vehicle(time + H_S));
+                let velocity = trajectory.velocity(time);
+                let linear = (after.translation - before.translation) / (2.0 * H_S);
+                assert!((linear - velocity.linear_in_world).norm() < TOLERANCE, "{linear} {velocity:?}");
+                let angular = so3::log(&(before.rotation.inverse() * after.rotation)) / (2.0 * H_S);
+                assert!((angular - velocity.angular_in_vehicle).norm() < TOLERANCE, "{angular} {velocity:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn pose_and_velocity_are_continuous_across_steps() {
+        // 1 ns around a step: at 40 m/s² and 20 rad/s² nothing changes by more than this.
+        const DT_S: f64 = 1e-9;
+        const TOLERANCE: f64 = 1e-6;
+        for (_, trajectory) in drives() {
+            for k in 1..500 {
+                let step = (trajectory.duration_s() / STEP_S * k as f64 / 500.0).floor() * STEP_S;
+                let (before, after) = (trajectory.velocity(step - DT_S), trajectory.velocity(step + DT_S));
+                assert!((before.linear_in_world - after.linear_in_world).norm() < TOLERANCE);
+                assert!((before.angular_in_vehicle - after.angular_in_vehicle).norm() < TOLERANCE);
+            }
+        }
+    }
+
+    #[test]
+    fn the_car_stays_in_its_lane_stops_and_arrives() {
+        // Pure pursuit cuts corners; the lane is 3.5 m wide and the car 1.8 m.
+        const MAX_OFF_LANE_M: f64 = 0.85;
+        for (route, trajectory) in drives() {
+            let (mut slowest, mut off_lane, mut hardest) = (f64::INFINITY, 0.0f64, 0.0f64);
+            let samples = (trajectory.duration_s() / 0.05) as usize;
+            for k in 0..samples {
+                let time = k as f64 * 0.05;
+                let position = route.locate(trajectory.world_from_vehicle(time).translation.xy());
+                off_lane = off_lane.max((position.left_m - Motion::default().lane_left_m).abs());
+                slowest = slowest.min(trajectory.speed_mps(time));
+                hardest = hardest
+                    .max((trajectory.speed_mps(time + 0.05) - trajectory.speed_mps(time)).abs() / 0.05);
+            }
+            assert!(off_lane < MAX_OFF_LANE_M, "{off_lane} m off the lane");
+            assert!(slowest < 0.05, "never stopped: {slowest} m/s");
+            assert!(hardest < 3.0, "{hardest} m/s²");
+            let travelled = trajectory.travelled_m(trajectory.duration_s());
+            assert!((travelled - route.length_m()).abs() < 0.15 * route.length_m(), "{travelled}");
+        }
+    }
+
+    #[test]
+    fn a_rigid_car_stays_level() {
+        let mut rng = Rng::stream(3, &[]);
+        let route = Route::street_loop(200.0, &mut rng).unwrap();
+        let trajectory = Trajectory::drive(&route, &Motion::default(), &mut rng).unwrap();
+        for k in 0..100 {
+            let pose = trajectory.world_from_vehicle(0.2 * k as f64);
+            let down = pose.rotation * Vector3::y();
+            assert!((down + Vector3::z()).norm() < 1e-12 && pose.translation.z == 0.0);
+        }
+    }
+}
