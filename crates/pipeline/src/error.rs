@@ -151,10 +151,19 @@ pub enum Error {
     Matching(#[from] tiepoint_sfm::matching::Error),
     /// The mapper.
     #[error(transparent)]
-    Mapping(#[from] tiepoint_sfm::Error),
+    Mapping(tiepoint_sfm::Error),
     /// The caller's callback asked to stop.
     #[error("stopped on request")]
     Cancelled,
+}
+
+impl From<tiepoint_sfm::Error> for Error {
+    fn from(error: tiepoint_sfm::Error) -> Self {
+        match error {
+            tiepoint_sfm::Error::Cancelled => Self::Cancelled,
+            error => Self::Mapping(error),
+        }
+    }
 }
 
 /// Width and height in pixels.

@@ -91,7 +91,7 @@ pub struct ModelReport {
     pub observations: usize,
     /// Observations a point.
     pub mean_track_length: f64,
-    /// Mean over all observations, in pixels.
+    /// Mean over the points of the mean over their observations, in pixels, as COLMAP has it.
     pub mean_reprojection_error_px: f64,
     /// Cameras with an image in it.
     pub cameras: Vec<CameraReport>,
