@@ -26,6 +26,8 @@ pub use initial_pair::{InitialPair, initial_pairs};
 pub use register::{RegisterOptions, register_image};
 pub use sigma::keypoint_sigma_px;
 pub use tiepoint_ba as ba;
+pub use tiepoint_geometry as geometry;
+pub use tiepoint_matching as matching;
 pub use tiepoint_scene as scene;
 pub use tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
 pub use triangulation::{Sight, Triangulated, triangulate};
