@@ -15,6 +15,11 @@ use crate::summary::Times;
 use crate::system::{Linearised, System};
 use crate::variable::Values;
 
+/// Where a column vanishes — an exponential underflows — nothing but damping holds its variable back. So it is damped by no less than
+/// this part of what it was damped by first. (Ceres does so by scaling columns once and bounding their diagonal: MGH17 of the
+/// NIST problems depends on it.)
+const LEAST_SCALE: f64 = 1e-6;
+
 pub(crate) struct QrSystem {
     structure: Structure,
     rows: usize,
@@ -25,6 +30,8 @@ pub(crate) struct QrSystem {
     /// Where each column of J stands in the step.
     column_at: Vec<usize>,
     step: Vec<f64>,
+    /// What each column is damped by at least, if it has ever been seen to matter.
+    least_scale: Vec<f64>,
 }
 
 impl QrSystem {
@@ -41,6 +48,7 @@ impl QrSystem {
             costs: vec![0.0; problem.num_factors()],
             column_at,
             step: vec![0.0; structure.step_len],
+            least_scale: vec![0.0; structure.columns],
             structure,
         })
     }
@@ -100,6 +108,11 @@ impl System for QrSystem {
             }
         }
         let (diagonal, gradient) = self.normal();
+        for (least, diagonal) in self.least_scale.iter_mut().zip(&diagonal) {
+            if *least == 0.0 {
+                *least = LEAST_SCALE * (1.0 + diagonal.sqrt()).powi(2) * f64::from(*diagonal > 0.0);
+            }
+        }
         let existing = self.costs.iter().filter(|cost| !cost.is_nan());
         let missing = self.costs.len() - existing.clone().count();
         let cost = existing.sum();
@@ -112,7 +125,10 @@ impl System for QrSystem {
     fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let columns = self.structure.columns;
-        let (diagonal, gradient) = self.normal();
+        let (mut diagonal, gradient) = self.normal();
+        for (diagonal, least) in diagonal.iter_mut().zip(&self.least_scale) {
+            *diagonal = diagonal.max(*least);
+        }
         let mut matrix = Mat::<f64>::zeros(self.rows + columns, columns);
         matrix.as_mut().subrows_mut(0, self.rows).copy_from(&self.jacobian);
         let mut right = Mat::<f64>::zeros(self.rows + columns, 1);

@@ -87,6 +87,10 @@ impl Solver {
             let next = self.system.linearize(problem, &problem.values, damping.lambda(), &mut times);
             if next.cost.is_finite() && next.gradient_max.is_finite() {
                 now = next;
+                if accepted && next.missing == before.missing {
+                    // `residual` and `linearize` of a factor round differently: compare only what the same one has measured.
+                    now.cost = attempt.cost;
+                }
             } else {
                 // The cost is finite there, but its derivatives are not: as bad as a step that raises the cost.
                 std::mem::swap(&mut problem.values, &mut self.trial);

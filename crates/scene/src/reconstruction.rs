@@ -203,7 +203,7 @@ impl Reconstruction {
         sum / count.max(1) as f64
     }
 
-    /// Mean over the points of [`Self::track_error_px`]: what COLMAP calls the mean reprojection error.
+    /// Mean over the points of each point's mean reprojection error, in pixels: what COLMAP calls the mean reprojection error.
     pub fn mean_reprojection_error_px(&self) -> f64 {
         let sum: f64 = self.tracks.iter().flatten().map(|track| self.track_error_px(track)).sum();
         sum / self.num_tracks().max(1) as f64

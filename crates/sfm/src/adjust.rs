@@ -56,7 +56,7 @@ impl Default for AdjustOptions {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
-            loss: Loss::SoftL1(1.0),
+            loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
             distortion_sigma: 1.0,
             max_iterations: 50,

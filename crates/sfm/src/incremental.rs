@@ -52,7 +52,7 @@ impl Default for MapperOptions {
             register: RegisterOptions::default(),
             min_initial_inliers: 30,
             min_model_size: 3,
-            loss: Loss::SoftL1(1.0),
+            loss: Loss::SoftL1(4.0),
             local_images: 6,
             global_growth: 1.1,
             seed: 0,

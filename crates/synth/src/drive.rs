@@ -167,6 +167,9 @@ impl Drive {
 
     /// The rig's calibration: a camera's pose in the frame of the first.
     pub fn cam_from_rig(&self, camera: usize) -> Rigid3 {
+        if camera == 0 {
+            return Rigid3::identity();
+        }
         self.cameras[camera].cam_from_vehicle * self.cameras[0].cam_from_vehicle.inverse()
     }
 

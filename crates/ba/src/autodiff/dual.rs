@@ -58,6 +58,12 @@ pub trait Scalar:
         let x = self.value();
         self.chain(x.atan(), 1.0 / (1.0 + x * x))
     }
+    /// The angle of the vector (`x`, self) from the first axis, in all four quadrants.
+    fn atan2(self, x: Self) -> Self {
+        let (y, x0) = (self.value(), x.value());
+        // The derivatives are those of (y dx₀ − x dy₀) / |(x, y)|², whose plain part is zero.
+        (self * x0 - x * y) / (x0 * x0 + y * y) + y.atan2(x0)
+    }
     /// Exponential.
     fn exp(self) -> Self {
         let exp = self.value().exp();
@@ -142,7 +148,8 @@ impl Div for Dual {
     #[inline]
     fn div(self, b: Self) -> Self {
         let inverse = 1.0 / b.re;
-        let re = self.re * inverse;
+        // Divided, not multiplied, so that the plain part has the same bits as without derivatives.
+        let re = self.re / b.re;
         Self { re, eps: zip(&self, &b, |x, y| (x - y * re) * inverse) }
     }
 }
@@ -190,6 +197,6 @@ impl Div<f64> for Dual {
     type Output = Self;
     #[inline]
     fn div(self, b: f64) -> Self {
-        self * (1.0 / b)
+        Self { re: self.re / b, eps: self.eps.map(|eps| eps / b) }
     }
 }

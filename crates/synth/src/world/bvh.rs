@@ -171,9 +171,15 @@ impl Bvh {
         let inverse = ray.direction.map(|d| 1.0 / d);
         let mut best: Option<(u32, f64, [f64; 2])> = None;
         let mut limit = most;
-        let mut stack = vec![0u32];
-        while let Some(index) = stack.pop() {
-            let Some(node) = self.nodes.get(index as usize) else { break };
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let mut stack = [0u32; STACK];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let index = stack[depth];
+            let node = &self.nodes[index as usize];
             let (mut near, mut far) = (least, limit);
             for axis in 0..3 {
                 let low = (f64::from(node.bounds[0][axis]) - ray.origin[axis]) * inverse[axis];
@@ -188,7 +194,9 @@ impl Bvh {
             if node.count == 0 {
                 let (left, right) = (index + 1, node.first);
                 let is_backwards = ray.direction[node.axis as usize] < 0.0;
-                stack.extend(if is_backwards { [left, right] } else { [right, left] });
+                let order = if is_backwards { [left, right] } else { [right, left] };
+                stack[depth..depth + 2].copy_from_slice(&order);
+                depth += 2;
                 continue;
             }
             for &quad in &self.order[node.first as usize..(node.first + node.count) as usize] {

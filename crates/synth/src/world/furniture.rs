@@ -52,10 +52,10 @@ pub(crate) fn car(rng: &mut Rng) -> Builder {
     };
     car.block(&slab(-half, half, 0.25, 0.45, side - 0.02), Cladding::all(rubber));
     car.block(&slab(-half, half, 0.45, body_height, side), Cladding::all(paint));
-    let middle = body_height + 0.55 * (roof_height - body_height);
+    let middle = body_height + 0.78 * (roof_height - body_height);
     let cabin = Cladding { front: glass, sides: glass, top: paint };
     car.block(&slab(-half + 0.25, 0.85, body_height, middle, side - 0.08), cabin);
-    car.block(&slab(-half + 0.5, 0.45, middle, roof_height, side - 0.16), cabin);
+    car.block(&slab(-half + 0.5, 0.45, middle, roof_height, side - 0.16), Cladding::all(paint));
     for face in [-1.0, 1.0] {
         let (right, out) = (-Vector3::y() * -face, Vector3::x() * face);
         let at = |across: f64, height: f64| out * (half + 0.01) + right * across + Vector3::z() * height;

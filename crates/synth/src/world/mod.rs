@@ -136,6 +136,11 @@ impl World {
         })
     }
 
+    /// Whether nothing lies between the origin of a ray and the end of its direction, but for `slack` of its length.
+    pub(crate) fn is_clear(&self, ray: &Ray, time_s: f64, slack: f64) -> bool {
+        self.cast_within(ray, time_s, 1.0).is_none_or(|hit| hit.distance > 1.0 - slack)
+    }
+
     fn cast_within(&self, ray: &Ray, time_s: f64, most: f64) -> Option<Hit> {
         let mut limit = most;
         let mut best = None;
