@@ -1,19 +1,30 @@
 #![doc = include_str!("../README.md")]
 
+#[macro_use]
+mod simd;
+#[macro_use]
 pub mod cameras;
+pub mod epipolar;
 mod error;
+pub mod estimate;
 mod loss;
 mod manifold;
+mod ransac;
 mod rigid3;
 mod rng;
 mod sim3;
+mod small_lm;
 pub mod so3;
+pub mod solvers;
+pub mod testing;
+pub mod triangulate;
 
 pub use cameras::{CameraModel, CameraModelKind, Intrinsics, Projection};
 pub use error::Error;
 pub use loss::Loss;
 pub use manifold::{Block, Manifold};
 pub use nalgebra;
+pub use ransac::{Estimator, RansacOptions, Report, ransac};
 pub use rigid3::Rigid3;
 pub use rng::Rng;
 pub use sim3::Sim3;

@@ -4,12 +4,19 @@
 //! implements [`CameraModel`], and add one line to the `camera_models!` list below. Text names, dispatch, files and the laws in
 //! the tests follow from the list.
 
+mod opencv;
+mod opencv_fisheye;
 mod pinhole;
+mod radial;
+mod undistort;
 
-use nalgebra::{Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use crate::{Block, Error, Manifold};
+pub use opencv::Opencv;
+pub use opencv_fisheye::OpencvFisheye;
 pub use pinhole::{Pinhole, SimplePinhole};
+pub use radial::{Radial, SimpleRadial};
 
 /// A projected point with its derivatives.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +39,7 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const COLMAP_ID: i32;
     /// Names of the parameters, in order.
     const PARAM_NAMES: &'static [&'static str];
-    /// Indices of the focal lengths: [f] or [fx, fy].
+    /// Indices of the focal lengths: of f, or of fx and fy.
     const FOCAL: &'static [usize];
     /// Indices of cx and cy.
     const PRINCIPAL_POINT: [usize; 2];
@@ -47,6 +54,13 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
 
 /// Points nearer to the plane of the camera than this (in units of the scene) count as behind it.
 pub const MIN_DEPTH: f64 = 1e-9;
+
+/// d pixel / d point from d pixel / d(u, v), where (u, v) = (x/z, y/z).
+fn perspective_chain(d_uv: &Matrix2<f64>, uv: &Vector2<f64>, inv_z: f64) -> Matrix2x3<f64> {
+    let d_xy = d_uv * inv_z;
+    let d_z = -(d_xy * uv);
+    Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z])
+}
 
 macro_rules! camera_models {
     // `$d` is a dollar sign, for the macro inside the macro.
@@ -122,6 +136,10 @@ macro_rules! camera_models {
 camera_models! { $;
     SimplePinhole 3,
     Pinhole 4,
+    SimpleRadial 4,
+    Radial 5,
+    Opencv 8,
+    OpencvFisheye 8,
 }
 
 impl CameraModelKind {
@@ -196,6 +214,14 @@ impl Intrinsics {
     pub fn mean_focal_px(&self) -> f64 {
         let indices = self.kind().focal_indices();
         indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
+    }
+
+    /// K, from the focal lengths and the principal point; what a model adds to it is left out.
+    pub fn calibration_matrix(&self) -> Matrix3<f64> {
+        let indices = self.kind().focal_indices();
+        let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);
+        let centre = self.principal_point();
+        Matrix3::new(fx, 0.0, centre.x, 0.0, fy, centre.y, 0.0, 0.0, 1.0)
     }
 
     /// (cx, cy) in pixels.

@@ -1,0 +1,124 @@
+//! Problem files of "Bundle adjustment in the large": counts, then observations (camera, point, x, y), then per camera the rotation
+//! as an axis times an angle, the translation and f, k₁, k₂, then the points.
+
+use std::fmt::Write;
+use std::str::FromStr;
+
+use tiepoint_ba::nalgebra::{Vector2, Vector3};
+use tiepoint_ba::{AutoDiff, Key, Loss, Order, Problem};
+use tiepoint_geometry::{Rigid3, so3};
+
+use crate::snavely::{Snavely, SnavelyResidual};
+
+/// One pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Observation {
+    pub(crate) camera: usize,
+    pub(crate) point: usize,
+    pub(crate) pixel: Vector2<f64>,
+}
+
+/// A file's contents.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Bal {
+    pub(crate) observations: Vec<Observation>,
+    pub(crate) poses: Vec<Rigid3>,
+    /// f, k₁, k₂.
+    pub(crate) lenses: Vec<Vector3<f64>>,
+    pub(crate) points: Vec<Vector3<f64>>,
+}
+
+/// How derivatives are found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Derivatives {
+    ByHand,
+    ByDualNumbers,
+}
+
+/// Names of the variables of a [`Bal`] in a [`Problem`].
+pub(crate) struct Keys {
+    cameras: Vec<(Key<Rigid3>, Key<Vector3<f64>>)>,
+    points: Vec<Key<Vector3<f64>>>,
+}
+
+impl Bal {
+    /// Reads a file's text.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        let mut words = text.split_ascii_whitespace();
+        fn next<'a, T: FromStr>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<T, String> {
+            let word = words.next().ok_or_else(|| format!("the file ends where {what} should be"))?;
+            word.parse().map_err(|_| format!("{what}: '{word}' is not a number"))
+        }
+        let [num_cameras, num_points, num_observations] = [
+            next::<usize>(&mut words, "the number of cameras")?,
+            next(&mut words, "the number of points")?,
+            next(&mut words, "the number of observations")?,
+        ];
+        let mut observations = Vec::new();
+        for _ in 0..num_observations {
+            let (camera, point) = (next(&mut words, "a camera")?, next(&mut words, "a point")?);
+            if camera >= num_cameras || point >= num_points {
+                return Err(format!("camera {camera} of {num_cameras} sees point {point} of {num_points}"));
+            }
+            let pixel = Vector2::new(next(&mut words, "x")?, next(&mut words, "y")?);
+            observations.push(Observation { camera, point, pixel });
+        }
+        let mut vector = |what| -> Result<Vector3<f64>, String> {
+            Ok(Vector3::new(next(&mut words, what)?, next(&mut words, what)?, next(&mut words, what)?))
+        };
+        let (mut poses, mut lenses, mut points) = (Vec::new(), Vec::new(), Vec::new());
+        for _ in 0..num_cameras {
+            poses.push(Rigid3::from_axis_angle(vector("a rotation")?, vector("a translation")?));
+            lenses.push(vector("f, k1, k2")?);
+        }
+        for _ in 0..num_points {
+            points.push(vector("a point")?);
+        }
+        Ok(Self { observations, poses, lenses, points })
+    }
+
+    /// Writes a file's text.
+    pub(crate) fn to_text(&self) -> String {
+        let counts =
+            [self.poses.len(), self.points.len(), self.observations.len()].map(|count| count.to_string());
+        let mut text = counts.join(" ") + "\n";
+        // Writing to a string cannot fail.
+        for Observation { camera, point, pixel } in &self.observations {
+            let _ = writeln!(text, "{camera} {point} {:e} {:e}", pixel.x, pixel.y);
+        }
+        let cameras = self.poses.iter().zip(&self.lenses);
+        let parameters = cameras.flat_map(|(pose, lens)| [so3::log(&pose.rotation), pose.translation, *lens]);
+        for number in parameters.chain(self.points.iter().copied()).flat_map(<[f64; 3]>::from) {
+            let _ = writeln!(text, "{number:e}");
+        }
+        text
+    }
+
+    /// Makes the problem: cameras kept, points eliminated.
+    pub(crate) fn problem(&self, derivatives: Derivatives) -> Result<(Problem, Keys), tiepoint_ba::Error> {
+        let mut problem = Problem::new();
+        let cameras: Vec<_> = (0u32..)
+            .zip(self.poses.iter().zip(&self.lenses))
+            .map(|(i, (pose, lens))| (problem.keep(*pose, Order::At(i)), problem.keep(*lens, Order::At(i))))
+            .collect();
+        let points: Vec<_> = self.points.iter().map(|point| problem.eliminate(*point)).collect();
+        for Observation { camera, point, pixel } in &self.observations {
+            let (pose, lens) = cameras[*camera];
+            let (keys, factor) = ((pose, lens, points[*point]), Snavely { pixel: *pixel });
+            match derivatives {
+                Derivatives::ByHand => problem.add(keys, factor, Loss::Trivial)?,
+                Derivatives::ByDualNumbers => {
+                    problem.add(keys, AutoDiff(SnavelyResidual(factor)), Loss::Trivial)?;
+                }
+            }
+        }
+        Ok((problem, Keys { cameras, points }))
+    }
+
+    /// Takes over what a solve has found.
+    pub(crate) fn update(&mut self, problem: &Problem, keys: &Keys) {
+        self.poses = keys.cameras.iter().map(|camera| problem.get(camera.0)).collect();
+        self.lenses = keys.cameras.iter().map(|camera| problem.get(camera.1)).collect();
+        self.points = keys.points.iter().map(|point| problem.get(*point)).collect();
+    }
+}

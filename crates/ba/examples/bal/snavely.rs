@@ -1,0 +1,72 @@
+//! The camera of "Bundle adjustment in the large" (Agarwal, Snavely, Seitz, Szeliski 2010) as a factor, with derivatives by hand
+//! and by dual numbers.
+//!
+//! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along −z, and, as the definition has it,
+//! also sees what is behind it.
+
+use tiepoint_ba::nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2, Vector3};
+use tiepoint_ba::{Factor, Linear, Refs, Residual, RigidOf, Scalar};
+use tiepoint_geometry::{Rigid3, so3};
+
+/// A point was seen: variables (`cam_from_world`, (f, k₁, k₂), `point_in_world`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Snavely {
+    pub(crate) pixel: Vector2<f64>,
+}
+
+impl Factor<2> for Snavely {
+    type Vars = (Rigid3, Vector3<f64>, Vector3<f64>);
+
+    #[inline]
+    fn linearize(
+        &self,
+        (cam_from_world, lens, point): Refs<'_, Self::Vars>,
+    ) -> Option<Linear<Self::Vars, 2>> {
+        let rotation = cam_from_world.rotation.to_rotation_matrix().into_inner();
+        let rotated = rotation * point;
+        let in_cam = rotated + cam_from_world.translation;
+        let minus_inv_z = -1.0 / in_cam.z;
+        let p = in_cam.xy() * minus_inv_z;
+        let (f, k1, k2) = (lens[0], lens[1], lens[2]);
+        let s = p.norm_squared();
+        let distortion = 1.0 + s * (k1 + k2 * s);
+        let slope = 2.0 * (k1 + 2.0 * k2 * s);
+        let d_p = (Matrix2::identity() * distortion + p * p.transpose() * slope) * f;
+        let d_xy = d_p * minus_inv_z;
+        let d_z = d_xy * p;
+        let d_in_cam =
+            Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z]);
+        let mut d_pose = SMatrix::<f64, 2, 6>::zeros();
+        d_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-d_in_cam * so3::hat(&rotated)));
+        d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&d_in_cam);
+        let d_lens = Matrix2x3::from_columns(&[p * distortion, p * (f * s), p * (f * s * s)]);
+        Some((p * (f * distortion) - self.pixel, (d_pose, d_lens, d_in_cam * rotation)))
+    }
+
+    #[inline]
+    fn residual(&self, (cam_from_world, lens, point): Refs<'_, Self::Vars>) -> Option<Vector2<f64>> {
+        let in_cam = *cam_from_world * *point;
+        let p = -in_cam.xy() / in_cam.z;
+        let s = p.norm_squared();
+        Some(p * (lens[0] * (1.0 + s * (lens[1] + lens[2] * s))) - self.pixel)
+    }
+}
+
+/// The slow twin: wrap it in [`AutoDiff`](tiepoint_ba::AutoDiff).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SnavelyResidual(pub(crate) Snavely);
+
+impl Residual<2> for SnavelyResidual {
+    type Vars = (Rigid3, Vector3<f64>, Vector3<f64>);
+
+    fn residual<T: Scalar>(
+        &self,
+        (pose, [f, k1, k2], point): (RigidOf<T>, [T; 3], [T; 3]),
+    ) -> Option<[T; 2]> {
+        let [x, y, z] = pose.transform(&point);
+        let p = [-x / z, -y / z];
+        let s = p[0] * p[0] + p[1] * p[1];
+        let scale = f * (s * (k1 + k2 * s) + 1.0);
+        Some([p[0] * scale - self.0.pixel.x, p[1] * scale - self.0.pixel.y])
+    }
+}

@@ -1,0 +1,41 @@
+//! How much to trust the linear model: Nielsen's rule (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
+//! problems", algorithm 3.16), which is also that of Ceres' trust region.
+
+/// The factor by which λ falls after a step at its best.
+const MAX_DECREASE: f64 = 1.0 / 3.0;
+/// λ stays within these: below, it is lost in rounding; above, no step that could matter remains.
+const RANGE: (f64, f64) = (1e-16, 1e32);
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Damping {
+    lambda: f64,
+    increase: f64,
+}
+
+impl Damping {
+    pub(crate) fn new(lambda: f64) -> Self {
+        Self { lambda, increase: 2.0 }
+    }
+
+    pub(crate) fn lambda(&self) -> f64 {
+        self.lambda
+    }
+
+    /// After a step that lowered the cost by `gain_ratio` times what the model promised.
+    pub(crate) fn accepted(&mut self, gain_ratio: f64) {
+        let factor = (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE);
+        self.lambda = (self.lambda * factor).max(RANGE.0);
+        self.increase = 2.0;
+    }
+
+    /// After a step that did not lower the cost.
+    pub(crate) fn rejected(&mut self) {
+        self.lambda *= self.increase;
+        self.increase *= 2.0;
+    }
+
+    /// Whether there is no point in shorter steps.
+    pub(crate) fn exhausted(&self) -> bool {
+        self.lambda > RANGE.1
+    }
+}

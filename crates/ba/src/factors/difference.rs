@@ -1,0 +1,57 @@
+//! Derivatives of `minus`: how far a variable is from where it should be.
+
+use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion};
+use tiepoint_geometry::{Manifold, Rigid3, Sim3, so3};
+
+/// A manifold of `N` dimensions whose `minus` can be differentiated.
+pub trait Difference<const N: usize>: Manifold<Tangent = SVector<f64, N>> {
+    /// d (x ⊖ base) / dx.
+    fn d_minus(&self, base: &Self) -> SMatrix<f64, N, N>;
+}
+
+impl<const N: usize> Difference<N> for SVector<f64, N> {
+    fn d_minus(&self, _: &Self) -> SMatrix<f64, N, N> {
+        SMatrix::identity()
+    }
+}
+
+impl Difference<1> for f64 {
+    fn d_minus(&self, _: &Self) -> SMatrix<f64, 1, 1> {
+        SMatrix::identity()
+    }
+}
+
+/// Log(Exp(δ) R) ≈ Log(R) + J_l⁻¹(Log(R)) δ.
+impl Difference<3> for UnitQuaternion<f64> {
+    fn d_minus(&self, base: &Self) -> Matrix3<f64> {
+        so3::left_jacobian_inverse(&self.minus(base))
+    }
+}
+
+fn rotation_and_rest<const N: usize>(rotation: &Matrix3<f64>) -> SMatrix<f64, N, N> {
+    let mut jacobian = SMatrix::<f64, N, N>::identity();
+    jacobian.view_mut((0, 0), (3, 3)).copy_from(rotation);
+    jacobian
+}
+
+impl Difference<6> for Rigid3 {
+    fn d_minus(&self, base: &Self) -> SMatrix<f64, 6, 6> {
+        rotation_and_rest(&self.rotation.d_minus(&base.rotation))
+    }
+}
+
+impl Difference<7> for Sim3 {
+    fn d_minus(&self, base: &Self) -> SMatrix<f64, 7, 7> {
+        rotation_and_rest(&self.rotation.d_minus(&base.rotation))
+    }
+}
+
+/// A diagonal square root of information from standard deviations; infinite ones say nothing.
+pub(super) fn from_sigmas<const N: usize>(sigmas: &[f64; N]) -> Result<SMatrix<f64, N, N>, crate::Error> {
+    if let Some((index, &value)) =
+        sigmas.iter().enumerate().find(|(_, sigma)| sigma.is_nan() || **sigma <= 0.0)
+    {
+        return Err(crate::Error::Sigma { index, value });
+    }
+    Ok(SMatrix::from_diagonal(&SVector::from_iterator(sigmas.iter().map(|sigma| 1.0 / sigma))))
+}

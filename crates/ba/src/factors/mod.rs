@@ -1,0 +1,11 @@
+//! The standard factors. Those that know cameras have their one home here; the engine knows none.
+
+mod between;
+mod difference;
+mod prior;
+mod reprojection;
+
+pub use between::Between;
+pub use difference::Difference;
+pub use prior::Prior;
+pub use reprojection::{Reprojection, RigReprojection};

@@ -1,0 +1,118 @@
+use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
+use tiepoint_geometry::{Block, CameraModel, Rigid3, so3};
+
+use crate::factor::{Factor, Linear, Refs};
+
+/// A point was seen at a pixel: variables (camera parameters, `cam_from_world`, `point_in_world`), residual
+/// (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Does not exist where the camera does not see the
+/// point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reprojection<M> {
+    /// Where.
+    pub pixel: Vector2<f64>,
+    /// Standard deviation of each coordinate, in pixels.
+    pub sigma_px: f64,
+    /// The camera model.
+    pub model: M,
+}
+
+impl<M: CameraModel> Reprojection<M> {
+    /// A measurement.
+    pub fn new(pixel: Vector2<f64>, sigma_px: f64) -> Self {
+        Self { pixel, sigma_px, model: M::default() }
+    }
+}
+
+/// Derivative of R p + t by the pose that holds R and t: Exp(δ) R p ≈ R p + δ × R p.
+#[inline(always)]
+fn d_pose(d_point: &Matrix2x3<f64>, rotated: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
+    let d_rotation = -d_point * so3::hat(rotated);
+    let mut d_pose = SMatrix::<f64, 2, 6>::zeros();
+    d_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&d_rotation);
+    d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(d_point);
+    d_pose
+}
+
+#[inline(always)]
+fn scale<B: Block>(mut block: B, factor: f64) -> B {
+    block.as_mut_slice().iter_mut().for_each(|number| *number *= factor);
+    block
+}
+
+impl<M: CameraModel> Factor<2> for Reprojection<M> {
+    type Vars = (M::Params, Rigid3, Vector3<f64>);
+
+    #[inline]
+    fn linearize(
+        &self,
+        (params, cam_from_world, point): Refs<'_, Self::Vars>,
+    ) -> Option<Linear<Self::Vars, 2>> {
+        let rotation = cam_from_world.rotation.to_rotation_matrix().into_inner();
+        let rotated = rotation * point;
+        let projected = M::project_with_jacobian(params, &(rotated + cam_from_world.translation))?;
+        let weight = 1.0 / self.sigma_px;
+        let d_point = projected.d_point * weight;
+        let jacobians = (scale(projected.d_params, weight), d_pose(&d_point, &rotated), d_point * rotation);
+        Some(((projected.pixel - self.pixel) * weight, jacobians))
+    }
+
+    #[inline]
+    fn residual(&self, (params, cam_from_world, point): Refs<'_, Self::Vars>) -> Option<Vector2<f64>> {
+        let pixel = M::project(params, &(*cam_from_world * *point))?;
+        Some((pixel - self.pixel) / self.sigma_px)
+    }
+}
+
+/// A point was seen by a camera of a rig: variables (camera parameters, `cam_from_rig`, `rig_from_world`, `point_in_world`), else
+/// as [`Reprojection`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RigReprojection<M> {
+    /// Where.
+    pub pixel: Vector2<f64>,
+    /// Standard deviation of each coordinate, in pixels.
+    pub sigma_px: f64,
+    /// The camera model.
+    pub model: M,
+}
+
+impl<M: CameraModel> RigReprojection<M> {
+    /// A measurement.
+    pub fn new(pixel: Vector2<f64>, sigma_px: f64) -> Self {
+        Self { pixel, sigma_px, model: M::default() }
+    }
+}
+
+impl<M: CameraModel> Factor<2> for RigReprojection<M> {
+    type Vars = (M::Params, Rigid3, Rigid3, Vector3<f64>);
+
+    #[inline]
+    fn linearize(
+        &self,
+        (params, cam_from_rig, rig_from_world, point): Refs<'_, Self::Vars>,
+    ) -> Option<Linear<Self::Vars, 2>> {
+        let in_rig = rig_from_world.rotation.to_rotation_matrix().into_inner();
+        let in_cam = cam_from_rig.rotation.to_rotation_matrix().into_inner();
+        let rotated_in_rig = in_rig * point;
+        let rotated_in_cam = in_cam * (rotated_in_rig + rig_from_world.translation);
+        let projected = M::project_with_jacobian(params, &(rotated_in_cam + cam_from_rig.translation))?;
+        let weight = 1.0 / self.sigma_px;
+        let d_point_in_cam = projected.d_point * weight;
+        let d_point_in_rig = d_point_in_cam * in_cam;
+        let jacobians = (
+            scale(projected.d_params, weight),
+            d_pose(&d_point_in_cam, &rotated_in_cam),
+            d_pose(&d_point_in_rig, &rotated_in_rig),
+            d_point_in_rig * in_rig,
+        );
+        Some(((projected.pixel - self.pixel) * weight, jacobians))
+    }
+
+    #[inline]
+    fn residual(
+        &self,
+        (params, cam_from_rig, rig_from_world, point): Refs<'_, Self::Vars>,
+    ) -> Option<Vector2<f64>> {
+        let pixel = M::project(params, &(*cam_from_rig * (*rig_from_world * *point)))?;
+        Some((pixel - self.pixel) / self.sigma_px)
+    }
+}

@@ -1,0 +1,31 @@
+#![doc = include_str!("../README.md")]
+
+mod autodiff;
+mod damping;
+mod eliminate;
+mod error;
+mod factor;
+pub mod factors;
+mod options;
+mod problem;
+mod qr;
+mod reduced;
+mod run;
+mod schur;
+mod solver;
+mod structure;
+mod summary;
+mod system;
+pub mod testing;
+mod variable;
+
+pub use autodiff::{AutoDiff, DIRECTIONS, Dual, Lift, LiftVars, Residual, RigidOf, Scalar};
+pub use error::Error;
+pub use factor::{Factor, IntoKeys, Linear, Refs, Vars};
+pub use nalgebra;
+pub use options::{LinearSolver, Options};
+pub use problem::{Cost, Problem};
+pub use solver::Solver;
+pub use summary::{IterationRecord, Summary, Termination, Times};
+pub use tiepoint_geometry::{Block, Loss, Manifold};
+pub use variable::{AnyKey, Key, Order};

@@ -1,0 +1,230 @@
+//! A problem: variables with their values, and factors between them.
+
+use std::any::{TypeId, type_name};
+
+use nalgebra::SVector;
+use tiepoint_geometry::{Loss, Manifold};
+
+use crate::error::Error;
+use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
+use crate::run::{AnyRun, Run};
+use crate::variable::{AnyKey, Key, MAX_DOF, Meta, Order, Role, Values, all_free};
+
+/// Variables on manifolds and factors between them: minimise Σ ½ ρ(|r|²).
+#[derive(Default)]
+pub struct Problem {
+    pub(crate) values: Values,
+    /// What else is known of each variable, in the order of `values`.
+    pub(crate) metas: Vec<Vec<Meta>>,
+    pub(crate) runs: Vec<Box<dyn AnyRun>>,
+    /// Counts what a solver's structure depends on.
+    pub(crate) revision: u64,
+}
+
+/// The cost of all factors at the current values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cost {
+    /// Σ ½ ρ(|r|²) over the factors that exist; infinite when a residual is not finite.
+    pub total: f64,
+    /// How many factors do not exist at these values (points behind cameras).
+    pub missing: usize,
+}
+
+impl Problem {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a variable that stays in the reduced system.
+    pub fn keep<V: Manifold>(&mut self, value: V, order: Order) -> Key<V> {
+        self.insert(value, Role::Kept(order))
+    }
+
+    /// Adds a variable that is eliminated from the linear system before it is solved (Schur complement): one of many that
+    /// share factors with few others and never with each other, such as a point. At most 6 degrees of freedom.
+    pub fn eliminate<V: Manifold>(&mut self, value: V) -> Key<V> {
+        const {
+            assert!(
+                V::DOF <= crate::eliminate::MAX_ELIMINATED_DOF,
+                "too many degrees of freedom to eliminate"
+            )
+        };
+        self.insert(value, Role::Eliminated)
+    }
+
+    fn insert<V: Manifold>(&mut self, value: V, role: Role) -> Key<V> {
+        const { assert!(V::DOF >= 1 && V::DOF <= MAX_DOF, "a variable has 1 to 64 degrees of freedom") };
+        let (store, values) = self.values.store_mut::<V>();
+        let slot = values.len() as u32;
+        values.push(value);
+        if store == self.metas.len() {
+            self.metas.push(Vec::new());
+        }
+        self.metas[store].push(Meta { role, free: all_free(V::DOF) });
+        self.revision += 1;
+        Key::new(slot)
+    }
+
+    /// Adds a factor. Its cost is ½ ρ(|r|²) with the loss ρ.
+    pub fn add<const R: usize, F: Factor<R>>(
+        &mut self,
+        keys: impl IntoKeys<F::Vars>,
+        factor: F,
+        loss: Loss,
+    ) -> Result<(), Error> {
+        check_loss::<F>(&loss)?;
+        let slots = F::Vars::slots(keys.into_keys());
+        let run = match self.runs.iter().position(|run| run.as_any().is::<Run<F, R>>()) {
+            Some(run) => run,
+            None => {
+                let mut stores = Vec::with_capacity(F::Vars::COUNT);
+                for (position, store) in F::Vars::stores(&ValuesRef(&self.values)).into_iter().enumerate() {
+                    let slot = slots.as_ref()[position];
+                    let unknown = Error::UnknownKey { factor: type_name::<F>(), position, slot, len: 0 };
+                    stores.push(store.ok_or(unknown)?);
+                }
+                self.runs.push(Box::new(Run::<F, R>::new(stores)));
+                self.runs.len() - 1
+            }
+        };
+        let run = self.runs[run].as_any_mut().downcast_mut::<Run<F, R>>().expect("found by its type");
+        check_slots::<F>(&self.metas, run.stores(), slots.as_ref())?;
+        run.push(slots, factor, loss);
+        self.revision += 1;
+        Ok(())
+    }
+
+    /// Holds a variable constant. (A key of another problem that this one does not have is ignored.)
+    pub fn fix<V: Manifold>(&mut self, key: Key<V>) {
+        self.set_free(key, 0);
+    }
+
+    /// Lets a variable move in all directions again.
+    pub fn free<V: Manifold>(&mut self, key: Key<V>) {
+        self.set_free(key, all_free(V::DOF));
+    }
+
+    /// Holds the listed tangent directions of a variable constant, in addition to those already held.
+    pub fn fix_tangent<V: Manifold>(&mut self, key: Key<V>, indices: &[usize]) -> Result<(), Error> {
+        let mut free = self.meta(key)?.free;
+        for &index in indices {
+            if index >= V::DOF {
+                return Err(Error::TangentIndex { variable: type_name::<V>(), index, dof: V::DOF });
+            }
+            free &= !(1 << index);
+        }
+        self.set_free(key, free);
+        Ok(())
+    }
+
+    fn set_free<V: Manifold>(&mut self, key: Key<V>, free: u64) {
+        let store = self.values.find(TypeId::of::<V>());
+        if let Some(meta) = store.and_then(|store| self.metas[store].get_mut(key.slot as usize)) {
+            meta.free = free;
+            self.revision += 1;
+        }
+    }
+
+    fn meta<V: Manifold>(&self, key: Key<V>) -> Result<Meta, Error> {
+        let (store, slot) = self.locate(&key.into())?;
+        Ok(self.metas[store][slot])
+    }
+
+    /// Number of its store and place in it.
+    pub(crate) fn locate(&self, key: &AnyKey) -> Result<(usize, usize), Error> {
+        let store = self.values.find(key.type_id);
+        let len = store.map_or(0, |store| self.metas[store].len());
+        match store {
+            Some(store) if (key.slot as usize) < len => Ok((store, key.slot as usize)),
+            _ => Err(Error::UnknownVariable { variable: key.type_name, slot: key.slot, len }),
+        }
+    }
+
+    /// The value of a variable.
+    ///
+    /// # Panics
+    /// As indexing does, when the key comes from another problem and names nothing in this one.
+    pub fn get<V: Manifold>(&self, key: Key<V>) -> V {
+        let store =
+            self.values.find(TypeId::of::<V>()).expect("a key names a variable of the problem that made it");
+        self.values.slice::<V>(store as u16)[key.slot as usize]
+    }
+
+    /// Changes the value of a variable. (A key of another problem that this one does not have is ignored.)
+    pub fn set<V: Manifold>(&mut self, key: Key<V>, value: V) {
+        if self.meta(key).is_ok() {
+            self.values.store_mut::<V>().1[key.slot as usize] = value;
+        }
+    }
+
+    /// How many factors.
+    pub fn num_factors(&self) -> usize {
+        self.runs.iter().map(|run| run.len()).sum()
+    }
+
+    /// How many variables.
+    pub fn num_variables(&self) -> usize {
+        self.metas.iter().map(Vec::len).sum()
+    }
+
+    /// How many residuals: the rows of the Jacobian.
+    pub fn num_residuals(&self) -> usize {
+        self.runs.iter().map(|run| run.len() * run.rows()).sum()
+    }
+
+    /// The cost at the current values.
+    pub fn cost(&self) -> Cost {
+        let mut cost = Cost { total: 0.0, missing: 0 };
+        for run in &self.runs {
+            let factors: Vec<u32> = (0..run.len() as u32).collect();
+            let mut costs = vec![0.0; factors.len()];
+            run.costs(&self.values, &factors, &mut costs);
+            for value in costs {
+                if value.is_nan() {
+                    cost.missing += 1;
+                } else {
+                    cost.total += value;
+                }
+            }
+        }
+        cost
+    }
+
+    /// The residuals of all factors of type `F` at the current values, in the order in which they were added; `None` where
+    /// a factor does not exist.
+    pub fn residuals<const R: usize, F: Factor<R>>(&self) -> Vec<Option<SVector<f64, R>>> {
+        let run = self.runs.iter().find_map(|run| run.as_any().downcast_ref::<Run<F, R>>());
+        run.map_or_else(Vec::new, |run| run.residuals(&self.values))
+    }
+}
+
+fn check_loss<F>(loss: &Loss) -> Result<(), Error> {
+    let scale = match *loss {
+        Loss::Trivial => 1.0,
+        Loss::Huber(a)
+        | Loss::SoftL1(a)
+        | Loss::Cauchy(a)
+        | Loss::GemanMcClure(a)
+        | Loss::Tukey(a)
+        | Loss::Truncated(a) => a,
+    };
+    if scale > 0.0 && scale.is_finite() {
+        Ok(())
+    } else {
+        Err(Error::LossScale { factor: type_name::<F>(), loss: format!("{loss:?}") })
+    }
+}
+
+fn check_slots<F>(metas: &[Vec<Meta>], stores: &[u16], slots: &[u32]) -> Result<(), Error> {
+    for (position, (&store, &slot)) in stores.iter().zip(slots).enumerate() {
+        let len = metas[store as usize].len();
+        if slot as usize >= len {
+            return Err(Error::UnknownKey { factor: type_name::<F>(), position, slot, len });
+        }
+        if let Some(first) = (0..position).find(|&i| stores[i] == store && slots[i] == slot) {
+            return Err(Error::RepeatedVariable { factor: type_name::<F>(), first, second: position });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,181 @@
+//! The whole Jacobian as one dense matrix, and its QR factorisation: for small problems that the squared condition number of
+//! normal equations would spoil, and as the slow twin of the elimination.
+
+use std::time::Instant;
+
+use faer::Mat;
+use faer::linalg::solvers::SolveLstsqCore;
+
+use crate::eliminate::damping_of;
+use crate::error::Error;
+use crate::problem::Problem;
+use crate::run::Rows;
+use crate::structure::{Elimination, Structure};
+use crate::summary::Times;
+use crate::system::{Linearised, System};
+use crate::variable::Values;
+
+/// Where a column vanishes — an exponential underflows — nothing but damping holds its variable back. So it is damped by no less than
+/// this part of what it was damped by first. (Ceres does so by scaling columns once and bounding their diagonal: MGH17 of the
+/// NIST problems depends on it.)
+const LEAST_SCALE: f64 = 1e-6;
+
+pub(crate) struct QrSystem {
+    structure: Structure,
+    rows: usize,
+    /// J, and below it the place of √(λD).
+    jacobian: Mat<f64>,
+    residual: Vec<f64>,
+    costs: Vec<f64>,
+    /// Where each column of J stands in the step.
+    column_at: Vec<usize>,
+    step: Vec<f64>,
+    /// What each column is damped by at least, if it has ever been seen to matter.
+    least_scale: Vec<f64>,
+}
+
+impl QrSystem {
+    pub(crate) fn new(problem: &Problem) -> Result<Self, Error> {
+        let structure = Structure::new(problem, Elimination::Ignore)?;
+        let rows = problem.num_residuals();
+        let column_at: Vec<usize> = (structure.blocks.iter())
+            .flat_map(|block| block.free_columns().map(|i| block.at + i).collect::<Vec<_>>())
+            .collect();
+        Ok(Self {
+            rows,
+            jacobian: Mat::zeros(rows, structure.columns),
+            residual: vec![0.0; rows],
+            costs: vec![0.0; problem.num_factors()],
+            column_at,
+            step: vec![0.0; structure.step_len],
+            least_scale: vec![0.0; structure.columns],
+            structure,
+        })
+    }
+
+    /// JᵀJ's diagonal and Jᵀr.
+    fn normal(&self) -> (Vec<f64>, Vec<f64>) {
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        (0..self.structure.columns)
+            .map(|j| {
+                let column: Vec<f64> = self.jacobian.col(j).iter().copied().collect();
+                (dot(&column, &column), dot(&column, &self.residual))
+            })
+            .unzip()
+    }
+}
+
+impl System for QrSystem {
+    fn name(&self) -> &'static str {
+        "dense QR"
+    }
+
+    fn columns(&self) -> (usize, usize) {
+        (self.structure.columns, 0)
+    }
+
+    fn linearize(&mut self, problem: &Problem, values: &Values, _: f64, times: &mut Times) -> Linearised {
+        let begin = Instant::now();
+        self.jacobian.fill(0.0);
+        let (mut first_row, mut at) = (0, 0);
+        for run in &problem.runs {
+            let factors: Vec<u32> = (0..run.len() as u32).collect();
+            let (height, stride) = (run.rows(), run.stride());
+            let mut numbers = vec![0.0; run.len() * height * stride];
+            let costs = &mut self.costs[at..][..run.len()];
+            at += run.len();
+            run.linearize(values, &factors, Rows { rows: &mut numbers, costs });
+            for (factor, rows) in numbers.chunks_exact((height * stride).max(1)).enumerate() {
+                let mut column = 0;
+                for ((&store, &slot), &dof) in run.stores().iter().zip(run.slots(factor)).zip(run.dofs()) {
+                    let place = self.structure.places[store as usize][slot as usize];
+                    if place.block != crate::structure::NONE {
+                        let block = &self.structure.blocks[place.block as usize];
+                        let before = (block.free & ((1u64 << place.offset) - 1)).count_ones() as usize;
+                        let free = (0..dof).filter(|i| block.free >> (place.offset as usize + i) & 1 == 1);
+                        for (to, i) in (block.reduced + before..).zip(free) {
+                            for r in 0..height {
+                                self.jacobian[(first_row + r, to)] = rows[r * stride + column + i];
+                            }
+                        }
+                    }
+                    column += dof;
+                }
+                for r in 0..height {
+                    self.residual[first_row + r] = rows[r * stride + column];
+                }
+                first_row += height;
+            }
+        }
+        let (diagonal, gradient) = self.normal();
+        for (least, diagonal) in self.least_scale.iter_mut().zip(&diagonal) {
+            if *least == 0.0 {
+                *least = LEAST_SCALE * (1.0 + diagonal.sqrt()).powi(2) * f64::from(*diagonal > 0.0);
+            }
+        }
+        let existing = self.costs.iter().filter(|cost| !cost.is_nan());
+        let missing = self.costs.len() - existing.clone().count();
+        let cost = existing.sum();
+        let finite = diagonal.iter().chain(&gradient).all(|value| value.is_finite());
+        let largest = gradient.iter().fold(0.0, |max: f64, g| max.max(g.abs()));
+        times.linearize += begin.elapsed();
+        Linearised { cost, missing, gradient_max: if finite { largest } else { f64::INFINITY } }
+    }
+
+    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
+        let begin = Instant::now();
+        let columns = self.structure.columns;
+        let (mut diagonal, gradient) = self.normal();
+        for (diagonal, least) in diagonal.iter_mut().zip(&self.least_scale) {
+            *diagonal = diagonal.max(*least);
+        }
+        let mut matrix = Mat::<f64>::zeros(self.rows + columns, columns);
+        matrix.as_mut().subrows_mut(0, self.rows).copy_from(&self.jacobian);
+        let mut right = Mat::<f64>::zeros(self.rows + columns, 1);
+        for (i, residual) in self.residual.iter().enumerate() {
+            right[(i, 0)] = -residual;
+        }
+        for (j, &diagonal) in diagonal.iter().enumerate() {
+            matrix[(self.rows + j, j)] =
+                if diagonal > 0.0 { (lambda * damping_of(diagonal)).sqrt() } else { 1.0 };
+        }
+        matrix.col_piv_qr().solve_lstsq_in_place_with_conj(faer::Conj::No, right.as_mut());
+        let [mut g_step, mut damped] = [0.0; 2];
+        for j in 0..columns {
+            let step = right[(j, 0)];
+            self.step[self.column_at[j]] = step;
+            g_step += gradient[j] * step;
+            damped += lambda * damping_of(diagonal[j]) * step * step;
+        }
+        times.solve += begin.elapsed();
+        for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&self.structure.step_at)
+        {
+            trial.plus_all(&**values, &self.step, at);
+        }
+        let promise = 0.5 * (damped - g_step);
+        promise.is_finite().then_some(promise)
+    }
+
+    fn trial_cost(
+        &mut self,
+        problem: &Problem,
+        _: &Values,
+        trial: &mut Values,
+        times: &mut Times,
+    ) -> Option<f64> {
+        let begin = Instant::now();
+        let (mut cost, mut at) = (0.0, 0);
+        for run in &problem.runs {
+            let factors: Vec<u32> = (0..run.len() as u32).collect();
+            let mut costs = vec![0.0; run.len()];
+            run.costs(trial, &factors, &mut costs);
+            for (before, after) in self.costs[at..].iter().zip(costs) {
+                // Where a factor has ceased to exist this is NaN, and so is the sum.
+                cost += if before.is_nan() { 0.0 } else { after };
+            }
+            at += run.len();
+        }
+        times.evaluate += begin.elapsed();
+        cost.is_finite().then_some(cost)
+    }
+}

@@ -1,0 +1,180 @@
+//! The reduced system over the kept variables: put together from the chunks' tiles, then factorised, dense or sparse.
+//!
+//! Only the lower triangle is stored, by block columns, each one contiguous, so that columns can be filled in parallel.
+
+mod dense;
+mod sparse;
+
+use rayon::prelude::*;
+
+use crate::eliminate::{Sums, damping_of};
+use crate::structure::{Block, Structure};
+
+pub(crate) use dense::Dense;
+pub(crate) use sparse::Sparse;
+
+/// The matrix could not be factorised: column `0` of the reduced system is not positive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct NotPositive(pub(crate) usize);
+
+/// Where the numbers of the lower triangle are.
+pub(crate) trait Layout: Sync {
+    /// First number of a block column, and of the one behind it.
+    fn block_column(&self, a: usize) -> std::ops::Range<usize>;
+    /// Where, in its block column, the tile of rows `b` begins in the column number `column` (counted among the free ones).
+    /// Of a block with itself, the rows from `column` on are stored there.
+    fn tile_at(&self, a: usize, b: usize, column: usize) -> usize;
+}
+
+/// A way to solve the reduced system.
+pub(crate) trait Factorisation: Layout + Send {
+    /// Factorises the lower triangle in `numbers`.
+    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive>;
+    /// Solves for several right-hand sides, one after the other in `x`.
+    fn solve(&mut self, numbers: &[f64], x: &mut [f64]);
+}
+
+/// The reduced system.
+pub(crate) struct Reduced {
+    numbers: Vec<f64>,
+    factorisation: Box<dyn Factorisation>,
+    /// For each block column, which tiles of which chunks go there, chunk by chunk.
+    contributions: Vec<Vec<(u32, std::ops::Range<u32>)>>,
+    /// g_c over all blocks.
+    pub(crate) gradient: Vec<f64>,
+    correction: Vec<f64>,
+    /// The diagonal of J_cᵀJ_c over all blocks.
+    pub(crate) diagonal: Vec<f64>,
+    solution: Vec<f64>,
+}
+
+impl Reduced {
+    pub(crate) fn new(structure: &Structure, factorisation: Box<dyn Factorisation>) -> Self {
+        let mut contributions = vec![Vec::new(); structure.blocks.len()];
+        for (c, chunk) in structure.chunks.iter().enumerate() {
+            let mut start = 0;
+            for column in chunk.tiles.chunk_by(|s, t| s.a == t.a) {
+                let end = start + column.len() as u32;
+                contributions[column[0].a as usize].push((c as u32, start..end));
+                start = end;
+            }
+        }
+        let len =
+            structure.blocks.len().checked_sub(1).map_or(0, |last| factorisation.block_column(last).end);
+        let zeros = vec![0.0; structure.kept_len];
+        Self {
+            numbers: vec![0.0; len],
+            factorisation,
+            contributions,
+            gradient: zeros.clone(),
+            correction: zeros.clone(),
+            diagonal: zeros,
+            solution: vec![0.0; structure.columns],
+        }
+    }
+
+    /// Adds up what the chunks have summed, in their order, and the damping.
+    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], lambda: f64) {
+        for (to, from) in [
+            (&mut self.gradient, (|s| &s.gradient) as fn(&Sums) -> &Vec<f64>),
+            (&mut self.correction, |s| &s.correction),
+            (&mut self.diagonal, |s| &s.diagonal),
+        ] {
+            to.fill(0.0);
+            for (chunk, sums) in structure.chunks.iter().zip(sums) {
+                for &(block, at) in &chunk.blocks {
+                    let Block { dof, at: to_at, .. } = structure.blocks[block as usize];
+                    for (to, from) in to[to_at..][..dof].iter_mut().zip(&from(sums)[at..]) {
+                        *to += from;
+                    }
+                }
+            }
+        }
+        let mut columns = Vec::with_capacity(structure.blocks.len());
+        let mut rest = &mut self.numbers[..];
+        for a in 0..structure.blocks.len() {
+            let (column, others) = rest.split_at_mut(self.factorisation.block_column(a).len());
+            columns.push((a, column));
+            rest = others;
+        }
+        let (layout, diagonal, contributions) = (&self.factorisation, &self.diagonal, &self.contributions);
+        let fill = |(a, numbers): (usize, &mut [f64])| {
+            numbers.fill(0.0);
+            let block = &structure.blocks[a];
+            for (c, tiles) in &contributions[a] {
+                let (chunk, sums) = (&structure.chunks[*c as usize], &sums[*c as usize]);
+                for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
+                    let other = &structure.blocks[tile.b as usize];
+                    let tile_numbers = &sums.tiles[tile.at..];
+                    add_tile(
+                        &**layout,
+                        block,
+                        other,
+                        tile.b as usize == a,
+                        a,
+                        tile.b as usize,
+                        tile_numbers,
+                        numbers,
+                    );
+                }
+            }
+            for (column, i) in block.free_columns().enumerate() {
+                let at = layout.tile_at(a, a, column);
+                let diagonal = diagonal[block.at + i];
+                let damping = damping_of(diagonal);
+                numbers[at] += if diagonal > 0.0 { lambda * damping } else { damping };
+            }
+        };
+        if structure.chunks.len() > 1 {
+            columns.into_par_iter().for_each(fill);
+        } else {
+            columns.into_iter().for_each(fill);
+        }
+    }
+
+    /// Factorises and solves for the step of the kept variables, written over all blocks, fixed columns zero.
+    pub(crate) fn solve(&mut self, structure: &Structure, step: &mut [f64]) -> Result<(), NotPositive> {
+        self.factorisation.factorise(&mut self.numbers)?;
+        for block in &structure.blocks {
+            for (column, i) in block.free_columns().enumerate() {
+                let at = block.at + i;
+                self.solution[block.reduced + column] = self.correction[at] - self.gradient[at];
+            }
+        }
+        self.factorisation.solve(&self.numbers, &mut self.solution);
+        for block in &structure.blocks {
+            for (column, i) in block.free_columns().enumerate() {
+                step[block.at + i] = self.solution[block.reduced + column];
+            }
+        }
+        Ok(())
+    }
+}
+
+#[allow(clippy::too_many_arguments)]
+fn add_tile(
+    layout: &dyn Factorisation,
+    block: &Block,
+    other: &Block,
+    diagonal: bool,
+    a: usize,
+    b: usize,
+    tile: &[f64],
+    numbers: &mut [f64],
+) {
+    let padded = crate::structure::padded(other.dof);
+    for (column, j) in block.free_columns().enumerate() {
+        let tile = &tile[j * padded..][..other.dof];
+        let skip = if diagonal { column } else { 0 };
+        let to = &mut numbers[layout.tile_at(a, b, column)..][..other.num_free() - skip];
+        if other.whole() {
+            for (to, from) in to.iter_mut().zip(&tile[skip..]) {
+                *to += from;
+            }
+        } else {
+            for (to, i) in to.iter_mut().zip(other.free_columns().skip(skip)) {
+                *to += tile[i];
+            }
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! All factors of one type, behind an interface that does not know the type: what is done per factor is monomorphised, what is
+//! called through a table is called per stretch of factors.
+
+use std::any::{Any, type_name};
+
+use nalgebra::SVector;
+use tiepoint_geometry::Loss;
+
+use crate::factor::{Factor, ValuesRef, Vars, total_dof};
+use crate::variable::Values;
+
+/// Cost of a factor that does not exist at these values ([`Factor::residual`] gave `None`).
+pub(crate) const NO_COST: f64 = f64::NAN;
+
+/// The losses of a run: nearly always one for all.
+enum Losses {
+    Same(Loss),
+    Each(Vec<Loss>),
+}
+
+impl Losses {
+    fn push(&mut self, len: usize, loss: Loss) {
+        match self {
+            Losses::Same(same) if len == 0 => *same = loss,
+            Losses::Same(same) if *same == loss => {}
+            Losses::Same(same) => {
+                let mut each = vec![*same; len];
+                each.push(loss);
+                *self = Losses::Each(each);
+            }
+            Losses::Each(each) => each.push(loss),
+        }
+    }
+
+    #[inline(always)]
+    fn get(&self, index: usize) -> &Loss {
+        match self {
+            Losses::Same(loss) => loss,
+            Losses::Each(each) => &each[index],
+        }
+    }
+}
+
+/// Factors of type `F` with their variables and losses.
+pub(crate) struct Run<F: Factor<R>, const R: usize> {
+    pub(crate) factors: Vec<F>,
+    slots: Vec<<F::Vars as Vars>::Indices>,
+    losses: Losses,
+    stores: Vec<u16>,
+}
+
+impl<F: Factor<R>, const R: usize> Run<F, R> {
+    /// An empty run on the stores of these numbers.
+    pub(crate) fn new(stores: Vec<u16>) -> Self {
+        Self { factors: Vec::new(), slots: Vec::new(), losses: Losses::Same(Loss::Trivial), stores }
+    }
+
+    pub(crate) fn push(&mut self, slots: <F::Vars as Vars>::Indices, factor: F, loss: Loss) {
+        self.losses.push(self.factors.len(), loss);
+        self.factors.push(factor);
+        self.slots.push(slots);
+    }
+
+    /// All residuals, in order of insertion.
+    pub(crate) fn residuals(&self, values: &Values) -> Vec<Option<SVector<f64, R>>> {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        let at = |(factor, slots): (&F, &_)| factor.residual(F::Vars::refs(slices, slots));
+        self.factors.iter().zip(&self.slots).map(at).collect()
+    }
+}
+
+/// What [`AnyRun::linearize`] fills: for each factor, `rows()` rows of `stride()` numbers — the Jacobian of all its variables
+/// side by side, then the residual, both times the square root of the loss' slope — and its cost.
+pub(crate) struct Rows<'a> {
+    pub(crate) rows: &'a mut [f64],
+    pub(crate) costs: &'a mut [f64],
+}
+
+/// A run whose type is not known.
+pub(crate) trait AnyRun: Any + Send + Sync {
+    fn as_any(&self) -> &dyn Any;
+    fn as_any_mut(&mut self) -> &mut dyn Any;
+    fn factor_type(&self) -> &'static str;
+    fn len(&self) -> usize;
+    /// Residuals of one factor.
+    fn rows(&self) -> usize;
+    /// Degrees of freedom of each variable.
+    fn dofs(&self) -> &'static [usize];
+    fn stores(&self) -> &[u16];
+    fn slots(&self, factor: usize) -> &[u32];
+    /// Length of a row in [`Rows`].
+    fn stride(&self) -> usize {
+        (total_dof(self.dofs()) + 1).next_multiple_of(4)
+    }
+    /// Linearises the listed factors. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
+    /// not finite gets an infinite cost.
+    fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>);
+    /// Costs of the listed factors, as in [`AnyRun::linearize`].
+    fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]);
+    /// The first factor that is not finite: its number, what, and the value.
+    fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
+}
+
+#[inline(always)]
+fn half_rho(loss: &Loss, squared_norm: f64) -> f64 {
+    let cost = match loss {
+        Loss::Trivial => 0.5 * squared_norm,
+        _ => 0.5 * loss.evaluate(squared_norm)[0],
+    };
+    // The square also overflows when the residual is finite but absurd.
+    if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }
+}
+
+impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+    fn as_any_mut(&mut self) -> &mut dyn Any {
+        self
+    }
+    fn factor_type(&self) -> &'static str {
+        type_name::<F>()
+    }
+    fn len(&self) -> usize {
+        self.factors.len()
+    }
+    fn rows(&self) -> usize {
+        R
+    }
+    fn dofs(&self) -> &'static [usize] {
+        F::Vars::DOFS
+    }
+    fn stores(&self) -> &[u16] {
+        &self.stores
+    }
+    fn slots(&self, factor: usize) -> &[u32] {
+        self.slots[factor].as_ref()
+    }
+
+    fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        let total = const { total_dof(<F::Vars as Vars>::DOFS) };
+        let stride = const { (total_dof(<F::Vars as Vars>::DOFS) + 1).next_multiple_of(4) };
+        let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
+        for (&index, (rows, cost)) in factors.iter().zip(records) {
+            let index = index as usize;
+            let x = F::Vars::refs(slices, &self.slots[index]);
+            let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
+                rows.fill(0.0);
+                *cost = NO_COST;
+                continue;
+            };
+            let loss = self.losses.get(index);
+            let squared_norm = residual.norm_squared();
+            *cost = half_rho(loss, squared_norm);
+            // Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
+            let weight = match loss {
+                Loss::Trivial => 1.0,
+                _ => loss.evaluate(squared_norm)[1].sqrt(),
+            };
+            F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
+            for r in 0..R {
+                rows[r * stride + total] = weight * residual[r];
+            }
+        }
+    }
+
+    fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        for (&index, cost) in factors.iter().zip(out) {
+            let index = index as usize;
+            let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
+            *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
+        }
+    }
+
+    fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)> {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        let (total, stride) = (total_dof(F::Vars::DOFS), self.stride());
+        let mut rows = vec![0.0; R * stride];
+        for (index, (factor, slots)) in self.factors.iter().zip(&self.slots).enumerate() {
+            let Some((residual, jacobians)) = factor.linearize(F::Vars::refs(slices, slots)) else {
+                continue;
+            };
+            if let Some(&value) = residual.iter().find(|value| !value.is_finite()) {
+                return Some((index, "residual", value));
+            }
+            if !residual.norm_squared().is_finite() {
+                return Some((index, "squared residual", residual.norm_squared()));
+            }
+            F::Vars::write_rows::<R>(&jacobians, 1.0, &mut rows, stride);
+            let jacobian = rows.chunks_exact(stride).flat_map(|row| &row[..total]);
+            // A number whose square overflows spoils the normal equations as much as one that is not finite.
+            if let Some(&value) = jacobian.into_iter().find(|value| !(*value * *value).is_finite()) {
+                return Some((index, "Jacobian", value));
+            }
+        }
+        None
+    }
+}

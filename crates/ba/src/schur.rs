@@ -1,0 +1,247 @@
+//! The system with the declared variables eliminated: chunks of cells in parallel, then the reduced system.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use crate::eliminate::Sums;
+use crate::error::Error;
+use crate::options::LinearSolver;
+use crate::problem::Problem;
+use crate::reduced::{Dense, Factorisation, Reduced, Sparse};
+use crate::structure::{Chunk, Elimination, Structure};
+use crate::summary::Times;
+use crate::system::{Linearised, System};
+use crate::variable::Values;
+
+/// Up to so many columns a dense factorisation wins over a sparse one, whatever the fill.
+const DENSE_COLUMNS: usize = 600;
+/// Above, if the reduced system is at least so full, and memory for it is no question.
+const DENSE_FILL: f64 = 0.3;
+const MAX_DENSE_COLUMNS: usize = 10_000;
+/// How often the step of an eliminated variable is halved before it is given up, when it would end a factor's existence.
+const HALVINGS: i32 = 6;
+
+pub(crate) struct SchurSystem {
+    pub(crate) structure: Structure,
+    pub(crate) sums: Vec<Sums>,
+    pub(crate) reduced: Reduced,
+    name: &'static str,
+    /// Steps of all variables: kept ones by block, then eliminated ones by cell.
+    step: Vec<f64>,
+    block_at: Vec<usize>,
+    trial_costs: Vec<Vec<f64>>,
+}
+
+impl SchurSystem {
+    pub(crate) fn new(problem: &Problem, solver: LinearSolver) -> Result<Self, Error> {
+        let structure = Structure::new(problem, Elimination::Do)?;
+        let dense = match solver {
+            LinearSolver::Dense => true,
+            LinearSolver::Sparse => false,
+            _ => prefers_dense(&structure),
+        };
+        let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0 {
+            ("dense Cholesky", Box::new(Dense::new(&structure)))
+        } else {
+            ("sparse Cholesky", Box::new(Sparse::new(&structure)?))
+        };
+        let reduced = Reduced::new(&structure, factorisation);
+        Ok(Self {
+            sums: structure.chunks.iter().map(Sums::new).collect(),
+            trial_costs: structure.chunks.iter().map(|chunk| vec![0.0; chunk.factors.len()]).collect(),
+            step: vec![0.0; structure.step_len],
+            block_at: structure.blocks.iter().map(|block| block.at).collect(),
+            reduced,
+            structure,
+            name,
+        })
+    }
+
+    /// Runs `work` on every chunk, in parallel if there are several.
+    fn for_chunks<T: Send>(chunks: &[Chunk], items: &mut [T], work: impl Fn(&Chunk, &mut T) + Sync) {
+        if chunks.len() > 1 {
+            chunks.par_iter().zip(items).with_max_len(1).for_each(|(chunk, item)| work(chunk, item));
+        } else {
+            chunks.iter().zip(items).for_each(|(chunk, item)| work(chunk, item));
+        }
+    }
+
+    /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
+    fn shorten(
+        &self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        chunk: &Chunk,
+        cell: usize,
+        costs: (&[f64], &mut [f64]),
+    ) -> bool {
+        let factors = chunk.factors_of(cell);
+        let cell = &chunk.cells[cell];
+        let step = &self.step[cell.step..][..cell.dof as usize];
+        let (store, slot) = (cell.store as usize, cell.slot as usize);
+        for halving in 1..=HALVINGS {
+            let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
+            let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
+            trial.stores[store].plus_one(&*values.stores[store], slot, &shorter);
+            for i in factors.clone() {
+                let run = crate::structure::run_of(chunk, &self.structure.shapes, i);
+                let at = chunk.factors[i];
+                problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
+            }
+            if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// Whether a factor that had the one cost still exists with the other.
+fn survives(before: f64, after: f64) -> bool {
+    before.is_nan() || after.is_finite()
+}
+
+fn prefers_dense(structure: &Structure) -> bool {
+    let columns = structure.columns;
+    if columns <= DENSE_COLUMNS {
+        return true;
+    }
+    let filled: usize = (structure.tile_pairs().iter())
+        .map(|&(a, b)| {
+            let (a, b) = (&structure.blocks[a as usize], &structure.blocks[b as usize]);
+            a.num_free() * b.num_free()
+        })
+        .sum();
+    columns <= MAX_DENSE_COLUMNS && 2.0 * filled as f64 > DENSE_FILL * (columns * columns) as f64
+}
+
+impl System for SchurSystem {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn columns(&self) -> (usize, usize) {
+        (self.structure.columns, self.structure.step_len - self.structure.kept_len)
+    }
+
+    fn linearize(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Linearised {
+        let begin = Instant::now();
+        let structure = &self.structure;
+        Self::for_chunks(&structure.chunks, &mut self.sums, |chunk, sums| {
+            sums.linearize(problem, values, &structure.shapes, chunk, lambda);
+        });
+        let middle = Instant::now();
+        self.reduced.gather(structure, &self.sums, lambda);
+        times.linearize += middle - begin;
+        times.gather += middle.elapsed();
+        let mut linearised = Linearised { cost: 0.0, missing: 0, gradient_max: 0.0 };
+        let mut finite = true;
+        for sums in &self.sums {
+            for &cost in &sums.costs {
+                if cost.is_nan() {
+                    linearised.missing += 1;
+                } else {
+                    linearised.cost += cost;
+                }
+            }
+            finite &= sums.gradient_max.is_finite();
+            linearised.gradient_max = linearised.gradient_max.max(sums.gradient_max);
+        }
+        for (gradient, diagonal) in self.reduced.gradient.iter().zip(&self.reduced.diagonal) {
+            finite &= gradient.is_finite() && diagonal.is_finite();
+            linearised.gradient_max = linearised.gradient_max.max(gradient.abs());
+        }
+        if !finite {
+            linearised.gradient_max = f64::INFINITY;
+        }
+        linearised
+    }
+
+    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
+        let begin = Instant::now();
+        let structure = &self.structure;
+        let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);
+        let solved = self.reduced.solve(structure, kept);
+        times.solve += begin.elapsed();
+        solved.ok()?;
+        let begin = Instant::now();
+        let mut tasks = Vec::with_capacity(structure.chunks.len());
+        let mut rest = eliminated;
+        for sums in self.sums.iter().zip(&structure.chunks) {
+            let (steps, others) = rest.split_at_mut(sums.1.steps.len());
+            tasks.push((sums.0, steps, [0.0; 2]));
+            rest = others;
+        }
+        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, steps, promise)| {
+            *promise = sums.back_substitute(chunk, kept, &self.block_at, lambda, steps);
+        });
+        // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).
+        let [mut g_step, mut damped] = [0.0; 2];
+        for (_, _, promise) in &tasks {
+            g_step += promise[0];
+            damped += promise[1];
+        }
+        for ((step, gradient), diagonal) in
+            kept.iter().zip(&self.reduced.gradient).zip(&self.reduced.diagonal)
+        {
+            g_step += gradient * step;
+            damped += lambda * crate::eliminate::damping_of(*diagonal) * step * step;
+        }
+        for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&structure.step_at) {
+            trial.plus_all(&**values, &self.step, at);
+        }
+        times.back_substitute += begin.elapsed();
+        let promise = 0.5 * (damped - g_step);
+        promise.is_finite().then_some(promise)
+    }
+
+    fn trial_cost(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        times: &mut Times,
+    ) -> Option<f64> {
+        let begin = Instant::now();
+        let structure = &self.structure;
+        let mut trial_costs = std::mem::take(&mut self.trial_costs);
+        let shared: &Values = trial;
+        Self::for_chunks(&structure.chunks, &mut trial_costs, |chunk, costs| {
+            for stretch in &chunk.stretches {
+                let range = stretch.start..stretch.end;
+                let run = &problem.runs[stretch.run as usize];
+                run.costs(shared, &chunk.factors[range.clone()], &mut costs[range]);
+            }
+        });
+        let mut alive = true;
+        for ((chunk, sums), costs) in structure.chunks.iter().zip(&self.sums).zip(&mut trial_costs) {
+            if sums.costs.iter().zip(costs.iter()).all(|(&before, &after)| survives(before, after)) {
+                continue;
+            }
+            for cell in 0..chunk.cells.len() {
+                if chunk.factors_of(cell).all(|i| survives(sums.costs[i], costs[i])) {
+                    continue;
+                }
+                let pair = (&sums.costs[..], &mut costs[..]);
+                alive &= chunk.cells[cell].dof > 0 && self.shorten(problem, values, trial, chunk, cell, pair);
+            }
+        }
+        let mut cost = 0.0;
+        for (sums, costs) in self.sums.iter().zip(&trial_costs) {
+            for (before, after) in sums.costs.iter().zip(costs) {
+                cost += if before.is_nan() { 0.0 } else { *after };
+            }
+        }
+        self.trial_costs = trial_costs;
+        times.evaluate += begin.elapsed();
+        (alive && cost.is_finite()).then_some(cost)
+    }
+}

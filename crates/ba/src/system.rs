@@ -1,0 +1,36 @@
+//! What the Levenberg-Marquardt loop asks of a linear solver.
+
+use crate::problem::Problem;
+use crate::summary::Times;
+use crate::variable::Values;
+
+/// The problem at the values it was linearised at.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Linearised {
+    pub(crate) cost: f64,
+    /// Factors that do not exist.
+    pub(crate) missing: usize,
+    /// Largest component of the gradient; not finite when some number in the system is not.
+    pub(crate) gradient_max: f64,
+}
+
+pub(crate) trait System: Send {
+    fn name(&self) -> &'static str;
+    /// Columns of the linear system, and those eliminated before.
+    fn columns(&self) -> (usize, usize);
+    /// Linearises at `values`. (λ is needed where elimination is part of it.)
+    fn linearize(&mut self, problem: &Problem, values: &Values, lambda: f64, times: &mut Times)
+    -> Linearised;
+    /// Solves for the step from `values` and writes where it leads. Gives by how much the linear model says the cost will
+    /// fall; `None` when the system cannot be solved with this damping.
+    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64>;
+    /// The cost at `trial` of the factors that existed where the system was linearised; `None` when one of them does not exist
+    /// or is not finite there. May shorten the steps of single eliminated variables to keep their factors alive.
+    fn trial_cost(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        times: &mut Times,
+    ) -> Option<f64>;
+}

@@ -1,0 +1,91 @@
+//! Every factor of the crate obeys the law that its Jacobian is the derivative of its residual.
+
+use proptest::prelude::*;
+use tiepoint_ba::factors::{Between, Prior, Reprojection, RigReprojection};
+use tiepoint_ba::nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
+use tiepoint_ba::testing::check_jacobians;
+use tiepoint_geometry::cameras::{Opencv, OpencvFisheye, Pinhole, SimpleRadial};
+use tiepoint_geometry::{CameraModel, Rigid3, Sim3, so3};
+
+/// The numeric derivative is good to 1e-12 of the size of the *third* derivatives; strong distortion at steep angles makes these
+/// a few thousand times the first.
+const TOLERANCE: f64 = 1e-7;
+/// Angles below this keep the logarithm of the relative rotation away from its cut at π.
+const MAX_TURN: f64 = 1.0;
+
+fn vector(max: f64) -> impl Strategy<Value = Vector3<f64>> {
+    prop::array::uniform3(-max..max).prop_map(Vector3::from)
+}
+
+fn rigid(max_turn: f64) -> impl Strategy<Value = Rigid3> {
+    (vector(max_turn), vector(2.0)).prop_map(|(turn, shift)| Rigid3::new(so3::exp(&turn), shift))
+}
+
+/// A point that a camera sees, given in its coordinates, up to 45 degrees off its axis.
+fn in_view() -> impl Strategy<Value = Vector3<f64>> {
+    (-1.0..1.0, -1.0..1.0, 2.0..20.0).prop_map(|(x, y, z): (f64, f64, f64)| Vector3::new(x * z, y * z, z))
+}
+
+fn check_reprojections<M: CameraModel>(
+    params: M::Params,
+    cam_from_rig: Rigid3,
+    rig_from_world: Rigid3,
+    in_cam: Vector3<f64>,
+) -> Result<(), String> {
+    let pixel = Vector2::new(310.0, 255.0);
+    let point = (cam_from_rig * rig_from_world).inverse() * in_cam;
+    check_jacobians(
+        &Reprojection::<M>::new(pixel, 0.7),
+        (params, cam_from_rig * rig_from_world, point),
+        TOLERANCE,
+    )?;
+    check_jacobians(
+        &RigReprojection::<M>::new(pixel, 0.7),
+        (params, cam_from_rig, rig_from_world, point),
+        TOLERANCE,
+    )
+}
+
+proptest! {
+    #[test]
+    fn reprojections(cam_from_rig in rigid(MAX_TURN), rig_from_world in rigid(3.0), in_cam in in_view(), k in -0.05..0.05f64) {
+        let law = [
+            check_reprojections::<Pinhole>([800.0, 790.0, 320.0, 240.0].into(), cam_from_rig, rig_from_world, in_cam),
+            check_reprojections::<SimpleRadial>([800.0, 320.0, 240.0, k].into(), cam_from_rig, rig_from_world, in_cam),
+            check_reprojections::<Opencv>(
+                [800.0, 790.0, 320.0, 240.0, k, 0.3 * k, 0.001, -0.002].into(),
+                cam_from_rig,
+                rig_from_world,
+                in_cam,
+            ),
+            check_reprojections::<OpencvFisheye>(
+                [800.0, 790.0, 320.0, 240.0, k, 0.3 * k, 0.001, -0.002].into(),
+                cam_from_rig,
+                rig_from_world,
+                in_cam,
+            ),
+        ];
+        for law in law {
+            prop_assert_eq!(law, Ok(()));
+        }
+    }
+
+    #[test]
+    fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), off in rigid(MAX_TURN)) {
+        let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
+        prop_assert_eq!(check_jacobians(&factor, (a, off * b_from_a * a), TOLERANCE), Ok(()));
+    }
+
+    #[test]
+    fn priors(mean in rigid(3.0), off in rigid(MAX_TURN), scale in 0.5..2.0f64) {
+        let pose = Prior::new(mean, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
+        prop_assert_eq!(check_jacobians(&pose, (off * mean,), TOLERANCE), Ok(()));
+        let rotation = Prior::<UnitQuaternion<f64>, 3>::new(mean.rotation, &[0.1, f64::INFINITY, 0.3]).unwrap();
+        prop_assert_eq!(check_jacobians(&rotation, (off.rotation * mean.rotation,), TOLERANCE), Ok(()));
+        let vector = Prior::<SVector<f64, 3>, 3>::new(mean.translation, &[1.0, 2.0, 0.5]).unwrap();
+        prop_assert_eq!(check_jacobians(&vector, (off.translation,), TOLERANCE), Ok(()));
+        let similarity = |rigid: Rigid3, scale| Sim3 { rotation: rigid.rotation, translation: rigid.translation, scale };
+        let prior = Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
+        prop_assert_eq!(check_jacobians(&prior, (similarity(off * mean, scale),), TOLERANCE), Ok(()));
+    }
+}

@@ -1,0 +1,106 @@
+//! Every way to solve the linear system is checked against its slow twin, the QR factorisation of the whole Jacobian.
+
+use crate::scene::{Intrinsics, NOISE_PX, Scene, solve};
+use rayon::ThreadPoolBuilder;
+use tiepoint_ba::factors::{Between, Prior};
+use tiepoint_ba::{LinearSolver, Loss, Summary};
+
+/// Rounding of normal equations with a condition number of about 1e8 in a solve of a few steps.
+const SAME_COST: f64 = 1e-9;
+const SAME_POSE: f64 = 1e-6;
+const STEPS: usize = 6;
+
+/// A scene with everything in it: partly fixed variables, a fixed point, factors between kept variables, robust losses.
+fn everything(intrinsics: Intrinsics) -> Scene {
+    let mut scene = Scene::new(7, 60, 0.5, 5, intrinsics, NOISE_PX);
+    scene.fix_gauge();
+    let problem = &mut scene.problem;
+    problem.fix_tangent(scene.intrinsics[0], &[1, 2]).unwrap();
+    problem.fix(scene.points[3]);
+    problem.fix_tangent(scene.points[4], &[1]).unwrap();
+    for i in 1..scene.poses.len() {
+        let b_from_a = scene.true_poses[i] * scene.true_poses[i - 1].inverse();
+        let factor = Between::new(b_from_a, &[0.01; 6]).unwrap();
+        problem.add((scene.poses[i - 1], scene.poses[i]), factor, Loss::Huber(1.0)).unwrap();
+    }
+    // A loop closure, and a prior on one kept and on one eliminated variable.
+    let b_from_a = scene.true_poses[6] * scene.true_poses[1].inverse();
+    let closure = Between::new(b_from_a, &[0.02; 6]).unwrap();
+    problem.add((scene.poses[6], scene.poses[1]), closure, Loss::Cauchy(1.0)).unwrap();
+    problem.add(scene.poses[5], Prior::new(scene.true_poses[5], &[0.1; 6]).unwrap(), Loss::Trivial).unwrap();
+    problem
+        .add(scene.points[9], Prior::new(scene.true_points[9], &[0.1; 3]).unwrap(), Loss::Trivial)
+        .unwrap();
+    scene
+}
+
+fn costs(summary: &Summary) -> Vec<f64> {
+    summary.iterations.iter().map(|record| record.cost).collect()
+}
+
+#[test]
+fn eliminating_is_the_same_as_not_eliminating() {
+    for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
+        let mut twin = everything(intrinsics);
+        let expected = solve(&mut twin.problem, LinearSolver::Qr, STEPS);
+        assert_eq!(expected.linear_solver, "dense QR");
+        assert_eq!(expected.num_eliminated, 0);
+        assert!(expected.final_cost < 0.1 * expected.initial_cost, "{expected}");
+        for (solver, name) in
+            [(LinearSolver::Dense, "dense Cholesky"), (LinearSolver::Sparse, "sparse Cholesky")]
+        {
+            let mut scene = everything(intrinsics);
+            let found = solve(&mut scene.problem, solver, STEPS);
+            assert_eq!(found.linear_solver, name);
+            // All points but the fixed one; the partly fixed one keeps its width.
+            assert_eq!(found.num_eliminated, 3 * 59);
+            assert_eq!(found.iterations.len(), expected.iterations.len());
+            for (a, b) in costs(&found).iter().zip(costs(&expected)) {
+                assert!((a - b).abs() < SAME_COST * b, "{solver:?} {intrinsics:?}: {found}\n{expected}");
+            }
+            for (&a, &b) in scene.poses.iter().zip(&twin.poses) {
+                let difference = scene.problem.get(a).inverse() * twin.problem.get(b);
+                assert!(difference.translation.norm() + difference.rotation.angle() < SAME_POSE);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_fixed_does_not_move() {
+    for solver in [LinearSolver::Qr, LinearSolver::Dense, LinearSolver::Sparse] {
+        let before = everything(Intrinsics::OneEach);
+        let mut after = everything(Intrinsics::OneEach);
+        solve(&mut after.problem, solver, STEPS);
+        let (old, new) = (&before.problem, &after.problem);
+        assert_eq!(old.get(before.poses[0]), new.get(after.poses[0]));
+        assert_ne!(old.get(before.poses[1]), new.get(after.poses[1]));
+        assert_eq!(old.get(before.poses[1]).translation.z, new.get(after.poses[1]).translation.z);
+        assert_eq!(old.get(before.points[3]), new.get(after.points[3]));
+        assert_eq!(old.get(before.points[4]).y, new.get(after.points[4]).y);
+        assert_ne!(old.get(before.points[4]).x, new.get(after.points[4]).x);
+        let [old, new] = [old.get(before.intrinsics[0]), new.get(after.intrinsics[0])];
+        assert_eq!((old[1], old[2]), (new[1], new[2]));
+        assert_ne!((old[0], old[3]), (new[0], new[3]));
+    }
+}
+
+/// Enough factors for several chunks of work, so that there is something to share out.
+#[test]
+fn any_number_of_threads_gives_the_same_bytes() {
+    let run = |threads, solver| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut scene = Scene::new(30, 2000, 0.8, 6, Intrinsics::Shared, NOISE_PX);
+        scene.fix_gauge();
+        let summary = pool.install(|| solve(&mut scene.problem, solver, 4));
+        let poses: Vec<_> = scene.poses.iter().map(|&pose| scene.problem.get(pose)).collect();
+        let points: Vec<_> = scene.points.iter().map(|&point| scene.problem.get(point)).collect();
+        (costs(&summary), poses, points)
+    };
+    for solver in [LinearSolver::Dense, LinearSolver::Sparse] {
+        let one = run(1, solver);
+        for threads in [2, 5] {
+            assert_eq!(one, run(threads, solver));
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! The crate's tests, in one program.
+
+#![allow(clippy::unwrap_used, clippy::print_stderr)] // the lints know test functions, not their helpers
+
+mod bal;
+#[path = "../../examples/bal/file.rs"]
+mod file;
+mod jacobians;
+mod linear_solvers;
+mod nist;
+mod scene;
+#[path = "../../examples/bal/snavely.rs"]
+mod snavely;

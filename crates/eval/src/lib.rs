@@ -1,0 +1,16 @@
+#![doc = include_str!("../README.md")]
+
+mod cloud;
+mod poses;
+mod relative;
+mod statistics;
+mod trajectory;
+
+pub use cloud::{Cloud, CloudAlignment, IcpOptions};
+pub use poses::{Alignment, PoseComparison, compare_poses, focal_error};
+pub use relative::{auc, relative_pose_errors_rad};
+pub use statistics::Statistics;
+pub use tiepoint_geometry as geometry;
+pub use trajectory::{
+    MotionError, associate, consecutive_pairs_by_path, pairs_by_frames, pairs_by_path, relative_motion_errors,
+};

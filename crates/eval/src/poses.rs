@@ -1,0 +1,69 @@
+//! Poses against the truth, after the freedom that images leave has been taken out.
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::solvers::umeyama;
+use tiepoint_geometry::{Intrinsics, Rigid3, Sim3};
+
+/// Which freedom a comparison takes out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Alignment {
+    /// Rotation, translation and scale: for images alone.
+    Similarity,
+    /// Rotation and translation: where the scale was measured.
+    Rigid,
+    /// None: both are in one frame.
+    None,
+}
+
+impl Alignment {
+    /// The transform that takes `from` closest to `to` (least squares; Umeyama 1991); `None` for fewer than three points, or
+    /// points on a line.
+    pub fn fit(self, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Sim3> {
+        match self {
+            Self::Similarity => umeyama(from, to, true),
+            Self::Rigid => umeyama(from, to, false),
+            Self::None => Some(Sim3::identity()),
+        }
+    }
+}
+
+/// What is left after alignment, one entry a camera; `None` for those that the model lacks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseComparison {
+    /// Where the model lies in the world of the truth.
+    pub truth_from_model: Sim3,
+    /// Distances between the centres, in units of the truth.
+    pub centre_errors: Vec<Option<f64>>,
+    /// Angles between the orientations.
+    pub rotation_errors_rad: Vec<Option<f64>>,
+}
+
+/// Compares poses (`cam_from_world`) with the true ones after aligning their centres. `None` where the alignment is not
+/// determined. The root mean square of the centre errors along a trajectory is its ATE (Sturm et al. 2012).
+pub fn compare_poses(
+    model: &[Option<Rigid3>],
+    truth: &[Rigid3],
+    alignment: Alignment,
+) -> Option<PoseComparison> {
+    let pairs =
+        || model.iter().zip(truth).filter_map(|(model, truth)| model.as_ref().map(|model| (model, truth)));
+    let from: Vec<_> = pairs().map(|(model, _)| model.origin_in_a()).collect();
+    let to: Vec<_> = pairs().map(|(_, truth)| truth.origin_in_a()).collect();
+    let truth_from_model = alignment.fit(&from, &to)?;
+    let compare = |(model, truth): (&Option<Rigid3>, &Rigid3)| {
+        let model = truth_from_model.transform_pose(model.as_ref()?);
+        let centre = (model.origin_in_a() - truth.origin_in_a()).norm();
+        Some((centre, model.rotation.angle_to(&truth.rotation)))
+    };
+    let errors: Vec<Option<(f64, f64)>> = model.iter().zip(truth).map(compare).collect();
+    Some(PoseComparison {
+        truth_from_model,
+        centre_errors: errors.iter().map(|error| error.map(|error| error.0)).collect(),
+        rotation_errors_rad: errors.iter().map(|error| error.map(|error| error.1)).collect(),
+    })
+}
+
+/// Error of the focal length, relative to the true one: +0.01 is one percent too long.
+pub fn focal_error(model: &Intrinsics, truth: &Intrinsics) -> f64 {
+    model.mean_focal_px() / truth.mean_focal_px() - 1.0
+}

@@ -1,0 +1,113 @@
+//! Plain Rust: what runs where nothing better is there, and the twin with which the tests compare the rest.
+
+use super::{LANES, Simd};
+
+/// The token.
+#[derive(Clone, Copy)]
+pub(crate) struct Portable;
+
+#[inline(always)]
+fn map2(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
+    std::array::from_fn(|i| f(a[i], b[i]))
+}
+
+impl Simd for Portable {
+    type F = [f32; LANES];
+    const BESIDE: usize = 1;
+
+    #[inline(always)]
+    fn splat(x: f32) -> Self::F {
+        [x; LANES]
+    }
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> Self::F {
+        // SAFETY: the caller's promise; unaligned is allowed.
+        unsafe { p.cast::<Self::F>().read_unaligned() }
+    }
+    #[inline(always)]
+    unsafe fn load_u8(p: *const u8) -> Self::F {
+        // SAFETY: the caller's promise; bytes have no alignment.
+        let bytes = unsafe { p.cast::<[u8; LANES]>().read() };
+        bytes.map(f32::from)
+    }
+    #[inline(always)]
+    unsafe fn store(p: *mut f32, v: Self::F) {
+        // SAFETY: the caller's promise; unaligned is allowed.
+        unsafe { p.cast::<Self::F>().write_unaligned(v) }
+    }
+    #[inline(always)]
+    unsafe fn stream(p: *mut f32, v: Self::F) {
+        // SAFETY: the caller's promise.
+        unsafe { Self::store(p, v) };
+    }
+    #[inline(always)]
+    fn fence() {}
+    #[inline(always)]
+    unsafe fn store_int(p: *mut i32, v: Self::F) {
+        // SAFETY: the caller's promise.
+        unsafe { p.cast::<[i32; LANES]>().write_unaligned(v.map(|v| v.to_int_unchecked())) }
+    }
+    #[inline(always)]
+    unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
+        // SAFETY: the caller's promise.
+        unsafe { Self::load(p) }
+    }
+    #[inline(always)]
+    fn prefetch(_: *const f32) {}
+    #[inline(always)]
+    fn add(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn div(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F {
+        std::array::from_fn(|i| a[i].mul_add(b[i], c[i]))
+    }
+    #[inline(always)]
+    fn min(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn max(a: Self::F, b: Self::F) -> Self::F {
+        map2(a, b, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn sqrt(a: Self::F) -> Self::F {
+        a.map(f32::sqrt)
+    }
+    #[inline(always)]
+    fn abs(a: Self::F) -> Self::F {
+        a.map(f32::abs)
+    }
+    #[inline(always)]
+    fn floor(a: Self::F) -> Self::F {
+        a.map(f32::floor)
+    }
+    #[inline(always)]
+    fn select_lt(a: Self::F, b: Self::F, x: Self::F, y: Self::F) -> Self::F {
+        std::array::from_fn(|i| if a[i] < b[i] { x[i] } else { y[i] })
+    }
+    #[inline(always)]
+    fn mask_lt(a: Self::F, b: Self::F) -> u32 {
+        let mut mask = 0;
+        for i in 0..LANES {
+            mask |= u32::from(a[i] < b[i]) << i;
+        }
+        mask
+    }
+    #[inline(always)]
+    fn halves(lo: f32, hi: f32) -> Self::F {
+        std::array::from_fn(|i| if i < LANES / 2 { lo } else { hi })
+    }
+}

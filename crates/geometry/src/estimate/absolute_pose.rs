@@ -1,0 +1,176 @@
+//! The pose of a camera from points seen in it.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix2x3, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
+
+use super::MAX_LM_ITERATIONS;
+use crate::ransac::{Estimator, RansacOptions, Report, ransac};
+use crate::simd::{LANES, Lanes, blocks_of, pack, store};
+use crate::small_lm::{Normal, Problem, minimize};
+use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, so3, solvers};
+
+/// `cam_from_world` of a camera that sees `points_in_world[i]` at `pixels[i]`; P3P on samples, then least reprojection error of
+/// the inliers. Errors are in pixels; points behind the camera are outliers.
+pub fn absolute_pose(
+    pixels: &[Vector2<f64>],
+    points_in_world: &[Vector3<f64>],
+    intrinsics: &Intrinsics,
+    options: &RansacOptions,
+) -> Option<Report<Rigid3>> {
+    ransac(&AbsolutePose::new(pixels, points_in_world, intrinsics), options)
+}
+
+/// The pose of least robust reprojection error near `initial`. Points that `initial` has behind the camera are left out.
+pub fn refine_absolute_pose(
+    pixels: &[Vector2<f64>],
+    points_in_world: &[Vector3<f64>],
+    intrinsics: &Intrinsics,
+    initial: &Rigid3,
+    loss: Loss,
+) -> Rigid3 {
+    let is_seen = |i: &usize| intrinsics.project(&(*initial * points_in_world[*i])).is_some();
+    let seen: Vec<usize> = (0..pixels.len().min(points_in_world.len())).filter(is_seen).collect();
+    let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: &seen };
+    minimize(&problem, initial, loss, MAX_LM_ITERATIONS)
+}
+
+pub(super) struct AbsolutePose<'a> {
+    pub(super) pixels: &'a [Vector2<f64>],
+    pub(super) points_in_world: &'a [Vector3<f64>],
+    /// Zero where the pixel has no ray.
+    rays: Vec<Vector3<f64>>,
+    blocks: Vec<[Lanes; 5]>,
+    pub(super) intrinsics: &'a Intrinsics,
+}
+
+impl<'a> AbsolutePose<'a> {
+    pub(super) fn new(
+        pixels: &'a [Vector2<f64>],
+        points_in_world: &'a [Vector3<f64>],
+        intrinsics: &'a Intrinsics,
+    ) -> Self {
+        let count = pixels.len().min(points_in_world.len());
+        let (pixels, points_in_world) = (&pixels[..count], &points_in_world[..count]);
+        let blocks = pack_observations(pixels, points_in_world);
+        Self { pixels, points_in_world, rays: rays(pixels, intrinsics), blocks, intrinsics }
+    }
+
+    /// Squared reprojection errors through a camera of any model.
+    pub(super) fn squared_errors(
+        &self,
+        intrinsics: &Intrinsics,
+        cam_from_world: &Rigid3,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        with_camera_model!(intrinsics, M, params => {
+            squared_errors::<M>(&self.blocks, params, &cam_from_world.to_matrix(), range, squared);
+        });
+    }
+}
+
+/// The unit rays of pixels; zero where there is none.
+pub(super) fn rays(pixels: &[Vector2<f64>], intrinsics: &Intrinsics) -> Vec<Vector3<f64>> {
+    pixels.iter().map(|pixel| intrinsics.unproject(pixel).unwrap_or_default()).collect()
+}
+
+impl Estimator for AbsolutePose<'_> {
+    type Model = Rigid3;
+    const SAMPLE_SIZE: usize = 3;
+
+    fn num_data(&self) -> usize {
+        self.pixels.len()
+    }
+
+    fn models(&self, sample: &[usize], models: &mut Vec<Rigid3>) {
+        let rays: [Vector3<f64>; 3] = std::array::from_fn(|i| self.rays[sample[i]]);
+        let points: [Vector3<f64>; 3] = std::array::from_fn(|i| self.points_in_world[sample[i]]);
+        models.extend(solvers::p3p(&rays, &points));
+    }
+
+    fn squared_residuals(&self, model: &Rigid3, range: Range<usize>, squared: &mut [f64]) {
+        self.squared_errors(self.intrinsics, model, range, squared);
+    }
+
+    fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
+        let Self { pixels, points_in_world, intrinsics, .. } = *self;
+        let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: data };
+        Some(minimize(&problem, model, loss, MAX_LM_ITERATIONS))
+    }
+}
+
+/// World points and pixels, packed for vectors: X, Y, Z, u, v.
+fn pack_observations(pixels: &[Vector2<f64>], points_in_world: &[Vector3<f64>]) -> Vec<[Lanes; 5]> {
+    let observations: Vec<_> = points_in_world.iter().zip(pixels).collect();
+    pack(&observations, |(point, pixel)| [point.x, point.y, point.z, pixel.x, pixel.y])
+}
+
+dispatch! {
+    /// Squared distances of the projections from the pixels, eight at a time.
+    fn squared_errors<M: CameraModel>(
+        blocks: &[[Lanes; 5]],
+        params: &M::Params,
+        cam_from_world: &Matrix3x4<f64>,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        let m = cam_from_world;
+        for index in blocks_of(&range) {
+            let [x, y, z, u, v] = &blocks[index];
+            let mut lanes = [f64::INFINITY; LANES];
+            for l in 0..LANES {
+                let point_in_cam = Vector3::new(
+                    m.m11 * x[l] + m.m12 * y[l] + m.m13 * z[l] + m.m14,
+                    m.m21 * x[l] + m.m22 * y[l] + m.m23 * z[l] + m.m24,
+                    m.m31 * x[l] + m.m32 * y[l] + m.m33 * z[l] + m.m34,
+                );
+                if let Some(pixel) = M::project(params, &point_in_cam) {
+                    let (du, dv) = (pixel.x - u[l], pixel.y - v[l]);
+                    lanes[l] = du * du + dv * dv;
+                }
+            }
+            store(&lanes, index, &range, squared);
+        }
+    }
+}
+
+struct Reprojection<'a> {
+    pixels: &'a [Vector2<f64>],
+    points_in_world: &'a [Vector3<f64>],
+    intrinsics: &'a Intrinsics,
+    inliers: &'a [usize],
+}
+
+/// d pixel / d (rotation, translation), the rotation perturbed on the left: X ↦ X + δ × (X − t).
+pub(super) fn d_pose(d_point: &Matrix2x3<f64>, rotated: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
+    let d_rotation = d_point * -so3::hat(rotated);
+    let mut jacobian = SMatrix::<f64, 2, 6>::zeros();
+    jacobian.fixed_columns_mut::<3>(0).copy_from(&d_rotation);
+    jacobian.fixed_columns_mut::<3>(3).copy_from(d_point);
+    jacobian
+}
+
+impl Problem<6> for Reprojection<'_> {
+    type Value = Rigid3;
+
+    fn plus(&self, value: &Rigid3, delta: &SVector<f64, 6>) -> Rigid3 {
+        value.plus(delta)
+    }
+
+    fn linearize(&self, value: &Rigid3, normal: &mut Normal<6>) {
+        let rotation = value.rotation.to_rotation_matrix();
+        with_camera_model!(self.intrinsics, M, params => {
+            for &i in self.inliers {
+                let rotated = rotation * self.points_in_world[i];
+                match M::project_with_jacobian(params, &(rotated + value.translation)) {
+                    Some(projection) => normal.add(
+                        &(projection.pixel - self.pixels[i]),
+                        &d_pose(&projection.d_point, &rotated),
+                    ),
+                    None => normal.refuse(),
+                }
+            }
+        });
+    }
+}

@@ -1,0 +1,144 @@
+//! The fundamental matrix of two uncalibrated images.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+
+use super::{
+    MAX_LM_ITERATIONS,
+    sampson::{Pair, Pairs},
+};
+use crate::ransac::{Estimator, RansacOptions, Report, ransac};
+use crate::small_lm::{Normal, Problem, minimize};
+use crate::solvers::normalisation;
+use crate::{Loss, so3, solvers};
+
+/// The fundamental matrix, of norm 1, of pixels that show the same points: seven-point solver on samples, then least Sampson
+/// error of the inliers. Errors are Sampson errors in pixels.
+pub fn fundamental(
+    points1: &[Vector2<f64>],
+    points2: &[Vector2<f64>],
+    options: &RansacOptions,
+) -> Option<Report<Matrix3<f64>>> {
+    let count = points1.len().min(points2.len());
+    let (points1, points2) = (&points1[..count], &points2[..count]);
+    // One scale for both images, so that the error is that in pixels but for the scale; each its own centre.
+    let (mut to_unit1, mut to_unit2) = (normalisation(points1)?, normalisation(points2)?);
+    let scale = to_unit1.m11.min(to_unit2.m11);
+    to_unit1 = (to_unit1 * (scale / to_unit1.m11)).with_unit_corner();
+    to_unit2 = (to_unit2 * (scale / to_unit2.m11)).with_unit_corner();
+    let pair = |(x1, x2): (&Vector2<f64>, &Vector2<f64>)| {
+        Pair::of_points(&(to_unit1 * x1.push(1.0)).xy(), &(to_unit2 * x2.push(1.0)).xy())
+    };
+    let pairs = Pairs::new(points1.iter().zip(points2).map(pair).collect());
+    let report = ransac(&Fundamental { pairs, px_per_unit: 1.0 / scale }, options)?;
+    Some(report.map(|f| (to_unit2.transpose() * f * to_unit1).normalize()))
+}
+
+trait WithUnitCorner {
+    fn with_unit_corner(self) -> Self;
+}
+
+impl WithUnitCorner for Matrix3<f64> {
+    fn with_unit_corner(mut self) -> Self {
+        self.m33 = 1.0;
+        self
+    }
+}
+
+struct Fundamental {
+    pairs: Pairs,
+    px_per_unit: f64,
+}
+
+impl Estimator for Fundamental {
+    type Model = Matrix3<f64>;
+    const SAMPLE_SIZE: usize = 7;
+
+    fn num_data(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn models(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
+        let points1: [Vector2<f64>; 7] = std::array::from_fn(|i| self.pairs[sample[i]].y1.xy());
+        let points2: [Vector2<f64>; 7] = std::array::from_fn(|i| self.pairs[sample[i]].y2.xy());
+        models.extend(solvers::fundamental_7pt(&points1, &points2));
+    }
+
+    fn squared_residuals(&self, model: &Matrix3<f64>, range: Range<usize>, squared: &mut [f64]) {
+        self.pairs.squared_errors(model, self.px_per_unit * self.px_per_unit, range, squared);
+    }
+
+    fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
+        let start = Factors::of(model)?;
+        let problem = SampsonFundamental { data: self, inliers: data };
+        Some(minimize(&problem, &start, loss, MAX_LM_ITERATIONS).matrix())
+    }
+}
+
+/// F = U diag(1, σ, 0) Vᵀ: seven numbers that keep the rank at two (Bartoli and Sturm 2004, "Nonlinear estimation of the
+/// fundamental matrix with minimal parameters").
+#[derive(Clone)]
+struct Factors {
+    u: UnitQuaternion<f64>,
+    v: UnitQuaternion<f64>,
+    sigma: f64,
+}
+
+impl Factors {
+    fn of(f: &Matrix3<f64>) -> Option<Self> {
+        let svd = f.try_svd(true, true, f64::EPSILON, 0)?;
+        let (u, v_t) = (svd.u?, svd.v_t?);
+        let mut order = [0, 1, 2];
+        order.sort_by(|&i, &j| svd.singular_values[j].total_cmp(&svd.singular_values[i]));
+        let rotation = |columns: [Vector3<f64>; 3]| {
+            // The third column does not enter F: its sign makes a rotation.
+            let third = columns[0].cross(&columns[1]);
+            let matrix = Matrix3::from_columns(&[columns[0], columns[1], third]);
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix))
+        };
+        let sigma = svd.singular_values[order[1]] / svd.singular_values[order[0]];
+        sigma.is_finite().then(|| Self {
+            u: rotation(order.map(|i| u.column(i).into_owned())),
+            v: rotation(order.map(|i| v_t.row(i).transpose())),
+            sigma,
+        })
+    }
+
+    fn matrix(&self) -> Matrix3<f64> {
+        let diagonal = Matrix3::from_diagonal(&Vector3::new(1.0, self.sigma, 0.0));
+        self.u.to_rotation_matrix().matrix() * diagonal * self.v.to_rotation_matrix().matrix().transpose()
+    }
+}
+
+struct SampsonFundamental<'a> {
+    data: &'a Fundamental,
+    inliers: &'a [usize],
+}
+
+/// Both rotations on the left, and σ.
+impl Problem<7> for SampsonFundamental<'_> {
+    type Value = Factors;
+
+    fn plus(&self, value: &Factors, delta: &SVector<f64, 7>) -> Factors {
+        Factors {
+            u: so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * value.u,
+            v: so3::exp(&delta.fixed_rows::<3>(3).into_owned()) * value.v,
+            sigma: value.sigma + delta[6],
+        }
+    }
+
+    fn linearize(&self, value: &Factors, normal: &mut Normal<7>) {
+        let f = value.matrix();
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| so3::hat(&axis));
+        let d_sigma = (value.u * Vector3::y()) * (value.v * Vector3::y()).transpose();
+        let directions: [Matrix3<f64>; 7] =
+            [axes[0] * f, axes[1] * f, axes[2] * f, -f * axes[0], -f * axes[1], -f * axes[2], d_sigma];
+        for &i in self.inliers {
+            let Some((error, derivative)) = self.data.pairs[i].error_with_derivative(&f) else { continue };
+            let jacobian = SMatrix::<f64, 1, 7>::from_fn(|_, k| derivative.dot(&directions[k]));
+            let px_per_unit = self.data.px_per_unit;
+            normal.add(&SVector::<f64, 1>::new(error * px_per_unit), &(jacobian * px_per_unit));
+        }
+    }
+}

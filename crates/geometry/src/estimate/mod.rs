@@ -1,0 +1,22 @@
+//! Robust estimation of poses, two-view geometry and points: estimators for [`ransac`](crate::ransac()), with the local
+//! refinement of each.
+
+mod absolute_pose;
+mod absolute_pose_focal;
+mod fundamental;
+mod homography;
+mod relative_pose;
+mod sampson;
+mod similarity;
+mod triangulation;
+
+pub use absolute_pose::{absolute_pose, refine_absolute_pose};
+pub use absolute_pose_focal::absolute_pose_focal;
+pub use fundamental::fundamental;
+pub use homography::homography;
+pub use relative_pose::{essential, relative_pose};
+pub use similarity::similarity;
+pub use triangulation::{Observation, TriangulationOptions, TriangulationResidual, triangulation};
+
+/// Most Levenberg-Marquardt iterations of a local refinement.
+const MAX_LM_ITERATIONS: usize = 25;

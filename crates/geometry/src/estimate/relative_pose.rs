@@ -1,0 +1,130 @@
+//! The relative pose of two calibrated cameras.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+use super::{
+    MAX_LM_ITERATIONS,
+    sampson::{Pair, Pairs},
+};
+use crate::epipolar::{essential_from_pose, poses_of_exact_essential, rays_meet_in_front};
+use crate::ransac::{Estimator, RansacOptions, Report, ransac};
+use crate::small_lm::{Normal, Problem, minimize};
+use crate::{Intrinsics, Loss, Rigid3, so3, solvers};
+
+/// `cam2_from_cam1`, its translation of length one, from pixels that show the same points: five-point solver and cheirality on
+/// samples, then least Sampson error of the inliers. Errors are Sampson errors in pixels; pairs of rays that meet behind a camera
+/// are outliers.
+pub fn relative_pose(
+    pixels1: &[Vector2<f64>],
+    pixels2: &[Vector2<f64>],
+    intrinsics1: &Intrinsics,
+    intrinsics2: &Intrinsics,
+    options: &RansacOptions,
+) -> Option<Report<Rigid3>> {
+    // Pixels without a ray are outliers.
+    let (indices, pairs): (Vec<usize>, Vec<Pair>) = pixels1
+        .iter()
+        .zip(pixels2)
+        .enumerate()
+        .filter_map(|(i, (p1, p2))| Some((i, Pair::of_pixels(p1, p2, intrinsics1, intrinsics2)?)))
+        .unzip();
+    let focal_px = 0.5 * (intrinsics1.mean_focal_px() + intrinsics2.mean_focal_px());
+    let parallel_sin2 = (options.max_error / focal_px).powi(2);
+    let mut report = ransac(&RelativePose { pairs: Pairs::new(pairs), parallel_sin2 }, options)?;
+    let mut inliers = vec![false; pixels1.len().min(pixels2.len())];
+    for (&index, &inlier) in indices.iter().zip(&report.inliers) {
+        inliers[index] = inlier;
+    }
+    report.inliers = inliers;
+    Some(report)
+}
+
+/// The essential matrix of [`relative_pose`].
+pub fn essential(
+    pixels1: &[Vector2<f64>],
+    pixels2: &[Vector2<f64>],
+    intrinsics1: &Intrinsics,
+    intrinsics2: &Intrinsics,
+    options: &RansacOptions,
+) -> Option<Report<Matrix3<f64>>> {
+    let report = relative_pose(pixels1, pixels2, intrinsics1, intrinsics2, options)?;
+    Some(report.map(|pose| essential_from_pose(&pose)))
+}
+
+struct RelativePose {
+    pairs: Pairs,
+    /// Rays parallel to within the threshold meet in front or behind by chance of the noise.
+    parallel_sin2: f64,
+}
+
+impl Estimator for RelativePose {
+    type Model = Rigid3;
+    const SAMPLE_SIZE: usize = 5;
+
+    fn num_data(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn models(&self, sample: &[usize], models: &mut Vec<Rigid3>) {
+        let rays1: [Vector3<f64>; 5] = std::array::from_fn(|i| self.pairs[sample[i]].y1);
+        let rays2: [Vector3<f64>; 5] = std::array::from_fn(|i| self.pairs[sample[i]].y2);
+        for essential in solvers::essential_5pt(&rays1, &rays2) {
+            let is_possible =
+                |pose: &Rigid3| rays1.iter().zip(&rays2).all(|(a, b)| rays_meet_in_front(a, b, pose));
+            models.extend(poses_of_exact_essential(&essential).into_iter().find(is_possible));
+        }
+    }
+
+    fn squared_residuals(&self, model: &Rigid3, range: Range<usize>, squared: &mut [f64]) {
+        self.pairs.squared_errors_in_front(model, self.parallel_sin2, range, squared);
+    }
+
+    fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
+        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers: data }, model, loss, MAX_LM_ITERATIONS))
+    }
+}
+
+struct SampsonPose<'a> {
+    pairs: &'a Pairs,
+    inliers: &'a [usize],
+}
+
+/// Two unit vectors that are orthogonal to `direction` and to each other.
+fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let mut axis = Vector3::zeros();
+    axis[direction.iamin()] = 1.0;
+    let first = direction.cross(&axis).normalize();
+    [first, direction.cross(&first)]
+}
+
+/// Rotation on the left, and the direction of the translation in its tangent plane.
+impl Problem<5> for SampsonPose<'_> {
+    type Value = Rigid3;
+
+    fn plus(&self, value: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
+        let [a, b] = tangents(&value.translation);
+        let rotation = so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * value.rotation;
+        Rigid3 { rotation, translation: (value.translation + a * delta[3] + b * delta[4]).normalize() }
+    }
+
+    fn linearize(&self, value: &Rigid3, normal: &mut Normal<5>) {
+        let rotation = *value.rotation.to_rotation_matrix().matrix();
+        let t_hat = so3::hat(&value.translation);
+        let essential = t_hat * rotation;
+        let [a, b] = tangents(&value.translation);
+        let directions: [Matrix3<f64>; 5] = [
+            t_hat * so3::hat(&Vector3::x()) * rotation,
+            t_hat * so3::hat(&Vector3::y()) * rotation,
+            t_hat * so3::hat(&Vector3::z()) * rotation,
+            so3::hat(&a) * rotation,
+            so3::hat(&b) * rotation,
+        ];
+        for &i in self.inliers {
+            let Some((error, derivative)) = self.pairs[i].error_with_derivative(&essential) else { continue };
+            let jacobian = SMatrix::<f64, 1, 5>::from_fn(|_, k| derivative.dot(&directions[k]));
+            normal.add(&SVector::<f64, 1>::new(error), &jacobian);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Levenberg-Marquardt for a handful of parameters, on the stack: the local refinement inside robust estimation.
+//! (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares problems", algorithm 3.16, with Nielsen's damping.)
+//! Adjustment of whole reconstructions is the business of `tiepoint-ba`.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::Loss;
+
+/// A least-squares problem over `N` local parameters.
+pub(crate) trait Problem<const N: usize> {
+    /// What is optimised.
+    type Value: Clone;
+    /// Moves a value by a tangent vector.
+    fn plus(&self, value: &Self::Value, delta: &SVector<f64, N>) -> Self::Value;
+    /// Adds every residual with its Jacobian to the normal equations.
+    fn linearize(&self, value: &Self::Value, normal: &mut Normal<N>);
+}
+
+/// JᵀJ, Jᵀr and the cost, half the sum of ρ(|r|²).
+pub(crate) struct Normal<const N: usize> {
+    hessian: SMatrix<f64, N, N>,
+    gradient: SVector<f64, N>,
+    cost: f64,
+    loss: Loss,
+}
+
+impl<const N: usize> Normal<N> {
+    fn new(loss: Loss) -> Self {
+        Self { hessian: SMatrix::zeros(), gradient: SVector::zeros(), cost: 0.0, loss }
+    }
+
+    /// One residual of `R` components.
+    #[inline]
+    pub(crate) fn add<const R: usize>(&mut self, residual: &SVector<f64, R>, jacobian: &SMatrix<f64, R, N>) {
+        let [rho, weight, _] = self.loss.evaluate(residual.norm_squared());
+        self.cost += 0.5 * rho;
+        for column in 0..N {
+            let weighted = jacobian.column(column) * weight;
+            self.gradient[column] += weighted.dot(residual);
+            for row in 0..=column {
+                self.hessian[(row, column)] += weighted.dot(&jacobian.column(row));
+            }
+        }
+    }
+
+    /// By how much the undamped quadratic model falls.
+    fn predicted_decrease(&self, step: &SVector<f64, N>) -> f64 {
+        let hessian = SMatrix::from_fn(|row, column| self.hessian[(row.min(column), row.max(column))]);
+        -step.dot(&(self.gradient + hessian * step * 0.5))
+    }
+
+    /// A residual that is not defined at this value: the step that led here is refused.
+    pub(crate) fn refuse(&mut self) {
+        self.cost = f64::INFINITY;
+    }
+}
+
+/// First damping, relative to the diagonal of JᵀJ: the starts are near the optimum.
+const INITIAL_DAMPING: f64 = 1e-4;
+
+/// Stop when a step lowers the cost by less than this part of it.
+const COST_TOLERANCE: f64 = 1e-7;
+
+/// Added to the diagonal, relative to its largest entry, so that directions without influence stay put.
+const DIAGONAL_FLOOR: f64 = 1e-12;
+
+/// The value of least cost that is reached from `start`; `start` itself where nothing better is found.
+pub(crate) fn minimize<const N: usize, P: Problem<N>>(
+    problem: &P,
+    start: &P::Value,
+    loss: Loss,
+    max_iterations: usize,
+) -> P::Value {
+    let linearize = |value: &P::Value| {
+        let mut normal = Normal::new(loss);
+        problem.linearize(value, &mut normal);
+        normal
+    };
+    let mut value = start.clone();
+    let mut normal = linearize(&value);
+    let (mut damping, mut growth) = (INITIAL_DAMPING, 2.0);
+    for _ in 0..max_iterations {
+        let Some(step) = damped_step(&normal, damping) else {
+            damping *= growth;
+            growth *= 2.0;
+            continue;
+        };
+        let candidate = problem.plus(&value, &step);
+        let candidate_normal = linearize(&candidate);
+        if candidate_normal.cost < normal.cost {
+            let decrease = normal.cost - candidate_normal.cost;
+            let converged = decrease <= COST_TOLERANCE * normal.cost;
+            let gain = decrease / normal.predicted_decrease(&step);
+            damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
+            growth = 2.0;
+            (value, normal) = (candidate, candidate_normal);
+            if converged {
+                break;
+            }
+        } else {
+            // At the bottom, rounding alone decides: a refused step that was predicted to gain nothing ends the search.
+            if normal.predicted_decrease(&step) <= COST_TOLERANCE * normal.cost {
+                break;
+            }
+            damping *= growth;
+            growth *= 2.0;
+        }
+    }
+    value
+}
+
+/// The minimiser of the damped quadratic model; `None` where rounding has left it without one.
+fn damped_step<const N: usize>(normal: &Normal<N>, damping: f64) -> Option<SVector<f64, N>> {
+    let floor = DIAGONAL_FLOOR * normal.hessian.diagonal().max();
+    let mut lower = normal.hessian.transpose();
+    for i in 0..N {
+        lower[(i, i)] += damping * lower[(i, i)] + floor;
+    }
+    // Cholesky, in place in the lower triangle.
+    for j in 0..N {
+        for k in 0..j {
+            let factor = lower[(j, k)];
+            for i in j..N {
+                lower[(i, j)] -= factor * lower[(i, k)];
+            }
+        }
+        let pivot = lower[(j, j)];
+        if !(pivot.is_finite() && pivot > 0.0) {
+            return None;
+        }
+        let inverse = 1.0 / pivot.sqrt();
+        for i in j..N {
+            lower[(i, j)] *= inverse;
+        }
+    }
+    let mut x = -normal.gradient;
+    for i in 0..N {
+        for j in 0..i {
+            x[i] -= lower[(i, j)] * x[j];
+        }
+        x[i] /= lower[(i, i)];
+    }
+    for i in (0..N).rev() {
+        for j in i + 1..N {
+            x[i] -= lower[(j, i)] * x[j];
+        }
+        x[i] /= lower[(i, i)];
+    }
+    x.iter().all(|v| v.is_finite()).then_some(x)
+}

@@ -1,0 +1,148 @@
+//! The law kit over random values: one line per manifold, camera model and loss.
+
+use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
+use proptest::prelude::*;
+use tiepoint_geometry::testing::{camera_laws, loss_laws, manifold_laws};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Loss, Rigid3, Sim3, so3};
+
+fn vector<const N: usize>(size: f64) -> impl Strategy<Value = SVector<f64, N>> {
+    prop::array::uniform(-size..size).prop_map(SVector::from)
+}
+
+/// All rotations, those near zero and near π too.
+fn rotation() -> impl Strategy<Value = UnitQuaternion<f64>> {
+    let angle = prop_oneof![0.0..3.1, 0.0..1e-3, 3.1..std::f64::consts::PI, Just(0.0)];
+    (vector::<3>(1.0), angle)
+        .prop_filter_map("no axis", |(axis, angle)| Some(so3::exp(&(axis.try_normalize(1e-3)? * angle))))
+}
+
+fn rigid() -> impl Strategy<Value = Rigid3> {
+    (rotation(), vector::<3>(10.0)).prop_map(|(rotation, translation)| Rigid3 { rotation, translation })
+}
+
+fn similarity() -> impl Strategy<Value = Sim3> {
+    (0.1..10.0, rotation(), vector::<3>(10.0)).prop_map(|(scale, rotation, translation)| Sim3 {
+        scale,
+        rotation,
+        translation,
+    })
+}
+
+macro_rules! manifolds { ($($name:ident: $strategy:expr, $dof:literal;)*) => { proptest! { $(
+    #[test]
+    fn $name(x in $strategy, y in $strategy, delta in vector::<$dof>(1.0)) {
+        prop_assert_eq!(manifold_laws(&x, &y, &delta), Ok(()));
+    }
+)* } } }
+
+manifolds! {
+    vectors: vector::<4>(10.0), 4;
+    scalars: -10.0..10.0f64, 1;
+    rotations: rotation(), 3;
+    rigid_transforms: rigid(), 6;
+    similarities: similarity(), 7;
+}
+
+/// Lenses as one meets them: coefficients small enough that the field of view below is seen without a fold.
+fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
+    let ranges: Vec<_> = kind
+        .param_names()
+        .iter()
+        .map(|name| match &name[..1] {
+            "f" => 200.0..4000.0,
+            "c" => 100.0..3000.0,
+            "k" => -0.05..0.05,
+            "p" => -0.005..0.005,
+            other => panic!("no range for parameters that start with {other}"),
+        })
+        .collect();
+    ranges.prop_map(move |params| Intrinsics::new(kind, &params).expect("in range"))
+}
+
+/// Largest angle from the axis: 45 degrees for a perspective lens (r = 1, where |k1| + |k2| ≤ 0.1 cannot fold), 115 for a
+/// fisheye with coefficients scaled down accordingly.
+fn point_in_cam(max_angle: f64) -> impl Strategy<Value = Vector3<f64>> {
+    let angle = prop_oneof![0.0..max_angle, 0.0..1e-3, Just(0.0)];
+    (angle, 0.0..std::f64::consts::TAU, 0.01..100.0).prop_map(|(angle, azimuth, distance)| {
+        Vector3::new(angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()) * distance
+    })
+}
+
+macro_rules! perspective_cameras { ($($name:ident: $kind:ident;)*) => { proptest! { $(
+    #[test]
+    fn $name(camera in camera(CameraModelKind::$kind), point in point_in_cam(0.78)) {
+        prop_assert_eq!(camera_laws(&camera, &point), Ok(()));
+    }
+)* } } }
+
+perspective_cameras! {
+    simple_pinhole: SimplePinhole;
+    pinhole: Pinhole;
+    simple_radial: SimpleRadial;
+    radial: Radial;
+    opencv: Opencv;
+    opencv_fisheye: OpencvFisheye;
+}
+
+proptest! {
+    /// Beyond the hemisphere; a coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d still grows at 2 rad.
+    #[test]
+    fn opencv_fisheye_beyond_the_hemisphere(
+        camera in camera(CameraModelKind::OpencvFisheye), point in point_in_cam(2.0),
+    ) {
+        let mut camera = camera;
+        for (n, k) in camera.params_mut()[4..].iter_mut().enumerate() {
+            *k /= 4f64.powi(n as i32 + 1);
+        }
+        prop_assert_eq!(camera_laws(&camera, &point), Ok(()));
+    }
+
+    /// For any lens and any pixel: `unproject` gives a ray that projects to the pixel, or none.
+    #[test]
+    fn unproject_never_lies(
+        kind in prop::sample::select(CameraModelKind::ALL),
+        distortion in prop::collection::vec(-3.0..3.0, 4),
+        pixel in vector::<2>(2000.0),
+    ) {
+        let mut camera = Intrinsics::centred(kind, 800.0, 1000, 1000);
+        let first = camera.params().len() - kind.param_names().iter().filter(|name| name.len() == 2
+            && !name.starts_with(['f', 'c'])).count() - usize::from(kind.param_names().contains(&"k"));
+        let count = camera.params().len() - first;
+        camera.params_mut()[first..].copy_from_slice(&distortion[..count]);
+        let pixel: Vector2<f64> = pixel;
+        if let Some(ray) = camera.unproject(&pixel) {
+            let back = camera.project(&ray).expect("a ray that is seen");
+            prop_assert!((back - pixel).norm() < 1e-6 * (1.0 + pixel.norm()), "{camera:?}: {pixel:?} came back as {back:?}");
+        }
+    }
+
+    /// `s` keeps 1 % away from a², where Huber, Tukey and the truncated square have kinks.
+    #[test]
+    fn losses(scale in 0.1..10.0, ratio in prop_oneof![0.01..0.99, 1.01..100.0]) {
+        for loss in [
+            Loss::Trivial, Loss::Huber(scale), Loss::SoftL1(scale), Loss::Cauchy(scale), Loss::GemanMcClure(scale),
+            Loss::Tukey(scale), Loss::Truncated(scale),
+        ] {
+            prop_assert_eq!(loss_laws(&loss, ratio * scale * scale), Ok(()));
+        }
+    }
+}
+
+/// A pixel beyond the fold of a barrel lens has no ray: r (1 − 0.3 r²) is at most 0.7027 (at r = 1/√0.9).
+#[test]
+fn no_ray_beyond_the_fold() {
+    let camera = Intrinsics::from_name("SIMPLE_RADIAL", &[300.0, 500.0, 400.0, -0.3]).expect("valid");
+    assert!(camera.unproject(&Vector2::new(500.0 + 300.0 * 0.702, 400.0)).is_some());
+    assert_eq!(camera.unproject(&Vector2::new(500.0 + 300.0 * 0.703, 400.0)), None);
+}
+
+#[test]
+fn points_behind_are_not_seen() {
+    for &kind in CameraModelKind::ALL {
+        let camera = Intrinsics::centred(kind, 800.0, 1000, 800);
+        assert_eq!(camera.project(&Vector3::new(0.0, 0.0, -1.0)), None, "{kind:?}");
+        assert_eq!(camera.project(&Vector3::zeros()), None, "{kind:?}");
+        let behind = camera.project(&Vector3::new(0.1, 0.0, -1.0));
+        assert_eq!(behind.is_some(), kind == CameraModelKind::OpencvFisheye, "{kind:?}");
+    }
+}

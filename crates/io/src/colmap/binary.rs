@@ -1,0 +1,266 @@
+//! The binary files: counts and records, little-endian, no header.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_scene::{Camera, Keypoint, Reconstruction};
+
+use super::layout::{FrameRow, Layout, RigRow, file_id};
+use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
+use super::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+use crate::binary::{Reader, WriteLe, pose_numbers};
+use crate::{Error, Result};
+
+/// COLMAP's number for a camera among the kinds of sensors.
+const SENSOR_CAMERA: i32 = 0;
+const POSE_BYTES: u64 = 7 * 8;
+const MIN_CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 3 * 8;
+const MIN_RIG_BYTES: u64 = 4 + 4;
+const MIN_SENSOR_BYTES: u64 = 4 + 4 + 1;
+const MIN_FRAME_BYTES: u64 = 4 + 4 + POSE_BYTES + 4;
+const DATA_BYTES: u64 = 4 + 4 + 8;
+const MIN_IMAGE_BYTES: u64 = 4 + POSE_BYTES + 4 + 1 + 8;
+const KEYPOINT_BYTES: u64 = 8 + 8 + 8;
+const MIN_POINT_BYTES: u64 = 8 + 3 * 8 + 3 + 8 + 8;
+const OBSERVATION_BYTES: u64 = 4 + 4;
+
+pub(super) fn write(
+    name: &str,
+    model: &Reconstruction,
+    layout: &Layout,
+    out: &mut impl Write,
+) -> io::Result<()> {
+    match name {
+        CAMERAS => write_cameras(model, out),
+        RIGS => write_rigs(layout, out),
+        FRAMES => write_frames(layout, out),
+        IMAGES => write_images(model, out),
+        _ => write_points(model, out),
+    }
+}
+
+fn write_cameras(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+    out.u64(model.cameras().count() as u64)?;
+    for (id, camera) in model.cameras() {
+        out.u32(file_id(id.index()))?;
+        out.i32(camera.intrinsics.kind().colmap_id())?;
+        out.u64(u64::from(camera.width))?;
+        out.u64(u64::from(camera.height))?;
+        out.f64s(camera.intrinsics.params())?;
+    }
+    Ok(())
+}
+
+fn write_rigs(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
+    out.u64(layout.rigs.len() as u64)?;
+    for rig in &layout.rigs {
+        out.u32(rig.id)?;
+        out.u32(rig.cameras.len() as u32)?;
+        for (k, (camera, cam_from_rig)) in rig.cameras.iter().enumerate() {
+            out.i32(SENSOR_CAMERA)?;
+            out.u32(*camera)?;
+            if k > 0 {
+                out.u8(u8::from(cam_from_rig.is_some()))?;
+                out.f64s(&cam_from_rig.iter().flat_map(pose_numbers).collect::<Vec<_>>())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn write_frames(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
+    out.u64(layout.frames.len() as u64)?;
+    for frame in &layout.frames {
+        out.u32(frame.id)?;
+        out.u32(frame.rig)?;
+        out.f64s(&pose_numbers(&frame.rig_from_world))?;
+        out.u32(frame.images.len() as u32)?;
+        for (camera, image) in &frame.images {
+            out.i32(SENSOR_CAMERA)?;
+            out.u32(*camera)?;
+            out.u64(u64::from(*image))?;
+        }
+    }
+    Ok(())
+}
+
+fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+    out.u64(model.num_registered() as u64)?;
+    for (id, image, cam_from_world) in model.registered() {
+        out.u32(file_id(id.index()))?;
+        out.f64s(&pose_numbers(cam_from_world))?;
+        out.u32(file_id(image.camera.index()))?;
+        out.write_all(image.name.as_bytes())?;
+        out.u8(0)?;
+        out.u64(image.keypoints.len() as u64)?;
+        for (keypoint, point) in image.keypoints.iter().zip(image.points()) {
+            out.f64s(keypoint.pixel.as_slice())?;
+            out.u64(point.map_or(NO_POINT, |point| u64::from(point.0) + 1))?;
+        }
+    }
+    Ok(())
+}
+
+fn write_points(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+    out.u64(model.num_tracks() as u64)?;
+    for (id, track) in model.tracks() {
+        out.u64(u64::from(id.0) + 1)?;
+        out.f64s(track.xyz.as_slice())?;
+        out.write_all(&track.color)?;
+        out.f64(model.track_error_px(track))?;
+        out.u64(track.observations.len() as u64)?;
+        for observation in &track.observations {
+            out.u32(file_id(observation.image.index()))?;
+            out.u32(observation.keypoint)?;
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn read(dir: &Path) -> Result<Tables> {
+    let open = |name: &str| Reader::open(&dir.join(name).with_extension("bin"));
+    let (rigs, frames) = match (open(RIGS), open(FRAMES)) {
+        (Ok(mut rigs), Ok(mut frames)) => (read_rigs(&mut rigs)?, read_frames(&mut frames)?),
+        // Models older than COLMAP 3.12 have neither.
+        (Err(Error::Io { cause, .. }), _) | (_, Err(Error::Io { cause, .. }))
+            if cause.kind() == io::ErrorKind::NotFound =>
+        {
+            Default::default()
+        }
+        (Err(error), _) | (_, Err(error)) => return Err(error),
+    };
+    Ok(Tables {
+        cameras: read_cameras(&mut open(CAMERAS)?)?,
+        rigs,
+        frames,
+        images: read_images(&mut open(IMAGES)?)?,
+        points: read_points(&mut open(POINTS)?)?,
+    })
+}
+
+fn read_cameras<R: Read>(file: &mut Reader<R>) -> Result<Vec<(u32, Camera)>> {
+    let count = file.count(MIN_CAMERA_BYTES, "the number of cameras")?;
+    let mut cameras = Vec::with_capacity(count);
+    for _ in 0..count {
+        let id = file.u32("a camera's id")?;
+        let model = file.i32("a camera's model")?;
+        let kind =
+            CameraModelKind::from_colmap_id(model).map_err(|e| file.error(format!("camera {id}: {e}")))?;
+        let mut side = |what: &str| -> Result<u32> {
+            let pixels = file.u64(what)?;
+            u32::try_from(pixels).map_err(|_| file.error(format!("{what} is {pixels} pixels")))
+        };
+        let (width, height) = (side("a camera's width")?, side("a camera's height")?);
+        let mut params = vec![0.0; kind.num_params()];
+        for param in &mut params {
+            *param = file.raw_f64("a camera's parameters")?;
+        }
+        let intrinsics =
+            Intrinsics::new(kind, &params).map_err(|e| file.error(format!("camera {id}: {e}")))?;
+        cameras.push((id, Camera { intrinsics, width, height, has_focal_prior: false }));
+    }
+    file.end()?;
+    Ok(cameras)
+}
+
+/// A sensor's number if it is a camera, else `None`.
+fn read_sensor<R: Read>(file: &mut Reader<R>) -> Result<Option<u32>> {
+    let kind = file.i32("a sensor's kind")?;
+    let id = file.u32("a sensor's id")?;
+    Ok((kind == SENSOR_CAMERA).then_some(id))
+}
+
+fn read_rigs<R: Read>(file: &mut Reader<R>) -> Result<Vec<RigRow>> {
+    let count = file.count(MIN_RIG_BYTES, "the number of rigs")?;
+    let mut rigs = Vec::with_capacity(count);
+    for _ in 0..count {
+        let id = file.u32("a rig's id")?;
+        let sensors = u64::from(file.u32("a rig's number of sensors")?);
+        let mut cameras = Vec::new();
+        if sensors > 0 {
+            let others = file.check_count(sensors - 1, MIN_SENSOR_BYTES, "a rig's number of sensors")?;
+            let reference = read_sensor(file)?.ok_or_else(|| {
+                file.error(format!("the reference sensor of rig {id} is no camera, which is not supported"))
+            })?;
+            cameras.push((reference, None));
+            for _ in 0..others {
+                let camera = read_sensor(file)?;
+                let has_pose = file.u8("a sensor's pose")? != 0;
+                let cam_from_rig = has_pose.then(|| file.pose("a sensor's pose")).transpose()?;
+                cameras.extend(camera.map(|camera| (camera, cam_from_rig)));
+            }
+        }
+        rigs.push(RigRow { id, cameras });
+    }
+    file.end()?;
+    Ok(rigs)
+}
+
+fn read_frames<R: Read>(file: &mut Reader<R>) -> Result<Vec<FrameRow>> {
+    let count = file.count(MIN_FRAME_BYTES, "the number of frames")?;
+    let mut frames = Vec::with_capacity(count);
+    for _ in 0..count {
+        let id = file.u32("a frame's id")?;
+        let rig = file.u32("a frame's rig")?;
+        let rig_from_world = file.pose("a frame's pose")?;
+        let data = u64::from(file.u32("a frame's number of images")?);
+        let data = file.check_count(data, DATA_BYTES, "a frame's number of images")?;
+        let mut images = Vec::with_capacity(data);
+        for _ in 0..data {
+            let camera = read_sensor(file)?;
+            let image = file.u64("a frame's image")?;
+            if let Some(camera) = camera {
+                let image =
+                    u32::try_from(image).map_err(|_| file.error(format!("image {image} of frame {id}")))?;
+                images.push((camera, image));
+            }
+        }
+        frames.push(FrameRow { id, rig, rig_from_world, images });
+    }
+    file.end()?;
+    Ok(frames)
+}
+
+fn read_images<R: Read>(file: &mut Reader<R>) -> Result<Vec<ImageRow>> {
+    let count = file.count(MIN_IMAGE_BYTES, "the number of images")?;
+    let mut images = Vec::with_capacity(count);
+    for _ in 0..count {
+        let id = file.u32("an image's id")?;
+        let cam_from_world = file.pose("an image's pose")?;
+        let camera = file.u32("an image's camera")?;
+        let name = file.c_string("an image's name")?;
+        let count = file.count(KEYPOINT_BYTES, "an image's number of keypoints")?;
+        let mut keypoints = Vec::with_capacity(count);
+        let mut points = Vec::with_capacity(count);
+        for _ in 0..count {
+            let pixel = Vector2::new(file.f64("a keypoint's x")?, file.f64("a keypoint's y")?);
+            keypoints.push(Keypoint { pixel, scale_px: UNKNOWN_SCALE_PX });
+            points.push(file.u64("a keypoint's point")?);
+        }
+        images.push(ImageRow { id, cam_from_world, camera, name, keypoints, points });
+    }
+    file.end()?;
+    Ok(images)
+}
+
+fn read_points<R: Read>(file: &mut Reader<R>) -> Result<Vec<PointRow>> {
+    let count = file.count(MIN_POINT_BYTES, "the number of points")?;
+    let mut points = Vec::with_capacity(count);
+    for _ in 0..count {
+        let id = file.u64("a point's id")?;
+        let xyz = file.vector3("a point's position")?;
+        let color = file.bytes("a point's colour")?;
+        // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it has none.
+        file.raw_f64("a point's error")?;
+        let observations = file.count(OBSERVATION_BYTES, "the length of a track")?;
+        let mut track = Vec::with_capacity(observations);
+        for _ in 0..observations {
+            track.push((file.u32("a track's image")?, file.u32("a track's keypoint")?));
+        }
+        points.push(PointRow { id, xyz, color, track });
+    }
+    file.end()?;
+    Ok(points)
+}

@@ -1,0 +1,197 @@
+//! What stands in the files of a model, and how it becomes a reconstruction.
+
+use std::path::Path;
+
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::{
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor,
+    Track,
+};
+
+use super::layout::{FrameRow, RigRow, agree};
+use crate::{Error, Result};
+
+/// Scale of a keypoint of which the file does not tell it, in pixels: each counts the same.
+pub(super) const UNKNOWN_SCALE_PX: f32 = 1.0;
+/// Point of a keypoint that sees none.
+pub(super) const NO_POINT: u64 = u64::MAX;
+
+pub(super) struct ImageRow {
+    pub(super) id: u32,
+    pub(super) cam_from_world: Rigid3,
+    pub(super) camera: u32,
+    pub(super) name: String,
+    pub(super) keypoints: Vec<Keypoint>,
+    /// One a keypoint, or [`NO_POINT`].
+    pub(super) points: Vec<u64>,
+}
+
+pub(super) struct PointRow {
+    pub(super) id: u64,
+    pub(super) xyz: Vector3<f64>,
+    pub(super) color: [u8; 3],
+    /// Image and keypoint.
+    pub(super) track: Vec<(u32, u32)>,
+}
+
+#[derive(Default)]
+pub(super) struct Tables {
+    pub(super) cameras: Vec<(u32, Camera)>,
+    pub(super) rigs: Vec<RigRow>,
+    pub(super) frames: Vec<FrameRow>,
+    pub(super) images: Vec<ImageRow>,
+    pub(super) points: Vec<PointRow>,
+}
+
+/// Sorts rows by id and returns the ids; an error if one occurs twice.
+fn sort<T, I: Ord + Copy + std::fmt::Display>(
+    dir: &Path,
+    kind: &str,
+    rows: &mut [T],
+    id: impl Fn(&T) -> I,
+) -> Result<Vec<I>> {
+    rows.sort_by_key(&id);
+    match rows.windows(2).find(|pair| id(&pair[0]) == id(&pair[1])) {
+        Some(pair) => Err(Error::content(dir, format!("{kind} {} is there twice", id(&pair[0])))),
+        None => Ok(rows.iter().map(id).collect()),
+    }
+}
+
+/// The position of an id among sorted ones.
+fn find<I: Ord + Copy + std::fmt::Display>(
+    dir: &Path,
+    kind: &str,
+    ids: &[I],
+    id: I,
+    by: impl FnOnce() -> String,
+) -> Result<usize> {
+    ids.binary_search(&id)
+        .map_err(|_| Error::content(dir, format!("{} names {kind} {id}, which there is not", by())))
+}
+
+impl Tables {
+    pub(super) fn into_reconstruction(mut self, dir: &Path) -> Result<Reconstruction> {
+        let mut model = Reconstruction::default();
+        let cameras = sort(dir, "camera", &mut self.cameras, |row| row.0)?;
+        for (_, camera) in self.cameras {
+            model.add_camera(camera);
+        }
+        let images = sort(dir, "image", &mut self.images, |row| row.id)?;
+        // The points that the keypoints name, in the order of the images; emptied as the tracks claim them.
+        let mut claims = Vec::with_capacity(self.images.len());
+        for row in self.images {
+            let camera = find(dir, "camera", &cameras, row.camera, || format!("image {}", row.name))?;
+            let image = model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
+            model.register(image, row.cam_from_world);
+            claims.push(row.points);
+        }
+        add_rigs(dir, &mut model, self.rigs, self.frames, &cameras, &images)?;
+        sort(dir, "point", &mut self.points, |row| row.id)?;
+        for row in self.points {
+            let mut observations = Vec::with_capacity(row.track.len());
+            for (image, keypoint) in row.track {
+                let index = find(dir, "image", &images, image, || format!("point {}", row.id))?;
+                match claims[index].get_mut(keypoint as usize) {
+                    Some(claim) if *claim == row.id => *claim = NO_POINT,
+                    Some(_) => {
+                        return Err(Error::content(
+                            dir,
+                            format!(
+                                "point {} is seen by keypoint {keypoint} of image {image}, which names another point",
+                                row.id
+                            ),
+                        ));
+                    }
+                    None => {
+                        return Err(Error::content(
+                            dir,
+                            format!(
+                                "point {} is seen by keypoint {keypoint} of image {image}, which has {} keypoints",
+                                row.id,
+                                claims[index].len()
+                            ),
+                        ));
+                    }
+                }
+                observations.push(Observation { image: ImageId::from_index(index), keypoint });
+            }
+            model.add_track(Track { color: row.color, ..Track::new(row.xyz, observations) });
+        }
+        for (id, claims) in images.iter().zip(&claims) {
+            if let Some(keypoint) = claims.iter().position(|claim| *claim != NO_POINT) {
+                return Err(Error::content(
+                    dir,
+                    format!(
+                        "keypoint {keypoint} of image {id} names point {}, whose track does not hold it",
+                        claims[keypoint]
+                    ),
+                ));
+            }
+        }
+        Ok(model)
+    }
+}
+
+/// Puts the rigs of several cameras and their frames into the model. Where an image's pose is not the one that its frame gives
+/// it, the frame's is taken, as COLMAP does.
+fn add_rigs(
+    dir: &Path,
+    model: &mut Reconstruction,
+    mut rigs: Vec<RigRow>,
+    mut frames: Vec<FrameRow>,
+    cameras: &[u32],
+    images: &[u32],
+) -> Result<()> {
+    let rig_ids = sort(dir, "rig", &mut rigs, |row| row.id)?;
+    sort(dir, "frame", &mut frames, |row| row.id)?;
+    // The id of each rig that is kept; its sensors in any case.
+    let mut sensors_of = Vec::with_capacity(rigs.len());
+    let mut on_rig = vec![false; cameras.len()];
+    for row in rigs {
+        let mut sensors = Vec::with_capacity(row.cameras.len());
+        for (k, (camera, cam_from_rig)) in row.cameras.into_iter().enumerate() {
+            let index = find(dir, "camera", cameras, camera, || format!("rig {}", row.id))?;
+            if std::mem::replace(&mut on_rig[index], true) {
+                return Err(Error::content(dir, format!("camera {camera} is on two rigs, or twice on one")));
+            }
+            let cam_from_rig = if k == 0 { Some(Rigid3::identity()) } else { cam_from_rig };
+            sensors.push(RigSensor { camera: CameraId::from_index(index), cam_from_rig });
+        }
+        let kept = (sensors.len() > 1).then(|| {
+            model.rigs.push(Rig { sensors: sensors.clone() });
+            RigId::from_index(model.rigs.len() - 1)
+        });
+        sensors_of.push((kept, sensors));
+    }
+    let mut in_frame = vec![false; images.len()];
+    for row in frames {
+        let by = || format!("frame {}", row.id);
+        let (kept, sensors) = &sensors_of[find(dir, "rig", &rig_ids, row.rig, by)?];
+        let mut members = Vec::with_capacity(row.images.len());
+        for (_, image) in row.images {
+            let id = ImageId::from_index(find(dir, "image", images, image, by)?);
+            let camera = model.image(id).camera;
+            let sensor = sensors.iter().find(|sensor| sensor.camera == camera).ok_or_else(|| {
+                Error::content(
+                    dir,
+                    format!("frame {} holds image {image} of a camera that is not on its rig", row.id),
+                )
+            })?;
+            if std::mem::replace(&mut in_frame[id.index()], true) {
+                return Err(Error::content(dir, format!("image {image} is in two frames")));
+            }
+            if let (Some(cam_from_rig), Some(own)) = (sensor.cam_from_rig, model.image(id).cam_from_world()) {
+                let given = cam_from_rig * row.rig_from_world;
+                if !agree(own, &given) {
+                    model.register(id, given);
+                }
+            }
+            members.push(id);
+        }
+        if let Some(rig) = *kept {
+            model.frames.push(Frame { rig, rig_from_world: row.rig_from_world, images: members });
+        }
+    }
+    Ok(())
+}

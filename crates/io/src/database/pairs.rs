@@ -1,0 +1,177 @@
+//! Matches and two-view geometries.
+
+use rusqlite::{Row, params};
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
+use tiepoint_scene::{ImagePair, Match, TwoView, TwoViewKind};
+
+use super::{Database, MAX_IMAGE_ID, bytes, error, numbers};
+use crate::binary::pose_numbers;
+use crate::{Result, rotation};
+
+const KINDS: [TwoViewKind; 9] = [
+    TwoViewKind::Undefined,
+    TwoViewKind::Degenerate,
+    TwoViewKind::Calibrated,
+    TwoViewKind::Uncalibrated,
+    TwoViewKind::Planar,
+    TwoViewKind::Panoramic,
+    TwoViewKind::PlanarOrPanoramic,
+    TwoViewKind::Watermark,
+    TwoViewKind::Multiple,
+];
+/// COLMAP: an essential matrix from the poses of a calibrated rig.
+const CALIBRATED_RIG: i64 = 9;
+
+fn match_bytes(matches: &[Match]) -> Vec<u8> {
+    matches.iter().flat_map(|m| [m.a, m.b]).flat_map(u32::to_le_bytes).collect()
+}
+
+/// Matrices lie row by row in the file and column by column in memory.
+fn matrix_bytes(matrix: Option<&Matrix3<f64>>) -> Option<Vec<u8>> {
+    matrix.map(|matrix| bytes(matrix.transpose().as_slice()))
+}
+
+impl Database {
+    /// Writes the matches of pairs; those that are there are replaced. The first column of COLMAP's table belongs to the image
+    /// with the smaller id, as in [`ImagePair`].
+    pub fn write_matches<'a>(
+        &mut self,
+        batch: impl IntoIterator<Item = (ImagePair, &'a [Match])>,
+    ) -> Result<()> {
+        self.transaction(|db| {
+            for (pair, matches) in batch {
+                let sql = "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
+                db.execute(sql, params![db.pair_number(pair)?, matches.len() as i64, match_bytes(matches)])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Writes two-view geometries of pairs; those that are there are replaced.
+    pub fn write_two_views<'a>(
+        &mut self,
+        batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
+    ) -> Result<()> {
+        self.transaction(|db| {
+            for (pair, view) in batch {
+                let pose = view.cam2_from_cam1.as_ref().map(pose_numbers);
+                let sql = "INSERT OR REPLACE INTO two_view_geometries\
+                           (pair_id, rows, cols, data, config, F, E, H, qvec, tvec, camera1, camera2) \
+                           VALUES (?1, ?2, 2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, NULL, NULL)";
+                db.execute(
+                    sql,
+                    params![
+                        db.pair_number(pair)?,
+                        view.matches.len() as i64,
+                        match_bytes(&view.matches),
+                        view.kind as i64,
+                        matrix_bytes(view.fundamental.as_ref()),
+                        matrix_bytes(view.essential.as_ref()),
+                        matrix_bytes(view.homography.as_ref()),
+                        pose.map(|pose| bytes(&pose[..4])),
+                        pose.map(|pose| bytes(&pose[4..]))
+                    ],
+                )?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Forgets all matches and two-view geometries.
+    pub fn clear_matches(&mut self) -> Result<()> {
+        self.run("BEGIN; DELETE FROM matches; DELETE FROM two_view_geometries; COMMIT;")
+    }
+
+    /// Forgets all two-view geometries.
+    pub fn clear_two_views(&mut self) -> Result<()> {
+        self.run("DELETE FROM two_view_geometries")
+    }
+
+    /// The pairs that have been matched, sorted.
+    pub fn matched_pairs(&self) -> Result<Vec<ImagePair>> {
+        let numbers = self.rows("SELECT pair_id FROM matches ORDER BY pair_id", |row| row.get(0))?;
+        numbers.into_iter().map(|number| self.pair(number)).collect()
+    }
+
+    /// Reads all matches, sorted by pair.
+    pub fn read_matches(&self) -> Result<Vec<(ImagePair, Vec<Match>)>> {
+        let sql = "SELECT pair_id, rows, cols, data FROM matches ORDER BY pair_id";
+        self.try_rows(sql, |row| Ok((self.pair(row.get(0).map_err(error(&self.path))?)?, self.matches(row)?)))
+    }
+
+    /// Reads all two-view geometries, sorted by pair.
+    pub fn read_two_views(&self) -> Result<Vec<(ImagePair, TwoView)>> {
+        // Older files lack the pose.
+        let has_pose = self.columns("two_view_geometries")?.iter().any(|name| name == "qvec");
+        let pose = if has_pose { "qvec, tvec" } else { "NULL, NULL" };
+        let sql = format!(
+            "SELECT pair_id, rows, cols, data, config, F, E, H, {pose} FROM two_view_geometries ORDER BY pair_id"
+        );
+        self.try_rows(&sql, |row| {
+            let number = row.get(0).map_err(error(&self.path))?;
+            let bad = |what: &str| self.content(format!("two-view geometry of pair {number}: {what}"));
+            let list = |column: usize, count: usize| -> Result<Option<Vec<f64>>> {
+                let blob: Option<Vec<u8>> = row.get(column).map_err(error(&self.path))?;
+                let blob = blob.filter(|blob| !blob.is_empty());
+                blob.map(|blob| numbers(&blob, count).ok_or_else(|| bad("a matrix or pose is broken")))
+                    .transpose()
+            };
+            let matrix = |column| Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)));
+            let cam2_from_cam1 = match (list(8, 4)?, list(9, 3)?) {
+                (Some(q), Some(t)) => {
+                    let rotation = rotation::from_wxyz([q[0], q[1], q[2], q[3]]);
+                    let rotation = rotation.map_err(|_| bad("its quaternion is no rotation"))?;
+                    Some(Rigid3::new(rotation, Vector3::from_column_slice(&t)))
+                }
+                _ => None,
+            };
+            let kind = match row.get(4).map_err(error(&self.path))? {
+                CALIBRATED_RIG => TwoViewKind::Calibrated,
+                number => *usize::try_from(number)
+                    .ok()
+                    .and_then(|index| KINDS.get(index))
+                    .ok_or_else(|| bad("its configuration is unknown"))?,
+            };
+            let two_view = TwoView {
+                kind,
+                fundamental: matrix(5)?,
+                essential: matrix(6)?,
+                homography: matrix(7)?,
+                cam2_from_cam1,
+                matches: self.matches(row)?,
+            };
+            Ok((self.pair(number)?, two_view))
+        })
+    }
+
+    fn pair_number(&self, pair: ImagePair) -> Result<i64> {
+        Ok(MAX_IMAGE_ID * self.file_id(pair.a)? + self.file_id(pair.b)?)
+    }
+
+    fn pair(&self, number: i64) -> Result<ImagePair> {
+        let by = || format!("pair {number}");
+        let (a, b) = (number.div_euclid(MAX_IMAGE_ID), number.rem_euclid(MAX_IMAGE_ID));
+        let (a, b) = (self.image_id(a, by)?, self.image_id(b, by)?);
+        ImagePair::new(a, b)
+            .filter(|pair| pair.a == a)
+            .ok_or_else(|| self.content(format!("pair {number} is of images {} and {}", a.0, b.0)))
+    }
+
+    /// From the columns rows, cols, data at 1, 2, 3.
+    fn matches(&self, row: &Row<'_>) -> Result<Vec<Match>> {
+        let get = || Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?));
+        let (number, rows, cols, data): (i64, i64, i64, Option<Vec<u8>>) =
+            get().map_err(error(&self.path))?;
+        let data = data.unwrap_or_default();
+        let words: Vec<u32> =
+            data.as_chunks::<4>().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+        // COLMAP writes an empty list of matches as 0 × 0 or 0 × 2.
+        let fits = (cols == 2 || rows == 0) && rows.checked_mul(8) == Some(data.len() as i64);
+        if !fits {
+            let found = data.len();
+            return Err(self.content(format!("matches of pair {number}: {found} bytes for {rows} × {cols}")));
+        }
+        Ok(words.as_chunks::<2>().0.iter().map(|&[a, b]| Match { a, b }).collect())
+    }
+}

@@ -1,0 +1,154 @@
+//! What a camera says about a photo: focal length, orientation, time.
+
+use std::io::{BufRead, Cursor, Seek};
+use std::path::Path;
+
+use exif::{In, Rational, Tag, Value};
+
+use crate::{Error, Result};
+
+/// Diagonal of 35 mm film, 36 mm × 24 mm: "35 mm equivalent" focal lengths give the same diagonal angle of view (CIPA
+/// DCG-001).
+const FILM_DIAGONAL_MM: f64 = 43.266_615;
+
+/// What was found; all is optional, and a photo without EXIF data has nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exif {
+    /// Focal length.
+    pub focal_mm: Option<f64>,
+    /// Focal length that gives the same diagonal angle of view on 35 mm film.
+    pub focal_35mm: Option<f64>,
+    /// Pixels of the photo as it was taken, per millimetre of the sensor.
+    pub pixels_per_mm: Option<f64>,
+    /// Longer side of the photo as it was taken, in pixels.
+    pub long_side_px: Option<f64>,
+    /// How to turn the stored pixels, 1 to 8; 1 leaves them as they are.
+    pub orientation: u8,
+    /// When it was taken: seconds since 1970-01-01 00:00 on the camera's own clock.
+    pub time_s: Option<f64>,
+}
+
+impl Default for Exif {
+    fn default() -> Self {
+        Self {
+            focal_mm: None,
+            focal_35mm: None,
+            pixels_per_mm: None,
+            long_side_px: None,
+            orientation: 1,
+            time_s: None,
+        }
+    }
+}
+
+impl Exif {
+    /// From a JPEG, PNG or TIFF file. Fields that are missing or broken are left out; only a file that cannot be read is an
+    /// error.
+    pub fn read(path: &Path) -> Result<Self> {
+        let file = std::fs::File::open(path).map_err(Error::io(path))?;
+        Ok(Self::from_reader(&mut std::io::BufReader::new(file)))
+    }
+
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
+        Self::from_reader(&mut Cursor::new(bytes))
+    }
+
+    fn from_reader(reader: &mut (impl BufRead + Seek)) -> Self {
+        let Ok(fields) = exif::Reader::new().read_from_container(reader) else { return Self::default() };
+        let value = |tag| fields.get_field(tag, In::PRIMARY).map(|field| &field.value);
+        let integer = |tag| value(tag)?.get_uint(0);
+        let number = |tag| match value(tag)? {
+            Value::Rational(list) => list.first().map(Rational::to_f64),
+            other => other.get_uint(0).map(f64::from),
+        };
+        let positive = |tag| number(tag).filter(|number| number.is_finite() && *number > 0.0);
+        let unit_mm = match integer(Tag::FocalPlaneResolutionUnit) {
+            Some(3) => Some(10.0),
+            Some(4) => Some(1.0),
+            Some(5) => Some(1e-3),
+            _ => Some(25.4),
+        };
+        let sides = [Tag::PixelXDimension, Tag::PixelYDimension].map(positive);
+        let orientation = integer(Tag::Orientation).filter(|turn| (1..=8).contains(turn)).unwrap_or(1);
+        let ascii = |tag| match value(tag)? {
+            Value::Ascii(list) => list.first().and_then(|bytes| std::str::from_utf8(bytes).ok()),
+            _ => None,
+        };
+        let sub_s = ascii(Tag::SubSecTimeOriginal)
+            .and_then(|digits| format!("0.{}", digits.trim()).parse::<f64>().ok())
+            .unwrap_or(0.0);
+        Self {
+            focal_mm: positive(Tag::FocalLength),
+            focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
+            pixels_per_mm: positive(Tag::FocalPlaneXResolution).zip(unit_mm).map(|(count, mm)| count / mm),
+            long_side_px: sides[0].zip(sides[1]).map(|(x, y)| x.max(y)),
+            orientation: orientation as u8,
+            time_s: ascii(Tag::DateTimeOriginal).and_then(seconds_of_date).map(|seconds| seconds + sub_s),
+        }
+    }
+
+    /// The focal length in pixels of a `width` × `height` image: from the width of the sensor (its longer side) where that is
+    /// given, else from the 35 mm equivalent, else from the resolution of the focal plane.
+    pub fn focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> Option<f64> {
+        let (width, height) = (f64::from(width), f64::from(height));
+        let long_side = width.max(height);
+        let from_sensor = || Some(self.focal_mm? / sensor_width_mm? * long_side);
+        let from_film = || Some(self.focal_35mm? / FILM_DIAGONAL_MM * width.hypot(height));
+        // The image may have been scaled since it was taken.
+        let from_plane = || {
+            Some(self.focal_mm? * self.pixels_per_mm? * (long_side / self.long_side_px.unwrap_or(long_side)))
+        };
+        from_sensor().or_else(from_film).or_else(from_plane)
+    }
+}
+
+/// `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, as if there were no time zones.
+fn seconds_of_date(date: &str) -> Option<f64> {
+    let mut numbers = date.trim().split([':', ' ', '-', 'T']).map(|word| word.parse::<i64>().ok());
+    let mut next = || numbers.next().flatten();
+    let (year, month, day) = (next()?, next()?, next()?);
+    let (hour, minute, second) = (next()?, next()?, next()?);
+    let in_range = (1..=9999).contains(&year)
+        && (1..=12).contains(&month)
+        && (1..=31).contains(&day)
+        && (0..24).contains(&hour)
+        && (0..60).contains(&minute)
+        && (0..=60).contains(&second);
+    // Days of the proleptic Gregorian calendar, years beginning in March so that the leap day is the last.
+    let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
+    in_range.then_some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_unix() {
+        // `date -u -d '2024-02-29 12:34:56' +%s`
+        for (date, expected) in [
+            ("1970:01:01 00:00:00", 0.0),
+            ("2024:02:29 12:34:56", 1_709_210_096.0),
+            ("2000:03:01 00:00:00", 951_868_800.0),
+        ] {
+            assert_eq!(seconds_of_date(date), Some(expected));
+        }
+        for date in ["", "    :  :     :  :  ", "2024:13:01 00:00:00", "0000:00:00 00:00:00", "2024:01:01"] {
+            assert_eq!(seconds_of_date(date), None);
+        }
+    }
+
+    #[test]
+    fn focal_length_from_whatever_there_is() {
+        let exif = Exif { focal_mm: Some(18.0), ..Exif::default() };
+        assert_eq!(exif.focal_px(3000, 2000, None), None);
+        assert_eq!(exif.focal_px(3000, 2000, Some(36.0)), Some(1500.0));
+        assert_eq!(exif.focal_px(2000, 3000, Some(36.0)), Some(1500.0));
+        let film = Exif { focal_35mm: Some(36.0), ..Exif::default() };
+        // On a 3:2 image the equivalent by the diagonal is the one by the width: 36 mm are the width.
+        assert!((film.focal_px(3000, 2000, None).unwrap() - 3000.0).abs() < 1e-3);
+        let plane = Exif { pixels_per_mm: Some(100.0), long_side_px: Some(6000.0), ..exif };
+        assert_eq!(plane.focal_px(3000, 2000, None), Some(900.0));
+    }
+}

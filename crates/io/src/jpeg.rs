@@ -1,0 +1,107 @@
+//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives the luma plane without the
+//! colours, in 60 % of the time; and `image` fills what a truncated file lacks with grey and says nothing.
+
+use std::io::{BufRead, Seek, SeekFrom};
+
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+
+/// Which planes to decode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Planes {
+    Luma,
+    Rgb,
+}
+
+/// Decoded bytes, row by row.
+pub(crate) struct Decoded {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// What there is: luma only where it was asked for and the file holds it as a plane.
+    pub(crate) planes: Planes,
+    pub(crate) bytes: Vec<u8>,
+}
+
+pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
+    if !is_complete(bytes) {
+        return Err("the JPEG data is truncated".to_owned());
+    }
+    // JPEG sides fit 16 bits. Not strict: cameras pad their headers.
+    let side = usize::from(u16::MAX);
+    let options = DecoderOptions::default().set_strict_mode(false).set_max_width(side).set_max_height(side);
+    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    let message = |error| format!("cannot decode the JPEG data: {error:?}");
+    decoder.decode_headers().map_err(message)?;
+    let info = decoder.info().ok_or("the JPEG data has no header")?;
+    let has_luma = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
+    let (planes, space) = match planes {
+        Planes::Luma if has_luma => (Planes::Luma, ColorSpace::Luma),
+        _ => (Planes::Rgb, ColorSpace::RGB),
+    };
+    decoder.set_options(options.jpeg_set_out_colorspace(space));
+    let bytes = decoder.decode().map_err(message)?;
+    Ok(Decoded { width: u32::from(info.width), height: u32::from(info.height), planes, bytes })
+}
+
+const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
+const START_OF_SCAN: u8 = 0xDA;
+
+/// Whether the file reaches the end of its image. Within a scan a byte FF is always followed by 00 or a marker, so the first
+/// FF D9 after the first scan began is the end; the one of a thumbnail lies before.
+fn is_complete(bytes: &[u8]) -> bool {
+    let mut reader = std::io::Cursor::new(bytes);
+    while let Some((marker, _)) = next_segment(&mut reader) {
+        if marker == START_OF_SCAN {
+            let scan = bytes.get(reader.position() as usize..).unwrap_or_default();
+            return scan.windows(2).any(|pair| pair == END_OF_IMAGE);
+        }
+    }
+    false
+}
+
+/// Width and height, from the header alone.
+pub(crate) fn dimensions(reader: &mut (impl BufRead + Seek)) -> Option<(u32, u32)> {
+    reader.seek(SeekFrom::Start(0)).ok()?;
+    while let Some((marker, length)) = next_segment(reader) {
+        match marker {
+            // Start of frame, of any kind: precision, height, width. (C4, C8 and CC are no frames.)
+            0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
+                let mut frame = [0; 5];
+                reader.read_exact(&mut frame).ok()?;
+                let [_, h1, h0, w1, w0] = frame;
+                return Some((
+                    u32::from(u16::from_be_bytes([w1, w0])),
+                    u32::from(u16::from_be_bytes([h1, h0])),
+                ));
+            }
+            START_OF_SCAN => return None,
+            _ => {
+                reader.seek_relative(i64::from(length)).ok()?;
+            }
+        };
+    }
+    None
+}
+
+/// Marker and length of the next segment; the reader is left at its content.
+fn next_segment(reader: &mut (impl BufRead + Seek)) -> Option<(u8, u16)> {
+    let mut byte = [0];
+    loop {
+        // Fill bytes FF may precede a marker.
+        reader.read_exact(&mut byte).ok()?;
+        if byte[0] != 0xFF {
+            continue;
+        }
+        while byte[0] == 0xFF {
+            reader.read_exact(&mut byte).ok()?;
+        }
+        // 00 is no marker; start of image and restarts have no length.
+        if !matches!(byte[0], 0x00 | 0x01 | 0xD0..=0xD8) {
+            break;
+        }
+    }
+    let mut length = [0; 2];
+    reader.read_exact(&mut length).ok()?;
+    Some((byte[0], u16::from_be_bytes(length).saturating_sub(2)))
+}

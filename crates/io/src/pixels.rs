@@ -1,0 +1,129 @@
+//! Pixels in memory, however they were stored.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageFormat, ImageReader};
+
+use crate::exif::Exif;
+use crate::jpeg::{self, Planes};
+use crate::{Error, Result};
+
+/// More pixels than this in one image are taken for a broken header: 2²⁹, half a gigabyte of luma.
+const MAX_PIXELS: u64 = 1 << 29;
+
+/// A grey image, row by row from the top left.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Luma {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// One byte a pixel.
+    pub data: Vec<u8>,
+}
+
+/// A colour image, row by row from the top left.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Rgb {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Three bytes a pixel.
+    pub data: Vec<u8>,
+}
+
+impl Luma {
+    /// Reads an image file, turned as its EXIF orientation says. Colours become JPEG's luma (ITU-R BT.601), so that a photo
+    /// looks the same in whatever format it was stored; 16 bits become 8; transparency is ignored.
+    pub fn read(path: &Path) -> Result<Self> {
+        let (width, height, data) = match decode(path, Planes::Luma)? {
+            DynamicImage::ImageLuma8(image) => (image.width(), image.height(), image.into_raw()),
+            other => {
+                let luma = other.to_rgb8().as_raw().as_chunks().0.iter().map(luma).collect();
+                (other.width(), other.height(), luma)
+            }
+        };
+        Ok(Self { width, height, data })
+    }
+}
+
+impl Rgb {
+    /// Reads an image file, turned as its EXIF orientation says.
+    pub fn read(path: &Path) -> Result<Self> {
+        let image = decode(path, Planes::Rgb)?.into_rgb8();
+        Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
+    }
+
+    /// The colour of the pixel at column x, row y.
+    pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
+        let start = 3 * (y as usize * self.width as usize + x as usize);
+        [self.data[start], self.data[start + 1], self.data[start + 2]]
+    }
+}
+
+/// 0.299 R + 0.587 G + 0.114 B in sixteen bits of fraction, rounded.
+fn luma([r, g, b]: &[u8; 3]) -> u8 {
+    ((19_595 * u32::from(*r) + 38_470 * u32::from(*g) + 7_471 * u32::from(*b) + (1 << 15)) >> 16) as u8
+}
+
+/// Size of an image as it is seen, that is, turned by its EXIF orientation; from its header alone.
+pub(crate) fn dimensions(path: &Path, exif: &Exif) -> Result<(u32, u32)> {
+    // By content, whatever the name.
+    let file = std::fs::File::open(path).map_err(Error::io(path))?;
+    let reader =
+        ImageReader::new(std::io::BufReader::new(file)).with_guessed_format().map_err(Error::io(path))?;
+    let (width, height) = match reader.format() {
+        Some(ImageFormat::Jpeg) => jpeg::dimensions(&mut reader.into_inner())
+            .ok_or_else(|| Error::content(path, "the JPEG data has no header, or is truncated"))?,
+        Some(_) => reader.into_dimensions().map_err(|cause| Error::content(path, cause.to_string()))?,
+        None => return Err(no_image(path)),
+    };
+    check_size(path, width, height)?;
+    Ok(if exif.orientation >= 5 { (height, width) } else { (width, height) })
+}
+
+fn no_image(path: &Path) -> Error {
+    Error::content(path, "is no JPEG, PNG or TIFF image")
+}
+
+fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels == 0 || pixels > MAX_PIXELS {
+        return Err(Error::content(path, format!("{width} × {height} pixels are out of range")));
+    }
+    Ok(())
+}
+
+fn decode(path: &Path, planes: Planes) -> Result<DynamicImage> {
+    let bytes = std::fs::read(path).map_err(Error::io(path))?;
+    if bytes.is_empty() {
+        return Err(Error::content(path, "is empty"));
+    }
+    let exif = Exif::from_bytes(&bytes);
+    let (width, height) = dimensions(path, &Exif::default())?;
+    let mut image = match image::guess_format(&bytes) {
+        Ok(ImageFormat::Jpeg) => {
+            let decoded = jpeg::decode(&bytes, planes).map_err(|what| Error::content(path, what))?;
+            let (w, h) = (decoded.width, decoded.height);
+            let image = match decoded.planes {
+                Planes::Luma => image::GrayImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from),
+                Planes::Rgb => image::RgbImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from),
+            };
+            image.ok_or_else(|| Error::content(path, "the JPEG data has another size than its header"))?
+        }
+        Ok(format) => {
+            let mut reader = ImageReader::with_format(Cursor::new(&bytes), format);
+            let mut limits = image::Limits::default();
+            // Four channels of 16 bits.
+            limits.max_alloc = Some(8 * u64::from(width) * u64::from(height) + (64 << 20));
+            reader.limits(limits);
+            reader.decode().map_err(|cause| Error::content(path, cause.to_string()))?
+        }
+        Err(_) => return Err(no_image(path)),
+    };
+    image.apply_orientation(Orientation::from_exif(exif.orientation).unwrap_or(Orientation::NoTransforms));
+    Ok(image)
+}

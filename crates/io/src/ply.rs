@@ -1,0 +1,298 @@
+//! PLY files (Turk 1994): points with colours. Written binary, little-endian; read in all three encodings, whatever else is in
+//! them.
+
+use std::io::Write;
+use std::path::Path;
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::Reconstruction;
+
+use crate::binary::Reader;
+use crate::{AtomicFile, Error, Result};
+
+/// A point with its colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vertex {
+    /// Where.
+    pub xyz: Vector3<f64>,
+    /// Red, green, blue; grey where the file has no colours.
+    pub color: [u8; 3],
+}
+
+const GREY: [u8; 3] = [128; 3];
+/// Colour of a camera's centre.
+const RED: [u8; 3] = [255, 0, 0];
+/// Lines of a header longer than this are none.
+const MAX_HEADER_LINE_BYTES: u64 = 1 << 12;
+/// More properties than this are a broken header.
+const MAX_PROPERTIES: usize = 256;
+
+/// The points of a reconstruction, in order of their ids.
+pub fn points(model: &Reconstruction) -> Vec<Vertex> {
+    model.tracks().map(|(_, track)| Vertex { xyz: track.xyz, color: track.color }).collect()
+}
+
+/// The centres of the registered cameras, in red.
+pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
+    model.registered().map(|(.., pose)| Vertex { xyz: pose.origin_in_a(), color: RED }).collect()
+}
+
+/// Writes points: single precision, binary, little-endian.
+pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
+    AtomicFile::write_with(path, |file| {
+        write!(
+            file,
+            "ply\nformat binary_little_endian 1.0\ncomment tiepoint\nelement vertex {}\n\
+             property float x\nproperty float y\nproperty float z\n\
+             property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+            vertices.len()
+        )?;
+        vertices.iter().try_for_each(|vertex| {
+            vertex.xyz.iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+            file.write_all(&vertex.color)
+        })
+    })
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn from_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    fn is_integer(self) -> bool {
+        !matches!(self, Self::F32 | Self::F64)
+    }
+
+    /// From `self.bytes()` bytes, little-endian.
+    fn value(self, b: [u8; 8]) -> f64 {
+        match self {
+            Self::I8 => f64::from(i8::from_le_bytes([b[0]])),
+            Self::U8 => f64::from(b[0]),
+            Self::I16 => f64::from(i16::from_le_bytes([b[0], b[1]])),
+            Self::U16 => f64::from(u16::from_le_bytes([b[0], b[1]])),
+            Self::I32 => f64::from(i32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+            Self::U32 => f64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+            Self::F32 => f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+            Self::F64 => f64::from_le_bytes(b),
+        }
+    }
+}
+
+/// What a property of a vertex is to us.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Xyz(usize),
+    Color(usize),
+    Other,
+}
+
+struct Property {
+    /// The type of a list's length, if it is a list.
+    length: Option<Scalar>,
+    scalar: Scalar,
+    role: Role,
+}
+
+struct Element {
+    name: String,
+    count: u64,
+    properties: Vec<Property>,
+}
+
+/// Reads the vertices of a file. Points that are not finite are left out, as scanners write them for beams without echo.
+pub fn read(path: &Path) -> Result<Vec<Vertex>> {
+    let mut file = Reader::open(path)?;
+    let (encoding, elements) = read_header(&mut file)?;
+    let Some(place) = elements.iter().position(|element| element.name == "vertex") else {
+        return Err(file.error("the header names no element `vertex`"));
+    };
+    for axis in 0..3 {
+        if !elements[place].properties.iter().any(|p| p.role == Role::Xyz(axis) && p.length.is_none()) {
+            return Err(file.error(format!("a vertex has no property `{}`", ["x", "y", "z"][axis])));
+        }
+    }
+    let mut words = Vec::new();
+    let mut vertices = Vec::new();
+    for element in &elements[..=place] {
+        // In text each value takes two characters at least.
+        let least: u64 = element.properties.iter().map(|p| p.length.unwrap_or(p.scalar).bytes() as u64).sum();
+        let least = if encoding == Encoding::Ascii { 2 * element.properties.len() as u64 } else { least };
+        let slack = u64::from(encoding == Encoding::Ascii);
+        let count = element.count;
+        if count.checked_mul(least).is_none_or(|bytes| bytes > file.remaining() + slack) {
+            let left = file.remaining();
+            return Err(
+                file.error(format!("{count} × {} are announced, but {left} bytes follow", element.name))
+            );
+        }
+        let is_vertex = element.name == "vertex";
+        if is_vertex {
+            vertices.reserve_exact(count as usize);
+        }
+        for _ in 0..count {
+            let mut vertex = Vertex { xyz: Vector3::zeros(), color: GREY };
+            let mut next = |file: &mut Reader, scalar: Scalar| match encoding {
+                Encoding::Ascii => next_word(file, &mut words, scalar),
+                _ => next_value(file, encoding, scalar),
+            };
+            for property in &element.properties {
+                if let Some(length) = property.length {
+                    let length = next(&mut file, length)?;
+                    if length < 0.0 || length > file.remaining() as f64 {
+                        return Err(file.error(format!("a list of length {length}")));
+                    }
+                    for _ in 0..length as u64 {
+                        next(&mut file, property.scalar)?;
+                    }
+                    continue;
+                }
+                let value = next(&mut file, property.scalar)?;
+                match property.role {
+                    Role::Xyz(axis) => vertex.xyz[axis] = value,
+                    Role::Color(channel) => vertex.color[channel] = color(property.scalar, value),
+                    Role::Other => {}
+                }
+            }
+            if is_vertex && vertex.xyz.iter().all(|value| value.is_finite()) {
+                vertices.push(vertex);
+            }
+        }
+    }
+    Ok(vertices)
+}
+
+/// Bytes as they are, shorts by their high byte, floats from 0 to 1.
+fn color(scalar: Scalar, value: f64) -> u8 {
+    match scalar {
+        Scalar::F32 | Scalar::F64 => (255.0 * value).round() as u8,
+        Scalar::U16 => (value / 256.0) as u8,
+        _ => value as u8,
+    }
+}
+
+fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
+    let mut encoding = None;
+    let mut elements: Vec<Element> = Vec::new();
+    if file.line(MAX_HEADER_LINE_BYTES)?.trim_end() != "ply" {
+        return Err(Error::content(file.path(), "is no PLY file"));
+    }
+    loop {
+        let line = file.line(MAX_HEADER_LINE_BYTES)?;
+        let bad = |file: &Reader| file.error(format!("the header says `{}`", line.trim_end()));
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        match words[..] {
+            ["end_header"] => break,
+            ["format", name, _] => {
+                encoding = Some(match name {
+                    "ascii" => Encoding::Ascii,
+                    "binary_little_endian" => Encoding::Little,
+                    "binary_big_endian" => Encoding::Big,
+                    _ => return Err(bad(file)),
+                });
+            }
+            ["element", name, count] => {
+                let count = count.parse().map_err(|_| bad(file))?;
+                elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+            }
+            ["property", ref kind @ .., name] => {
+                let (length, scalar) = match kind {
+                    [scalar] => (None, Scalar::from_name(scalar)),
+                    ["list", length, scalar] => (Scalar::from_name(length), Scalar::from_name(scalar)),
+                    _ => (None, None),
+                };
+                let is_list = kind.len() == 3;
+                let length = length.filter(|length| length.is_integer());
+                let (Some(scalar), Some(element), true) =
+                    (scalar, elements.last_mut(), is_list == length.is_some())
+                else {
+                    return Err(bad(file));
+                };
+                let role = match name {
+                    "x" | "y" | "z" => Role::Xyz(usize::from(name.as_bytes()[0] - b'x')),
+                    "red" | "diffuse_red" | "r" => Role::Color(0),
+                    "green" | "diffuse_green" | "g" => Role::Color(1),
+                    "blue" | "diffuse_blue" | "b" => Role::Color(2),
+                    _ => Role::Other,
+                };
+                element.properties.push(Property { length, scalar, role });
+                if element.properties.len() > MAX_PROPERTIES {
+                    return Err(bad(file));
+                }
+            }
+            [] | ["comment" | "obj_info", ..] => {}
+            _ => return Err(bad(file)),
+        }
+    }
+    // An element without properties would take no bytes however often it occurs.
+    elements.retain(|element| !element.properties.is_empty() || element.name == "vertex");
+    encoding.map(|encoding| (encoding, elements)).ok_or_else(|| file.error("the header names no format"))
+}
+
+fn next_value(file: &mut Reader, encoding: Encoding, scalar: Scalar) -> Result<f64> {
+    let mut bytes = [0; 8];
+    let count = scalar.bytes();
+    file.fill(&mut bytes[..count], "a property")?;
+    if encoding == Encoding::Big {
+        bytes[..count].reverse();
+    }
+    Ok(scalar.value(bytes))
+}
+
+/// The next word of a text file, as a number.
+fn next_word(file: &mut Reader, word: &mut Vec<u8>, scalar: Scalar) -> Result<f64> {
+    word.clear();
+    while file.remaining() > 0 {
+        match file.u8("a property")? {
+            byte if !byte.is_ascii_whitespace() => word.push(byte),
+            _ if word.is_empty() => {}
+            _ => break,
+        }
+        if word.len() > 64 {
+            return Err(file.error("a number is longer than 64 characters"));
+        }
+    }
+    let text = std::str::from_utf8(word).ok();
+    let value = text.and_then(|text| text.parse().ok());
+    // `nan` is a number; as an integer it is none.
+    value
+        .filter(|value: &f64| value.is_finite() || !scalar.is_integer())
+        .ok_or_else(|| file.error(format!("`{}` is no number", String::from_utf8_lossy(word))))
+}

@@ -1,0 +1,175 @@
+//! Lines of text and the words in them.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
+
+use crate::{Error, Result, rotation};
+
+/// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64 characters.
+const MAX_LINE_BYTES: u64 = 1 << 26;
+
+/// A file, line by line.
+pub(crate) struct Lines {
+    inner: BufReader<File>,
+    path: PathBuf,
+    line: usize,
+    buffer: String,
+}
+
+impl Lines {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(Error::io(path))?;
+        Ok(Self { inner: BufReader::new(file), path: path.to_owned(), line: 0, buffer: String::new() })
+    }
+
+    pub(crate) fn error(&self, what: impl Into<String>) -> Error {
+        Error::Line { path: self.path.clone(), line: self.line, what: what.into() }
+    }
+
+    /// The next line as it is, without its end.
+    pub(crate) fn next_raw(&mut self) -> Result<Option<Words<'_>>> {
+        self.line += 1;
+        self.buffer.clear();
+        let read = (&mut self.inner).take(MAX_LINE_BYTES).read_line(&mut self.buffer);
+        let bytes = read.map_err(|cause| match cause.kind() {
+            std::io::ErrorKind::InvalidData => self.error("is not UTF-8 text"),
+            _ => Error::Io { path: self.path.clone(), cause },
+        })?;
+        if bytes as u64 == MAX_LINE_BYTES {
+            return Err(self.error(format!("is longer than {MAX_LINE_BYTES} bytes")));
+        }
+        Ok((bytes > 0).then(|| self.current()))
+    }
+
+    /// The next line that is neither empty nor a comment.
+    pub(crate) fn next(&mut self) -> Result<Option<Words<'_>>> {
+        loop {
+            match self.next_raw()? {
+                None => return Ok(None),
+                Some(words) if words.rest.is_empty() || words.rest.starts_with('#') => {}
+                // A second borrow of the same line: the loop would hold the first one too long for the borrow checker.
+                Some(_) => break,
+            }
+        }
+        Ok(Some(self.current()))
+    }
+}
+
+impl Lines {
+    /// The next line that is neither empty nor a comment; an error where there is none.
+    pub(crate) fn expect(&mut self, what: &str) -> Result<Words<'_>> {
+        // Whether there is one is asked first: the borrow of a line would last into the branch of the error.
+        if self.next()?.is_none() {
+            return Err(self.error(format!("the file ends where {what} should be")));
+        }
+        Ok(self.current())
+    }
+
+    fn current(&self) -> Words<'_> {
+        Words { rest: self.buffer.trim(), path: &self.path, line: self.line }
+    }
+}
+
+/// What is left of a line.
+pub(crate) struct Words<'a> {
+    rest: &'a str,
+    path: &'a Path,
+    line: usize,
+}
+
+impl<'a> Words<'a> {
+    pub(crate) fn error(&self, what: impl Into<String>) -> Error {
+        Error::Line { path: self.path.to_owned(), line: self.line, what: what.into() }
+    }
+
+    /// Other words in place of this line's, for errors to name the line.
+    pub(crate) fn again<'b>(&self, text: &'b str) -> Words<'b>
+    where
+        'a: 'b,
+    {
+        Words { rest: text.trim(), path: self.path, line: self.line }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.rest.is_empty()
+    }
+
+    /// All that is left.
+    pub(crate) fn rest(&mut self) -> &'a str {
+        std::mem::take(&mut self.rest)
+    }
+
+    pub(crate) fn word(&mut self, what: &str) -> Result<&'a str> {
+        let rest = self.rest;
+        if rest.is_empty() {
+            return Err(self.error(format!("ends where {what} should be")));
+        }
+        let (word, rest) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
+        self.rest = rest.trim_start();
+        Ok(word)
+    }
+
+    /// A number of any integer type.
+    pub(crate) fn number<T: FromStr>(&mut self, what: &str) -> Result<T> {
+        let word = self.word(what)?;
+        word.parse().map_err(|_| self.error(format!("{what} is `{word}`, not a number in range")))
+    }
+
+    /// A finite number.
+    pub(crate) fn f64(&mut self, what: &str) -> Result<f64> {
+        let value: f64 = self.number(what)?;
+        if value.is_finite() { Ok(value) } else { Err(self.error(format!("{what} is {value}"))) }
+    }
+
+    pub(crate) fn f64s<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.f64(what)?;
+        }
+        Ok(values)
+    }
+
+    /// qw qx qy qz tx ty tz.
+    pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
+        let rotation =
+            rotation::from_wxyz(self.f64s(what)?).map_err(|cause| self.error(format!("{what}: {cause}")))?;
+        Ok(Rigid3::new(rotation, Vector3::from(self.f64s::<3>(what)?)))
+    }
+
+    /// Nothing may follow.
+    pub(crate) fn end(&self) -> Result<()> {
+        if self.rest.is_empty() { Ok(()) } else { Err(self.error(format!("`{}` follows", self.rest))) }
+    }
+}
+
+/// A number with as many digits as bring the same one back, and an exponent where that is shorter than zeros.
+pub(crate) struct Number(pub(crate) f64);
+
+impl fmt::Display for Number {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let magnitude = self.0.abs();
+        if magnitude != 0.0 && !(1e-5..1e16).contains(&magnitude) {
+            write!(f, "{:e}", self.0)
+        } else {
+            write!(f, "{}", self.0)
+        }
+    }
+}
+
+/// Numbers with spaces between them.
+pub(crate) struct Numbers<'a>(pub(crate) &'a [f64]);
+
+impl fmt::Display for Numbers<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, value) in self.0.iter().enumerate() {
+            write!(f, "{}{}", if index == 0 { "" } else { " " }, Number(*value))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,45 @@
+//! When each image was taken: a CSV file with the header `image,seconds`.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+use crate::text::{Lines, Number};
+use crate::{AtomicFile, Result};
+
+const HEADER: &str = "image,seconds";
+
+/// Reads the times of images, in seconds on their cameras' clocks, by name. A name may hold commas: the last one divides.
+pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
+    let mut lines = Lines::open(path)?;
+    let mut times = BTreeMap::new();
+    // A byte order mark is what spreadsheets leave.
+    let header = lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
+    if header.as_deref() != Some(HEADER) {
+        return Err(lines.error(format!("must be `{HEADER}`")));
+    }
+    while let Some(mut line) = lines.next_raw()? {
+        if line.is_empty() {
+            continue;
+        }
+        let text = line.rest();
+        let Some((name, seconds)) = text.rsplit_once(',') else {
+            return Err(line.error(format!("`{text}` has no comma: expected {HEADER}")));
+        };
+        let seconds: Option<f64> = seconds.trim().parse().ok().filter(|seconds: &f64| seconds.is_finite());
+        let seconds =
+            seconds.ok_or_else(|| line.error(format!("the time of {name} is not a number of seconds")))?;
+        if times.insert(name.trim().to_owned(), seconds).is_some() {
+            return Err(line.error(format!("the image {name} is there twice")));
+        }
+    }
+    Ok(times)
+}
+
+/// Writes the times of images, in the order given.
+pub fn write<'a>(path: &Path, times: impl IntoIterator<Item = (&'a str, f64)>) -> Result<()> {
+    AtomicFile::write_with(path, |file| {
+        writeln!(file, "{HEADER}")?;
+        times.into_iter().try_for_each(|(name, seconds)| writeln!(file, "{name},{}", Number(seconds)))
+    })
+}

@@ -1,0 +1,221 @@
+//! COLMAP's database: what is written is read back, also in layouts that older versions wrote.
+#![cfg(feature = "database")]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::f32::consts::PI;
+use std::path::Path;
+
+use proptest::prelude::*;
+use tiepoint_features::{Features, Keypoint};
+use tiepoint_geometry::nalgebra::Matrix3;
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
+use tiepoint_io::database::{Database, Moment};
+use tiepoint_scene::{
+    Camera, CameraId, Image, ImageId, ImagePair, Match, Rig, RigId, RigSensor, TwoView, TwoViewKind,
+};
+
+/// Scale and orientation pass through four products in f32: a few units in the last place.
+const SHAPE_TOLERANCE: f32 = 1e-6;
+
+fn cameras() -> Vec<Camera> {
+    let camera = |kind, has_focal_prior| Camera {
+        intrinsics: Intrinsics::centred(kind, 501.25, 640, 480),
+        width: 640,
+        height: 480,
+        has_focal_prior,
+    };
+    vec![camera(CameraModelKind::Pinhole, true), camera(CameraModelKind::SimplePinhole, false)]
+}
+
+fn images() -> Vec<Image> {
+    ["a/1.png", "b/1.png", "a/2.png", "b/2.png"]
+        .iter()
+        .enumerate()
+        .map(|(index, name)| Image::new(*name, CameraId::from_index(index % 2), vec![]))
+        .collect()
+}
+
+fn filled(path: &Path) -> Database {
+    let mut db = Database::create(path).unwrap();
+    db.write_cameras(&cameras()).unwrap();
+    db.write_images(&images()).unwrap();
+    db
+}
+
+fn random_features(rng: &mut Rng, count: usize) -> Features {
+    let keypoints = (0..count).map(|_| Keypoint {
+        x: (640.0 * rng.uniform()) as f32,
+        y: (480.0 * rng.uniform()) as f32,
+        scale: (0.5 + 50.0 * rng.uniform()) as f32,
+        orientation: ((2.0 * rng.uniform() - 1.0) as f32) * PI,
+    });
+    let keypoints = keypoints.collect();
+    Features {
+        keypoints,
+        descriptors: (0..count).map(|_| std::array::from_fn(|_| rng.below(256) as u8)).collect(),
+    }
+}
+
+fn random_two_view(rng: &mut Rng) -> TwoView {
+    let mut some = |_| (rng.uniform() < 0.5).then(|| Matrix3::from_fn(|_, _| rng.normal()));
+    let (fundamental, essential, homography) = (some(()), some(()), some(()));
+    TwoView {
+        kind: [TwoViewKind::Calibrated, TwoViewKind::Watermark, TwoViewKind::Multiple][rng.below(3)],
+        fundamental,
+        essential,
+        homography,
+        cam2_from_cam1: (rng.uniform() < 0.5).then(|| common::pose(rng)),
+        matches: (0..rng.below(5)).map(|k| Match { a: k as u32, b: rng.below(1000) as u32 }).collect(),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn database_is_read_as_written(seed: u64) {
+        let mut rng = Rng::stream(seed, &[]);
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("database.db");
+        let mut db = filled(&path);
+        let features: Vec<Features> = (0..4).map(|count| random_features(&mut rng, 3 * count)).collect();
+        db.write_features((0..4).map(|k| (ImageId(k), &features[k as usize]))).unwrap();
+        let pairs: Vec<ImagePair> =
+            [(0, 1), (2, 1), (0, 3)].map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b)).unwrap()).into();
+        let views: Vec<TwoView> = pairs.iter().map(|_| random_two_view(&mut rng)).collect();
+        db.write_matches(pairs.iter().zip(&views).map(|(pair, view)| (*pair, &view.matches[..]))).unwrap();
+        db.write_two_views(pairs.iter().copied().zip(&views)).unwrap();
+        db.finish().unwrap();
+        let files: Vec<_> = std::fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        prop_assert_eq!(files, ["database.db"]);
+
+        let db = Database::open(&path).unwrap();
+        prop_assert_eq!(db.read_cameras().unwrap(), cameras());
+        prop_assert_eq!(db.read_images().unwrap(), images());
+        prop_assert_eq!(db.keypoint_counts().unwrap(), [Some(0), Some(3), Some(6), Some(9)]);
+        for (index, written) in features.iter().enumerate() {
+            let read = db.read_features(ImageId::from_index(index)).unwrap();
+            prop_assert_eq!(&read.descriptors, &written.descriptors);
+            prop_assert_eq!(read.keypoints.len(), written.keypoints.len());
+            for (r, w) in read.keypoints.iter().zip(&written.keypoints) {
+                prop_assert_eq!((r.x, r.y), (w.x, w.y));
+                prop_assert!((r.scale / w.scale - 1.0).abs() < SHAPE_TOLERANCE);
+                prop_assert!((r.orientation - w.orientation).abs() < SHAPE_TOLERANCE * 2.0 * PI);
+            }
+        }
+        // (0, 1), (0, 3), (1, 2)
+        let order = [0, 2, 1];
+        prop_assert_eq!(db.matched_pairs().unwrap(), order.map(|k| pairs[k]));
+        prop_assert_eq!(db.read_matches().unwrap(), order.map(|k| (pairs[k], views[k].matches.clone())));
+        prop_assert_eq!(db.read_two_views().unwrap(), order.map(|k| (pairs[k], views[k].clone())));
+    }
+
+    /// A database with any bytes overwritten ends in an error or in values, not in a panic.
+    #[test]
+    fn damaged_database_never_panics(place in 0.0..1.0, damage: [u8; 16]) {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("database.db");
+        let mut db = filled(&path);
+        let mut rng = Rng::stream(1, &[]);
+        db.write_features([(ImageId(0), &random_features(&mut rng, 5))]).unwrap();
+        db.write_two_views([(ImagePair::new(ImageId(0), ImageId(1)).unwrap(), &random_two_view(&mut rng))]).unwrap();
+        db.finish().unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let start = ((bytes.len() - damage.len()) as f64 * place) as usize;
+        bytes[start..start + damage.len()].copy_from_slice(&damage);
+        std::fs::write(&path, bytes).unwrap();
+        if let Ok(db) = Database::open(&path) {
+            let _ = (db.read_cameras(), db.read_images(), db.read_two_views(), db.read_matches(), db.read_rigs());
+            (0..db.num_images()).for_each(|k| drop(db.read_features(ImageId::from_index(k))));
+        }
+    }
+}
+
+#[test]
+fn rigs_and_moments_are_read_as_written_and_the_rest_rides_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut db = filled(&dir.path().join("database.db"));
+    db.write_rigs(&[], &[]).unwrap();
+    assert_eq!(db.read_rigs().unwrap(), (vec![], vec![]));
+    let cam_from_rig = Some(Rigid3::from_axis_angle([0.1, 0.2, 0.3].into(), [1.0, 2.0, 3.0].into()));
+    for cam_from_rig in [None, cam_from_rig] {
+        let rig = Rig {
+            sensors: vec![
+                RigSensor { camera: CameraId(1), cam_from_rig: Some(Rigid3::identity()) },
+                RigSensor { camera: CameraId(0), cam_from_rig },
+            ],
+        };
+        let moment = Moment { rig: RigId(0), images: vec![ImageId(0), ImageId(1)] };
+        db.write_rigs(std::slice::from_ref(&rig), std::slice::from_ref(&moment)).unwrap();
+        let (rigs, moments) = db.read_rigs().unwrap();
+        assert_eq!(rigs, [rig]);
+        let alone = |id| Moment { rig: RigId(0), images: vec![ImageId(id)] };
+        assert_eq!(moments, [moment, alone(2), alone(3)]);
+    }
+}
+
+#[test]
+fn layouts_of_other_versions_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    filled(&path).finish().unwrap();
+    // Ids with holes, keypoints of two and four columns, no rigs, no poses, no kinds of descriptors.
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute_batch(
+        "PRAGMA foreign_keys = OFF; UPDATE images SET image_id = image_id * 10; DROP TABLE rig_sensors;",
+    )
+    .unwrap();
+    let blob = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let insert = "INSERT INTO keypoints VALUES (?1, 1, ?2, ?3)";
+    sql.execute(insert, rusqlite::params![10, 2, blob(&[1.0, 2.0])]).unwrap();
+    sql.execute(insert, rusqlite::params![20, 4, blob(&[1.0, 2.0, 3.0, 0.5])]).unwrap();
+    sql.execute(insert, rusqlite::params![30, 6, blob(&[1.0, 2.0])]).unwrap();
+    sql.execute(insert, rusqlite::params![40, 2, blob(&[1.0, f32::NAN])]).unwrap();
+    sql.execute_batch(
+        "ALTER TABLE descriptors DROP COLUMN type;
+         INSERT INTO descriptors VALUES (10, 1, 128, zeroblob(128));
+         ALTER TABLE two_view_geometries DROP COLUMN qvec; ALTER TABLE two_view_geometries DROP COLUMN tvec;
+         INSERT INTO two_view_geometries VALUES (2147483647 * 10 + 30, 0, 0, NULL, 9, NULL, NULL, NULL, NULL, NULL);",
+    )
+    .unwrap();
+    drop(sql);
+
+    let db = Database::open(&path).unwrap();
+    let expected = |scale, orientation| vec![Keypoint { x: 1.0, y: 2.0, scale, orientation }];
+    assert_eq!(db.read_features(ImageId(0)).unwrap().keypoints, expected(1.0, 0.0));
+    assert_eq!(db.read_keypoints(ImageId(1)).unwrap(), expected(3.0, 0.5));
+    assert_eq!(db.keypoint_counts().unwrap(), [Some(1); 4]);
+    for (image, message) in
+        [(1, "1 keypoints but 0 descriptors"), (2, "8 bytes for 1 × 6"), (3, "is not finite")]
+    {
+        let error = db.read_features(ImageId(image)).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+    assert_eq!(db.read_rigs().unwrap(), (vec![], vec![]));
+    let views = db.read_two_views().unwrap();
+    assert_eq!(views.len(), 1);
+    assert_eq!(views[0].0, ImagePair::new(ImageId(0), ImageId(2)).unwrap());
+    assert_eq!(views[0].1.kind, TwoViewKind::Calibrated);
+}
+
+#[test]
+fn what_is_no_database_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    assert!(Database::open(&path).is_err());
+    for content in
+        ["", "this is no database, but it is longer than the header of one, which has a hundred bytes; or so"]
+    {
+        std::fs::write(&path, content).unwrap();
+        let error = Database::open(&path).unwrap_err().to_string();
+        assert!(error.contains("database"), "{error}");
+    }
+    let mut db = Database::create(&path).unwrap();
+    assert!(db.write_images(&images()).unwrap_err().to_string().contains("there are 0 cameras"));
+    db.write_cameras(&cameras()).unwrap();
+    db.write_images(&images()).unwrap();
+    let error = db.write_features([(ImageId(9), &Features::default())]).unwrap_err().to_string();
+    assert!(error.contains("there are 4 images, and none of index 9"), "{error}");
+}

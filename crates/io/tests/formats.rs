@@ -1,0 +1,369 @@
+//! Trajectories, ground truth, PLY and BAL: what is written is read back, what others wrote is understood.
+#![allow(clippy::unwrap_used, clippy::print_stderr)]
+
+mod common;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use common::{Riding, pose, random_model, vector};
+use proptest::prelude::*;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
+use tiepoint_io::bal::{Bal, BalCamera, BalError, BalObservation};
+use tiepoint_io::ply::{self, Vertex};
+use tiepoint_io::trajectory::{
+    TimedPose, read_euroc, read_kitti, read_tum, write_euroc, write_kitti, write_tum,
+};
+use tiepoint_io::{kitti, strecha};
+
+/// Poses are inverted on the way out and in: roundings of numbers of size 30.
+const POSE_TOLERANCE: f64 = 1e-12;
+/// Angles by arccos near zero lose half the digits.
+const ANGLE_TOLERANCE_RAD: f64 = 1e-7;
+
+fn close(a: &Rigid3, b: &Rigid3) -> bool {
+    (a.translation - b.translation).norm() < POSE_TOLERANCE
+        && a.rotation.angle_to(&b.rotation) < ANGLE_TOLERANCE_RAD
+}
+
+fn in_file<T>(content: impl AsRef<[u8]>, read: impl FnOnce(&Path) -> T) -> T {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("file");
+    fs::write(&path, content).unwrap();
+    read(&path)
+}
+
+fn round_trip<T>(write: impl FnOnce(&Path), read: impl FnOnce(&Path) -> T) -> T {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("file");
+    write(&path);
+    read(&path)
+}
+
+fn random_bal(rng: &mut Rng) -> Bal {
+    let cameras: Vec<_> = (0..1 + rng.below(4))
+        .map(|_| BalCamera {
+            axis_angle_rad: vector(rng, 0.8),
+            translation: vector(rng, 3.0),
+            focal_px: 300.0 + 100.0 * rng.uniform(),
+            k1: 0.01 * rng.normal(),
+            k2: 0.001 * rng.normal(),
+        })
+        .collect();
+    let points: Vec<_> = (0..rng.below(20)).map(|_| vector(rng, 5.0)).collect();
+    let mut observations = Vec::new();
+    for point in 0..points.len() as u32 {
+        for camera in 0..cameras.len() as u32 {
+            if rng.uniform() < 0.7 {
+                let pixel = Vector2::new(rng.normal(), rng.normal()) * 100.0;
+                observations.push(BalObservation { camera, point, pixel });
+            }
+        }
+    }
+    Bal { cameras, points, observations }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn trajectories_are_read_as_written(seed: u64, count in 0..10usize) {
+        let mut rng = Rng::stream(seed, &[]);
+        let poses: Vec<TimedPose> = (0..count)
+            .map(|k| TimedPose { time_s: 1.4e9 + k as f64 + rng.uniform(), cam_from_world: pose(&mut rng) })
+            .collect();
+        let tum = round_trip(|path| write_tum(path, &poses).unwrap(), |path| read_tum(path).unwrap());
+        let euroc = round_trip(|path| write_euroc(path, &poses).unwrap(), |path| read_euroc(path).unwrap());
+        let bare: Vec<Rigid3> = poses.iter().map(|pose| pose.cam_from_world).collect();
+        let kitti = round_trip(|path| write_kitti(path, &bare).unwrap(), |path| read_kitti(path).unwrap());
+        prop_assert_eq!((tum.len(), euroc.len(), kitti.len()), (count, count, count));
+        for k in 0..count {
+            prop_assert!(tum[k].time_s == poses[k].time_s && euroc[k].time_s == poses[k].time_s);
+            for read in [&tum[k].cam_from_world, &euroc[k].cam_from_world, &kitti[k]] {
+                prop_assert!(close(read, &bare[k]), "{:?} {:?}", read, bare[k]);
+            }
+        }
+    }
+
+    /// Single precision on disk.
+    #[test]
+    fn ply_is_read_as_written(seed: u64, count in 0..20usize) {
+        let mut rng = Rng::stream(seed, &[]);
+        let vertices: Vec<Vertex> = (0..count)
+            .map(|k| Vertex { xyz: vector(&mut rng, 5.0).map(|v| f64::from(v as f32)), color: [k as u8, 255, 0] })
+            .collect();
+        let read = round_trip(|path| ply::write(path, &vertices).unwrap(), |path| ply::read(path).unwrap());
+        prop_assert_eq!(read, vertices);
+    }
+
+    #[test]
+    fn bal_is_read_as_written(seed: u64) {
+        let bal = random_bal(&mut Rng::stream(seed, &[]));
+        prop_assert_eq!(&round_trip(|path| bal.write(path).unwrap(), |path| Bal::read(path).unwrap()), &bal);
+    }
+
+    /// The same pixels from the formula of the format and from our cameras; and back again.
+    #[test]
+    fn bal_and_reconstruction_are_one_problem(seed: u64) {
+        let bal = random_bal(&mut Rng::stream(seed, &[]));
+        let model = bal.to_reconstruction().unwrap();
+        prop_assert!(model.validate().is_ok());
+        prop_assert_eq!(model.num_observations(), bal.observations.len());
+        for observation in &bal.observations {
+            let camera = &bal.cameras[observation.camera as usize];
+            let point = &bal.points[observation.point as usize];
+            let residual = (camera.project(point).unwrap() - observation.pixel).norm();
+            let image = tiepoint_scene::ImageId(observation.camera);
+            let track = model.track(tiepoint_scene::PointId(observation.point)).unwrap();
+            let ours = track.observations.iter().find(|o| o.image == image).unwrap();
+            // Behind a camera we see nothing.
+            if let Some(error) = model.error_of_px(ours, point) {
+                prop_assert!((error - residual).abs() < 1e-9 * (1.0 + residual), "{} {}", error, residual);
+            }
+        }
+        let back = Bal::from_reconstruction(&model).unwrap();
+        prop_assert_eq!(back.points, bal.points);
+        for (a, b) in back.cameras.iter().zip(&bal.cameras) {
+            prop_assert!((a.axis_angle_rad - b.axis_angle_rad).norm() < POSE_TOLERANCE || b.axis_angle_rad.norm() > 3.0);
+            prop_assert_eq!((a.translation, a.focal_px, a.k1, a.k2), (b.translation, b.focal_px, b.k1, b.k2));
+        }
+        for (a, b) in back.observations.iter().zip(&bal.observations) {
+            prop_assert!((a.camera, a.point) == (b.camera, b.point) && (a.pixel - b.pixel).norm() < POSE_TOLERANCE * 100.0);
+        }
+    }
+
+    /// Text and binary with any bytes overwritten or cut end in values or in an error.
+    #[test]
+    fn damaged_files_never_panic(seed: u64, which in 0..6usize, place in 0.0..1.0, damage: [u8; 6], cut: bool) {
+        let mut rng = Rng::stream(seed, &[]);
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("file");
+        let poses = [TimedPose { time_s: 1.5, cam_from_world: pose(&mut rng) }; 3];
+        match which {
+            0 => write_tum(&path, &poses).unwrap(),
+            1 => write_euroc(&path, &poses).unwrap(),
+            2 => write_kitti(&path, &poses.map(|pose| pose.cam_from_world)).unwrap(),
+            3 => ply::write(&path, &[Vertex { xyz: vector(&mut rng, 1.0), color: [1, 2, 3] }; 4]).unwrap(),
+            4 => fs::write(&path, ASCII_PLY).unwrap(),
+            _ => random_bal(&mut rng).write(&path).unwrap(),
+        }
+        let mut bytes = fs::read(&path).unwrap();
+        let start = (bytes.len() as f64 * place) as usize;
+        if cut {
+            bytes.truncate(start);
+        } else {
+            bytes[start..].iter_mut().zip(damage).for_each(|(byte, new)| *byte = new);
+        }
+        fs::write(&path, bytes).unwrap();
+        match which {
+            0 => drop(read_tum(&path)),
+            1 => drop(read_euroc(&path)),
+            2 => drop(read_kitti(&path)),
+            3 | 4 => drop(ply::read(&path)),
+            _ => drop(Bal::read(&path).map(|bal| bal.to_reconstruction())),
+        }
+    }
+}
+
+const ASCII_PLY: &str = "ply\r\nformat ascii 1.0\r\ncomment made by hand\nelement face 2\nproperty list uchar int vertex_indices\n\
+    element vertex 3\nproperty double z\nproperty float nx\nproperty float y\nproperty float x\n\
+    property uint8 blue\nproperty uint8 green\nproperty uint8 red\nend_header\n\
+    3 0 1 2\n2 0 1\n1.5 0 2 -3e2 1 2 3\n 4 5 6 7 8 9 10\nnan 0 0 0 0 0 0\n";
+
+#[test]
+fn ply_of_others() {
+    let vertices = in_file(ASCII_PLY, |path| ply::read(path).unwrap());
+    let expected = [
+        Vertex { xyz: Vector3::new(-300.0, 2.0, 1.5), color: [3, 2, 1] },
+        Vertex { xyz: Vector3::new(7.0, 6.0, 4.0), color: [10, 9, 8] },
+    ];
+    assert_eq!(vertices, expected);
+
+    let mut big = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float x\nproperty int16 y\nproperty double z\n\
+        property float red\nproperty list uint8 ushort tail\nend_header\n"
+        .to_vec();
+    big.extend(1.5f32.to_be_bytes());
+    big.extend((-2i16).to_be_bytes());
+    big.extend(3.25f64.to_be_bytes());
+    big.extend(0.5f32.to_be_bytes());
+    big.extend([2, 0, 1, 0, 2]);
+    let vertices = in_file(&big, |path| ply::read(path).unwrap());
+    assert_eq!(vertices, [Vertex { xyz: Vector3::new(1.5, -2.0, 3.25), color: [128, 128, 128] }]);
+
+    let header = "ply\nformat ascii 1.0\nelement vertex";
+    for (content, expected) in [
+        (String::new(), "the file ends within a line"),
+        ("no\n".to_owned(), "is no PLY file"),
+        (format!("{header} 1\nproperty float x\nend_header\n1\n"), "a vertex has no property `y`"),
+        (format!("{header} -1\nend_header\n"), "the header says `element vertex -1`"),
+        (format!("{header} 1\nproperty float128 x\n"), "the header says `property float128 x`"),
+        (
+            "ply\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+                .to_owned(),
+            "names no format",
+        ),
+        (
+            format!(
+                "{header} 4000000000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
+            ),
+            "4000000000000 × vertex are announced, but 6 bytes follow",
+        ),
+    ] {
+        let error = in_file(&content, |path| ply::read(path).unwrap_err().to_string());
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn points_and_cameras_of_a_model() {
+    let model = random_model(3, Riding::Together);
+    assert_eq!(ply::points(&model).len(), model.num_tracks());
+    let centres = ply::camera_centres(&model);
+    assert_eq!(centres.len(), model.num_registered());
+    let (_, image, pose) = model.registered().next().unwrap();
+    assert_eq!(centres[0].xyz, pose.origin_in_a(), "{}", image.name);
+}
+
+#[test]
+fn conventions_of_trajectories() {
+    // A camera at (1, 2, 3) that looks along +x: its z axis is the world's x, its x axis the world's −y.
+    let rows = "0 0 1 1 -1 0 0 2 0 -1 0 3\n";
+    let pose = in_file(rows, |path| read_kitti(path).unwrap()[0]);
+    assert!((pose.origin_in_a() - Vector3::new(1.0, 2.0, 3.0)).norm() < POSE_TOLERANCE);
+    assert!((pose * Vector3::new(6.0, 2.0, 3.0) - Vector3::new(0.0, 0.0, 5.0)).norm() < POSE_TOLERANCE);
+    // The same in the two others: the quaternion of that matrix is (w, x, y, z) = (1, −1, 1, −1) / 2.
+    let tum = in_file("# comment\n1.5 1 2 3 -0.5 0.5 -0.5 0.5\n", |path| read_tum(path).unwrap()[0]);
+    let euroc = in_file("#timestamp\n1500000000, 1,2,3, 0.5,-0.5,0.5,-0.5, 9,9\n", |path| {
+        read_euroc(path).unwrap()[0]
+    });
+    for other in [tum, euroc] {
+        assert_eq!(other.time_s, 1.5);
+        assert!(close(&other.cam_from_world, &pose));
+    }
+    for (content, expected) in [
+        ("1 2 3 0 0 0 1", "line 1: ends where the quaternion should be"),
+        ("\n1 1 2 3 0 0 0 0", "line 2: a quaternion of norm 0 is no rotation"),
+        ("1 1 2 inf 0 0 0 1", "line 1: the position is inf"),
+        ("1 1 2 3 0 0 0 1 5", "line 1: `5` follows"),
+    ] {
+        let error = in_file(content, |path| read_tum(path).unwrap_err().to_string());
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = in_file("2 0 0 0 0 1 0 0 0 0 1 0", |path| read_kitti(path).unwrap_err().to_string());
+    assert!(error.contains("the matrix is no rotation"), "{error}");
+}
+
+#[test]
+fn bal_faults_are_named() {
+    for (content, expected) in [
+        ("", "line 1: the file ends where the numbers of cameras"),
+        ("1 1 1\n0 1 2 3\n", "line 2: camera 0 sees point 1, but there are 1 cameras and 1 points"),
+        ("1 0 0\n1 2 3 4 5 6 7 8", "line 3: the file ends where a camera's focal length"),
+        ("1 0 18446744073709551615\n", "the file ends where an observation should be"),
+    ] {
+        let error = in_file(content, |path| Bal::read(path).unwrap_err().to_string());
+        assert!(error.contains(expected), "{error}");
+    }
+    let mut model =
+        Bal { cameras: vec![BalCamera { focal_px: 1.0, ..Default::default() }], ..Default::default() }
+            .to_reconstruction()
+            .unwrap();
+    let camera = tiepoint_scene::CameraId(0);
+    model.camera_mut(camera).intrinsics =
+        Intrinsics::new(CameraModelKind::Pinhole, &[1.0, 2.0, 0.0, 0.0]).unwrap();
+    assert_eq!(Bal::from_reconstruction(&model), Err(BalError::NotRadial { camera, model: "PINHOLE" }));
+}
+
+fn data() -> Option<PathBuf> {
+    let data = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from);
+    if data.is_none() {
+        eprintln!("SKIPPED: TIEPOINT_DATA is not set, no test on files of others");
+    }
+    data
+}
+
+#[test]
+fn strecha_truth_sees_its_own_scene() {
+    let Some(data) = data() else { return };
+    let cameras = strecha::read(&data.join("fountain-P11/cameras")).unwrap();
+    assert_eq!(cameras.len(), 11);
+    assert_eq!((cameras[0].name.as_str(), cameras[0].width, cameras[0].height), ("0000.jpg", 3072, 2048));
+    let first = cameras[0].cam_from_world;
+    assert!((first.origin_in_a() - Vector3::new(-7.28137, -7.57667, 0.204446)).norm() < 1e-12);
+    assert_eq!(
+        cameras[0].calibration,
+        Matrix3::new(2759.48, 0.0, 1520.69, 0.0, 2764.16, 1006.81, 0.0, 0.0, 1.0)
+    );
+    // All look at the fountain: the point where their axes come closest is before each of them, within 15 m.
+    let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    for camera in &cameras {
+        let axis = camera.cam_from_world.rotation.inverse() * Vector3::z();
+        let across = Matrix3::identity() - axis * axis.transpose();
+        a += across;
+        b += across * camera.cam_from_world.origin_in_a();
+    }
+    let fountain = a.try_inverse().unwrap() * b;
+    for camera in &cameras {
+        let depth = (camera.cam_from_world * fountain).z;
+        assert!((1.0..15.0).contains(&depth), "{} sees the fountain at {depth} m", camera.name);
+    }
+    assert!(
+        strecha::read(&data.join("fountain-P11")).unwrap_err().to_string().contains("holds no .camera files")
+    );
+}
+
+#[test]
+fn kitti_truth_of_a_stereo_pair() {
+    let Some(data) = data() else { return };
+    let calibration = kitti::read_calibration(&data.join("kitti04/calib.txt")).unwrap();
+    assert_eq!(calibration.cameras.iter().map(|camera| camera.number).collect::<Vec<_>>(), [0, 1, 2, 3]);
+    assert_eq!(calibration.cameras[0].intrinsics.params(), [707.0912, 707.0912, 602.3873, 183.6104]);
+    assert_eq!(calibration.cameras[0].cam_from_cam0, Rigid3::identity());
+    // The baseline of KITTI's grey cameras: 0.54 m to the right.
+    let right = calibration.cameras[1].cam_from_cam0.origin_in_a();
+    assert!((right - Vector3::new(0.537, 0.0, 0.0)).norm() < 1e-3, "{right}");
+    // The scanner looks ahead along its x axis, our z.
+    let ahead = calibration.cam0_from_velodyne.unwrap().rotation * Vector3::x();
+    assert!((ahead - Vector3::z()).norm() < 0.02, "{ahead}");
+    let poses = read_kitti(&data.join("kitti04/poses.txt")).unwrap();
+    assert_eq!(poses.len(), 51);
+    let travelled = (poses[50].origin_in_a() - poses[0].origin_in_a()).norm();
+    assert!((travelled - 69.1).abs() < 0.5, "{travelled}"); // SOURCE.md: 69.1 m
+    assert!(ply::read(&data.join("kitti04/lidar_reference_voxel10cm.ply")).unwrap().len() > 1_000_000);
+}
+
+#[test]
+fn trajectories_of_others() {
+    let Some(data) = data() else { return };
+    let dir = data.join("trajectories");
+    assert_eq!(read_kitti(&dir.join("KITTI_00_gt.txt")).unwrap().len(), 4541);
+    assert!(read_tum(&dir.join("freiburg1_xyz-groundtruth.txt")).unwrap().len() > 1000);
+    let truth = read_euroc(&dir.join("V102_groundtruth.csv")).unwrap();
+    assert!(truth.len() > 1000 && (truth[0].time_s - 1_403_715_524.907_143).abs() < 1e-5);
+}
+
+/// BAL problems: the mean squared residual of the published start values, worked out with the formula of the format and with
+/// our cameras.
+#[test]
+fn bal_problems_of_others() {
+    let Some(data) = data() else { return };
+    let bal = Bal::read(&data.join("bal/problem-21-11315-pre.txt")).unwrap();
+    assert_eq!((bal.cameras.len(), bal.points.len(), bal.observations.len()), (21, 11315, 36455));
+    let model = bal.to_reconstruction().unwrap();
+    model.validate().unwrap();
+    let cost: f64 = bal
+        .observations
+        .iter()
+        .map(|o| {
+            (bal.cameras[o.camera as usize].project(&bal.points[o.point as usize]).unwrap() - o.pixel)
+                .norm_squared()
+        })
+        .sum();
+    let ours: f64 = model
+        .tracks()
+        .flat_map(|(_, track)| track.observations.iter().map(|o| model.error_of_px(o, &track.xyz)))
+        .map(|error| error.unwrap_or(f64::NAN).powi(2))
+        .sum();
+    assert!((ours / cost - 1.0).abs() < 1e-9, "{ours} {cost}");
+}

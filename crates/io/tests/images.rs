@@ -1,0 +1,303 @@
+//! Folders of images: which there are, what is in them, and what is said of broken ones.
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use exif::{In, Rational, Tag, Value};
+use image::{DynamicImage, ImageFormat, Rgb as Pixel, RgbImage};
+use tiepoint_io::{ImageFolder, ImageSource, Luma, Rgb, timestamps};
+
+/// JPEG at quality 95 of a smooth image: a few grey levels.
+const JPEG_TOLERANCE: i32 = 6;
+
+/// 24 × 16, brighter to the right, redder downwards.
+fn gradient() -> RgbImage {
+    RgbImage::from_fn(24, 16, |x, y| Pixel([(10 * x) as u8, (10 * x) as u8, (15 * y) as u8]))
+}
+
+fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    match format {
+        ImageFormat::Jpeg => {
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(image)
+        }
+        _ => image.write_to(&mut Cursor::new(&mut bytes), format),
+    }
+    .unwrap();
+    bytes
+}
+
+/// The same JPEG with an EXIF segment after its first two bytes.
+fn with_exif(jpeg: &[u8], fields: &[(Tag, Value)]) -> Vec<u8> {
+    let fields: Vec<exif::Field> = fields
+        .iter()
+        .map(|(tag, value)| exif::Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() })
+        .collect();
+    let mut writer = exif::experimental::Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut tiff = Cursor::new(b"Exif\0\0".to_vec());
+    let mut body = Cursor::new(Vec::new());
+    writer.write(&mut body, true).unwrap();
+    tiff.get_mut().extend(body.into_inner());
+    let segment = tiff.into_inner();
+    let length = (segment.len() as u16 + 2).to_be_bytes();
+    [&jpeg[..2], &[0xFF, 0xE1], &length, &segment, &jpeg[2..]].concat()
+}
+
+fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, bytes) in files {
+        let path = dir.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+    dir
+}
+
+fn open(dir: &Path) -> Result<ImageFolder, tiepoint_io::Error> {
+    ImageFolder::open(&[dir.to_owned()], None)
+}
+
+fn names(source: &ImageFolder) -> Vec<(&str, u32)> {
+    source.images().iter().map(|image| (image.name.as_str(), image.camera.0)).collect()
+}
+
+#[test]
+fn cameras_are_folders_and_names_are_in_byte_order() {
+    let png = || encoded(&gradient().into(), ImageFormat::Png);
+    let one = folder(&[
+        ("b.PNG", png()),
+        ("B.jpeg", png()),
+        ("10.png", png()),
+        ("9.png", png()),
+        ("notes.txt", vec![]),
+    ]);
+    let source = open(one.path()).unwrap();
+    assert_eq!(names(&source), [("10.png", 0), ("9.png", 0), ("B.jpeg", 0), ("b.PNG", 0)]);
+    assert_eq!(source.camera_names().len(), 1);
+
+    let files = ["right/1.png", "left/data/2.png", "left/data/1.png", "left/.hidden/1.png", ".git/1.png"];
+    let rig = folder(&files.map(|name| (name, png())));
+    let source = open(rig.path()).unwrap();
+    assert_eq!(names(&source), [("left/data/1.png", 0), ("left/data/2.png", 0), ("right/1.png", 1)]);
+    assert_eq!(source.camera_names(), ["left", "right"]);
+
+    // Each folder given alone: the same names.
+    let source = ImageFolder::open(&[rig.path().join("right"), rig.path().join("left")], None);
+    assert!(source.is_ok_and(|source| names(&source).last() == Some(&("right/1.png", 1))));
+
+    let mixed = folder(&[("1.png", png()), ("left/1.png", png())]);
+    let error = open(mixed.path()).unwrap_err().to_string();
+    assert!(error.contains("holds both images and a folder of images, `left`"), "{error}");
+    let empty = folder(&[("notes.txt", vec![])]);
+    assert!(open(empty.path()).unwrap_err().to_string().contains("holds no images"));
+    assert!(open(&empty.path().join("absent")).unwrap_err().to_string().contains("absent"));
+    assert!(open(&empty.path().join("notes.txt")).is_err());
+}
+
+#[test]
+fn formats_agree_on_pixels() {
+    let colours = DynamicImage::from(gradient());
+    let expected = |x: u32, y: u32| {
+        let [r, g, b] = gradient().get_pixel(x, y).0.map(f64::from);
+        0.299 * r + 0.587 * g + 0.114 * b
+    };
+    let with_alpha = DynamicImage::from(colours.to_rgba8());
+    let grey16 = DynamicImage::from(colours.to_luma16());
+    let rgb16 = DynamicImage::from(colours.to_rgb16());
+    let grey = DynamicImage::from(colours.to_luma8());
+    for (name, image, format) in [
+        ("rgb.png", &colours, ImageFormat::Png),
+        ("alpha.png", &with_alpha, ImageFormat::Png),
+        ("rgb16.png", &rgb16, ImageFormat::Png),
+        ("rgb.tif", &colours, ImageFormat::Tiff),
+        ("rgb16.tiff", &rgb16, ImageFormat::Tiff),
+        ("rgb.jpg", &colours, ImageFormat::Jpeg),
+        // The content counts, not the name.
+        ("png_named.jpg", &colours, ImageFormat::Png),
+    ] {
+        let dir = folder(&[(name, encoded(image, format))]);
+        let source = open(dir.path()).unwrap();
+        let (luma, rgb, info) = (source.luma(0).unwrap(), source.rgb(0).unwrap(), source.info(0).unwrap());
+        assert_eq!((luma.width, luma.height, rgb.width, rgb.height), (24, 16, 24, 16), "{name}");
+        assert_eq!((info.width, info.height), (24, 16), "{name}");
+        let tolerance = if format == ImageFormat::Jpeg { JPEG_TOLERANCE } else { 0 };
+        for (x, y) in [(0, 0), (23, 0), (5, 9), (23, 15)] {
+            let found = f64::from(luma.data[(24 * y + x) as usize]);
+            assert!((found - expected(x, y)).abs() <= f64::from(tolerance) + 0.5, "{name} {x} {y}: {found}");
+            for (found, expected) in rgb.pixel(x, y).into_iter().zip(gradient().get_pixel(x, y).0) {
+                // Blue of JPEG's chroma at half resolution is off by more.
+                assert!((i32::from(found) - i32::from(expected)).abs() <= 3 * tolerance, "{name} {x} {y}");
+            }
+        }
+    }
+    for (name, image, format) in [
+        ("grey16.png", &grey16, ImageFormat::Png),
+        ("grey.png", &grey, ImageFormat::Png),
+        ("grey.jpg", &grey, ImageFormat::Jpeg),
+    ] {
+        let dir = folder(&[(name, encoded(image, format))]);
+        let luma = open(dir.path()).unwrap().luma(0).unwrap();
+        for (found, expected) in luma.data.iter().zip(grey.as_bytes()) {
+            assert!((i32::from(*found) - i32::from(*expected)).abs() <= JPEG_TOLERANCE, "{name}");
+        }
+        assert_eq!(open(dir.path()).unwrap().rgb(0).unwrap().data.len(), 3 * 24 * 16);
+    }
+}
+
+#[test]
+fn foreign_jpegs() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    // Written by Pillow, in CMYK as Adobe does it.
+    let red = Rgb::read(&data.join("red_cmyk.jpg")).unwrap().pixel(3, 3);
+    assert!(red[0] > 240 && red[1] < 15 && red[2] < 15, "{red:?}");
+    let luma = Luma::read(&data.join("red_cmyk.jpg")).unwrap().data[50];
+    assert!((70..=82).contains(&luma), "{luma}");
+    // Progressive, chroma at half resolution, odd sides; pixel (x, y) is (7x, 15y, 128).
+    let luma = Luma::read(&data.join("gradient_progressive.jpg")).unwrap();
+    assert_eq!((luma.width, luma.height), (33, 17));
+    let expected = 0.299 * 70.0 + 0.587 * 120.0 + 0.114 * 128.0;
+    assert!((f64::from(luma.data[33 * 8 + 10]) - expected).abs() < f64::from(JPEG_TOLERANCE));
+}
+
+#[test]
+fn orientation_turns_pixels_and_sizes() {
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    let stored = gradient();
+    // Where the stored pixel (x, y) is seen, from the definition of each value: which sides row 0 and column 0 are.
+    type Seen = fn(u32, u32) -> (u32, u32);
+    let seen: [Seen; 8] = [
+        |x, y| (x, y),
+        |x, y| (23 - x, y),
+        |x, y| (23 - x, 15 - y),
+        |x, y| (x, 15 - y),
+        |x, y| (y, x),
+        |x, y| (15 - y, x),
+        |x, y| (15 - y, 23 - x),
+        |x, y| (y, 23 - x),
+    ];
+    for (orientation, seen) in (1u16..).zip(seen) {
+        let turned = with_exif(&jpeg, &[(Tag::Orientation, Value::Short(vec![orientation]))]);
+        let dir = folder(&[("a.jpg", turned)]);
+        let source = open(dir.path()).unwrap();
+        let (info, rgb, luma) = (source.info(0).unwrap(), source.rgb(0).unwrap(), source.luma(0).unwrap());
+        let size = if orientation < 5 { (24, 16) } else { (16, 24) };
+        assert_eq!(
+            ((info.width, info.height), (rgb.width, rgb.height), (luma.width, luma.height)),
+            (size, size, size)
+        );
+        for (x, y) in [(0, 0), (23, 0), (0, 15), (12, 3)] {
+            let (u, v) = seen(x, y);
+            let difference = i32::from(rgb.pixel(u, v)[0]) - i32::from(stored.get_pixel(x, y).0[0]);
+            assert!(
+                difference.abs() < 3 * JPEG_TOLERANCE,
+                "orientation {orientation} at {x} {y}: {difference}"
+            );
+        }
+    }
+}
+
+#[test]
+fn exif_gives_focal_length_and_time() {
+    let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+    let ascii = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    let fields = [
+        (Tag::FocalLength, rational(36, 2)),
+        (Tag::FocalPlaneXResolution, rational(1000, 1)),
+        (Tag::FocalPlaneResolutionUnit, Value::Short(vec![3])),
+        (Tag::PixelXDimension, Value::Long(vec![48])),
+        (Tag::PixelYDimension, Value::Long(vec![32])),
+        (Tag::DateTimeOriginal, ascii("2024:02:29 12:34:56")),
+        (Tag::SubSecTimeOriginal, ascii("25")),
+    ];
+    let dir = folder(&[
+        ("a.jpg", with_exif(&jpeg, &fields)),
+        ("b.jpg", with_exif(&jpeg, &[(Tag::FocalLength, rational(1, 0)), (Tag::Orientation, ascii("x"))])),
+        ("1403636579763555584.jpg", with_exif(&jpeg, &fields)),
+        ("c.jpg", jpeg.clone()),
+    ]);
+    let source = open(dir.path()).unwrap();
+    let info = |name: &str| {
+        source.info(source.images().iter().position(|image| image.name == name).unwrap()).unwrap()
+    };
+    // 18 mm · 100 px/mm on 48 pixels, of which 24 are left.
+    assert_eq!(info("a.jpg").exif.focal_px(24, 16, None), Some(900.0));
+    assert_eq!(info("a.jpg").time_s, Some(1_709_210_096.25));
+    assert_eq!(info("1403636579763555584.jpg").time_s, Some(1_403_636_579.763_555_6));
+    for name in ["b.jpg", "c.jpg"] {
+        assert_eq!(info(name).exif, tiepoint_io::Exif::default());
+        assert_eq!(info(name).time_s, None);
+    }
+}
+
+#[test]
+fn broken_images_are_named() {
+    let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let tiff = encoded(&gradient().into(), ImageFormat::Tiff);
+    let huge = [
+        b"II*\0\x08\0\0\0".as_slice(),
+        &[3, 0],
+        &[0, 1, 4, 0, 1, 0, 0, 0, 255, 255, 255, 127],
+        &[1, 1, 4, 0, 1, 0, 0, 0, 255, 255, 255, 127],
+    ]
+    .concat();
+    for (name, bytes, expected) in [
+        ("empty.jpg", vec![], "is empty"),
+        ("text.jpg", b"this is no image".to_vec(), "is no JPEG, PNG or TIFF image"),
+        ("cut.jpg", jpeg[..jpeg.len() - 20].to_vec(), "truncated"),
+        ("half.jpg", jpeg[..jpeg.len() / 2].to_vec(), "truncated"),
+        ("cut.png", png[..png.len() / 2].to_vec(), "cut.png"),
+        ("cut.tif", tiff[..tiff.len() / 2].to_vec(), "cut.tif"),
+        ("huge.tif", huge, "huge.tif"),
+    ] {
+        let dir = folder(&[(name, bytes)]);
+        let source = open(dir.path()).unwrap();
+        for error in [source.luma(0).map(drop), source.rgb(0).map(drop)] {
+            let error = error.expect_err(name).to_string();
+            assert!(error.contains(expected) && error.contains(name), "{error}");
+        }
+        assert!(source.info(0).is_ok() || source.info(0).unwrap_err().to_string().contains(name));
+    }
+}
+
+#[test]
+fn masks_go_by_name_and_must_fit() {
+    let png = encoded(&gradient().into(), ImageFormat::Png);
+    let images = folder(&["l/1.png", "l/2.jpg", "l/3.jpg", "l/4.png"].map(|name| (name, png.clone())));
+    let small = encoded(&DynamicImage::new_luma8(2, 2), ImageFormat::Png);
+    let masks = folder(&[("l/1.png.png", png.clone()), ("l/2.png", png.clone()), ("l/4.png", small)]);
+    let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
+    assert!(source.mask(0).unwrap().is_some() && source.mask(1).unwrap().is_some());
+    assert_eq!(source.mask(2).unwrap(), None);
+    let error = source.mask(3).unwrap_err().to_string();
+    assert!(error.contains("the mask has 2 × 2 pixels, its image l/4.png has 24 × 16"), "{error}");
+    let none = tempfile::tempdir().unwrap();
+    let error = ImageFolder::open(&[images.path().to_owned()], Some(none.path())).unwrap_err().to_string();
+    assert!(error.contains("holds no mask: for l/1.png, `l/1.png.png` was looked for"), "{error}");
+}
+
+#[test]
+fn timestamps_are_read_as_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let path: PathBuf = dir.path().join("timestamps.csv");
+    let times = [("left/a,b.png", 1_403_636_579.763_555_5), ("right/1.png", -1e-9), ("x", 0.1 + 0.2)];
+    timestamps::write(&path, times).unwrap();
+    let read = timestamps::read(&path).unwrap();
+    assert_eq!(read.iter().map(|(name, seconds)| (name.as_str(), *seconds)).collect::<Vec<_>>(), times);
+    for (content, expected) in [
+        ("", "line 1: must be `image,seconds`"),
+        ("name,t\n", "line 1: must be `image,seconds`"),
+        ("image,seconds\na\n", "line 2: `a` has no comma"),
+        ("image,seconds\n\na,x\n", "line 3: the time of a is not a number of seconds"),
+        ("image,seconds\na,NaN\n", "line 2: the time of a is not"),
+        ("image,seconds\na,1\na,2\n", "line 3: the image a is there twice"),
+    ] {
+        fs::write(&path, content).unwrap();
+        let error = timestamps::read(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}

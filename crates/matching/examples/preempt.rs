@@ -1,0 +1,72 @@
+//! What preemptive matching would give up: for every pair, the matches in full and how many the largest features alone
+//! give, as JSON lines. `bench/matching.py` verifies the pairs and counts the loss.
+//!
+//! `cargo run --release -p tiepoint-matching --example preempt REACH STEM...`, where `STEM.u8` holds 128 bytes per
+//! descriptor, `STEM.f32` the scale of every keypoint, and images up to REACH apart in the list are paired.
+
+#![expect(clippy::print_stdout, reason = "an example is a program")]
+
+use std::error::Error;
+use std::time::Instant;
+
+use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_matching::{
+    Ends, Match, Options, PairSelection, Preempt, Prepared, Sequence, match_features, match_prepared,
+};
+
+/// Numbers of leading features to try.
+const LEADING: [usize; 4] = [128, 256, 512, 1024];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [reach, stems @ ..] = arguments.as_slice() else { return Err("usage: preempt REACH STEM...".into()) };
+    let images: Vec<Features> = stems.iter().map(|stem| read(stem)).collect::<Result<_, _>>()?;
+    let leading: Vec<Vec<Vec<Descriptor>>> =
+        images.iter().map(|image| LEADING.map(|n| largest(image, n)).into()).collect();
+    let prepared: Vec<Prepared> = images.iter().map(|image| Prepared::from_features(image, 512)).collect();
+    let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open };
+    let options = Options::default();
+    let hasty = Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
+    for (i, j) in selection.pairs(&[Sequence::new((0..images.len() as u32).collect())]) {
+        let (a, b) = (i as usize, j as usize);
+        let start = Instant::now();
+        let matches = match_prepared(&prepared[a], &prepared[b], &options);
+        let full_ms = 1e3 * start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        match_prepared(&prepared[a], &prepared[b], &hasty);
+        let preempt_ms = 1e3 * start.elapsed().as_secs_f64();
+        let counts: Vec<usize> = (0..LEADING.len())
+            .map(|k| match_features(&leading[a][k], &leading[b][k], &options).len())
+            .collect();
+        let list = |index: fn(&Match) -> u32| matches.iter().map(index).collect::<Vec<_>>();
+        println!(
+            r#"{{"i":{i},"j":{j},"leading":{LEADING:?},"counts":{counts:?},"full_ms":{full_ms},"preempt_ms":{preempt_ms},"a":{:?},"b":{:?}}}"#,
+            list(|m| m.a),
+            list(|m| m.b)
+        );
+    }
+    Ok(())
+}
+
+fn largest(image: &Features, count: usize) -> Vec<Descriptor> {
+    let mut order: Vec<usize> = (0..image.keypoints.len()).collect();
+    order.sort_by(|&i, &j| image.keypoints[j].scale.total_cmp(&image.keypoints[i].scale));
+    order.iter().take(count).map(|&i| image.descriptors[i]).collect()
+}
+
+fn read(stem: &str) -> Result<Features, Box<dyn Error>> {
+    let load = |extension| {
+        let path = format!("{stem}.{extension}");
+        std::fs::read(&path).map_err(|error| format!("{path}: {error}"))
+    };
+    let descriptors = load("u8")?.as_chunks::<128>().0.to_vec();
+    let scales = load("f32")?;
+    let keypoints = scales.as_chunks::<4>().0.iter();
+    let keypoints = keypoints.map(|&bytes| Keypoint {
+        x: 0.0,
+        y: 0.0,
+        scale: f32::from_le_bytes(bytes),
+        orientation: 0.0,
+    });
+    Ok(Features { keypoints: keypoints.collect(), descriptors })
+}

@@ -1,0 +1,92 @@
+//! Time and recall of every way to find nearest neighbours, as JSON lines: what `bench/matching.py` puts beside OpenCV.
+//!
+//! `cargo run --release -p tiepoint-matching --example search QUERIES POINTS [TRUTH_QUERIES]`, where the files hold 128
+//! bytes per descriptor and recall is taken over the first TRUTH_QUERIES queries. One thread, CPU time where the system
+//! tells it, the best of several runs.
+
+#![expect(clippy::print_stdout, reason = "an example is a program")]
+
+use std::error::Error;
+use std::time::Instant;
+
+use tiepoint_features::Descriptor;
+use tiepoint_matching::{Checks, Forest, ForestOptions, Isa, Nearest, Prepared, nearest, nearest_on};
+
+/// Runs of each measurement; the shortest counts.
+const RUNS: usize = 5;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (queries, points, limit) = match arguments.as_slice() {
+        [queries, points] => (queries, points, usize::MAX),
+        [queries, points, limit] => (queries, points, limit.parse()?),
+        _ => return Err("usage: search QUERIES POINTS [TRUTH_QUERIES]".into()),
+    };
+    let (mut queries, points) = (read(queries)?, read(points)?);
+    queries.truncate(limit);
+    // One thread also where the library would use more.
+    rayon::ThreadPoolBuilder::new().num_threads(1).build()?.install(|| measure(&queries, &points));
+    Ok(())
+}
+
+fn measure(queries: &[Descriptor], points: &[Descriptor]) {
+    let truth = nearest(&Prepared::new(queries), &Prepared::new(points)).of_a;
+
+    let (packed_queries, packed_points) = (Prepared::new(queries), Prepared::new(points));
+    for isa in Isa::supported() {
+        // The portable kernel is some fifty times slower than the fastest.
+        let runs = if isa == Isa::best() { RUNS } else { 1 };
+        let (seconds, _) = shortest(runs, || nearest_on(isa, &packed_queries, &packed_points));
+        println!(
+            r#"{{"method":"brute force, both ways, {isa}","seconds":{seconds},"queries":{}}}"#,
+            queries.len()
+        );
+    }
+    for trees in [1, 4, 8] {
+        let (build_seconds, forest) = shortest(1, || Forest::new(points, &ForestOptions { trees, seed: 1 }));
+        for checks in [8, 16, 32, 64, 128, 256, 512] {
+            let (seconds, found) = shortest(RUNS, || forest.nearest(queries, Checks::Total(checks)));
+            println!(
+                r#"{{"method":"forest","trees":{trees},"checks":{checks},"build_seconds":{build_seconds},"seconds":{seconds},"queries":{},"recall":{}}}"#,
+                queries.len(),
+                recall(&found, &truth)
+            );
+        }
+    }
+}
+
+/// Share of the queries whose neighbour is as near as the nearest.
+fn recall(found: &[Nearest], truth: &[Nearest]) -> f64 {
+    let right = found.iter().zip(truth).filter(|(found, truth)| found.distance == truth.distance).count();
+    right as f64 / truth.len() as f64
+}
+
+fn shortest<T>(runs: usize, mut run: impl FnMut() -> T) -> (f64, T) {
+    let timed = |run: &mut dyn FnMut() -> T| {
+        let (start, start_cpu) = (Instant::now(), cpu_seconds());
+        let result = run();
+        (
+            cpu_seconds().zip(start_cpu).map_or(start.elapsed().as_secs_f64(), |(end, start)| end - start),
+            result,
+        )
+    };
+    let mut best = timed(&mut run);
+    for _ in 1..runs {
+        let next = timed(&mut run);
+        if next.0 < best.0 {
+            best = next;
+        }
+    }
+    best
+}
+
+/// Time that this thread spent on a processor, which other programs do not stretch; Linux tells it.
+fn cpu_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
+}
+
+fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
+    let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
+    Ok(bytes.as_chunks::<128>().0.to_vec())
+}

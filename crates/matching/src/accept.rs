@@ -1,0 +1,122 @@
+//! The ratio and the distance test, in the angular convention of COLMAP, on squared integer distances.
+//!
+//! Descriptors have length 512, so a squared distance `d` is a squared chord: with `u = d / 1024²` the angle is
+//! `θ = 2 asin √u`. The tests ask `θ₁ ≤ θ_max` and `θ₁ < r θ₂`. Both compare `d₁` with a threshold; for the ratio test
+//!
+//! `d₁ / 1024² < sin²(r asin √u₂) = ½ (1 − cos(2r asin √u₂))`.
+//!
+//! `y(s) = cos(2r asin s)` solves `(1 − s²) y″ − s y′ + 4r² y = 0` with `y(0) = 1, y′(0) = 0`, hence is a power series in
+//! `u = s²`: `c₀ = 1, c_{k+2} = c_k (k² − 4r²) / ((k+1)(k+2))`. Entries of descriptors are not negative, so the angle is
+//! at most a right one, `u ≤ ½`, and each term is less than half of the one before. A polynomial instead of a call to
+//! `asin` and `sin`: no root, no library function whose last bit depends on the machine.
+
+use crate::matches::{DIAMETER_SQUARED, Nearest};
+use crate::options::Options;
+
+/// Terms of the series: the next one is below 2⁻⁵³ of the sum for u ≤ ½.
+const TERMS: usize = 48;
+
+/// The tests of an [`Options`], ready to be applied many times.
+pub(crate) struct Acceptance {
+    /// Coefficients of the threshold as a polynomial in `u` without constant term, times 1024²; `None`: no ratio test.
+    ratio: Option<[f64; TERMS]>,
+    max_distance: f64,
+}
+
+impl Acceptance {
+    pub(crate) fn new(options: &Options) -> Self {
+        Acceptance {
+            ratio: options.max_ratio.map(|r| ratio_series(r.max(0.0))),
+            max_distance: match options.max_angle_rad {
+                Some(angle) if angle >= std::f64::consts::PI => f64::INFINITY,
+                // A negative or undefined angle is below every distance.
+                Some(angle) if angle >= 0.0 => DIAMETER_SQUARED * (0.5 * angle).sin().powi(2),
+                Some(_) => -1.0,
+                None => f64::INFINITY,
+            },
+        }
+    }
+
+    /// Whether the best partner is near enough, and clearly nearer than the second best.
+    #[inline]
+    pub(crate) fn accepts(&self, nearest: &Nearest) -> bool {
+        if nearest.index == u32::MAX || f64::from(nearest.distance) > self.max_distance {
+            return false;
+        }
+        let Some(series) = &self.ratio else { return true };
+        let u = (f64::from(nearest.second) / DIAMETER_SQUARED).min(0.5);
+        let threshold = u * series.iter().rev().fold(0.0, |sum, c| sum * u + c);
+        f64::from(nearest.distance) < threshold
+    }
+}
+
+/// Coefficients of `1024² sin²(r asin √u)` for `u¹, u², …`.
+fn ratio_series(r: f64) -> [f64; TERMS] {
+    let mut series = [0.0; TERMS];
+    let mut c = 1.0;
+    for (half_k, out) in series.iter_mut().enumerate() {
+        let k = 2.0 * half_k as f64;
+        c *= (k * k - 4.0 * r * r) / ((k + 1.0) * (k + 2.0));
+        *out = -0.5 * c * DIAMETER_SQUARED;
+    }
+    series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::matches::angle_rad;
+
+    /// Distances that lie this close to the threshold, relatively, may fall on either side: a few roundings of f64.
+    const ROUNDING: f64 = 1e-12;
+
+    fn nearest(distance: u32, second: u32) -> Nearest {
+        Nearest { index: 0, distance, second }
+    }
+
+    #[test]
+    fn series_agrees_with_arc_sine() {
+        for ratio in [0.1, 0.5, 0.6, 0.7, 0.8, 0.85, 0.95, 1.0] {
+            let tests = Acceptance::new(&Options {
+                max_ratio: Some(ratio),
+                max_angle_rad: None,
+                ..Options::default()
+            });
+            for second in (0..600_000).step_by(977).chain([1, 2, 524_287, 524_288, 8_323_200, u32::MAX]) {
+                let exact = DIAMETER_SQUARED * (0.5 * ratio * angle_rad(second)).sin().powi(2);
+                for distance in [0, exact.floor() as u32, exact.ceil() as u32, (0.5 * exact) as u32, second] {
+                    if (f64::from(distance) - exact).abs() > ROUNDING * exact {
+                        let expected = f64::from(distance) < exact;
+                        assert_eq!(
+                            tests.accepts(&nearest(distance, second)),
+                            expected,
+                            "{ratio} {distance} {second}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn angles_and_senseless_numbers() {
+        let only_angle = |angle| {
+            Acceptance::new(&Options { max_ratio: None, max_angle_rad: Some(angle), ..Options::default() })
+        };
+        // The chord of 0.7 rad on the sphere of radius 512 is 351.12 long.
+        assert!(only_angle(0.7).accepts(&nearest(351 * 351, u32::MAX)));
+        assert!(!only_angle(0.7).accepts(&nearest(352 * 352, u32::MAX)));
+        assert!(only_angle(0.0).accepts(&nearest(0, 0)));
+        assert!(only_angle(4.0).accepts(&nearest(8_323_200, 0)));
+        for nonsense in [f64::NAN, -1.0] {
+            assert!(!only_angle(nonsense).accepts(&nearest(0, u32::MAX)));
+            let ratio = Acceptance::new(&Options {
+                max_ratio: Some(nonsense),
+                max_angle_rad: None,
+                ..Options::default()
+            });
+            assert!(!ratio.accepts(&nearest(0, u32::MAX)));
+        }
+        assert!(!only_angle(4.0).accepts(&Nearest::NONE));
+    }
+}

@@ -1,0 +1,298 @@
+//! The loop over tiles.
+//!
+//! With `dot = (a − 128)·b` the two directions look for the largest
+//!
+//! - `row value    = 2 dot − (|b|² − 256 Σb) = |a|² − d²`, over all `b` for a fixed `a`,
+//! - `column value = 2 dot − |a|²            = |b|² − 256 Σb − d²`, over all `a` for a fixed `b`.
+//!
+//! Both lie within ±(2²³ − 32768) whatever the bytes are. So `256 value − index`, with an index of 8 bits, fits into 32:
+//! a key that carries its own index, the lower index the larger key. The two largest keys then take three operations,
+//! without a comparison mask or a second vector of indices: `second = max(second, min(key, first))`,
+//! `first = max(first, key)`. Rows count their column vectors and columns count their rows; after 256 of them the keys
+//! are unpacked and merged into the totals.
+//!
+//! Order of the loops: a block of rows (its operands and its keys fit into the first-level cache), then all column tiles,
+//! which stream from the second-level cache; a tile's operands stay in the first level while all rows pass by.
+
+use super::NearestBothWays;
+use super::lanes::Lanes;
+use crate::matches::Nearest;
+use crate::prepared::{GROUPS, PANEL, Prepared, TILE};
+
+/// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number fits into a key.
+const ROWS: usize = 192;
+/// Bits of a key that hold an index.
+const INDEX_BITS: u32 = 8;
+const INDICES: usize = 1 << INDEX_BITS;
+/// Stands in for 256 times the value's constant where rows or columns are only padding: their keys are lower than every
+/// real one and still above `i32::MIN`.
+const PADDING: i32 = i32::MAX - (INDICES as i32 - 1);
+/// Below every real value, above that of padding.
+const LOWEST_VALUE: i32 = -(1 << 23) + 16_384;
+
+/// A cache line; buffers are made of them, so that vectors do not straddle two.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Line([i32; 16]);
+
+/// Aligned integers.
+struct Buffer(Vec<Line>);
+
+impl Buffer {
+    fn new(len: usize, fill: i32) -> Self {
+        Buffer(vec![Line([fill; 16]); len.div_ceil(16)])
+    }
+
+    #[inline(always)]
+    fn words(&mut self) -> &mut [i32] {
+        // SAFETY: a `Line` is sixteen integers and nothing else.
+        unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), self.0.len() * 16) }
+    }
+}
+
+/// The two largest keys of each of some rows' lanes, or of each of some columns.
+struct Keys {
+    first: Buffer,
+    second: Buffer,
+}
+
+impl Keys {
+    fn new(len: usize) -> Self {
+        Keys { first: Buffer::new(len, i32::MIN), second: Buffer::new(len, i32::MIN) }
+    }
+}
+
+/// The two largest values so far and the index of the largest, where the keys' own indices no longer suffice.
+struct Totals {
+    first: Vec<i32>,
+    index: Vec<i32>,
+    second: Vec<i32>,
+}
+
+impl Totals {
+    fn new(len: usize) -> Self {
+        Totals { first: vec![i32::MIN; len], index: vec![0; len], second: vec![i32::MIN; len] }
+    }
+
+    /// Unpacks keys into the totals from `at` on and makes the keys empty again. What a key calls `i` is
+    /// `base + stride * i` here, above all that was merged before, so that earlier ones win among equals.
+    #[inline(always)]
+    fn merge(&mut self, at: usize, len: usize, keys: &mut Keys, base: usize, stride: usize) {
+        let (base, stride) = (base as i32, stride as i32);
+        let keys = keys.first.words()[..len].iter_mut().zip(&mut keys.second.words()[..len]);
+        let totals = (self.first[at..at + len].iter_mut().zip(&mut self.index[at..at + len]))
+            .zip(&mut self.second[at..at + len]);
+        for ((key, second_key), ((first, index), second)) in keys.zip(totals) {
+            let value = value_of(*key);
+            let second_value = value_of(*second_key);
+            let key_index = (value << INDEX_BITS).wrapping_sub(*key);
+            let is_larger = value > *first;
+            *second = (*second).max(second_value).max(value.min(*first));
+            *index = if is_larger { base + stride * key_index } else { *index };
+            *first = value.max(*first);
+            *key = i32::MIN;
+            *second_key = i32::MIN;
+        }
+    }
+}
+
+/// The value in a key `256 value − index`.
+#[inline(always)]
+fn value_of(key: i32) -> i32 {
+    key.wrapping_add(INDICES as i32 - 1) >> INDEX_BITS
+}
+
+/// `constant − value`, the squared distance, or the mark for "none" if the value is not a real one.
+fn distance_of(constant: i32, value: i32) -> u32 {
+    if value < LOWEST_VALUE { u32::MAX } else { (constant - value) as u32 }
+}
+
+/// Both directions, in tiles of `R` rows by `C` vectors of columns.
+///
+/// # Safety
+/// The processor has `L`'s instruction set.
+#[inline(always)]
+pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize>(
+    a: &Prepared,
+    b: &Prepared,
+) -> NearestBothWays {
+    const { assert!(ROWS.is_multiple_of(R) && ROWS <= INDICES && INDICES.is_multiple_of(C)) };
+    const { assert!((C * L::LANES).is_multiple_of(PANEL) && TILE.is_multiple_of(C * L::LANES / PANEL)) };
+    let tile = C * L::LANES;
+    let tiles = b.len.div_ceil(tile);
+    let mut row_operands = Buffer::new(ROWS * L::STEPS, 0);
+    let mut row_constants = [0; ROWS];
+    let mut row_keys = Keys::new(ROWS * L::LANES);
+    let mut widened = Buffer::new(tile * L::STEPS, 0);
+    let mut column_constants = Buffer::new(tile, 0);
+    let mut column_keys = Keys::new(tile);
+    let mut column_totals = Totals::new(tiles * tile);
+    let mut of_a = Vec::with_capacity(a.len);
+
+    for block in (0..a.len).step_by(ROWS) {
+        let rows = ROWS.min(a.len - block);
+        let groups = rows.div_ceil(R);
+        let mut row_totals = Totals::new(ROWS * L::LANES);
+        // SAFETY: the processor has the instruction set; buffers have the sizes that the functions name.
+        unsafe { pack_rows::<L, R>(a, block, groups, row_operands.words(), &mut row_constants) };
+        // Column vectors since the row keys were last merged.
+        let mut counted = 0;
+        for t in 0..tiles {
+            let panels = &b.panels[t * tile / PANEL..(t + 1) * tile / PANEL];
+            fill_column_constants::<L>(b, t * tile, counted, &mut column_constants.words()[..tile]);
+            // SAFETY: as above.
+            unsafe {
+                let columns = L::columns(panels, widened.words());
+                for group in 0..groups {
+                    multiply_and_rank::<L, R, C>(
+                        row_operands.words()[group * R * L::STEPS..].as_ptr(),
+                        &row_constants[group * R..],
+                        [row_keys.first.words(), row_keys.second.words()]
+                            .map(|k| k[group * R * L::LANES..].as_mut_ptr()),
+                        columns,
+                        column_constants.words().as_ptr(),
+                        [column_keys.first.words(), column_keys.second.words()].map(|k| k.as_mut_ptr()),
+                    );
+                }
+            }
+            column_totals.merge(t * tile, tile, &mut column_keys, block, 1);
+            counted += C;
+            if counted == INDICES || t + 1 == tiles {
+                let base = (t + 1) * tile - counted * L::LANES;
+                row_totals.merge(0, groups * R * L::LANES, &mut row_keys, base, L::LANES);
+                counted = 0;
+            }
+        }
+        of_a.extend(
+            (0..rows)
+                .map(|row| nearest_of_row(&row_totals, row * L::LANES, L::LANES, a.squares[block + row])),
+        );
+    }
+    let of_b = (0..b.len)
+        .map(|column| {
+            let constant = b.squares[column] - 256 * b.sums[column];
+            let distance = distance_of(constant, column_totals.first[column]);
+            let index = if distance == u32::MAX { u32::MAX } else { column_totals.index[column] as u32 };
+            Nearest { index, distance, second: distance_of(constant, column_totals.second[column]) }
+        })
+        .collect();
+    NearestBothWays { of_a, of_b }
+}
+
+/// Packs `groups` groups of `R` rows as `[group][step][row]`, and their constants: 256 |a|² plus the row's number, which
+/// is what columns take from the product.
+#[inline(always)]
+unsafe fn pack_rows<L: Lanes, const R: usize>(
+    a: &Prepared,
+    block: usize,
+    groups: usize,
+    operands: &mut [i32],
+    constants: &mut [i32; ROWS],
+) {
+    for (row, constant) in constants.iter_mut().enumerate().take(groups * R) {
+        let at = row / R * R * L::STEPS + row % R;
+        let per_group = L::STEPS / GROUPS;
+        let exists = block + row < a.len;
+        for group in 0..GROUPS {
+            // SAFETY: the caller vouches for the instruction set.
+            let words = if exists { unsafe { L::row_words(a.word(block + row, group)) } } else { [0; 2] };
+            for (part, word) in words.iter().take(per_group).enumerate() {
+                operands[at + (group * per_group + part) * R] = *word;
+            }
+        }
+        let base = if exists { a.squares[block + row] << INDEX_BITS } else { PADDING };
+        *constant = base + row as i32;
+    }
+}
+
+/// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus the number of the
+/// column's vector.
+#[inline(always)]
+fn fill_column_constants<L: Lanes>(b: &Prepared, at: usize, counted: usize, constants: &mut [i32]) {
+    let squares = b.squares.get(at..).unwrap_or_default();
+    let sums = b.sums.get(at..).unwrap_or_default();
+    constants.fill(PADDING);
+    for ((constant, square), sum) in constants.iter_mut().zip(squares).zip(sums) {
+        *constant = (square - 256 * sum) << INDEX_BITS;
+    }
+    for (c, constants) in constants.chunks_mut(L::LANES).enumerate() {
+        for constant in constants {
+            *constant += (counted + c) as i32;
+        }
+    }
+}
+
+/// Multiplies one group of rows with one tile of columns and lets the products update the two largest keys of both.
+///
+/// # Safety
+/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C` vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]`
+/// each, `column_constants` and `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
+#[inline(always)]
+unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
+    rows: *const i32,
+    row_constants: &[i32],
+    row_keys: [*mut i32; 2],
+    columns: *const i32,
+    column_constants: *const i32,
+    column_keys: [*mut i32; 2],
+) {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let mut dot = [[L::splat(0); C]; R];
+        for step in 0..L::STEPS {
+            let mut column = [L::splat(0); C];
+            for (c, column) in column.iter_mut().enumerate() {
+                let (panel, lane) = (c * L::LANES / PANEL, c * L::LANES % PANEL);
+                *column = L::load(columns.add((panel * L::STEPS + step) * PANEL + lane));
+            }
+            for (r, dot) in dot.iter_mut().enumerate() {
+                let row = L::splat(*rows.add(step * R + r));
+                for (dot, column) in dot.iter_mut().zip(column) {
+                    *dot = L::multiply_add(*dot, column, row);
+                }
+            }
+        }
+        let mut column_first = [L::splat(0); C];
+        let mut column_second = [L::splat(0); C];
+        for c in 0..C {
+            column_first[c] = L::load(column_keys[0].add(c * L::LANES));
+            column_second[c] = L::load(column_keys[1].add(c * L::LANES));
+        }
+        for (r, dot) in dot.iter().enumerate() {
+            let row_constant = L::splat(row_constants[r]);
+            let mut first = L::load(row_keys[0].add(r * L::LANES));
+            let mut second = L::load(row_keys[1].add(r * L::LANES));
+            for c in 0..C {
+                // 256 · 2 dot.
+                let scaled = L::shift_left::<{ INDEX_BITS + 1 }>(dot[c]);
+                let key = L::subtract(scaled, L::load(column_constants.add(c * L::LANES)));
+                second = L::max(second, L::min(key, first));
+                first = L::max(first, key);
+                let key = L::subtract(scaled, row_constant);
+                column_second[c] = L::max(column_second[c], L::min(key, column_first[c]));
+                column_first[c] = L::max(column_first[c], key);
+            }
+            L::store(row_keys[0].add(r * L::LANES), first);
+            L::store(row_keys[1].add(r * L::LANES), second);
+        }
+        for c in 0..C {
+            L::store(column_keys[0].add(c * L::LANES), column_first[c]);
+            L::store(column_keys[1].add(c * L::LANES), column_second[c]);
+        }
+    }
+}
+
+/// Brings the lanes of one row together.
+fn nearest_of_row(totals: &Totals, at: usize, lanes: usize, square: i32) -> Nearest {
+    let (mut first, mut index, mut second) = (i32::MIN, i32::MAX, i32::MIN);
+    for lane in 0..lanes {
+        let (value, lane_index) = (totals.first[at + lane], totals.index[at + lane] + lane as i32);
+        second = second.max(totals.second[at + lane]).max(value.min(first));
+        if value > first || (value == first && lane_index < index) {
+            (first, index) = (value, lane_index);
+        }
+    }
+    let distance = distance_of(square, first);
+    let index = if distance == u32::MAX { u32::MAX } else { index as u32 };
+    Nearest { index, distance, second: distance_of(square, second) }
+}

@@ -1,0 +1,41 @@
+//! Exact nearest and second nearest neighbours by brute force, in both directions at once.
+//!
+//! The squared distance is `|a|² + |b|² − 2 a·b`, so the work is a matrix product of 8-bit numbers. It is cut into
+//! tiles whose products stay in registers; while they are there, each updates the two largest values of its row and the
+//! two largest of its column, so that one product serves both directions and no N × N matrix is ever stored.
+//!
+//! - `kernel` is the loop over tiles, written once over the trait [`Lanes`];
+//! - `lanes` is that trait with its portable implementation, `x86` the ones in AVX-512 VNNI, AVX-VNNI and AVX2;
+//! - `isa` picks one at run time. All give the same bits: the arithmetic is exact in integers.
+
+mod isa;
+mod kernel;
+mod lanes;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+use crate::matches::Nearest;
+use crate::prepared::Prepared;
+
+pub use isa::Isa;
+pub(crate) use isa::Kind;
+
+/// The nearest neighbours of two images' descriptors in each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NearestBothWays {
+    /// For every descriptor of the first image, its partners in the second.
+    pub of_a: Vec<Nearest>,
+    /// For every descriptor of the second image, its partners in the first.
+    pub of_b: Vec<Nearest>,
+}
+
+/// The two nearest neighbours of every descriptor, in both directions, exact: by comparing all with all, on the fastest
+/// instruction set of this machine.
+pub fn nearest(a: &Prepared, b: &Prepared) -> NearestBothWays {
+    nearest_on(Isa::best(), a, b)
+}
+
+/// As [`nearest`], on a given instruction set: for tests and measurements.
+pub fn nearest_on(isa: Isa, a: &Prepared, b: &Prepared) -> NearestBothWays {
+    isa.nearest(a, b)
+}

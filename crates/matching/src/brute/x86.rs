@@ -1,0 +1,180 @@
+//! The kernel on x86-64: AVX-512 VNNI, AVX-VNNI and AVX2.
+//!
+//! VNNI multiplies unsigned by signed bytes, four at a time, into 32 bits without saturation, so rows enter as `a − 128`
+//! and nothing is lost. AVX2 has a like instruction, `vpmaddubsw`, but it saturates at 16 bits as soon as both operands
+//! use 8 bits; bytes widened to 16 bits and `vpmaddwd` do as many products per cycle where both multiply on two ports.
+//!
+//! Each wrapper carries the target features into which the generic kernel and the intrinsics are inlined. Tile sizes are
+//! the largest whose products, one row of columns and one spare still fit into the 32 or 16 registers.
+
+use std::arch::x86_64::*;
+
+use super::NearestBothWays;
+use super::kernel::sweep;
+use super::lanes::{Lanes, widen, widen_signed};
+use crate::prepared::{Panel, Prepared};
+
+/// Bit that turns a byte `x` into `x − 128` as a signed byte, in all four bytes of a word.
+const SIGN_BITS: u32 = 0x8080_8080;
+
+#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+pub(super) fn sweep_avx512_vnni(a: &Prepared, b: &Prepared) -> NearestBothWays {
+    // SAFETY: the features that `Avx512Vnni` needs are enabled here.
+    unsafe { sweep::<Avx512Vnni, 6, 4>(a, b) }
+}
+
+#[target_feature(enable = "avx2,avxvnni")]
+pub(super) fn sweep_avx_vnni(a: &Prepared, b: &Prepared) -> NearestBothWays {
+    // SAFETY: the features that `AvxVnni` needs are enabled here.
+    unsafe { sweep::<AvxVnni, 6, 2>(a, b) }
+}
+
+#[target_feature(enable = "avx2")]
+pub(super) fn sweep_avx2(a: &Prepared, b: &Prepared) -> NearestBothWays {
+    // SAFETY: the features that `Avx2` needs are enabled here.
+    unsafe { sweep::<Avx2, 6, 2>(a, b) }
+}
+
+/// 16 lanes, four bytes a step.
+struct Avx512Vnni;
+/// 8 lanes, four bytes a step.
+struct AvxVnni;
+/// 8 lanes, two 16-bit numbers a step.
+struct Avx2;
+
+impl Lanes for Avx512Vnni {
+    type Vector = __m512i;
+    const LANES: usize = 16;
+    const STEPS: usize = 32;
+
+    #[inline(always)]
+    unsafe fn row_words(word: u32) -> [i32; 2] {
+        [(word ^ SIGN_BITS) as i32, 0]
+    }
+    #[inline(always)]
+    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+        panels.as_ptr().cast()
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const i32) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_loadu_epi32(from) }
+    }
+    #[inline(always)]
+    unsafe fn store(to: *mut i32, v: __m512i) {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_storeu_epi32(to, v) }
+    }
+    #[inline(always)]
+    unsafe fn splat(x: i32) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_set1_epi32(x) }
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(sum: __m512i, column: __m512i, row: __m512i) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_dpbusd_epi32(sum, column, row) }
+    }
+    #[inline(always)]
+    unsafe fn subtract(x: __m512i, y: __m512i) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_sub_epi32(x, y) }
+    }
+    #[inline(always)]
+    unsafe fn shift_left<const BITS: u32>(x: __m512i) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_slli_epi32::<BITS>(x) }
+    }
+    #[inline(always)]
+    unsafe fn min(x: __m512i, y: __m512i) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_min_epi32(x, y) }
+    }
+    #[inline(always)]
+    unsafe fn max(x: __m512i, y: __m512i) -> __m512i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm512_max_epi32(x, y) }
+    }
+}
+
+/// What AVX-VNNI and AVX2 have in common.
+macro_rules! lanes_256 {
+    () => {
+        type Vector = __m256i;
+        const LANES: usize = 8;
+
+        #[inline(always)]
+        unsafe fn load(from: *const i32) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_loadu_si256(from.cast()) }
+        }
+        #[inline(always)]
+        unsafe fn store(to: *mut i32, v: __m256i) {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_storeu_si256(to.cast(), v) }
+        }
+        #[inline(always)]
+        unsafe fn splat(x: i32) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_set1_epi32(x) }
+        }
+        #[inline(always)]
+        unsafe fn subtract(x: __m256i, y: __m256i) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_sub_epi32(x, y) }
+        }
+        #[inline(always)]
+        unsafe fn shift_left<const BITS: u32>(x: __m256i) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_sll_epi32(x, _mm_cvtsi32_si128(BITS as i32)) }
+        }
+        #[inline(always)]
+        unsafe fn min(x: __m256i, y: __m256i) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_min_epi32(x, y) }
+        }
+        #[inline(always)]
+        unsafe fn max(x: __m256i, y: __m256i) -> __m256i {
+            // SAFETY: as the trait demands.
+            unsafe { _mm256_max_epi32(x, y) }
+        }
+    };
+}
+
+impl Lanes for AvxVnni {
+    lanes_256!();
+    const STEPS: usize = 32;
+
+    #[inline(always)]
+    unsafe fn row_words(word: u32) -> [i32; 2] {
+        [(word ^ SIGN_BITS) as i32, 0]
+    }
+    #[inline(always)]
+    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+        panels.as_ptr().cast()
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm256_dpbusd_avx_epi32(sum, column, row) }
+    }
+}
+
+impl Lanes for Avx2 {
+    lanes_256!();
+    const STEPS: usize = 64;
+
+    #[inline(always)]
+    unsafe fn row_words(word: u32) -> [i32; 2] {
+        widen_signed(word)
+    }
+    #[inline(always)]
+    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+        widen(panels, buffer)
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
+        // SAFETY: as the trait demands.
+        unsafe { _mm256_add_epi32(sum, _mm256_madd_epi16(column, row)) }
+    }
+}

@@ -1,0 +1,22 @@
+#![doc = include_str!("../README.md")]
+
+mod accept;
+mod brute;
+mod error;
+mod forest;
+mod guided;
+mod matcher;
+mod matches;
+mod options;
+mod pairs;
+mod prepared;
+
+pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
+pub use error::Error;
+pub use forest::{Checks, Forest, ForestOptions};
+pub use guided::{EpipolarGuide, match_guided};
+pub use matcher::{match_features, match_pairs, match_prepared, select};
+pub use matches::{Match, Nearest};
+pub use options::{Method, Options, Preempt};
+pub use pairs::{Ends, Pair, PairSelection, Sequence, listed_pairs};
+pub use prepared::Prepared;

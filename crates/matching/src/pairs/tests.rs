@@ -1,0 +1,127 @@
+use super::*;
+
+fn sequential(reach: u32) -> PairSelection {
+    PairSelection::Sequential { reach, ends: Ends::Open }
+}
+
+#[test]
+fn reads_what_it_writes() {
+    for text in ["exhaustive", "sequential:1", "sequential:20", "sequential:20+ends"] {
+        assert_eq!(text.parse::<PairSelection>().unwrap().to_string(), text);
+    }
+    for text in [
+        "",
+        "all",
+        "sequential",
+        "sequential:",
+        "sequential:0",
+        "sequential:-3",
+        "sequential:+3",
+        "sequential:3+",
+        "sequential:3+loop",
+        "sequential:99999999999",
+        "Exhaustive",
+    ] {
+        let error = text.parse::<PairSelection>().unwrap_err();
+        assert_eq!(error, Error::PairSelection(text.to_owned()));
+        assert!(error.to_string().contains("sequential:20"), "{error}");
+    }
+}
+
+#[test]
+fn exhaustive_takes_every_pair_once() {
+    let cameras = [Sequence::new(vec![4, 2, 0]), Sequence::new(vec![1, 3])];
+    let expected: Vec<Pair> = (0..5).flat_map(|i| (i + 1..5).map(move |j| (i, j))).collect();
+    assert_eq!(PairSelection::Exhaustive.pairs(&cameras), expected);
+    assert_eq!(PairSelection::Exhaustive.pairs(&[]), []);
+    assert_eq!(PairSelection::Exhaustive.pairs(&[Sequence::new(vec![7])]), []);
+}
+
+#[test]
+fn sequential_within_one_camera() {
+    let camera = [Sequence::new(vec![0, 1, 2, 3])];
+    assert_eq!(sequential(1).pairs(&camera), [(0, 1), (1, 2), (2, 3)]);
+    assert_eq!(sequential(2).pairs(&camera), [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]);
+    assert_eq!(sequential(u32::MAX).pairs(&camera).len(), 6);
+}
+
+#[test]
+fn sequential_across_cameras_by_position_against_the_definition() {
+    let (frames, reach) = (7, 2);
+    // Camera k owns the images 10k..10k+7.
+    let cameras: Vec<Sequence> = (0..3).map(|k| Sequence::new((10 * k..10 * k + frames).collect())).collect();
+    let mut expected = Vec::new();
+    for a in 0..30u32 {
+        for b in a + 1..30 {
+            if a % 10 < frames && b % 10 < frames && (a % 10).abs_diff(b % 10) <= reach {
+                expected.push((a, b));
+            }
+        }
+    }
+    assert_eq!(sequential(reach).pairs(&cameras), expected);
+}
+
+#[test]
+fn seed_paper_workload() {
+    // Two sequences of 2,000 frames, 20 neighbours each way in both: within a camera 2 × (2000·20 − 210) pairs, across
+    // cameras 2000 + 2 (2000·20 − 210).
+    let cameras = [Sequence::new((0..2000).collect()), Sequence::new((2000..4000).collect())];
+    assert_eq!(sequential(20).pairs(&cameras).len(), 4 * (2000 * 20 - 210) + 2000);
+}
+
+#[test]
+fn sequential_across_cameras_by_time() {
+    // B runs at half the rate and starts 1 s after A.
+    let a = Sequence::with_times(vec![0, 1, 2, 3, 4], vec![0.0, 1.0, 2.0, 3.0, 4.0]).unwrap();
+    let b = Sequence::with_times(vec![5, 6], vec![1.1, 3.1]).unwrap();
+    let across = |pairs: Vec<Pair>| pairs.into_iter().filter(|&(i, j)| i < 5 && j >= 5).collect::<Vec<_>>();
+    let tiny = across(sequential(1).pairs(&[a.clone(), b.clone()]));
+    // Every A finds both of B within one position; nothing is lost.
+    assert_eq!(tiny.len(), 10);
+    // A camera without times falls back to positions: A's image i belongs to B's image i.
+    let by_position = across(sequential(1).pairs(&[a, Sequence::new(vec![5, 6])]));
+    assert_eq!(by_position, [(0, 5), (0, 6), (1, 5), (1, 6), (2, 6)]);
+}
+
+#[test]
+fn nearest_in_time() {
+    let sequence = Sequence::with_times(vec![0, 1, 2], vec![0.0, 1.0, 1.5]).unwrap();
+    for (time_s, position) in
+        [(-5.0, 0), (0.0, 0), (0.5, 0), (0.51, 1), (1.0, 1), (1.24, 1), (1.26, 2), (9.0, 2)]
+    {
+        assert_eq!(sequence.position_at(time_s), position, "{time_s}");
+    }
+}
+
+#[test]
+fn ends_are_closed() {
+    let selection = PairSelection::Sequential { reach: 2, ends: Ends::Closed };
+    let cameras = [Sequence::new((0..10).collect()), Sequence::new((10..20).collect())];
+    let mut expected = sequential(2).pairs(&cameras);
+    for first in [0, 1, 10, 11] {
+        for last in [8, 9, 18, 19] {
+            expected.push((first.min(last), first.max(last)));
+        }
+    }
+    expected.sort_unstable();
+    assert_eq!(selection.pairs(&cameras), expected);
+    // Sequences shorter than the reach, and empty ones.
+    let short = [Sequence::new(vec![0, 1]), Sequence::default()];
+    assert_eq!(selection.pairs(&short), [(0, 1)]);
+}
+
+#[test]
+fn lists_are_put_in_order_and_checked() {
+    assert_eq!(listed_pairs(&[(3, 1), (1, 3), (2, 2), (0, 1)], 4), Ok(vec![(0, 1), (1, 3)]));
+    assert_eq!(listed_pairs(&[(0, 4)], 4), Err(Error::PairRange { a: 0, b: 4, images: 4 }));
+}
+
+#[test]
+fn bad_times_are_named() {
+    assert_eq!(Sequence::with_times(vec![0, 1], vec![0.0]), Err(Error::TimeCount { images: 2, times: 1 }));
+    assert_eq!(
+        Sequence::with_times(vec![0, 1], vec![1.0, 0.5]),
+        Err(Error::TimeOrder { index: 1, time_s: 0.5 })
+    );
+    assert!(matches!(Sequence::with_times(vec![0], vec![f64::NAN]), Err(Error::TimeOrder { index: 0, .. })));
+}

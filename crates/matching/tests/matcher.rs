@@ -1,0 +1,95 @@
+//! From features to matches: mutual matching, preemption, parallel pairs.
+
+use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_matching::{
+    Checks, Method, Options, Preempt, Prepared, match_features, match_pairs, match_prepared,
+};
+
+/// Descriptor `k` of a family in which all are far apart: one block of eight entries stands out.
+fn distinct(k: usize) -> Descriptor {
+    std::array::from_fn(|i| if i / 8 == k % 16 || i % 8 == k / 16 { 100 } else { 3 })
+}
+
+fn features(order: impl Iterator<Item = usize>) -> Features {
+    let mut features = Features::default();
+    for (place, k) in order.enumerate() {
+        features.keypoints.push(Keypoint {
+            x: place as f32,
+            y: 0.5,
+            scale: 1.0 + k as f32,
+            orientation: 0.0,
+        });
+        features.descriptors.push(distinct(k));
+    }
+    features
+}
+
+#[test]
+fn mutual_matching_is_symmetric() {
+    let (a, b) = (features(0..60), features((20..80).rev()));
+    let options = Options { max_ratio: Some(0.95), ..Options::default() };
+    let forward: Vec<_> =
+        match_features(&a.descriptors, &b.descriptors, &options).iter().map(|m| (m.a, m.b)).collect();
+    let mut back: Vec<_> =
+        match_features(&b.descriptors, &a.descriptors, &options).iter().map(|m| (m.b, m.a)).collect();
+    back.sort_unstable();
+    assert_eq!(forward, (20..60).map(|k| (k, 79 - k)).collect::<Vec<_>>());
+    assert_eq!(forward, back);
+}
+
+#[test]
+fn preemption_looks_at_the_largest_features() {
+    // The ten largest of both images are 50..60 and 70..80: nothing in common, although 30 features are.
+    let (a, b) = (features(0..60), features(30..80));
+    let full = Options::default();
+    let preempt = Options { preempt: Some(Preempt { min_matches: 1 }), ..full.clone() };
+    let prepare = |features, leading| Prepared::from_features(features, leading);
+    assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full).len(), 30);
+    assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &preempt), []);
+    // With 25 each, 55..60 are in both lists.
+    let expected = match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full);
+    assert_eq!(match_prepared(&prepare(&a, 25), &prepare(&b, 25), &preempt), expected);
+    // Images that were prepared without leading features are matched in full.
+    assert_eq!(match_prepared(&Prepared::new(&a.descriptors), &prepare(&b, 10), &preempt), expected);
+}
+
+#[test]
+fn pairs_give_the_same_as_one_by_one_on_any_number_of_threads() {
+    let images: Vec<Prepared> = [0..40, 20..70, 0..0, 10..100]
+        .into_iter()
+        .map(|range| Prepared::from_features(&features(range), 8))
+        .collect();
+    let pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
+    let options = Options::default();
+    let expected: Vec<_> = pairs
+        .iter()
+        .map(|&(i, j)| match_prepared(&images[i as usize], &images[j as usize], &options))
+        .collect();
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert_eq!(pool.install(|| match_pairs(&images, &pairs, &options)), expected);
+    }
+}
+
+#[test]
+fn forests_find_the_same_distinct_features() {
+    let (a, b) = (features(0..200), features((100..220).rev()));
+    let brute = Options::default();
+    let forest = Options { method: Method::Forest(Checks::Total(256)), ..Options::default() };
+    let expected = match_features(&a.descriptors, &b.descriptors, &brute);
+    assert_eq!(match_features(&a.descriptors, &b.descriptors, &forest), expected);
+    // Prepared without a forest: brute force.
+    let (a, b) = (Prepared::new(&a.descriptors), Prepared::new(&b.descriptors));
+    assert_eq!(match_prepared(&a, &b, &forest), expected);
+}
+
+#[test]
+fn the_cheapest_method_turns_to_forests_for_many_features() {
+    let cheapest = Method::Cheapest(Checks::default());
+    assert!(!cheapest.uses_forest(500) && cheapest.uses_forest(1_000_000));
+    assert!(!Method::BruteForce.uses_forest(1_000_000) && Method::Forest(Checks::default()).uses_forest(1));
+    // More checks put it off.
+    let turn =
+        |checks| (0..40).find(|&k| Method::Cheapest(Checks::Total(checks)).uses_forest(1 << k)).unwrap();
+    assert!(turn(1024) > turn(64));
+}

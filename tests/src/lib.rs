@@ -1,1 +1,0 @@
-//! Tests of the workspace as a whole live in `tests/`.
