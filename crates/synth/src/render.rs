@@ -140,7 +140,8 @@ impl<'w> Renderer<'w> {
             *ray = Ray { origin: row.centre, direction };
             packet.set(lane, ray);
         }
-        self.cast(&mut packet, |lane| place(lane).0);
+        let spread = (rays[0].direction - rays[LANES - 1].direction).norm();
+        self.cast(&mut packet, &rays[LANES / 2], spread, |lane| place(lane).0);
         for (lane, ray) in rays.iter().enumerate() {
             if lane / TILE < rows.len() && x + lane % TILE < self.width {
                 let row = place(lane).0;
@@ -150,12 +151,14 @@ impl<'w> Renderer<'w> {
         }
     }
 
-    fn cast<'r>(&self, packet: &mut Packet, row_of: impl Fn(usize) -> &'r Row) {
+    /// Fills a packet whose rays are at most `spread` per metre from `middle`.
+    fn cast<'r>(&self, packet: &mut Packet, middle: &Ray, spread: f64, row_of: impl Fn(usize) -> &'r Row) {
         // A car that enters or leaves the street during the readout is drawn only if it is there in every row.
         let first = row_of(0);
         let movers: Vec<(usize, [MoverPose; LANES])> = first
             .movers
             .iter()
+            .filter(|(_, pose)| self.world.mover_is_near(pose, middle, spread))
             .filter(|(mover, _)| row_of(LANES - 1).mover(*mover).is_some())
             .map(|&(mover, pose)| {
                 (mover, std::array::from_fn(|lane| row_of(lane).mover(mover).unwrap_or(pose)))
@@ -199,7 +202,8 @@ impl<'w> Renderer<'w> {
         for (lane, &offset) in offsets.iter().enumerate() {
             packet.set(lane, &ray(offset));
         }
-        self.cast(&mut packet, |_| row);
+        let spread = pixel.right.norm() + pixel.down.norm();
+        self.cast(&mut packet, &pixel.ray, spread, |_| row);
         let keys: [u64; LANES] = std::array::from_fn(|lane| {
             self.world.key(packet.id[lane], &ray(offsets[lane]), |mover| row.mover(mover))
         });

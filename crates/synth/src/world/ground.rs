@@ -74,17 +74,17 @@ impl Ground {
         let at = [place.x, place.y];
         let Some((position, tangent)) = self.foot(place) else { return self.grass(at, footprint) };
         let (beside, width) = (position.left_m.abs(), footprint.reach());
-        let grain =
-            Fractal { coarsest: 0.30, octaves: 5, persistence: 0.95 }.at(at, footprint, self.seed ^ 3);
+        let grain = Fractal { coarsest: 0.25, octaves: 4, persistence: 1.0 }.at(at, footprint, self.seed ^ 3);
         let spots = |size: f64, share: f32, salt: u32| spots(at, footprint, size, share, self.seed ^ salt);
         let mut color = ASPHALT;
         if beside - width < KERB_M {
             let wear =
-                Fractal { coarsest: 3.5, octaves: 3, persistence: 0.7 }.at(at, footprint, self.seed ^ 4);
+                Fractal { coarsest: 3.0, octaves: 2, persistence: 0.7 }.at(at, footprint, self.seed ^ 4);
             let marks = 0.22 * (spots(1.1, 0.5, 6) + spots(0.37, 0.6, 7)) + 0.3 * spots(0.11, 0.3, 13);
             color = scale(color, (1.0 + 0.25 * wear + marks).max(0.2));
         }
-        let stain = 0.25 * spots(0.8, 0.5, 9) + 0.2 * spots(0.13, 0.35, 10);
+        let has_pavement = beside + width > KERB_M;
+        let stain = if has_pavement { 0.25 * spots(0.8, 0.5, 9) + 0.2 * spots(0.13, 0.35, 10) } else { 0.0 };
         // The rest is made of straight edges: along the street and across it, which is locally a turned copy of the plane.
         let color = footprint.mean(0.0, |offset, width, _| {
             let along = position.along_m + offset[0] * tangent.x + offset[1] * tangent.y;
@@ -103,7 +103,7 @@ impl Ground {
         let patches =
             Fractal { coarsest: 6.0, octaves: 3, persistence: 0.7 }.at(at, footprint, self.seed ^ 1);
         let blades =
-            Fractal { coarsest: 0.35, octaves: 4, persistence: 0.95 }.at(at, footprint, self.seed ^ 2);
+            Fractal { coarsest: 0.30, octaves: 4, persistence: 1.0 }.at(at, footprint, self.seed ^ 2);
         let soil = smoothstep(patches * 0.8 + 0.15);
         scale(mix(GRASS, SOIL, 0.7 * soil), (1.0 + 0.35 * blades).max(0.15))
     }
@@ -122,7 +122,7 @@ impl Ground {
             });
             let parking = mix(asphalt, PARKING, 0.6);
             color = mix(scale(color, 1.0 + 0.7 * patch), parking, beyond(LANE_M));
-            color = mix(color, PAINT, 0.8 * self.paint(along, beside, width));
+            color = mix(color, PAINT, 0.8 * self.paint(along, left, width));
         }
         if beside + width > KERB_M {
             let side = if left < 0.0 { 1u32 } else { 2 };
@@ -139,7 +139,8 @@ impl Ground {
     }
 
     /// Share of the footprint under paint: the middle line, edge lines, parking bays, zebra crossings.
-    fn paint(&self, along: f64, beside: f64, width: f64) -> f32 {
+    fn paint(&self, along: f64, left: f64, width: f64) -> f32 {
+        let beside = left.abs();
         let middle = lines(along, width, 6.0, 3.0) * interval(beside, width, -0.06, 0.06);
         let edge = interval(beside, width, LANE_M - 0.12, LANE_M);
         let bays = lines(along, width, 6.2, 0.1) * interval(beside, width, LANE_M, KERB_M);
@@ -147,7 +148,7 @@ impl Ground {
         let place = 0.2 + 0.6 * f64::from(unsigned(hash(block, 0, self.seed)));
         let crossing = CROSSING_M * (f64::from(block) + place);
         let zebra = interval(along, width, crossing, crossing + 3.0)
-            * lines(beside, width, 1.0, 0.5)
+            * lines(left, width, 1.0, 0.5)
             * interval(beside, width, -1.0, LANE_M - 0.2);
         (middle + edge + bays + zebra).min(1.0)
     }

@@ -109,14 +109,14 @@ impl Surface {
                     &Courses { size: [0.25, 0.075], shift: 0.5, joint: 0.012, tint: 0.3 },
                 );
                 let marks = spots(0.9, 0.35, 20) + spots(0.21, 0.2, 21);
-                scale(wall, (1.0 + 0.22 * fine(2.3, 6, 0.75, 22) + 0.25 * marks).max(0.1))
+                scale(wall, (1.0 + 0.22 * fine(1.2, 5, 0.85, 22) + 0.25 * marks).max(0.1))
             }
             Material::Plaster => {
                 let marks = spots(1.3, 0.5, 23) + 0.8 * spots(0.41, 0.45, 24) + 0.8 * spots(0.11, 0.3, 25);
                 // Water runs down from the top of walls.
                 let runs = Fractal { coarsest: 0.35, octaves: 2, persistence: 0.7 };
                 let runs = runs.at([u, 0.12 * v], footprint, seed ^ 26);
-                scale(self.color, (1.0 + 0.2 * fine(2.0, 6, 0.8, 27) + 0.2 * marks + 0.12 * runs).max(0.1))
+                scale(self.color, (1.0 + 0.2 * fine(1.6, 5, 0.85, 27) + 0.2 * marks + 0.12 * runs).max(0.1))
             }
             Material::Stone => {
                 let wall = self.courses(
@@ -134,7 +134,7 @@ impl Surface {
                     &Courses { size: [1.5, 3.0], shift: 0.0, joint: 0.03, tint: 0.1 },
                 );
                 let holes = spots(0.23, 0.25, 31) + spots(0.6, 0.4, 32);
-                scale(wall, (1.0 + 0.22 * fine(3.0, 7, 0.75, 33) + 0.2 * holes).max(0.1))
+                scale(wall, (1.0 + 0.22 * fine(2.0, 6, 0.8, 33) + 0.2 * holes).max(0.1))
             }
             Material::Boards => {
                 let wall = self.courses(

@@ -175,6 +175,11 @@ impl World {
         self.movers[mover].pose(time_s)
     }
 
+    /// Whether rays that differ from this one by at most `slack` per metre may meet a moving car.
+    pub(crate) fn mover_is_near(&self, pose: &MoverPose, ray: &Ray, slack: f64) -> bool {
+        Mover::is_near(pose, ray, slack)
+    }
+
     /// What sixteen rays meet: ids for [`World::resolve`]. `movers` are the moving cars to look at, with their poses by lane.
     pub(crate) fn cast_packet(&self, packet: &mut Packet, movers: &[(usize, [MoverPose; LANES])]) {
         if self.ground.is_some() {

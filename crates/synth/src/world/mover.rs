@@ -12,7 +12,7 @@ use crate::route::{Route, RoutePosition};
 /// A car further away than this is not drawn, in metres.
 pub(super) const SEEN_M: f64 = 250.0;
 /// Radius of a ball around a car's middle, in metres.
-const RADIUS_M: f32 = 2.6;
+const RADIUS_M: f64 = 2.6;
 /// The lane of those who come towards us, in metres to the left of the centre line.
 const LANE_LEFT_M: f64 = 1.75;
 const SPEED_MPS: [f64; 2] = [7.0, 13.0];
@@ -69,21 +69,16 @@ impl Mover {
         self.bvh.cast(&self.quads, ray_in_car, least, most).map(|(quad, distance, _)| (quad, distance))
     }
 
+    /// Whether rays near this one may meet the car where it is: `slack` is how far they may be apart, per metre.
+    pub(super) fn is_near(pose: &MoverPose, ray: &Ray, slack: f64) -> bool {
+        let towards = pose.place.push(0.0) - ray.origin;
+        let (along, distance2) = (towards.dot(&ray.direction), towards.norm_squared());
+        let reach = RADIUS_M + slack * distance2.sqrt();
+        along > -reach && distance2 - along * along / ray.direction.norm_squared() < reach * reach
+    }
+
     /// The same for a packet, given where the car is for each of its rays.
     pub(super) fn cast_packet(&self, packet: &mut Packet, poses: &[MoverPose; LANES], first_id: u32) {
-        let mut is_near = false;
-        for (lane, pose) in poses.iter().enumerate() {
-            let [px, py] = [pose.place.x as f32, pose.place.y as f32];
-            let [x, y, z] =
-                [px - packet.origin[0][lane], py - packet.origin[1][lane], -packet.origin[2][lane]];
-            let [dx, dy, dz] = [0, 1, 2].map(|axis| packet.direction[axis][lane]);
-            let towards = x * dx + y * dy + z * dz;
-            let aside2 = x * x + y * y + z * z - towards * towards / (dx * dx + dy * dy + dz * dz);
-            is_near |= (towards > -RADIUS_M) & (aside2 < RADIUS_M * RADIUS_M);
-        }
-        if !is_near {
-            return;
-        }
         let mut local = *packet;
         for (lane, pose) in poses.iter().enumerate() {
             let vector = |part: &[[f32; LANES]; 3]| Vector3::from_fn(|axis, _| f64::from(part[axis][lane]));

@@ -44,8 +44,8 @@ fn lattice(x: f64) -> (i32, f32) {
 }
 
 /// A footprint longer than this many times its width is split along its length, into at most so many parts.
-const SPLIT: f64 = 1.6;
-const MAX_PARTS: f64 = 5.0;
+const SPLIT: f64 = 2.0;
+const MAX_PARTS: f64 = 4.0;
 
 /// The parallelogram of a surface that a pixel sees, by its longer side.
 #[derive(Clone, Copy, Debug)]
@@ -75,6 +75,7 @@ impl Footprint {
 
     /// Mean of a function of (offset, width, width along each axis) over the parts of the footprint: as many as its shape asks
     /// for, but none finer than `fineness`.
+    #[inline(always)]
     pub(crate) fn mean<const N: usize>(
         &self,
         fineness: f64,
@@ -144,7 +145,7 @@ impl Fractal {
             });
             sum += amplitude * value;
             amplitude *= self.persistence;
-            size *= 0.46;
+            size *= 0.43;
         }
         sum
     }

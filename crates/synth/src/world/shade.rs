@@ -12,6 +12,8 @@ const SKY_LIGHT: [f32; 2] = [0.62, 0.46];
 const SUN_LIGHT: f32 = 0.75;
 /// Walls darken towards the ground, over about this height, in metres.
 const CONTACT_M: f64 = 0.35;
+/// From here up no eight-bit image shows it: 0.4 e⁻⁸ is below a thousandth.
+const CONTACT_REACH_M: f64 = 8.0 * CONTACT_M;
 /// What shows in glass below the sky.
 const OPPOSITE: [f32; 3] = [0.20, 0.19, 0.18];
 
@@ -142,7 +144,11 @@ impl World {
         };
         let upright = 1.0 - hit.normal.z.abs() as f32;
         let sky_light = SKY_LIGHT[0] + upright * (SKY_LIGHT[1] - SKY_LIGHT[0]);
-        let contact = 1.0 - 0.4 * upright * (-hit.point.z.max(0.0) / CONTACT_M).exp() as f32;
+        let contact = if upright > 0.0 && hit.point.z < CONTACT_REACH_M {
+            1.0 - 0.4 * upright * (-hit.point.z.max(0.0) / CONTACT_M).exp() as f32
+        } else {
+            1.0
+        };
         let recess = if hit.part == Part::Face { 1.0 } else { 0.8 };
         let sun = hit.normal.dot(&self.towards_sun).max(0.0) as f32;
         let light = (sky_light + SUN_LIGHT * sun) * contact * recess;
