@@ -34,6 +34,19 @@ pub struct AdjustReport {
     pub images: usize,
     /// Points.
     pub points: usize,
+    /// The cost against time.
+    pub steps: Vec<AdjustStep>,
+}
+
+/// One attempted step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AdjustStep {
+    /// Since the optimiser began.
+    pub seconds: f64,
+    /// The cost after it.
+    pub cost: f64,
+    /// Whether it was taken.
+    pub accepted: bool,
 }
 
 /// Iterations of an adjustment that is asked for by itself.
@@ -143,5 +156,14 @@ fn report(summary: &Summary, start: Instant, images: usize, points: usize) -> Re
         residuals: summary.num_residuals,
         images,
         points,
+        steps: summary
+            .iterations
+            .iter()
+            .map(|step| AdjustStep {
+                seconds: step.elapsed.as_secs_f64(),
+                cost: step.cost,
+                accepted: step.accepted,
+            })
+            .collect(),
     })
 }

@@ -21,7 +21,7 @@ mod workspace;
 
 use std::ops::ControlFlow;
 
-pub use adjust::{AdjustReport, adjust};
+pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use cameras::Calibration;
 pub use error::{Error, Size};
 pub use evaluate::{

@@ -1,5 +1,7 @@
 //! `adjust`.
 
+use std::fmt::Write;
+
 use tiepoint_pipeline::adjust as adjust_model;
 
 use super::Failure;
@@ -13,8 +15,15 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
     drop(progress);
     output.result(&report, || {
         let end = if report.converged { "converged" } else { "stopped at the limit of steps" };
-        format!(
-            "{} images, {} points, {} residuals\ncost {:.6e} -> {:.6e} in {} steps, {:.2} s, {end}\n",
+        let mut text = "   seconds           cost\n".to_owned();
+        for step in &report.steps {
+            let rejected = if step.accepted { "" } else { "  rejected" };
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{:10.4} {:14.8e}{rejected}", step.seconds, step.cost);
+        }
+        let _ = writeln!(
+            text,
+            "{} images, {} points, {} residuals\ncost {:.6e} -> {:.6e} in {} steps, {:.2} s, {end}",
             report.images,
             report.points,
             report.residuals,
@@ -22,7 +31,8 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
             report.final_cost,
             report.iterations,
             report.seconds,
-        )
+        );
+        text
     });
     Ok(())
 }
