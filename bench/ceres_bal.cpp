@@ -1,10 +1,10 @@
 // Ceres on a problem of "Bundle adjustment in the large", for bench/ba.py.
 //
 //   g++ -O3 -march=native -std=c++17 -I/usr/include/eigen3 bench/ceres_bal.cpp -o ceres_bal -lceres -lglog
-//   ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt
+//   ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt analytic|automatic
 //
-// Prints "seconds cost" after the set-up and after every step, and writes the adjusted problem. The cost function has analytic
-// derivatives, as ours has, so that automatic differentiation is no part of the comparison.
+// Prints "seconds cost" after the set-up and after every step, and writes the adjusted problem. Derivatives are analytic, as ours
+// are, so that automatic differentiation is no part of the comparison; or automatic, as in Ceres' bundle_adjuster.
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
 
@@ -102,10 +102,26 @@ class Snavely : public ceres::SizedCostFunction<2, 9, 3> {
   double x_, y_;
 };
 
+// The same for automatic differentiation.
+struct SnavelyAutomatic {
+  double x, y;
+  template <typename T>
+  bool operator()(const T* camera, const T* point, T* residuals) const {
+    T p[3];
+    ceres::AngleAxisRotatePoint(camera, point, p);
+    const T u = -(p[0] + camera[3]) / (p[2] + camera[5]), v = -(p[1] + camera[4]) / (p[2] + camera[5]);
+    const T s = u * u + v * v;
+    const T scale = camera[6] * (1.0 + s * (camera[7] + camera[8] * s));
+    residuals[0] = scale * u - x;
+    residuals[1] = scale * v - y;
+    return true;
+  }
+};
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 6) return 2;
+  if (argc != 7) return 2;
   FILE* file = std::fopen(argv[1], "r");
   int num_cameras, num_points, num_observations;
   if (file == nullptr || std::fscanf(file, "%d %d %d", &num_cameras, &num_points, &num_observations) != 3) return 1;
@@ -125,8 +141,14 @@ int main(int argc, char** argv) {
   double* points = x.data() + 9 * num_cameras;
   auto* ordering = new ceres::ParameterBlockOrdering;
   for (int i = 0; i < num_observations; ++i) {
-    problem.AddResidualBlock(
-        new Snavely(pixels[2 * i], pixels[2 * i + 1]), nullptr, x.data() + 9 * camera[i], points + 3 * point[i]);
+    ceres::CostFunction* cost = nullptr;
+    if (std::string(argv[6]) == "analytic") {
+      cost = new Snavely(pixels[2 * i], pixels[2 * i + 1]);
+    } else {
+      cost = new ceres::AutoDiffCostFunction<SnavelyAutomatic, 2, 9, 3>(
+          new SnavelyAutomatic{pixels[2 * i], pixels[2 * i + 1]});
+    }
+    problem.AddResidualBlock(cost, nullptr, x.data() + 9 * camera[i], points + 3 * point[i]);
   }
   for (int i = 0; i < num_points; ++i) ordering->AddElementToGroup(points + 3 * i, 0);
   for (int i = 0; i < num_cameras; ++i) ordering->AddElementToGroup(x.data() + 9 * i, 1);
