@@ -61,6 +61,58 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         self.slots.push(slots);
     }
 
+    #[inline(always)]
+    fn linearize_here(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        let total = const { total_dof(<F::Vars as Vars>::DOFS) };
+        let stride = const { (total_dof(<F::Vars as Vars>::DOFS) + 1).next_multiple_of(4) };
+        let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
+        for (&index, (rows, cost)) in factors.iter().zip(records) {
+            let index = index as usize;
+            let x = F::Vars::refs(slices, &self.slots[index]);
+            let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
+                rows.fill(0.0);
+                *cost = NO_COST;
+                continue;
+            };
+            let loss = self.losses.get(index);
+            let squared_norm = residual.norm_squared();
+            *cost = half_rho(loss, squared_norm);
+            // Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
+            let weight = match loss {
+                Loss::Trivial => 1.0,
+                _ => loss.evaluate(squared_norm)[1].sqrt(),
+            };
+            F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
+            for r in 0..R {
+                rows[r * stride + total] = weight * residual[r];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn costs_here(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        for (&index, cost) in factors.iter().zip(out) {
+            let index = index as usize;
+            let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
+            *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
+        }
+    }
+
+    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the bits are the same.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn linearize_avx2(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        self.linearize_here(values, factors, out);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn costs_avx2(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
+        self.costs_here(values, factors, out);
+    }
+
     /// All residuals, in order of insertion.
     pub(crate) fn residuals(&self, values: &Values) -> Vec<Option<SVector<f64, R>>> {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
@@ -138,40 +190,23 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
     }
 
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        let total = const { total_dof(<F::Vars as Vars>::DOFS) };
-        let stride = const { (total_dof(<F::Vars as Vars>::DOFS) + 1).next_multiple_of(4) };
-        let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
-        for (&index, (rows, cost)) in factors.iter().zip(records) {
-            let index = index as usize;
-            let x = F::Vars::refs(slices, &self.slots[index]);
-            let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
-                rows.fill(0.0);
-                *cost = NO_COST;
-                continue;
-            };
-            let loss = self.losses.get(index);
-            let squared_norm = residual.norm_squared();
-            *cost = half_rho(loss, squared_norm);
-            // Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
-            let weight = match loss {
-                Loss::Trivial => 1.0,
-                _ => loss.evaluate(squared_norm)[1].sqrt(),
-            };
-            F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
-            for r in 0..R {
-                rows[r * stride + total] = weight * residual[r];
-            }
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the feature that the function is compiled for has just been found.
+            unsafe { self.linearize_avx2(values, factors, out) };
+            return;
         }
+        self.linearize_here(values, factors, out);
     }
 
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
-        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        for (&index, cost) in factors.iter().zip(out) {
-            let index = index as usize;
-            let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
-            *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the feature that the function is compiled for has just been found.
+            unsafe { self.costs_avx2(values, factors, out) };
+            return;
         }
+        self.costs_here(values, factors, out);
     }
 
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)> {

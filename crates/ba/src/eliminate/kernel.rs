@@ -1,37 +1,15 @@
 //! The inner loops of the elimination, compiled once per instruction set and ignorant of factors.
 //!
-//! Rows are padded to multiples of [`LANES`]; what the padding holds is never looked at. Products `a·b + c` are fused where
-//! the machine can, so that results differ in the last bits between instruction sets, and not otherwise.
+//! Rows are padded to multiples of [`LANES`]; what the padding holds is never looked at.
 
+#[cfg(target_arch = "x86_64")]
+use super::lanes::Fused;
+use super::lanes::{Isa, LANES, Portable, lanes, lanes_mut};
 use super::{Sums, damping_of, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Local, Segment, Shape};
+use crate::structure::{Cell, Chunk, Local, Shape};
 
-/// Numbers handled at once.
-const LANES: usize = 4;
-
-/// How to multiply and add.
-trait Isa {
-    fn mul_add(a: f64, b: f64, c: f64) -> f64;
-}
-
-struct Portable;
-impl Isa for Portable {
-    #[inline(always)]
-    fn mul_add(a: f64, b: f64, c: f64) -> f64 {
-        a * b + c
-    }
-}
-
-/// Fused: one rounding.
-#[cfg(target_arch = "x86_64")]
-struct Fused;
-#[cfg(target_arch = "x86_64")]
-impl Isa for Fused {
-    #[inline(always)]
-    fn mul_add(a: f64, b: f64, c: f64) -> f64 {
-        a.mul_add(b, c)
-    }
-}
+/// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
+pub(super) const SLACK: usize = 32;
 
 /// Adds the cells of a batch, whose rows are in `sums.rows`, to the sums. `factor` and `local` count through the chunk.
 pub(super) fn eliminate(
@@ -109,10 +87,10 @@ impl Work<'_> {
         let pattern = &chunk.patterns[self.cell.pattern as usize];
         let locals = &chunk.pattern_locals[pattern.locals.clone()];
         let pairs = &chunk.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
-        let Sums { tiles, gradient, correction, diagonal, stash, rows, gradient_max, .. } = &mut *self.sums;
-        let stash =
-            if P == 0 { &mut [][..] } else { &mut stash[self.cell.stash..][..stash_len(P, pattern.width)] };
-        let (head, w) = stash.split_at_mut(if P == 0 { 0 } else { stash_head(P) });
+        let width = pattern.width;
+        let Sums { tiles, vectors, stash, rows, w, gradient_max, .. } = &mut *self.sums;
+        let w = &mut w[..P * width];
+        w.fill(0.0);
         let mut v = [[0.0; P]; P];
         let mut g = [0.0; P];
 
@@ -128,33 +106,30 @@ impl Work<'_> {
                 }
             }
             // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
-            let rows = &rows[*self.row_at..][..len + 2 * LANES];
+            let rows = &rows[*self.row_at..][..len + SLACK];
             *self.row_at += len;
             for row in rows[..len].chunks_exact(shape.stride) {
-                let jp: &[f64] = &row[shape.eliminated..][..P];
+                let jp: &[f64; P] =
+                    row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+                let residual = row[shape.residual];
                 for i in 0..P {
                     for j in 0..=i {
-                        v[i][j] = I::mul_add(jp[i], jp[j], v[i][j]);
+                        v[i][j] = I::mul_add_one(jp[i], jp[j], v[i][j]);
                     }
-                    g[i] = I::mul_add(jp[i], row[shape.residual], g[i]);
+                    g[i] = I::mul_add_one(jp[i], residual, g[i]);
                 }
             }
-            for (s, (segment, &l)) in shape.segments.iter().zip(these).enumerate() {
-                let local = &locals[l as usize];
-                add_to_vectors::<I>(rows, shape, segment, local, gradient, diagonal);
-                add_to_w::<P, I>(rows, shape, segment, local, pattern.width, w);
-                for (other, &m) in shape.segments[..=s].iter().zip(these) {
-                    let (lo, hi) = if m <= l { (m, l) } else { (l, m) };
-                    let (a, b) = if (m, other.offset) <= (l, segment.offset) {
-                        (other, segment)
-                    } else {
-                        (segment, other)
-                    };
-                    let at = pairs[hi as usize * (hi as usize + 1) / 2 + lo as usize] as usize;
-                    let local = &locals[hi as usize];
-                    let tile = &mut tiles[at..][..locals[lo as usize].dof * local.padded];
-                    add_product::<I>(rows, shape, a, b, local.padded, tile);
+            // Two rows at a time: a reprojection has two.
+            let mut row = 0;
+            while row < shape.rows {
+                let rows = &rows[row * shape.stride..];
+                if row + 1 < shape.rows {
+                    let rows = [rows, &rows[shape.stride..]];
+                    add_rows::<2, P, I>(rows, shape, these, locals, pairs, tiles, vectors, w, width);
+                } else {
+                    add_rows::<1, P, I>([rows], shape, these, locals, pairs, tiles, vectors, w, width);
                 }
+                row += 2;
             }
         }
         if P == 0 {
@@ -167,35 +142,51 @@ impl Work<'_> {
             *gradient_max = gradient_max.max(g[i].abs());
             v[i][i] += self.lambda * damping[i];
         }
-        let (y, inverse) = {
-            cholesky::<P>(&mut v);
-            let inverse: [f64; P] = std::array::from_fn(|i| 1.0 / v[i][i]);
-            let mut y = g;
-            for i in 0..P {
-                for j in 0..i {
-                    y[i] -= v[i][j] * y[j];
-                }
-                y[i] *= inverse[i];
+        cholesky::<P>(&mut v);
+        let mut inverse = [0.0; P];
+        for i in 0..P {
+            inverse[i] = 1.0 / v[i][i];
+        }
+        let mut y = g;
+        for i in 0..P {
+            for j in 0..i {
+                y[i] -= v[i][j] * y[j];
             }
-            (y, inverse)
-        };
+            y[i] *= inverse[i];
+        }
+        let (head, stashed) = stash[self.cell.stash..][..stash_len(P, width)].split_at_mut(stash_head(P));
         for i in 0..P {
             head[i * P..][..P].copy_from_slice(&v[i]);
             head[P * P + i] = y[i];
             head[P * P + P + i] = g[i];
             head[P * P + 2 * P + i] = damping[i];
         }
-        whiten::<P, I>(w, pattern.width, &v, &inverse);
+        whiten::<P, I>(w, stashed, width, &v, &inverse);
+        let w = &*w;
         let mut pair = pairs.iter();
         for b in locals {
-            let rows_b: [&[f64]; P] = std::array::from_fn(|k| &w[k * pattern.width + b.column..][..b.padded]);
+            let mut rows_b = [&[][..]; P];
             for k in 0..P {
-                axpy::<I>(y[k], rows_b[k], &mut correction[b.at..][..b.padded]);
+                rows_b[k] = &w[k * width + b.column..][..b.padded];
+            }
+            let correction = &mut vectors[3 * b.at + b.padded..][..b.padded];
+            for lane in (0..b.padded).step_by(LANES) {
+                let correction = lanes_mut(&mut correction[lane..]);
+                let mut sum = I::load(correction);
+                for k in 0..P {
+                    sum = I::mul_add(I::splat(y[k]), I::load(lanes(&rows_b[k][lane..])), sum);
+                }
+                I::store(sum, correction);
             }
             for (a, &at) in locals.iter().zip(pair.by_ref()) {
-                let rows_a: [&[f64]; P] =
-                    std::array::from_fn(|k| &w[k * pattern.width + a.column..][..a.dof]);
-                subtract_product::<P, I>(&rows_a, &rows_b, &mut tiles[at as usize..][..a.dof * b.padded]);
+                let mut rows_a = [&[][..]; P];
+                for k in 0..P {
+                    rows_a[k] = &w[k * width + a.column..][..a.dof];
+                }
+                {
+                    let tile = &mut tiles[at as usize..][..a.dof * b.padded];
+                    product::<P, false, I>(&rows_a, &rows_b, b.padded, tile);
+                }
                 if a.at == b.at {
                     break;
                 }
@@ -204,96 +195,97 @@ impl Work<'_> {
     }
 }
 
+/// Adds `R` rows of one factor to the gradient, the diagonal, W and the tiles.
 #[inline(always)]
-fn lanes(slice: &[f64]) -> &[f64; LANES] {
-    slice.first_chunk().expect("at least one vector")
-}
-
-/// y += a x, for lengths that are multiples of `LANES`.
-#[inline(always)]
-fn axpy<I: Isa>(a: f64, x: &[f64], y: &mut [f64]) {
-    let (x, y) = (x.as_chunks::<LANES>().0, y.as_chunks_mut::<LANES>().0);
-    for (x, y) in x.iter().zip(y) {
-        for i in 0..LANES {
-            y[i] = I::mul_add(a, x[i], y[i]);
-        }
-    }
-}
-
-/// g += Jᵀr and D += diag JᵀJ, for one segment.
-#[inline(always)]
-fn add_to_vectors<I: Isa>(
-    rows: &[f64],
+#[expect(clippy::too_many_arguments, reason = "one step of one loop, apart only to be compiled for each R")]
+fn add_rows<const R: usize, const P: usize, I: Isa>(
+    rows: [&[f64]; R],
     shape: &Shape,
-    segment: &Segment,
-    local: &Local,
-    gradient: &mut [f64],
-    diagonal: &mut [f64],
-) {
-    let at = local.at + segment.offset;
-    let (gradient, diagonal) = (&mut gradient[at..][..segment.dof], &mut diagonal[at..][..segment.dof]);
-    for r in 0..shape.rows {
-        let row = &rows[r * shape.stride..][..shape.stride];
-        let residual = row[shape.residual];
-        let row = &row[segment.column..][..segment.dof];
-        for ((g, d), j) in gradient.iter_mut().zip(diagonal.iter_mut()).zip(row) {
-            *g = I::mul_add(*j, residual, *g);
-            *d = I::mul_add(*j, *j, *d);
-        }
-    }
-}
-
-/// W += JᵀJ_p, for one segment.
-#[inline(always)]
-fn add_to_w<const P: usize, I: Isa>(
-    rows: &[f64],
-    shape: &Shape,
-    segment: &Segment,
-    local: &Local,
-    width: usize,
+    these: &[u16],
+    locals: &[Local],
+    pairs: &[u32],
+    tiles: &mut [f64],
+    vectors: &mut [f64],
     w: &mut [f64],
+    width: usize,
 ) {
-    for k in 0..P {
-        let w = &mut w[k * width + local.column + segment.offset..];
-        for r in 0..shape.rows {
-            let row = &rows[r * shape.stride..];
-            let jp = row[shape.eliminated + k];
-            if segment.whole {
-                axpy::<I>(jp, &row[segment.column..][..local.padded], &mut w[..local.padded]);
-            } else {
-                for (w, j) in w[..segment.dof].iter_mut().zip(&row[segment.column..]) {
-                    *w = I::mul_add(jp, *j, *w);
+    let mut jp = [[0.0; P]; R];
+    let mut residual = [0.0; R];
+    for r in 0..R {
+        jp[r] = *rows[r][shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+        residual[r] = rows[r][shape.residual];
+    }
+    for (s, (segment, &l)) in shape.segments.iter().zip(these).enumerate() {
+        let local = &locals[l as usize];
+        let padded = local.padded;
+        let (gradient, rest) = vectors[3 * local.at..][..3 * padded].split_at_mut(padded);
+        let diagonal = &mut rest[padded..];
+        if segment.whole {
+            let (mut jp_lanes, mut residual_lanes) = ([[I::splat(0.0); P]; R], [I::splat(0.0); R]);
+            for r in 0..R {
+                residual_lanes[r] = I::splat(residual[r]);
+                for k in 0..P {
+                    jp_lanes[r][k] = I::splat(jp[r][k]);
+                }
+            }
+            for lane in (0..padded).step_by(LANES) {
+                let mut j = [I::splat(0.0); R];
+                for r in 0..R {
+                    j[r] = I::load(lanes(&rows[r][segment.column + lane..]));
+                }
+                let (gradient, diagonal) =
+                    (lanes_mut(&mut gradient[lane..]), lanes_mut(&mut diagonal[lane..]));
+                let (mut g, mut d) = (I::load(gradient), I::load(diagonal));
+                for r in 0..R {
+                    g = I::mul_add(j[r], residual_lanes[r], g);
+                    d = I::mul_add(j[r], j[r], d);
+                }
+                I::store(g, gradient);
+                I::store(d, diagonal);
+                for k in 0..P {
+                    let w = lanes_mut(&mut w[k * width + local.column + lane..]);
+                    let mut sum = I::load(w);
+                    for r in 0..R {
+                        sum = I::mul_add(jp_lanes[r][k], j[r], sum);
+                    }
+                    I::store(sum, w);
+                }
+            }
+        } else {
+            for r in 0..R {
+                let j = &rows[r][segment.column..][..segment.dof];
+                for (i, j) in j.iter().enumerate() {
+                    let at = segment.offset + i;
+                    gradient[at] = I::mul_add_one(*j, residual[r], gradient[at]);
+                    diagonal[at] = I::mul_add_one(*j, *j, diagonal[at]);
+                    for k in 0..P {
+                        let w = &mut w[k * width + local.column + at];
+                        *w = I::mul_add_one(jp[r][k], *j, *w);
+                    }
                 }
             }
         }
-    }
-}
-
-/// tile += J_aᵀJ_b, for two segments of the same rows.
-#[inline(always)]
-fn add_product<I: Isa>(
-    rows: &[f64],
-    shape: &Shape,
-    a: &Segment,
-    b: &Segment,
-    padded: usize,
-    tile: &mut [f64],
-) {
-    if b.whole {
-        for r in 0..shape.rows {
-            let row = &rows[r * shape.stride..];
-            let (row_a, row_b) = (&row[a.column..][..a.dof], &row[b.column..][..padded]);
-            for (j, column) in row_a.iter().zip(tile[a.offset * padded..].chunks_exact_mut(padded)) {
-                axpy::<I>(*j, row_b, column);
+        for (other, &m) in shape.segments[..=s].iter().zip(these) {
+            let (lo, hi) = if m <= l { (m, l) } else { (l, m) };
+            let (a, b) =
+                if (m, other.offset) <= (l, segment.offset) { (other, segment) } else { (segment, other) };
+            let at = pairs[hi as usize * (hi as usize + 1) / 2 + lo as usize] as usize;
+            let padded = locals[hi as usize].padded;
+            let tile = &mut tiles[at + a.offset * padded..][..a.dof * padded];
+            let (mut rows_a, mut rows_b) = ([&[][..]; R], [&[][..]; R]);
+            for r in 0..R {
+                rows_a[r] = &rows[r][a.column..][..a.dof];
+                rows_b[r] = &rows[r][b.column..];
             }
-        }
-    } else {
-        for r in 0..shape.rows {
-            let row = &rows[r * shape.stride..];
-            let (row_a, row_b) = (&row[a.column..][..a.dof], &row[b.column..][..b.dof]);
-            for (j, column) in row_a.iter().zip(tile[a.offset * padded..].chunks_exact_mut(padded)) {
-                for (t, i) in column[b.offset..].iter_mut().zip(row_b) {
-                    *t = I::mul_add(*j, *i, *t);
+            if b.whole {
+                product::<R, true, I>(&rows_a, &rows_b, padded, tile);
+            } else {
+                for (column, tile) in tile.chunks_exact_mut(padded).enumerate() {
+                    for r in 0..R {
+                        for (t, i) in tile[b.offset..][..b.dof].iter_mut().zip(&rows[r][b.column..]) {
+                            *t = I::mul_add_one(rows_a[r][column], *i, *t);
+                        }
+                    }
                 }
             }
         }
@@ -317,42 +309,124 @@ fn cholesky<const P: usize>(v: &mut [[f64; P]; P]) {
     }
 }
 
-/// W ← L⁻¹W, where `w` holds Wᵀ row by row.
+/// Y = L⁻¹W: `w` holds Wᵀ row by row, and Y is written both there and to `y`.
 #[inline(always)]
-fn whiten<const P: usize, I: Isa>(w: &mut [f64], width: usize, l: &[[f64; P]; P], inverse: &[f64; P]) {
-    let mut column = 0;
-    while column < width {
-        let mut y = [[0.0; LANES]; P];
+fn whiten<const P: usize, I: Isa>(
+    w: &mut [f64],
+    y: &mut [f64],
+    width: usize,
+    l: &[[f64; P]; P],
+    inverse: &[f64; P],
+) {
+    for lane in (0..width).step_by(LANES) {
+        let mut rows = [I::splat(0.0); P];
         for k in 0..P {
-            let mut sum = *lanes(&w[k * width + column..]);
+            let at = k * width + lane;
+            let row = lanes_mut(&mut w[at..]);
+            let mut sum = I::load(row);
             for i in 0..k {
-                for lane in 0..LANES {
-                    sum[lane] = I::mul_add(-l[k][i], y[i][lane], sum[lane]);
-                }
+                sum = I::neg_mul_add(I::splat(l[k][i]), rows[i], sum);
             }
-            y[k] = sum.map(|sum| sum * inverse[k]);
-            w[k * width + column..][..LANES].copy_from_slice(&y[k]);
+            rows[k] = I::mul(sum, I::splat(inverse[k]));
+            I::store(rows[k], row);
+            I::store(rows[k], lanes_mut(&mut y[at..]));
         }
-        column += LANES;
     }
 }
 
-/// tile −= aᵀb with `P` rows each.
+/// tile ± aᵀb with `N` rows each, a tile being `dof(a)` columns of `padded` numbers.
 #[inline(always)]
-fn subtract_product<const P: usize, I: Isa>(a: &[&[f64]; P], b: &[&[f64]; P], tile: &mut [f64]) {
-    let padded = b[0].len();
-    let mut lane = 0;
-    while lane < padded {
-        let minus_b: [[f64; LANES]; P] = std::array::from_fn(|k| lanes(&b[k][lane..]).map(|b| -b));
-        for (j, column) in tile.chunks_exact_mut(padded).enumerate() {
-            let Some(t) = column[lane..].first_chunk_mut::<LANES>() else { break };
-            for k in 0..P {
-                let a = a[k][j];
-                for i in 0..LANES {
-                    t[i] = I::mul_add(a, minus_b[k][i], t[i]);
-                }
+fn product<const N: usize, const PLUS: bool, I: Isa>(
+    a: &[&[f64]; N],
+    b: &[&[f64]; N],
+    padded: usize,
+    tile: &mut [f64],
+) {
+    match padded / LANES {
+        1 => product_of::<N, 1, PLUS, I>(a, b, padded, 0, tile),
+        2 => product_of::<N, 2, PLUS, I>(a, b, padded, 0, tile),
+        3 => product_of::<N, 3, PLUS, I>(a, b, padded, 0, tile),
+        _ => {
+            for lane in (0..padded).step_by(LANES) {
+                product_of::<N, 1, PLUS, I>(a, b, padded, lane, tile);
             }
         }
-        lane += LANES;
     }
+}
+
+/// The same for `L` vectors of each column, from number `first` on: those of b stay in registers.
+#[inline(always)]
+fn product_of<const N: usize, const L: usize, const PLUS: bool, I: Isa>(
+    a: &[&[f64]; N],
+    b: &[&[f64]; N],
+    padded: usize,
+    first: usize,
+    tile: &mut [f64],
+) {
+    // Loops and not `from_fn`, here and above: closures are not compiled for the instruction set.
+    let mut rows = [[I::splat(0.0); L]; N];
+    for k in 0..N {
+        for l in 0..L {
+            rows[k][l] = I::load(lanes(&b[k][first + l * LANES..]));
+        }
+    }
+    let b = rows;
+    let columns = tile.len() / padded;
+    let mut a = *a;
+    for row in &mut a {
+        *row = &row[..columns];
+    }
+    for (j, column) in tile.chunks_exact_mut(padded).enumerate() {
+        let column = &mut column[first..][..L * LANES];
+        let mut a_j = [I::splat(0.0); N];
+        for k in 0..N {
+            a_j[k] = I::splat(a[k][j]);
+        }
+        for l in 0..L {
+            let to = lanes_mut(&mut column[l * LANES..]);
+            let mut sum = I::load(to);
+            for k in 0..N {
+                sum = if PLUS {
+                    I::mul_add(a_j[k], b[k][l], sum)
+                } else {
+                    I::neg_mul_add(a_j[k], b[k][l], sum)
+                };
+            }
+            I::store(sum, to);
+        }
+    }
+}
+
+/// What back-substitution adds up for one cell: step += Y δ_c.
+#[inline(always)]
+fn multiply_on<I: Isa>(y: &[f64], width: usize, locals: &[Local], kept: &[f64], step: &mut [f64]) {
+    for (step, row) in step.iter_mut().zip(y.chunks_exact(width.max(1))) {
+        let mut sum = I::splat(0.0);
+        for local in locals {
+            let (row, kept) = (&row[local.column..][..local.padded], &kept[local.at..][..local.padded]);
+            for lane in (0..local.padded).step_by(LANES) {
+                sum = I::mul_add(I::load(lanes(&row[lane..])), I::load(lanes(&kept[lane..])), sum);
+            }
+        }
+        let mut sums = [0.0; LANES];
+        I::store(sum, &mut sums);
+        *step += (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn multiply_avx2(y: &[f64], width: usize, locals: &[Local], kept: &[f64], step: &mut [f64]) {
+    multiply_on::<Fused>(y, width, locals, kept, step);
+}
+
+/// step += Y δ_c, where `kept` holds δ_c over the chunk's blocks, zero in the padding.
+pub(super) fn multiply(y: &[f64], width: usize, locals: &[Local], kept: &[f64], step: &mut [f64]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: the features that the function is compiled for have just been found.
+        unsafe { multiply_avx2(y, width, locals, kept, step) };
+        return;
+    }
+    multiply_on::<Portable>(y, width, locals, kept, step);
 }

@@ -18,6 +18,7 @@
 //! when the chunks' tiles are put together.
 
 mod kernel;
+mod lanes;
 
 use crate::problem::Problem;
 use crate::run::Rows;
@@ -42,32 +43,28 @@ fn stash_head(dof: usize) -> usize {
 pub(crate) struct Sums {
     /// C − YᵀY without damping, in the chunk's tiles; of a block with itself only the lower triangle is meant.
     pub(crate) tiles: Vec<f64>,
-    /// g_c, over the chunk's blocks.
-    pub(crate) gradient: Vec<f64>,
-    /// Yᵀy.
-    pub(crate) correction: Vec<f64>,
-    /// The diagonal of J_cᵀJ_c.
-    pub(crate) diagonal: Vec<f64>,
+    /// For each of the chunk's blocks, one after the other: g_c, Yᵀy and the diagonal of J_cᵀJ_c.
+    pub(crate) vectors: Vec<f64>,
     pub(crate) stash: Vec<f64>,
     /// Cost of each factor, NaN where it does not exist.
     pub(crate) costs: Vec<f64>,
     rows: Vec<f64>,
+    /// Wᵀ of the cell at hand.
+    w: Vec<f64>,
     /// Largest component of g_p.
     pub(crate) gradient_max: f64,
 }
 
 impl Sums {
     pub(crate) fn new(chunk: &Chunk) -> Self {
-        // Vector loads of the last row of a batch may reach beyond it, never by as much as this.
-        const SLACK: usize = 8;
+        let widest = chunk.patterns.iter().map(|pattern| pattern.width).max().unwrap_or(0);
         Self {
             tiles: vec![0.0; chunk.tiles_len],
-            gradient: vec![0.0; chunk.vector_len],
-            correction: vec![0.0; chunk.vector_len],
-            diagonal: vec![0.0; chunk.vector_len],
+            vectors: vec![0.0; 3 * chunk.vector_len],
             stash: vec![0.0; chunk.stash_len],
             costs: vec![0.0; chunk.factors.len()],
-            rows: vec![0.0; chunk.rows_len + SLACK],
+            rows: vec![0.0; chunk.rows_len + kernel::SLACK],
+            w: vec![0.0; MAX_ELIMINATED_DOF * widest],
             gradient_max: 0.0,
         }
     }
@@ -82,10 +79,7 @@ impl Sums {
         lambda: f64,
     ) {
         self.tiles.fill(0.0);
-        self.gradient.fill(0.0);
-        self.correction.fill(0.0);
-        self.diagonal.fill(0.0);
-        self.stash.fill(0.0);
+        self.vectors.fill(0.0);
         self.gradient_max = 0.0;
         let (mut factor, mut local) = (0, 0);
         for batch in &chunk.batches {
@@ -115,11 +109,10 @@ impl Sums {
         steps: &mut [f64],
     ) -> [f64; 2] {
         let mut kept = vec![0.0; chunk.vector_len];
-        for (&(block, at), next) in
-            chunk.blocks.iter().zip(chunk.blocks.iter().skip(1).map(|next| next.1).chain([chunk.vector_len]))
-        {
+        let ends = chunk.blocks.iter().skip(1).map(|next| next.1).chain([chunk.vector_len]);
+        for (&(block, at), end) in chunk.blocks.iter().zip(ends) {
             let from = block_at[block as usize];
-            kept[at..next].copy_from_slice(&kept_step[from..from + next - at]);
+            kept[at..end].copy_from_slice(&kept_step[from..from + end - at]);
         }
         let mut promise = [0.0; 2];
         for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
@@ -128,13 +121,8 @@ impl Sums {
             let stash = CellStash::of(&self.stash, cell, chunk);
             step.copy_from_slice(stash.reduced_gradient);
             let pattern = &chunk.patterns[cell.pattern as usize];
-            for local in &chunk.pattern_locals[pattern.locals.clone()] {
-                let kept = &kept[local.at..local.at + local.dof];
-                for (k, component) in step.iter_mut().enumerate() {
-                    let row = &stash.y[k * pattern.width + local.column..][..local.dof];
-                    *component += row.iter().zip(kept).map(|(a, b)| a * b).sum::<f64>();
-                }
-            }
+            let locals = &chunk.pattern_locals[pattern.locals.clone()];
+            kernel::multiply(stash.y, pattern.width, locals, &kept, step);
             // Lᵀ δ = −(y + Y δ_c), from the last row up.
             for k in (0..p).rev() {
                 let (this, below) = step[k..].split_first_mut().expect("k is below p");

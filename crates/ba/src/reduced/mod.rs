@@ -8,7 +8,7 @@ mod sparse;
 use rayon::prelude::*;
 
 use crate::eliminate::{Sums, damping_of};
-use crate::structure::{Block, Structure};
+use crate::structure::{Block, Structure, padded};
 
 pub(crate) use dense::Dense;
 pub(crate) use sparse::Sparse;
@@ -75,16 +75,15 @@ impl Reduced {
 
     /// Adds up what the chunks have summed, in their order, and the damping.
     pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], lambda: f64) {
-        for (to, from) in [
-            (&mut self.gradient, (|s| &s.gradient) as fn(&Sums) -> &Vec<f64>),
-            (&mut self.correction, |s| &s.correction),
-            (&mut self.diagonal, |s| &s.diagonal),
-        ] {
+        for (part, to) in
+            [&mut self.gradient, &mut self.correction, &mut self.diagonal].into_iter().enumerate()
+        {
             to.fill(0.0);
             for (chunk, sums) in structure.chunks.iter().zip(sums) {
                 for &(block, at) in &chunk.blocks {
                     let Block { dof, at: to_at, .. } = structure.blocks[block as usize];
-                    for (to, from) in to[to_at..][..dof].iter_mut().zip(&from(sums)[at..]) {
+                    let from = &sums.vectors[3 * at + part * padded(dof)..];
+                    for (to, from) in to[to_at..][..dof].iter_mut().zip(from) {
                         *to += from;
                     }
                 }
@@ -162,7 +161,7 @@ fn add_tile(
     tile: &[f64],
     numbers: &mut [f64],
 ) {
-    let padded = crate::structure::padded(other.dof);
+    let padded = padded(other.dof);
     for (column, j) in block.free_columns().enumerate() {
         let tile = &tile[j * padded..][..other.dof];
         let skip = if diagonal { column } else { 0 };

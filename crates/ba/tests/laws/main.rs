@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr)] // the lints know test functions, not their helpers
 
+mod bad_input;
 mod bal;
 #[path = "../../examples/bal/file.rs"]
 mod file;

@@ -1,0 +1,104 @@
+#!/usr/bin/env python3
+"""tiepoint-ba beside Ceres, on problems of "Bundle adjustment in the large".
+
+    apt install g++ libceres-dev;  pip install numpy
+    cargo build --release -p tiepoint-ba --example bal
+    TIEPOINT_DATA=... python bench/ba.py [--threads 2] [--repetitions 5] [PROBLEM.txt ...]
+
+Both start from the same file; both have derivatives by hand (Ceres also by automatic differentiation, as in its own
+bundle_adjuster). The final costs of both are evaluated here, by one function, from the files that they write. A run's time counts
+from the problem in memory: the analysis of its structure and all steps. What is compared is the time until the cost is
+within 0.1 % of Ceres' final cost; of the repetitions, which take turns, the least counts. Ceres' quickest solver is its best.
+"""
+import argparse
+import os
+import pathlib
+import subprocess
+import tempfile
+
+import numpy as np
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+ITERATIONS = 50
+WITHIN = 1e-3
+CERES = [(solver, derivatives) for derivatives in ("analytic", "automatic") for solver in ("dense", "sparse", "iterative")]
+
+
+def final_cost(path):
+    """Half the sum of squares of a problem file, from its numbers alone."""
+    numbers = np.array(path.read_text().split(), dtype=float)
+    cameras, points, observations = numbers[:3].astype(int)
+    seen = numbers[3 : 3 + 4 * observations].reshape(-1, 4)
+    rest = numbers[3 + 4 * observations :]
+    camera = rest[: 9 * cameras].reshape(-1, 9)[seen[:, 0].astype(int)]
+    point = rest[9 * cameras : 9 * cameras + 3 * points].reshape(-1, 3)[seen[:, 1].astype(int)]
+    angle = np.linalg.norm(camera[:, :3], axis=1, keepdims=True)
+    axis = camera[:, :3] / np.maximum(angle, 1e-300)
+    along = axis * np.sum(axis * point, axis=1, keepdims=True)
+    rotated = point * np.cos(angle) + np.cross(axis, point) * np.sin(angle) + along * (1 - np.cos(angle))
+    in_cam = rotated + camera[:, 3:6]
+    p = -in_cam[:, :2] / in_cam[:, 2:]
+    s = np.sum(p * p, axis=1, keepdims=True)
+    pixel = camera[:, 6:7] * (1 + s * (camera[:, 7:8] + s * camera[:, 8:9])) * p
+    return 0.5 * np.sum((pixel - seen[:, 2:]) ** 2)
+
+
+def trace(command):
+    """Seconds and costs, after the set-up and after every step."""
+    out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return np.array([[float(word) for word in line.split()] for line in out.splitlines()])
+
+
+def time_to(steps, cost):
+    reached = steps[steps[:, 1] <= cost]
+    return reached[0, 0] if len(reached) else np.inf
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("problems", nargs="*", type=pathlib.Path)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repetitions", type=int, default=5)
+    options = parser.parse_args()
+    problems = options.problems or sorted((pathlib.Path(os.environ["TIEPOINT_DATA"]) / "bal").glob("problem-*.txt"))
+    with tempfile.TemporaryDirectory() as folder:
+        folder = pathlib.Path(folder)
+        ceres = folder / "ceres_bal"
+        subprocess.run(["g++", "-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3",
+                        str(ROOT / "bench/ceres_bal.cpp"), "-o", str(ceres), "-lceres", "-lglog"], check=True)
+        for problem in problems:
+            compare(problem, ceres, folder, options)
+
+
+def compare(problem, ceres, folder, options):
+    commands = {"tiepoint": [str(TARGET / "release/examples/bal"), str(problem), "--threads", str(options.threads),
+                             "--trace", "--out", str(folder / "tiepoint.txt")]}
+    for solver, derivatives in CERES:
+        name = f"ceres {solver} {derivatives}"
+        commands[name] = [str(ceres), str(problem), str(options.threads), solver, str(ITERATIONS),
+                          str(folder / f"{name}.txt"), derivatives]
+    runs = {name: [] for name in commands}
+    for _ in range(options.repetitions):
+        for name, command in commands.items():
+            runs[name].append(trace(command))
+    costs = {name: final_cost(folder / f"{name}.txt") for name in commands}
+    for name, steps in runs.items():
+        # What a program says of its own end must be what the one function finds.
+        assert abs(costs[name] - steps[-1][-1, 1]) < 1e-6 * costs[name], (name, costs[name], steps[-1][-1])
+    goal = min(cost for name, cost in costs.items() if name != "tiepoint") * (1 + WITHIN)
+    print(f"\n{problem.name}, {options.threads} threads, goal {goal:.6e}")
+    print(f"{'':28} {'final cost':>14} {'steps':>6} {'set-up ms':>10} {'ms a step':>10} {'ms to goal':>11}")
+    to_goal = {}
+    for name, steps in runs.items():
+        to_goal[name] = 1e3 * min(time_to(run, goal) for run in steps)
+        setup = 1e3 * min(run[0, 0] for run in steps)
+        step = 1e3 * min((run[-1, 0] - run[0, 0]) / (len(run) - 1) for run in steps)
+        print(f"{name:28} {costs[name]:14.6e} {len(steps[0]) - 1:6} {setup:10.1f} {step:10.2f} {to_goal[name]:11.1f}")
+    for kind in ("analytic", "automatic"):
+        best = min((time, name) for name, time in to_goal.items() if name.endswith(kind))
+        print(f"quickest {best[1]}: tiepoint is {best[0] / to_goal['tiepoint']:.1f} times faster")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,257 @@
+//! Whatever a problem looks like, there is an error with the numbers or an outcome in the summary: no panic, no silent NaN.
+
+use std::ops::ControlFlow;
+
+use tiepoint_ba::factors::{Between, Prior, Reprojection};
+use tiepoint_ba::nalgebra::{SMatrix, SVector, Vector2, Vector3, Vector4};
+use tiepoint_ba::{
+    Error, Factor, Linear, LinearSolver, Loss, Options, Order, Problem, Refs, Solver, Summary, Termination,
+};
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::cameras::SimpleRadial;
+
+use crate::scene::{Intrinsics, NOISE_PX, PARAMS, Scene, solve};
+
+const SOLVERS: [LinearSolver; 4] =
+    [LinearSolver::Auto, LinearSolver::Qr, LinearSolver::Dense, LinearSolver::Sparse];
+
+/// Some hundred operations in double precision.
+const ROUNDING: f64 = 1e-12;
+
+fn try_solve(problem: &mut Problem, options: &Options) -> Result<Summary, Error> {
+    Solver::new(problem, options)?.solve(problem, &mut |_| ControlFlow::Continue(()))
+}
+
+fn with(linear_solver: LinearSolver) -> Options {
+    Options { linear_solver, ..Options::default() }
+}
+
+/// x − target, but whatever `spoil` makes of it.
+#[derive(Clone, Copy)]
+struct Spoilt {
+    target: f64,
+    residual: f64,
+    slope: f64,
+}
+
+impl Factor<1> for Spoilt {
+    type Vars = (f64,);
+    fn linearize(&self, (x,): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 1>> {
+        let residual = SVector::<f64, 1>::new((x - self.target) * self.residual);
+        Some((residual, (SMatrix::<f64, 1, 1>::new(self.slope),)))
+    }
+}
+
+#[test]
+fn nothing_to_do() {
+    for solver in SOLVERS {
+        let mut empty = Problem::new();
+        let summary = solve(&mut empty, solver, 10);
+        assert_eq!((summary.termination, summary.final_cost), (Termination::Nothing, 0.0));
+
+        let mut no_factors = Problem::new();
+        let x = no_factors.keep(1.5, Order::Shared);
+        assert_eq!(solve(&mut no_factors, solver, 10).termination, Termination::Nothing);
+        assert_eq!(no_factors.get(x), 1.5);
+
+        let mut all_fixed = Problem::new();
+        let x = all_fixed.keep(1.5, Order::Shared);
+        all_fixed.fix(x);
+        all_fixed.add(x, Prior::new(1.0, &[1.0]).unwrap(), Loss::Trivial).unwrap();
+        let summary = solve(&mut all_fixed, solver, 10);
+        assert_eq!((summary.termination, summary.final_cost), (Termination::Nothing, 0.125));
+    }
+}
+
+#[test]
+fn numbers_that_are_none_at_the_start_are_named() {
+    for solver in SOLVERS {
+        for (spoilt, what) in [
+            (Spoilt { target: 0.0, residual: f64::NAN, slope: 1.0 }, "residual"),
+            (Spoilt { target: 0.0, residual: f64::INFINITY, slope: 1.0 }, "residual"),
+            (Spoilt { target: 0.0, residual: 1e200, slope: 1.0 }, "squared residual"),
+            (Spoilt { target: 0.0, residual: 1.0, slope: f64::NAN }, "Jacobian"),
+            (Spoilt { target: 0.0, residual: 1.0, slope: f64::INFINITY }, "Jacobian"),
+        ] {
+            let mut problem = Problem::new();
+            let x = problem.keep(1.0, Order::Shared);
+            problem.add(x, Spoilt { target: 0.0, residual: 1.0, slope: 1.0 }, Loss::Trivial).unwrap();
+            problem.add(x, spoilt, Loss::Trivial).unwrap();
+            match try_solve(&mut problem, &with(solver)) {
+                Err(Error::NotFinite { index: 1, what: found, .. }) => assert_eq!(found, what),
+                other => panic!("{solver:?} {what}: {other:?}"),
+            }
+            assert_eq!(problem.get(x), 1.0);
+        }
+    }
+}
+
+/// √x does not exist left of zero and its derivative not at zero: a full step from 4 leads to −4.
+struct Root;
+impl Factor<1> for Root {
+    type Vars = (f64,);
+    fn linearize(&self, (x,): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 1>> {
+        let root = x.sqrt(); // NaN for negative numbers
+        Some((SVector::<f64, 1>::new(root), (SMatrix::<f64, 1, 1>::new(0.5 / root),)))
+    }
+}
+
+#[test]
+fn a_step_to_where_nothing_is_finite_is_rejected() {
+    for solver in SOLVERS {
+        let mut problem = Problem::new();
+        let x = problem.keep(4.0, Order::Shared);
+        problem.add(x, Root, Loss::Trivial).unwrap();
+        let summary = solve(&mut problem, solver, 100);
+        assert!(summary.iterations.iter().any(|record| !record.accepted), "{summary}");
+        assert!(summary.final_cost.is_finite() && summary.final_cost <= summary.initial_cost);
+        assert!(problem.get(x) >= 0.0 && problem.get(x) < 4.0);
+    }
+}
+
+#[test]
+fn undetermined_directions_stay_where_they_are() {
+    // No gauge is fixed: seven directions of the scene are free; and a camera that sees nothing.
+    for solver in SOLVERS {
+        let mut scene = Scene::new(5, 40, 0.6, 5, Intrinsics::Shared, NOISE_PX);
+        let alone = Rigid3::from_axis_angle(Vector3::new(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0));
+        let key = scene.problem.keep(alone, Order::At(3));
+        let summary = solve(&mut scene.problem, solver, 30);
+        assert!(summary.final_cost < 0.1 * summary.initial_cost, "{solver:?}: {summary}");
+        let moved = scene.problem.get(key) * alone.inverse();
+        assert!(moved.translation.norm() + moved.rotation.angle() < ROUNDING);
+        assert!(scene.poses.iter().all(|&pose| scene.problem.get(pose).translation.norm() < 100.0));
+    }
+}
+
+#[test]
+fn two_problems_in_one_are_solved_like_two() {
+    for solver in SOLVERS {
+        let mut problem = Problem::new();
+        let (a, b) = (problem.keep(0.0, Order::At(0)), problem.keep(Vector2::new(5.0, 5.0), Order::At(9)));
+        problem.add(a, Prior::new(3.0, &[0.5]).unwrap(), Loss::Trivial).unwrap();
+        problem.add(b, Prior::new(Vector2::new(1.0, -1.0), &[1.0, 2.0]).unwrap(), Loss::Trivial).unwrap();
+        let summary = solve(&mut problem, solver, 50);
+        assert!(summary.termination.converged(), "{summary}");
+        assert!((problem.get(a) - 3.0).abs() < 1e-6);
+        assert!((problem.get(b) - Vector2::new(1.0, -1.0)).norm() < 1e-6);
+    }
+}
+
+/// A camera at the origin that looks along z at a point.
+fn one_camera(point: Vector3<f64>, pixel: Vector2<f64>) -> (Problem, tiepoint_ba::Key<Vector3<f64>>) {
+    let mut problem = Problem::new();
+    let params = problem.keep(Vector4::from(PARAMS), Order::Shared);
+    problem.fix(params);
+    let key = problem.eliminate(point);
+    for x in [0.0, -1.0] {
+        let pose =
+            problem.keep(Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0)), Order::Shared);
+        problem.fix(pose);
+        let factor = Reprojection::<SimpleRadial>::new(pixel + Vector2::new(100.0 * x, 0.0), 1.0);
+        problem.add((params, pose, key), factor, Loss::Trivial).unwrap();
+    }
+    (problem, key)
+}
+
+#[test]
+fn points_behind_cameras_do_not_count_and_points_in_front_stay_there() {
+    let (mut behind, key) = one_camera(Vector3::new(0.1, 0.1, -5.0), Vector2::new(330.0, 250.0));
+    let cost = behind.cost();
+    assert_eq!((cost.total, cost.missing), (0.0, 2));
+    let summary = solve(&mut behind, LinearSolver::Dense, 10);
+    assert_eq!((summary.final_cost, summary.missing_factors), (0.0, 2));
+    assert_eq!(behind.get(key), Vector3::new(0.1, 0.1, -5.0));
+
+    // True depth 6. A pixel moves with 1/z, so that a full step leads from z to 2z − z²/6: behind the camera from beyond 12.
+    let (mut far, key) = one_camera(Vector3::new(0.0, 0.0, 20.0), Vector2::new(330.0, 250.0));
+    let summary = solve(&mut far, LinearSolver::Dense, 100);
+    assert_eq!(summary.missing_factors, 0);
+    assert!((far.get(key).z - 6.0).abs() < 0.1, "{} {summary}", far.get(key));
+}
+
+#[test]
+fn wrong_questions_are_refused_with_the_numbers() {
+    let mut problem = Problem::new();
+    let pose = problem.keep(Rigid3::identity(), Order::At(0));
+    let between = Between::new(Rigid3::identity(), &[1.0; 6]).unwrap();
+    assert!(matches!(
+        problem.add((pose, pose), between, Loss::Trivial),
+        Err(Error::RepeatedVariable { first: 0, second: 1, .. })
+    ));
+    let mut other = Problem::new();
+    other.keep(Rigid3::identity(), Order::At(0));
+    let foreign = other.keep(Rigid3::identity(), Order::At(0));
+    assert!(matches!(
+        problem.add((pose, foreign), between, Loss::Trivial),
+        Err(Error::UnknownKey { position: 1, slot: 1, len: 1, .. })
+    ));
+    assert!(matches!(problem.fix_tangent(pose, &[2, 6]), Err(Error::TangentIndex { index: 6, dof: 6, .. })));
+    assert!(matches!(
+        problem.add(pose, Prior::new(Rigid3::identity(), &[1.0; 6]).unwrap(), Loss::Huber(-1.0)),
+        Err(Error::LossScale { .. })
+    ));
+    assert!(matches!(Prior::new(1.0, &[0.0]), Err(Error::Sigma { index: 0, value: 0.0 })));
+    assert!(matches!(
+        Between::new(Rigid3::identity(), &[1.0, 1.0, f64::NAN, 1.0, 1.0, 1.0]),
+        Err(Error::Sigma { index: 2, .. })
+    ));
+    let (a, b) = (problem.eliminate(Vector3::zeros()), problem.eliminate(Vector3::zeros()));
+    let _ = (a, b);
+    let [a, b] = [0.0, 1.0]
+        .map(|x| problem.eliminate(Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0))));
+    problem.add((a, b), between, Loss::Trivial).unwrap();
+    let options = Options::default();
+    assert!(matches!(Solver::new(&problem, &options), Err(Error::TwoEliminated { first: 0, second: 1, .. })));
+    problem.fix(b);
+    let mut solver = Solver::new(&problem, &options).unwrap();
+    problem.free(b);
+    assert_eq!(solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())), Err(Error::StructureChanged));
+    let options = Options { function_tolerance: f64::NAN, ..Options::default() };
+    assert!(matches!(Solver::new(&problem, &options), Err(Error::Option { name: "function_tolerance", .. })));
+    let options = Options { initial_damping: 0.0, ..Options::default() };
+    assert!(matches!(Solver::new(&problem, &options), Err(Error::Option { name: "initial_damping", .. })));
+}
+
+#[test]
+fn a_solve_can_be_stopped_and_gone_on_with() {
+    let mut scene = Scene::new(6, 60, 0.6, 5, Intrinsics::Shared, NOISE_PX);
+    scene.fix_gauge();
+    let mut solver = Solver::new(&scene.problem, &Options::default()).unwrap();
+    let first = solver
+        .solve(&mut scene.problem, &mut |record| {
+            if record.number == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+        .unwrap();
+    assert_eq!((first.termination, first.iterations.len()), (Termination::Cancelled, 2));
+    let second = solver.solve(&mut scene.problem, &mut |_| ControlFlow::Continue(())).unwrap();
+    assert!((second.initial_cost - first.final_cost).abs() < ROUNDING * first.final_cost);
+    assert_eq!(first.final_cost, first.iterations[1].cost);
+    assert!(second.termination.converged() && second.final_cost < first.final_cost);
+}
+
+/// One in eight observations is off by 50 px: every robust loss shrugs that off, least squares does not.
+#[test]
+fn robust_losses_withstand_gross_errors() {
+    let outlying = |loss: Loss| {
+        let mut problem = Problem::new();
+        let x = problem.keep(Vector2::new(0.3, -0.2), Order::Shared);
+        for i in 0..40 {
+            let wave = 0.1 * f64::from(i).sin();
+            let gross = if i % 8 == 0 { 50.0 } else { 0.0 };
+            let prior = Prior::new(Vector2::new(wave + gross, wave), &[1.0, 1.0]).unwrap();
+            problem.add(x, prior, loss).unwrap();
+        }
+        let summary = solve(&mut problem, LinearSolver::Auto, 100);
+        assert!(summary.termination.converged(), "{loss:?} {summary}");
+        problem.get(x).norm()
+    };
+    assert!(outlying(Loss::Trivial) > 6.0);
+    for loss in [Loss::Huber(1.0), Loss::SoftL1(1.0), Loss::Cauchy(1.0)] {
+        assert!(outlying(loss) < 0.3, "{loss:?} {}", outlying(loss));
+    }
+    // These forget gross errors altogether.
+    for loss in [Loss::GemanMcClure(1.0), Loss::Tukey(2.0), Loss::Truncated(2.0)] {
+        assert!(outlying(loss) < 0.05, "{loss:?} {}", outlying(loss));
+    }
+}
