@@ -1,5 +1,6 @@
 //! The command line. Help texts are read as prose: what an option means, its unit, its default.
 
+use std::fmt;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -8,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::{Calibration, ExportFormat, Stage, Truth};
+use tiepoint_synth::{Effects, Mounting};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -40,6 +42,10 @@ pub(crate) enum Command {
     Evaluate(Evaluate),
     /// Writes a result in another format.
     Export(Export),
+    /// Renders the drive of two cameras along a street, with the truth beside it.
+    Synth(Synth),
+    /// Shows what this program does, with nothing prepared: renders a drive, reconstructs it, compares with the truth.
+    Demo(Demo),
 }
 
 #[derive(Debug, Args)]
@@ -194,6 +200,72 @@ pub(crate) struct Export {
     pub(crate) output: PathBuf,
 }
 
+#[derive(Debug, Args)]
+pub(crate) struct Synth {
+    /// Where to write: left/, right/ and timestamps.csv as cameras leave them, and truth/. New, empty, or of the same drive.
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    /// At most so many images of each camera, the first ones; by default the whole drive around the block.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<NonZeroUsize>,
+    /// Size of the images, in pixels.
+    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    pub(crate) size: ImageSize,
+    /// Seed of the street, the drive and everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Images a second.
+    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    pub(crate) rate: f64,
+    /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
+    #[arg(long, value_name = "MOUNTING", default_value = "front")]
+    pub(crate) mounting: Mounting,
+    /// What is not ideal: none, all, or some of lens, rolling-shutter, vibration, mounting, traffic, clocks and photometry,
+    /// joined by +.
+    #[arg(long, value_name = "NAMES", default_value = "none")]
+    pub(crate) effects: Effects,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Demo {
+    /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
+    #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
+    pub(crate) output: PathBuf,
+    /// How many images of each camera.
+    #[arg(long, value_name = "N", default_value = "24")]
+    pub(crate) frames: NonZeroUsize,
+    /// Size of the images, in pixels.
+    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    pub(crate) size: ImageSize,
+    /// Seed of the street and of everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+}
+
+/// Width and height, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ImageSize {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+impl FromStr for ImageSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once('x').and_then(|(width, height)| {
+            Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
+        });
+        sides.ok_or_else(|| "it must be a width and a height in pixels, as 640x480".to_owned())
+    }
+}
+
+impl fmt::Display for ImageSize {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
 /// Numbers with commas between them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NumberList(Vec<f64>);
@@ -264,6 +336,16 @@ mod tests {
     #[test]
     fn clap_finds_the_definitions_sound() {
         <Cli as clap::CommandFactory>::command().debug_assert();
+    }
+
+    #[test]
+    fn a_size_is_two_numbers() {
+        let size: ImageSize = "640x480".parse().unwrap();
+        assert_eq!(size, ImageSize { width: 640, height: 480 });
+        assert_eq!(size.to_string(), "640x480");
+        for wrong in ["640", "640*480", "x480", "640x-480", "640x480x3"] {
+            assert!(wrong.parse::<ImageSize>().unwrap_err().contains("640x480"), "{wrong}");
+        }
     }
 
     fn calibration(intrinsics: &str, model: Option<&str>) -> Result<Calibration, String> {

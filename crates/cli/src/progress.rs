@@ -28,15 +28,32 @@ impl Progress {
         ControlFlow::Continue(())
     }
 
+    /// An image of a drive is about to be rendered, `done` of `total` being there.
+    pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) {
+        if self.json {
+            let event =
+                serde_json::json!({ "event": "rendering", "image": image, "done": done, "total": total });
+            line_to_stderr(&event.to_string());
+            return;
+        }
+        if done == 0 {
+            self.begin("render", total, 0);
+        }
+        self.bar.set_message(image.to_owned());
+        self.bar.set_position(done as u64);
+    }
+
+    /// A new bar.
+    fn begin(&mut self, what: &'static str, total: usize, done: usize) {
+        let style = ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
+        self.bar.finish_and_clear();
+        self.bar = ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64);
+        self.bar.set_style(style.expect("the template is sound"));
+    }
+
     fn draw(&mut self, event: &Event) {
         match *event {
-            Event::StageBegan { stage, total, done } => {
-                let style =
-                    ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
-                self.bar =
-                    ProgressBar::new(total as u64).with_prefix(stage.name()).with_position(done as u64);
-                self.bar.set_style(style.expect("the template is sound"));
-            }
+            Event::StageBegan { stage, total, done } => self.begin(stage.name(), total, done),
             Event::StageKept { .. } => {}
             Event::ImageSkipped { why, .. } => {
                 self.say(&format!("skipped {why}"));

@@ -145,6 +145,13 @@ impl Drive {
         Ok(Self { route, trajectory, world, cameras, jpeg_quality: effects.photometry.jpeg_quality })
     }
 
+    /// Leaves out the images of every camera after its first `frames`.
+    pub fn keep_first(&mut self, frames: usize) {
+        for camera in &mut self.cameras {
+            camera.exposures.truncate(frames);
+        }
+    }
+
     /// The centre line.
     pub fn route(&self) -> &Route {
         &self.route

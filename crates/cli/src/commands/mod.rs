@@ -1,9 +1,11 @@
 //! One file a command.
 
 mod adjust;
+mod demo;
 mod evaluate;
 mod export;
 mod stages;
+mod synth;
 
 use crate::args::{Command, Evaluate};
 use crate::output::Output;
@@ -31,5 +33,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Adjust(args) => adjust::adjust(&args, output),
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
         Command::Export(args) => export::export(&args, output),
+        Command::Synth(args) => synth::synth(&args, output),
+        Command::Demo(args) => demo::demo(&args, output),
     }
 }
