@@ -19,7 +19,7 @@ use crate::output::Output;
 use crate::progress::Progress;
 use crate::summary;
 
-/// Images a second: the vehicle moves by about a metre from one to the next.
+/// Images a second: the vehicle moves by about 0.75 m from one to the next.
 const RATE_HZ: f64 = 10.0;
 
 #[derive(Serialize)]
