@@ -1,7 +1,11 @@
 //! How much to trust the linear model: Nielsen's rule (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
-//! problems", algorithm 3.16), which is also that of Ceres' trust region.
+//! problems", algorithm 3.16), which is also that of Ceres' trust region, but bolder where the model was right. With the rule
+//! as it is, a gain ratio of 0.8 step after step, as in the valleys of bundle adjustment, hardly lowers λ: Ladybug-49 takes 32
+//! steps instead of some 20.
 
-/// The factor by which λ falls after a step at its best.
+/// From these gain ratios on, best first, λ falls by these factors.
+const BOLD: [(f64, f64); 2] = [(0.9, 0.1), (0.7, MAX_DECREASE)];
+/// The factor by which λ falls after a step at its best, in Nielsen's rule.
 const MAX_DECREASE: f64 = 1.0 / 3.0;
 /// λ stays within these: below, it is lost in rounding; above, no step that could matter remains.
 const RANGE: (f64, f64) = (1e-16, 1e32);
@@ -23,7 +27,8 @@ impl Damping {
 
     /// After a step that lowered the cost by `gain_ratio` times what the model promised.
     pub(crate) fn accepted(&mut self, gain_ratio: f64) {
-        let factor = (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE);
+        let bold = BOLD.iter().find(|(from, _)| gain_ratio >= *from).map(|(_, factor)| *factor);
+        let factor = bold.unwrap_or_else(|| (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE));
         self.lambda = (self.lambda * factor).max(RANGE.0);
         self.increase = 2.0;
     }

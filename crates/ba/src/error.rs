@@ -109,14 +109,4 @@ pub enum Error {
         /// The limit.
         limit: usize,
     },
-    /// A direction is not determined by the factors, so that it has no finite covariance.
-    #[error(
-        "the problem does not determine all directions: column {column} of {columns} is dependent; fix the gauge"
-    )]
-    Singular {
-        /// First dependent column of the reduced system.
-        column: usize,
-        /// How many columns it has.
-        columns: usize,
-    },
 }

@@ -80,7 +80,7 @@ pub(crate) struct Segment {
 }
 
 /// How the rows of a factor fall into blocks: few of these serve all factors.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Shape {
     pub(crate) run: u16,
     pub(crate) rows: usize,
@@ -234,6 +234,8 @@ struct Builder<'a> {
     blocks: Vec<Block>,
     places: Vec<Vec<Place>>,
     shapes: Vec<Shape>,
+    /// To make the next shape in.
+    shape: Shape,
     entries: Vec<Entry>,
     cell_blocks: Vec<u32>,
 }
@@ -259,6 +261,7 @@ impl Structure {
             blocks: Vec::new(),
             places: Vec::new(),
             shapes: Vec::new(),
+            shape: Shape::default(),
             entries: Vec::new(),
             cell_blocks: Vec::new(),
         };
@@ -279,8 +282,7 @@ impl Structure {
             .collect();
         let mut chunks = Vec::new();
         let mut local_of_block = vec![NONE; builder.blocks.len()];
-        let per_chunk =
-            builder.entries.len().div_ceil(MAX_CHUNKS).max(FACTORS_PER_CHUNK.min(builder.entries.len()));
+        let per_chunk = builder.entries.len().div_ceil(num_chunks(builder.entries.len()));
         let mut rest = &drafts[..];
         while !rest.is_empty() {
             let mut count = 0;
@@ -312,6 +314,12 @@ impl Structure {
         pairs.dedup();
         pairs
     }
+}
+
+/// Into how many chunks so many factors are cut. Several fall evenly on two or four threads.
+fn num_chunks(factors: usize) -> usize {
+    let chunks = factors.div_ceil(FACTORS_PER_CHUNK).max(1);
+    if chunks == 1 { 1 } else { chunks.next_multiple_of(4).min(MAX_CHUNKS) }
 }
 
 impl Builder<'_> {
@@ -624,8 +632,8 @@ impl Builder<'_> {
                 rows = 0;
             }
             for entry in &self.entries[draft.entries.clone()] {
-                let shape =
-                    shape_of(self.problem, &self.blocks, &self.places, &mut self.shapes, *entry, draft)?;
+                make_shape(self.problem, &self.blocks, &self.places, *entry, draft, &mut self.shape);
+                let shape = number_of(&self.shape, &mut self.shapes)?;
                 let blocks = &self.cell_blocks[draft.blocks.clone()];
                 push_locals(self.problem, &self.places, *entry, blocks, &mut chunk.locals);
                 let i = chunk.factors.len();
@@ -712,18 +720,20 @@ fn order_of(meta: Meta) -> Order {
     }
 }
 
-/// Number of the shape of a factor, which is made if it is new.
-fn shape_of(
+/// Writes how the rows of a factor fall into blocks.
+fn make_shape(
     problem: &Problem,
     blocks: &[Block],
     places: &[Vec<Place>],
-    shapes: &mut Vec<Shape>,
     entry: Entry,
     draft: &Draft,
-) -> Result<u16, Error> {
+    shape: &mut Shape,
+) {
     let run = &problem.runs[entry.run as usize];
-    let mut segments: Vec<Segment> = Vec::new();
-    let (mut held, mut eliminated, mut column, mut last_block) = (Vec::new(), 0, 0, NONE);
+    let Shape { segments, held, .. } = shape;
+    segments.clear();
+    held.clear();
+    let (mut eliminated, mut column, mut last_block) = (0, 0, NONE);
     for ((&store, &slot), &dof) in run.stores().iter().zip(run.slots(entry.factor as usize)).zip(run.dofs()) {
         let place = places[store as usize][slot as usize];
         let free = problem.metas[store as usize][slot as usize].free;
@@ -749,17 +759,14 @@ fn shape_of(
         }
         column += dof;
     }
-    let shape = Shape {
-        run: entry.run,
-        rows: run.rows(),
-        stride: run.stride(),
-        residual: column,
-        segments,
-        eliminated,
-        held,
-    };
+    (shape.run, shape.rows, shape.stride) = (entry.run, run.rows(), run.stride());
+    (shape.residual, shape.eliminated) = (column, eliminated);
+}
+
+/// Number of a shape, which joins the others if it is new.
+fn number_of(shape: &Shape, shapes: &mut Vec<Shape>) -> Result<u16, Error> {
     // The newest is the likeliest.
-    if let Some(found) = shapes.iter().rposition(|other| *other == shape) {
+    if let Some(found) = shapes.iter().rposition(|other| other == shape) {
         return Ok(found as u16);
     }
     if shapes.len() >= u16::MAX as usize {
@@ -769,7 +776,7 @@ fn shape_of(
             limit: u16::MAX as usize,
         });
     }
-    shapes.push(shape);
+    shapes.push(shape.clone());
     Ok((shapes.len() - 1) as u16)
 }
 
