@@ -314,6 +314,8 @@ def main():
     parser.add_argument("--work", type=Path, default=None, help="where to put workspaces (default: the system's)")
     parser.add_argument("--job", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    # Its log would drown ours; a job's goes to a file.
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.INFO.value if arguments.job else pycolmap.logging.Level.ERROR.value
     if arguments.job:
         job = json.loads(arguments.job)
         seconds = run_colmap(Path(job.pop("work")), Path(job.pop("images")), **job)

@@ -149,7 +149,7 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeat", type=int, default=3)
     args = parser.parse_args()
-    programs = {"OpenCV": OpenCV(), "COLMAP": Colmap(), "tiepoint": Tiepoint(), "tiepoint strongest": Tiepoint("--strongest")}
+    programs = {"OpenCV": OpenCV(), "COLMAP": Colmap(), "tiepoint": Tiepoint(), "tiepoint exact limit": Tiepoint("--exact")}
     print(f"OpenCV {cv2.__version__}, COLMAP {pycolmap.__version__}; load {os.getloadavg()[0]:.1f}")
 
     text = open(os.path.join(DATA, "vgg_homography/H1to3p.xml")).read()

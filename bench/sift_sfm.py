@@ -11,7 +11,7 @@ import argparse, glob, os, sys, tempfile, time
 import cv2, numpy as np, pycolmap
 from sift import Colmap, OpenCV, Tiepoint, DATA
 
-FLAGS = {"tiepoint": [], "tiepoint strongest": ["--strongest"]}
+FLAGS = {"tiepoint": [], "tiepoint exact limit": ["--exact"]}
 
 
 def truth_centres(scene):

@@ -1,5 +1,7 @@
 //! Tests of the workspace as a whole: one binary, one file a subject.
 
 #![cfg(test)]
+#![allow(clippy::unwrap_used)]
 
 mod architecture;
+mod pipeline;

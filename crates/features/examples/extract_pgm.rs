@@ -3,14 +3,14 @@
 //! the seconds per image. It is what `bench/sift.py` compares with other programs, without decoding.
 //!
 //! `cargo run --release -p tiepoint-features --example extract_pgm -- [--threads N] [--repeat N] [--max N]
-//! [--strongest] [--within] FILE...`
+//! [--octave N] [--exact] [--within] FILE...`
 
 #![allow(clippy::print_stdout)] // What a program is for.
 
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tiepoint_features::{Features, GrayView, Keep, Options, Sift};
+use tiepoint_features::{Features, GrayView, Limit, Options, Sift};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -48,7 +48,7 @@ fn main() -> Result<(), Failure> {
             "--repeat" => repeat = number()?,
             "--max" => options.max_features = number()?,
             "--octave" => options.first_octave = number()? as i32,
-            "--strongest" => options.keep = Keep::Strongest,
+            "--exact" => options.limit = Limit::Exact,
             "--within" => within = true,
             _ => paths.push(PathBuf::from(arg)),
         }

@@ -13,15 +13,18 @@ pub enum Normalization {
     L2,
 }
 
-/// Which features survive where there are more than [`Options::max_features`].
+/// How [`Options::max_features`] is meant. Either way the coarsest features are kept: those with the strongest
+/// response at any scale were measured to be worth much less (see `bench/sift_sfm.py`). Fine octaves that cannot
+/// contribute are not even computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keep {
-    /// The coarsest: levels of the scale space from the largest scale down, and within the last one those with the
-    /// strongest response. Fine octaves that cannot contribute are not even computed.
+pub enum Limit {
+    /// As COLMAP does: levels of the scale space are taken from the coarsest down, and the one in which the number of
+    /// keypoints exceeds the limit is the last one. Gives up to half as many features more than the limit says,
+    /// because that level is complete and a keypoint with two orientations counts once.
     #[default]
-    Coarsest,
-    /// Those with the strongest response (absolute difference of Gaussians) at any scale.
-    Strongest,
+    WholeLevels,
+    /// That many features and no more; within the last level those with the strongest response.
+    Exact,
 }
 
 /// What to extract. The defaults are COLMAP's.
@@ -37,16 +40,16 @@ pub struct Options {
     pub peak_threshold: f32,
     /// Largest ratio of the principal curvatures at an extremum: above it, it lies on an edge. At least 1.
     pub edge_threshold: f32,
-    /// Number of features, at most.
+    /// Number of features, as `limit` counts them.
     pub max_features: usize,
+    /// How `max_features` is meant.
+    pub limit: Limit,
     /// Number of dominant orientations per keypoint, at most; each gives a feature. 1 to 4.
     pub max_orientations: usize,
     /// Whether the orientation is measured, or zero for every keypoint.
     pub orientation: Orientation,
     /// How descriptors are normalised.
     pub normalization: Normalization,
-    /// Which features survive where there are too many.
-    pub keep: Keep,
 }
 
 /// Whether descriptors turn with the image.
@@ -68,10 +71,10 @@ impl Default for Options {
             peak_threshold: 0.02 / 3.0,
             edge_threshold: 10.0,
             max_features: 8192,
+            limit: Limit::default(),
             max_orientations: 2,
             orientation: Orientation::default(),
             normalization: Normalization::default(),
-            keep: Keep::default(),
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::buffer::AlignedBuf;
 use crate::extrema::{Extremum, Thresholds};
 use crate::measure::{Measured, measure, window_reach};
 use crate::octave::{Plan, Scratch};
-use crate::options::Keep;
+use crate::options::Limit;
 use crate::simd::Isa;
 use crate::source::Source;
 use crate::{Error, Features, GrayView, Keypoint, Options};
@@ -98,10 +98,14 @@ impl Sift {
         }
         let (extrema, swept) = self.detect(image, mask, threads);
         let measured = self.measure(&extrema, &swept, threads);
+        let most = match self.options.limit {
+            Limit::WholeLevels => usize::MAX,
+            Limit::Exact => self.options.max_features,
+        };
         let mut features = Features::default();
         for (extremum, measured) in extrema.iter().zip(&measured) {
             let each = measured.directions.as_slice().iter().zip(&measured.descriptors);
-            for (&angle, &descriptor) in each.take(self.options.max_features - features.keypoints.len()) {
+            for (&angle, &descriptor) in each.take(most - features.keypoints.len()) {
                 features.keypoints.push(keypoint(extremum, angle));
                 features.descriptors.push(descriptor);
             }
@@ -116,13 +120,13 @@ impl Sift {
         mask: Option<&GrayView<'_>>,
         threads: NonZeroUsize,
     ) -> (Vec<Extremum>, Vec<Swept<'a>>) {
-        let Options { first_octave, octaves, levels, max_features, keep, .. } = self.options;
+        let Options { first_octave, octaves, levels, max_features, limit, .. } = self.options;
         let mut swept: Vec<Swept<'a>> = Vec::new();
         let mut extrema = Vec::new();
         let end = first_octave + octaves as i32;
         // The octave of the image itself and those above it, then the doubled one, if it can still contribute.
         for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
-            if octave == -1 && keep == Keep::Coarsest && extrema.len() >= max_features {
+            if octave == -1 && is_reached(limit, max_features, extrema.len()) {
                 break;
             }
             let size = match octave {
@@ -162,10 +166,21 @@ impl Sift {
                 if let Some(mask) = mask {
                     found.retain(|e| is_unmasked(mask, e));
                 }
+                sort(&mut found);
+                // Two that were refined to the same sample are the same.
+                found.dedup_by_key(|e| (e.level, e.iy, e.ix));
                 extrema.append(&mut found);
             }
         }
-        choose(&mut extrema, keep, max_features);
+        sort(&mut extrema);
+        let level = |e: &Extremum| (e.octave, e.level);
+        let kept = match extrema.get(max_features) {
+            Some(beyond) if limit == Limit::WholeLevels => {
+                extrema.partition_point(|e| level(e) >= level(beyond))
+            }
+            _ => max_features.min(extrema.len()),
+        };
+        extrema.truncate(kept);
         (extrema, swept)
     }
 
@@ -229,20 +244,20 @@ fn halved<'a>(plan: &Plan, before: &'a Octave) -> Source<'a> {
     Source::Halved { data: before.next.as_slice(), stride: plan.stride() }
 }
 
-/// Sorts extrema by how much they are wanted, drops duplicates, and keeps the first `max`.
-fn choose(extrema: &mut Vec<Extremum>, keep: Keep, max: usize) {
-    // Position and scale of a sample identify an extremum: two that were refined to the same sample are the same.
+/// Sorts extrema by how much they are wanted: coarse levels first, and the strongest first in each.
+fn sort(extrema: &mut [Extremum]) {
     extrema.sort_unstable_by(|a, b| {
-        let coarsest = || (b.octave, b.level).cmp(&(a.octave, a.level));
-        let strongest = || b.response.total_cmp(&a.response);
-        let order = match keep {
-            Keep::Coarsest => coarsest().then_with(strongest),
-            Keep::Strongest => strongest().then_with(coarsest),
-        };
-        order.then_with(|| (a.iy, a.ix).cmp(&(b.iy, b.ix)))
+        let coarsest = (b.octave, b.level).cmp(&(a.octave, a.level));
+        coarsest.then_with(|| b.response.total_cmp(&a.response)).then_with(|| (a.iy, a.ix).cmp(&(b.iy, b.ix)))
     });
-    extrema.dedup_by_key(|e| (e.octave, e.level, e.iy, e.ix));
-    extrema.truncate(max);
+}
+
+/// Whether finer levels can add nothing more to so many keypoints.
+fn is_reached(limit: Limit, max_features: usize, keypoints: usize) -> bool {
+    match limit {
+        Limit::WholeLevels => keypoints > max_features,
+        Limit::Exact => keypoints >= max_features,
+    }
 }
 
 /// Whether the mask keeps the pixel in which an extremum lies.

@@ -3,13 +3,16 @@
 use crate::bands::{SweepAll, sweep_all};
 use crate::buffer::AlignedBuf;
 use crate::extrema::{Extremum, Thresholds};
+use crate::measure::measure;
 use crate::octave::Plan;
-use crate::scale_space::{kernel_from_image, kernels_between_levels};
 use crate::simd::Isa;
 use crate::source::Source;
-use crate::{Features, GrayView, Keep, Options, Orientation, Sift};
+use crate::{Features, GrayView, Limit, Options, Orientation, Sift};
 use proptest::prelude::*;
 use std::num::NonZeroUsize;
+
+mod plain;
+use plain::*;
 
 /// Deterministic texture: blobs of many sizes and some noise, so that every octave has extrema.
 fn texture(width: usize, height: usize, seed: u64) -> Vec<u8> {
@@ -81,77 +84,6 @@ fn threads_and_reused_memory_do_not_change_anything() {
     assert!(!fresh.keypoints.is_empty());
 }
 
-/// A level of a plain pyramid in double precision.
-#[derive(Clone)]
-struct Plane {
-    width: usize,
-    height: usize,
-    data: Vec<f64>,
-}
-
-impl Plane {
-    fn at(&self, x: isize, y: isize) -> f64 {
-        let (x, y) = (x.clamp(0, self.width as isize - 1), y.clamp(0, self.height as isize - 1));
-        self.data[y as usize * self.width + x as usize]
-    }
-
-    fn from_fn(width: usize, height: usize, f: impl Fn(isize, isize) -> f64) -> Plane {
-        let data = (0..width * height).map(|i| f((i % width) as isize, (i / width) as isize)).collect();
-        Plane { width, height, data }
-    }
-
-    /// Direct two-dimensional convolution.
-    fn blurred(&self, kernel: &[f32]) -> Plane {
-        let radius = kernel.len() as isize - 1;
-        Plane::from_fn(self.width, self.height, |x, y| {
-            let mut sum = 0.0;
-            for dy in -radius..=radius {
-                for dx in -radius..=radius {
-                    let weight = f64::from(kernel[dx.unsigned_abs()]) * f64::from(kernel[dy.unsigned_abs()]);
-                    sum += weight * self.at(x + dx, y + dy);
-                }
-            }
-            sum
-        })
-    }
-}
-
-/// Levels of an octave of an image, the plain way.
-fn plain_levels(source: &Plane, octave: i32, levels: usize) -> Vec<Plane> {
-    let mut planes = vec![source.blurred(&kernel_from_image(octave, -1))];
-    for kernel in kernels_between_levels(levels) {
-        planes.push(planes[planes.len() - 1].blurred(&kernel));
-    }
-    planes
-}
-
-/// Extrema of the differences of plain levels, before refinement.
-fn plain_extrema(planes: &[Plane], least: f64) -> Vec<(usize, usize, usize)> {
-    let at = |i: usize, x: isize, y: isize| planes[i + 1].at(x, y) - planes[i].at(x, y);
-    let mut found = Vec::new();
-    for i in 1..planes.len() - 2 {
-        for y in 1..planes[0].height as isize - 1 {
-            for x in 1..planes[0].width as isize - 1 {
-                let value = at(i, x, y);
-                let mut others = Vec::new();
-                for j in i - 1..=i + 1 {
-                    for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
-                        if (j, dx, dy) != (i, 0, 0) {
-                            others.push(at(j, x + dx, y + dy));
-                        }
-                    }
-                }
-                if value.abs() >= least
-                    && (others.iter().all(|&o| value > o) || others.iter().all(|&o| value < o))
-                {
-                    found.push((i, x as usize, y as usize));
-                }
-            }
-        }
-    }
-    found
-}
-
 /// Levels and extrema of an octave by the sweep.
 fn swept(view: &GrayView<'_>, octave: i32, thresholds: Thresholds, isa: Isa) -> (Vec<Plane>, Vec<Extremum>) {
     let (size, source) = if octave < 0 {
@@ -180,20 +112,6 @@ fn swept(view: &GrayView<'_>, octave: i32, thresholds: Thresholds, isa: Isa) -> 
     (bufs.iter().map(plane).collect(), found)
 }
 
-/// The image, or the image doubled, as VLFeat doubles it.
-fn plain_source(view: &GrayView<'_>, octave: i32) -> Plane {
-    let image =
-        Plane::from_fn(view.width, view.height, |x, y| f64::from(view.row(y as usize)[x as usize]) / 255.0);
-    if octave >= 0 {
-        return image;
-    }
-    Plane::from_fn(2 * view.width, 2 * view.height, |x, y| {
-        let (x0, y0) = (x / 2, y / 2);
-        let (x1, y1) = (x0 + x % 2, y0 + y % 2);
-        0.25 * (image.at(x0, y0) + image.at(x1, y0) + image.at(x0, y1) + image.at(x1, y1))
-    })
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
@@ -217,65 +135,6 @@ proptest! {
                 prop_assert!(worst < TOLERANCE, "{isa:?}: {worst}");
             }
         }
-    }
-}
-
-/// Refinement as the module header of `extrema` states it, by Cramer's rule: sample, position and value, if it passes.
-fn plain_refined(
-    planes: &[Plane],
-    (i, x, y): (usize, usize, usize),
-    peak: f64,
-    edge: f64,
-) -> Option<[f64; 5]> {
-    let (width, height) = (planes[0].width as isize, planes[0].height as isize);
-    let (mut x, mut y) = (x as isize, y as isize);
-    let difference = |j: isize, x: isize, y: isize| {
-        planes[(i as isize + j + 1) as usize].at(x, y) - planes[(i as isize + j) as usize].at(x, y)
-    };
-    let mut step = 1;
-    loop {
-        let at = |dx: isize, dy: isize, j: isize| difference(j, x + dx, y + dy);
-        let first = |d: [isize; 3]| (at(d[0], d[1], d[2]) - at(-d[0], -d[1], -d[2])) / 2.0;
-        let second = |d: [isize; 3]| at(d[0], d[1], d[2]) + at(-d[0], -d[1], -d[2]) - 2.0 * at(0, 0, 0);
-        let axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
-        let mixed = |a: usize, b: usize| {
-            let plus = [0, 1, 2].map(|k| axes[a][k] + axes[b][k]);
-            let minus = [0, 1, 2].map(|k| axes[a][k] - axes[b][k]);
-            (second(plus) - second(minus)) / 4.0
-        };
-        let g = axes.map(first);
-        let h = [0, 1, 2].map(|a| [0, 1, 2].map(|b| if a == b { second(axes[a]) } else { mixed(a, b) }));
-        let det = |m: [[f64; 3]; 3]| {
-            m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
-                - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
-                + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
-        };
-        let offset = [0, 1, 2].map(|k| {
-            let mut m = h;
-            (0..3).for_each(|r| m[r][k] = -g[r]);
-            det(m) / det(h)
-        });
-        let moved = |v: isize, d: f64, size: isize| match d {
-            d if d > 0.6 && v < size - 2 => v + 1,
-            d if d < -0.6 && v > 1 => v - 1,
-            _ => v,
-        };
-        let next = (moved(x, offset[0], width), moved(y, offset[1], height));
-        if next != (x, y) && step < 5 {
-            (x, y) = next;
-            step += 1;
-            continue;
-        }
-        let value = at(0, 0, 0) + (0..3).map(|k| g[k] * offset[k]).sum::<f64>() / 2.0;
-        let score = (h[0][0] + h[1][1]).powi(2) / (h[0][0] * h[1][1] - h[0][1] * h[0][1]);
-        let position = (x as f64 + offset[0], y as f64 + offset[1]);
-        let inside = (0.0..=(width - 1) as f64).contains(&position.0)
-            && (0.0..=(height - 1) as f64).contains(&position.1);
-        let good = value.abs() > peak
-            && (0.0..(edge + 1.0).powi(2) / edge).contains(&score)
-            && offset.iter().all(|o| o.abs() < 1.5)
-            && inside;
-        return good.then_some([x as f64, y as f64, position.0, position.1, value.abs()]);
     }
 }
 
@@ -304,6 +163,62 @@ fn extrema_are_those_of_the_definition() {
         assert!((f64::from(twin.response) - value).abs() < TOLERANCE * peak, "{twin:?}");
     }
     assert!(twins > 50 && found.len() == twins, "{} found, {twins} by definition", found.len());
+}
+
+#[test]
+fn directions_and_descriptors_are_those_of_the_definition() {
+    /// Radians: the smoothed histogram is flat around its maxima, and its sums are in single precision.
+    const ANGLE_TOLERANCE: f64 = 1e-3;
+    /// Rounding to bytes, and single precision before the square root.
+    const BYTE_TOLERANCE: f64 = 0.7;
+    let (width, height) = (150, 110);
+    let image = texture(width, height, 17);
+    let view = GrayView::new(&image, width, height);
+    let thresholds = Thresholds { peak: 0.004, edge: 10.0 };
+    let (planes, found) = swept(&view, 0, thresholds, Isa::best());
+    let plan = Plan::new(0, (width, height), 3, Some(-1));
+    let levels: Vec<Vec<f32>> = planes
+        .iter()
+        .map(|plane| {
+            let mut data = vec![0.0; plan.level_len(height)];
+            for y in 0..height {
+                for x in 0..width {
+                    data[y * plan.stride() + x] = plane.data[y * width + x] as f32;
+                }
+            }
+            data
+        })
+        .collect();
+    let levels: Vec<&[f32]> = levels.iter().map(Vec::as_slice).collect();
+    let options = Options { max_orientations: 4, ..Options::default() };
+    let (mut several, mut compared) = (0, 0);
+    for isa in Isa::available() {
+        let all = measure(&found, &plan, &levels, 0, &options, isa, NonZeroUsize::MIN);
+        for (e, measured) in found.iter().zip(&all) {
+            let (at, sigma) = ((f64::from(e.x), f64::from(e.y)), f64::from(e.sigma));
+            let plane = &planes[e.level - 1];
+            let directions = plain_directions(plane, at, sigma);
+            // Maxima at the threshold, or of equal height, may be told apart differently.
+            let highest = directions[0].1;
+            let clear = directions.iter().all(|d| (d.1 / highest - 0.8).abs() > 1e-4)
+                && directions.windows(2).all(|pair| pair[0].1 - pair[1].1 > 1e-4 * highest);
+            if !clear {
+                continue;
+            }
+            let angles = measured.directions.as_slice();
+            assert_eq!(angles.len(), directions.len(), "{e:?}");
+            several += usize::from(angles.len() > 1);
+            for ((&angle, descriptor), plain) in angles.iter().zip(&measured.descriptors).zip(&directions) {
+                assert!((f64::from(angle) - plain.0).abs() < ANGLE_TOLERANCE, "{angle} {plain:?}");
+                let expected = plain_descriptor(plane, at, sigma, f64::from(angle));
+                for (&byte, expected) in descriptor.iter().zip(expected) {
+                    assert!((f64::from(byte) - expected).abs() < BYTE_TOLERANCE, "{byte} {expected}");
+                }
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 100 && several > 10, "{compared} {several}");
 }
 
 /// A Gaussian blob at a known place and scale, in pixels of our convention.
@@ -384,17 +299,16 @@ fn masks_and_limits_hold() {
     let left: Vec<_> = all.keypoints.iter().filter(|k| k.x < 100.0).collect();
     assert!(!left.is_empty() && left.len() < all.keypoints.len());
     assert_eq!(masked.keypoints.iter().collect::<Vec<_>>(), left);
-    for keep in [Keep::Coarsest, Keep::Strongest] {
-        for max_features in [0, 1, 50, 51] {
-            let options = Options { max_features, keep, ..Options::default() };
-            let few = extract_on(Isa::best(), options, &view);
-            assert_eq!(few.keypoints.len(), max_features);
-            assert_eq!(few.descriptors.len(), max_features);
-        }
+    for max_features in [0, 1, 50, 51] {
+        let exact = Options { max_features, limit: Limit::Exact, ..Options::default() };
+        let few = extract_on(Isa::best(), exact, &view);
+        // The coarsest, whether or not the doubled octave was computed for it.
+        assert_eq!(few.keypoints, all.keypoints[..max_features]);
+        assert_eq!(few.descriptors, all.descriptors[..max_features]);
+        let levels = extract_on(Isa::best(), Options { max_features, ..Options::default() }, &view);
+        assert_eq!(levels.keypoints, all.keypoints[..levels.keypoints.len()]);
+        assert!(levels.keypoints.len() > max_features && levels.keypoints.len() < all.keypoints.len());
     }
-    // What is kept by default are the coarsest, whether or not the doubled octave was computed for it.
-    let few = extract_on(Isa::best(), Options { max_features: 50, ..Options::default() }, &view);
-    assert_eq!(few.keypoints, all.keypoints[..50]);
 }
 
 #[test]

@@ -59,7 +59,7 @@ impl<const N: usize> Normal<N> {
 const INITIAL_DAMPING: f64 = 1e-4;
 
 /// Stop when a step lowers the cost by less than this part of it.
-const COST_TOLERANCE: f64 = 1e-9;
+const COST_TOLERANCE: f64 = 1e-7;
 
 /// Added to the diagonal, relative to its largest entry, so that directions without influence stay put.
 const DIAGONAL_FLOOR: f64 = 1e-12;

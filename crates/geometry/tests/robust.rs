@@ -26,8 +26,8 @@ const OPTIONS: RansacOptions = RansacOptions {
 const MAX_ROTATION_RAD: f64 = 2e-3;
 const MAX_DIRECTION_RAD: f64 = 6e-2;
 
-/// Score over that of the truth: it should be below one, but the search may end in a local optimum.
-const MAX_EXCESS: f64 = 1.1;
+/// Score over that of the truth. It should be below one; local optima of 2000 random problems stay below 1.005.
+const MAX_EXCESS: f64 = 1.01;
 
 fn camera(kind: CameraModelKind) -> Intrinsics {
     let mut camera = Intrinsics::centred(kind, 800.0, 1600, 1200);

@@ -1,5 +1,5 @@
-//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives the luma plane without the
-//! colours, in 60 % of the time; and `image` fills what a truncated file lacks with grey and says nothing.
+//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives a grey file without
+//! making colours of it first; and `image` fills what a truncated file lacks with grey and says nothing.
 
 use std::io::{BufRead, Seek, SeekFrom};
 
@@ -18,7 +18,7 @@ pub(crate) enum Planes {
 pub(crate) struct Decoded {
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// What there is: luma only where it was asked for and the file holds it as a plane.
+    /// What there is: luma only where it was asked for and the file holds nothing else.
     pub(crate) planes: Planes,
     pub(crate) bytes: Vec<u8>,
 }
@@ -34,9 +34,9 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
     let message = |error| format!("cannot decode the JPEG data: {error:?}");
     decoder.decode_headers().map_err(message)?;
     let info = decoder.info().ok_or("the JPEG data has no header")?;
-    let has_luma = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
+    let is_grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let (planes, space) = match planes {
-        Planes::Luma if has_luma => (Planes::Luma, ColorSpace::Luma),
+        Planes::Luma if is_grey => (Planes::Luma, ColorSpace::Luma),
         _ => (Planes::Rgb, ColorSpace::RGB),
     };
     decoder.set_options(options.jpeg_set_out_colorspace(space));

@@ -11,6 +11,10 @@ mod exif;
 mod images;
 mod jpeg;
 pub mod kitti;
+#[cfg(feature = "las")]
+pub mod las;
+pub mod nerfstudio;
+pub mod openmvs;
 mod pixels;
 pub mod ply;
 mod rotation;
@@ -18,6 +22,7 @@ pub mod strecha;
 mod text;
 pub mod timestamps;
 pub mod trajectory;
+pub mod undistort;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};

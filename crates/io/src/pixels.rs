@@ -36,8 +36,9 @@ pub struct Rgb {
 }
 
 impl Luma {
-    /// Reads an image file, turned as its EXIF orientation says. Colours become JPEG's luma (ITU-R BT.601), so that a photo
-    /// looks the same in whatever format it was stored; 16 bits become 8; transparency is ignored.
+    /// Reads an image file, turned as its EXIF orientation says. Colours become grey by the weights of ITU-R BT.709, as in
+    /// COLMAP; JPEG's own luma (BT.601) would come without the colours, 16 ms sooner for 6 megapixels, but gives fewer keypoints
+    /// (on sceaux 116,214 instead of 119,074). 16 bits become 8; transparency is ignored.
     pub fn read(path: &Path) -> Result<Self> {
         let (width, height, data) = match decode(path, Planes::Luma)? {
             DynamicImage::ImageLuma8(image) => (image.width(), image.height(), image.into_raw()),
@@ -64,9 +65,9 @@ impl Rgb {
     }
 }
 
-/// 0.299 R + 0.587 G + 0.114 B in sixteen bits of fraction, rounded.
+/// 0.2126 R + 0.7152 G + 0.0722 B in sixteen bits of fraction, rounded.
 fn luma([r, g, b]: &[u8; 3]) -> u8 {
-    ((19_595 * u32::from(*r) + 38_470 * u32::from(*g) + 7_471 * u32::from(*b) + (1 << 15)) >> 16) as u8
+    ((13_933 * u32::from(*r) + 46_871 * u32::from(*g) + 4_732 * u32::from(*b) + (1 << 15)) >> 16) as u8
 }
 
 /// Size of an image as it is seen, that is, turned by its EXIF orientation; from its header alone.

@@ -102,7 +102,7 @@ fn formats_agree_on_pixels() {
     let colours = DynamicImage::from(gradient());
     let expected = |x: u32, y: u32| {
         let [r, g, b] = gradient().get_pixel(x, y).0.map(f64::from);
-        0.299 * r + 0.587 * g + 0.114 * b
+        0.2126 * r + 0.7152 * g + 0.0722 * b
     };
     let with_alpha = DynamicImage::from(colours.to_rgba8());
     let grey16 = DynamicImage::from(colours.to_luma16());
@@ -154,11 +154,11 @@ fn foreign_jpegs() {
     let red = Rgb::read(&data.join("red_cmyk.jpg")).unwrap().pixel(3, 3);
     assert!(red[0] > 240 && red[1] < 15 && red[2] < 15, "{red:?}");
     let luma = Luma::read(&data.join("red_cmyk.jpg")).unwrap().data[50];
-    assert!((70..=82).contains(&luma), "{luma}");
+    assert!((48..=60).contains(&luma), "{luma}");
     // Progressive, chroma at half resolution, odd sides; pixel (x, y) is (7x, 15y, 128).
     let luma = Luma::read(&data.join("gradient_progressive.jpg")).unwrap();
     assert_eq!((luma.width, luma.height), (33, 17));
-    let expected = 0.299 * 70.0 + 0.587 * 120.0 + 0.114 * 128.0;
+    let expected = 0.2126 * 70.0 + 0.7152 * 120.0 + 0.0722 * 128.0;
     assert!((f64::from(luma.data[33 * 8 + 10]) - expected).abs() < f64::from(JPEG_TOLERANCE));
 }
 

@@ -1,10 +1,14 @@
-//! Exact nearest neighbours, both directions, one core, on every instruction set of this machine.
+//! Exact nearest neighbours, both directions, one core, on every instruction set of this machine; a forest; epipolar
+//! lines. Recall beside time, on descriptors of photos: `bench/matching.py`.
 
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tiepoint_features::Descriptor;
-use tiepoint_matching::{Isa, Options, Prepared, match_prepared, nearest_on};
+use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_matching::{
+    Checks, EpipolarGuide, Forest, ForestOptions, Isa, Options, Prepared, match_guided, match_prepared,
+    nearest_on,
+};
 
 /// COLMAP's and our maximum of features in an image.
 const FEATURES: usize = 8192;
@@ -36,5 +40,40 @@ fn brute_force(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, brute_force);
+fn forest(criterion: &mut Criterion) {
+    let (a, b) = (descriptors(1), descriptors(2));
+    let mut group = criterion.benchmark_group("forest of 8 trees, 8192 points");
+    group.sample_size(10);
+    group.bench_function("growing", |bencher| {
+        bencher.iter(|| Forest::new(black_box(&b), &ForestOptions::default()));
+    });
+    let forest = Forest::new(&b, &ForestOptions::default());
+    group.throughput(Throughput::Elements(FEATURES as u64));
+    for checks in [32, 64, 128] {
+        group.bench_function(BenchmarkId::new("8192 queries, checks", checks), |bencher| {
+            bencher.iter(|| forest.nearest(black_box(&a), Checks::Total(checks)));
+        });
+    }
+    group.finish();
+}
+
+fn guided(criterion: &mut Criterion) {
+    // A frame of 3000 x 2000 pixels, the camera moving sideways.
+    let features = |seed| {
+        let descriptors = descriptors(seed);
+        let keypoint = |d: &Descriptor| {
+            let fraction = |at: usize| (f32::from(d[at]) + f32::from(d[at + 1]) / 128.0) / 128.0;
+            Keypoint { x: 3000.0 * fraction(0), y: 2000.0 * fraction(2), scale: 2.0, orientation: 0.0 }
+        };
+        Features { keypoints: descriptors.iter().map(keypoint).collect(), descriptors }
+    };
+    let (a, b) = (features(1), features(2));
+    let fundamental = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
+    let guide = EpipolarGuide { fundamental, max_error_px: 4.0 };
+    criterion.bench_function("guided, 8192 x 8192", |bencher| {
+        bencher.iter(|| match_guided(black_box(&a), black_box(&b), &guide, &Options::default()));
+    });
+}
+
+criterion_group!(benches, brute_force, forest, guided);
 criterion_main!(benches);

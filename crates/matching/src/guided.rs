@@ -5,8 +5,8 @@
 //! other's epipolar line: `(x_bᵀ F x_a)² ≤ e² min(|F x_a|²₁₂, |Fᵀ x_b|²₁₂)`, where `|·|₁₂` is the length of a line's
 //! normal. Close to an epipole, where lines are not defined, nothing is a candidate.
 //!
-//! Candidates are found by strips: the second image's keypoints are cut into strips across the line and sorted within
-//! each, so that a line meets one short run in every strip.
+//! Candidates are found by strips: the second image is cut into strips across the line and each strip into cells, so that
+//! a line meets one short run of cells in every strip.
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 
@@ -15,8 +15,10 @@ use crate::matcher::select;
 use crate::matches::{Match, Nearest};
 use crate::options::Options;
 
-/// How many strips a set of keypoints is cut into along each axis.
-const STRIPS: usize = 64;
+/// How many strips the second image is cut into.
+const STRIPS: usize = 32;
+/// How many cells a strip is cut into.
+const CELLS: usize = 256;
 /// Widens the runs by more than rounding can shift their ends; the exact test follows.
 const SLACK_PX: f64 = 1e-3;
 
@@ -63,15 +65,34 @@ struct Candidate {
     normal_squared: f64,
 }
 
-/// Keypoints cut into strips along one axis and sorted along the other.
+/// Keypoints sorted into strips along one axis and cells along the other.
 struct Strips {
     /// 0: strips are columns of the image; 1: rows.
     axis: usize,
-    origin: f64,
-    width: f64,
-    /// First candidate of every strip, and the end.
+    strips: Steps<STRIPS>,
+    cells: Steps<CELLS>,
+    /// First candidate of every cell, strip by strip, and the end.
     starts: Vec<usize>,
     candidates: Vec<Candidate>,
+}
+
+/// An interval in `N` equal steps.
+struct Steps<const N: usize> {
+    origin: f64,
+    width: f64,
+}
+
+impl<const N: usize> Steps<N> {
+    fn over(values: impl Iterator<Item = f64>) -> Self {
+        let (low, high) =
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        Steps { origin: low, width: ((high - low) / N as f64).max(1.0) }
+    }
+
+    /// The step that holds `x`; the first or the last where `x` lies outside.
+    fn step(&self, x: f64) -> usize {
+        (((x - self.origin) / self.width) as usize).min(N - 1)
+    }
 }
 
 impl Candidate {
@@ -91,36 +112,34 @@ impl Strips {
                 normal_squared: normal_squared_in_a(&guide.fundamental, keypoint),
             })
             .collect();
-        let origin = candidates.iter().map(|c| c.along(axis)).fold(f64::INFINITY, f64::min);
-        let end = candidates.iter().map(|c| c.along(axis)).fold(f64::NEG_INFINITY, f64::max);
-        let width = ((end - origin) / STRIPS as f64).max(1.0);
-        let strip = |c: &Candidate| (((c.along(axis) - origin) / width) as usize).min(STRIPS - 1);
-        candidates.sort_by(|c, d| {
-            strip(c)
-                .cmp(&strip(d))
-                .then(c.along(1 - axis).total_cmp(&d.along(1 - axis)))
-                .then(c.index.cmp(&d.index))
-        });
-        let starts = (0..=STRIPS).map(|s| candidates.partition_point(|c| strip(c) < s)).collect();
-        Strips { axis, origin, width, starts, candidates }
+        let strips = Steps::<STRIPS>::over(candidates.iter().map(|c| c.along(axis)));
+        let cells = Steps::<CELLS>::over(candidates.iter().map(|c| c.along(1 - axis)));
+        let place = |c: &Candidate| strips.step(c.along(axis)) * CELLS + cells.step(c.along(1 - axis));
+        candidates.sort_by_key(place);
+        let mut starts = vec![0; STRIPS * CELLS + 1];
+        for candidate in &candidates {
+            starts[place(candidate) + 1] += 1;
+        }
+        for place in 0..STRIPS * CELLS {
+            starts[place + 1] += starts[place];
+        }
+        Strips { axis, strips, cells, starts, candidates }
     }
 
     /// Calls `visit` for all candidates within `max_error_px` of the line, and some more.
     fn for_each_near(&self, line: [f64; 3], max_error_px: f64, mut visit: impl FnMut(&Candidate)) {
-        let (advance, across) = (line[self.axis], line[1 - self.axis]);
-        let position = |along: f64| -(advance * along + line[2]) / across;
-        let margin = max_error_px * (1.0 + (advance / across).powi(2)).sqrt() + SLACK_PX;
-        for (strip, bounds) in self.starts.windows(2).enumerate() {
-            let start = self.origin + self.width * strip as f64;
-            let (p, q) = (position(start), position(start + self.width));
-            let candidates = &self.candidates[bounds[0]..bounds[1]];
-            let first = candidates.partition_point(|c| c.along(1 - self.axis) < p.min(q) - margin);
-            for candidate in &candidates[first..] {
-                if candidate.along(1 - self.axis) > p.max(q) + margin {
-                    break;
-                }
-                visit(candidate);
+        let (slope, offset) = (-line[self.axis] / line[1 - self.axis], -line[2] / line[1 - self.axis]);
+        let margin = max_error_px * (1.0 + slope * slope).sqrt() + SLACK_PX;
+        let end_of_cells = self.cells.origin + self.cells.width * CELLS as f64;
+        for strip in 0..STRIPS {
+            let start = self.strips.origin + self.strips.width * strip as f64;
+            let (p, q) = (slope * start + offset, slope * (start + self.strips.width) + offset);
+            let (low, high) = (p.min(q) - margin, p.max(q) + margin);
+            if high < self.cells.origin || low > end_of_cells {
+                continue;
             }
+            let cells = strip * CELLS + self.cells.step(low)..strip * CELLS + self.cells.step(high) + 1;
+            self.candidates[self.starts[cells.start]..self.starts[cells.end]].iter().for_each(&mut visit);
         }
     }
 }

@@ -61,7 +61,7 @@ impl Prepared {
     }
 
     /// Packs the descriptors of `features`, and those of the `leading` largest keypoints once more, so that pairs can be
-    /// tried on them first ([`crate::Preempt`]). 512 is a good number.
+    /// tried on them first ([`crate::Preempt`], which says what 1024 of them lose).
     pub fn from_features(features: &Features, leading: usize) -> Self {
         let mut order: Vec<usize> = (0..features.descriptors.len().min(features.keypoints.len())).collect();
         order.sort_by(|&i, &j| {

@@ -91,6 +91,15 @@ impl CorrespondenceGraph {
         !self.correspondences(of).is_empty()
     }
 
+    /// Whether a keypoint and the only one that it matches match nothing else: nothing but themselves would contradict a point
+    /// triangulated from them.
+    pub fn is_two_view(&self, of: Observation) -> bool {
+        match self.correspondences(of) {
+            [only] => self.correspondences(*only).len() == 1,
+            _ => false,
+        }
+    }
+
     /// How many keypoints of an image match anything.
     pub fn num_matched_keypoints(&self, image: ImageId) -> usize {
         self.images[image.index()].offsets.windows(2).filter(|w| w[0] < w[1]).count()

@@ -203,15 +203,10 @@ impl Reconstruction {
         sum / count.max(1) as f64
     }
 
-    /// Mean reprojection error over all observations, in pixels: what COLMAP calls so.
+    /// Mean over the points of each point's mean reprojection error, in pixels: what COLMAP calls the mean reprojection error.
     pub fn mean_reprojection_error_px(&self) -> f64 {
-        let sum: f64 = self
-            .tracks
-            .iter()
-            .flatten()
-            .map(|track| self.track_error_px(track) * track.observations.len() as f64)
-            .sum();
-        sum / self.num_observations().max(1) as f64
+        let sum: f64 = self.tracks.iter().flatten().map(|track| self.track_error_px(track)).sum();
+        sum / self.num_tracks().max(1) as f64
     }
 
     /// Moves the world: poses, points and frames.

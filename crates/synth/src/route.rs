@@ -27,6 +27,9 @@ struct Piece {
     length_m: f64,
     /// Arc length of the route where it begins.
     offset_m: f64,
+    /// Directions at its beginning and half-way.
+    direction: Vector2<f64>,
+    middle_direction: Vector2<f64>,
 }
 
 /// A place relative to the centre line.
@@ -70,28 +73,38 @@ impl Piece {
         self.start + unit(self.heading_rad + half) * (s * sinc)
     }
 
-    /// Nearest point of the piece and the distance from it.
-    fn locate(&self, point: Vector2<f64>) -> (RoutePosition, f64) {
-        let direction = unit(self.heading_rad);
+    /// Nearest point of the piece, the direction there, and the distance from it.
+    fn foot(&self, point: Vector2<f64>) -> (RoutePosition, Vector2<f64>, f64) {
         let from_start = point - self.start;
+        let mut tangent = self.direction;
         let s = if self.curvature_per_m == 0.0 {
-            from_start.dot(&direction)
+            from_start.dot(&tangent)
         } else {
-            // Angle around the arc's centre, measured from the arc's middle so that it does not wrap on the piece.
+            // On a circle the direction there is at right angles to the radius; the angle from the arc's middle does not wrap.
             let radius = 1.0 / self.curvature_per_m;
-            let centre = self.start + left_of(direction) * radius;
-            let middle = 0.5 * self.length_m;
-            let towards_middle = (self.point_at(middle) - centre) * radius.signum();
-            let towards_point = (point - centre) * radius.signum();
-            let angle = towards_middle.perp(&towards_point).atan2(towards_middle.dot(&towards_point));
-            middle + angle * radius
+            let from_centre = (from_start - left_of(self.direction) * radius) * radius.signum();
+            tangent = left_of(from_centre) / from_centre.norm();
+            let from_middle = self.middle_direction.perp(&tangent).atan2(self.middle_direction.dot(&tangent));
+            0.5 * self.length_m + from_middle * radius
         };
+        let is_beyond = !(0.0..=self.length_m).contains(&s);
         let s = s.clamp(0.0, self.length_m);
-        let offset = point - self.point_at(s);
-        let left = left_of(unit(self.heading_at(s)));
+        if is_beyond {
+            tangent = unit(self.heading_at(s));
+        }
+        let offset = point - self.point_at_towards(s, tangent);
         let distance = offset.norm();
-        let left_m = if offset.dot(&left) < 0.0 { -distance } else { distance };
-        (RoutePosition { along_m: self.offset_m + s, left_m }, distance)
+        let left_m = if tangent.perp(&offset) < 0.0 { -distance } else { distance };
+        (RoutePosition { along_m: self.offset_m + s, left_m }, tangent, distance)
+    }
+
+    /// `point_at(s)`, where the direction is known to be `tangent`.
+    fn point_at_towards(&self, s: f64, tangent: Vector2<f64>) -> Vector2<f64> {
+        if self.curvature_per_m == 0.0 {
+            return self.start + self.direction * s;
+        }
+        // p' = t, t' = κ n: the point is the start plus the change of −n over κ.
+        self.start + (left_of(self.direction) - left_of(tangent)) / self.curvature_per_m
     }
 }
 
@@ -187,7 +200,18 @@ impl Route {
     }
 
     fn push(&mut self, start: Vector2<f64>, heading_rad: f64, curvature_per_m: f64, length_m: f64) {
-        self.pieces.push(Piece { start, heading_rad, curvature_per_m, length_m, offset_m: self.length_m });
+        let middle_rad = heading_rad + 0.5 * curvature_per_m * length_m;
+        let (direction, middle_direction) = (unit(heading_rad), unit(middle_rad));
+        let offset_m = self.length_m;
+        self.pieces.push(Piece {
+            start,
+            heading_rad,
+            curvature_per_m,
+            length_m,
+            offset_m,
+            direction,
+            middle_direction,
+        });
         self.length_m += length_m;
     }
 
@@ -233,19 +257,28 @@ impl Route {
 
     /// Where a point lies relative to the centre line.
     pub fn locate(&self, point: Vector2<f64>) -> RoutePosition {
-        self.locate_among(point, 0..self.pieces.len())
+        self.foot(point, 0..self.pieces.len()).0
     }
 
-    /// The same among some pieces only.
-    fn locate_among(&self, point: Vector2<f64>, pieces: impl IntoIterator<Item = usize>) -> RoutePosition {
-        let mut best = (RoutePosition { along_m: 0.0, left_m: f64::INFINITY }, f64::INFINITY);
+    /// The same among some pieces only, with the direction of the centre line there.
+    pub(crate) fn foot(
+        &self,
+        point: Vector2<f64>,
+        pieces: impl IntoIterator<Item = usize>,
+    ) -> (RoutePosition, Vector2<f64>) {
+        let mut best = (RoutePosition { along_m: 0.0, left_m: f64::INFINITY }, Vector2::x(), f64::INFINITY);
         for index in pieces {
-            let found = self.pieces[index].locate(point);
-            if found.1 < best.1 {
+            let found = self.pieces[index].foot(point);
+            if found.2 < best.2 {
                 best = found;
             }
         }
-        best.0
+        (best.0, best.1)
+    }
+
+    /// Distance from a point to each piece.
+    pub(crate) fn piece_distances(&self, point: Vector2<f64>) -> impl Iterator<Item = f64> {
+        self.pieces.iter().map(move |piece| piece.foot(point).2)
     }
 }
 

@@ -12,7 +12,7 @@ use crate::file::{Bal, Derivatives};
 use crate::scene::solve;
 use crate::snavely::{Snavely, SnavelyResidual};
 
-/// Ceres 2.2, 50 iterations, dense Schur; the same starting costs by two independent programs.
+/// Ceres, 50 iterations, dense Schur; the same starting costs by two independent programs.
 const LADYBUG_49: (&str, f64, f64) = ("bal/problem-49-7776-pre.txt", 8.50912e5, 1.334430e4);
 const TRAFALGAR_21: (&str, f64, f64) = ("bal/problem-21-11315-pre.txt", 4.41324e6, 3.037864e4);
 /// The starting costs are given to six digits; final costs may differ by a tenth of a percent.

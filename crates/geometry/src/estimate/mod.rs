@@ -2,6 +2,7 @@
 //! refinement of each.
 
 mod absolute_pose;
+mod absolute_pose_focal;
 mod fundamental;
 mod homography;
 mod relative_pose;
@@ -9,7 +10,8 @@ mod sampson;
 mod similarity;
 mod triangulation;
 
-pub use absolute_pose::{absolute_pose, absolute_pose_focal, refine_absolute_pose};
+pub use absolute_pose::{absolute_pose, refine_absolute_pose};
+pub use absolute_pose_focal::absolute_pose_focal;
 pub use fundamental::fundamental;
 pub use homography::homography;
 pub use relative_pose::{essential, relative_pose};

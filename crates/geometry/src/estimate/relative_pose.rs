@@ -14,7 +14,8 @@ use crate::small_lm::{Normal, Problem, minimize};
 use crate::{Intrinsics, Loss, Rigid3, so3, solvers};
 
 /// `cam2_from_cam1`, its translation of length one, from pixels that show the same points: five-point solver and cheirality on
-/// samples, then least Sampson error of the inliers. Errors are Sampson errors in pixels.
+/// samples, then least Sampson error of the inliers. Errors are Sampson errors in pixels; pairs of rays that meet behind a camera
+/// are outliers.
 pub fn relative_pose(
     pixels1: &[Vector2<f64>],
     pixels2: &[Vector2<f64>],
@@ -29,7 +30,9 @@ pub fn relative_pose(
         .enumerate()
         .filter_map(|(i, (p1, p2))| Some((i, Pair::of_pixels(p1, p2, intrinsics1, intrinsics2)?)))
         .unzip();
-    let mut report = ransac(&RelativePose { pairs: Pairs::new(pairs) }, options)?;
+    let focal_px = 0.5 * (intrinsics1.mean_focal_px() + intrinsics2.mean_focal_px());
+    let parallel_sin2 = (options.max_error / focal_px).powi(2);
+    let mut report = ransac(&RelativePose { pairs: Pairs::new(pairs), parallel_sin2 }, options)?;
     let mut inliers = vec![false; pixels1.len().min(pixels2.len())];
     for (&index, &inlier) in indices.iter().zip(&report.inliers) {
         inliers[index] = inlier;
@@ -52,6 +55,8 @@ pub fn essential(
 
 struct RelativePose {
     pairs: Pairs,
+    /// Rays parallel to within the threshold meet in front or behind by chance of the noise.
+    parallel_sin2: f64,
 }
 
 impl Estimator for RelativePose {
@@ -73,7 +78,7 @@ impl Estimator for RelativePose {
     }
 
     fn squared_residuals(&self, model: &Rigid3, range: Range<usize>, squared: &mut [f64]) {
-        self.pairs.squared_errors(&essential_from_pose(model), 1.0, range, squared);
+        self.pairs.squared_errors_in_front(model, self.parallel_sin2, range, squared);
     }
 
     fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {

@@ -5,10 +5,10 @@
 
 use std::ops::{Index, Range};
 
-use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix3x2, Matrix3x4, Vector2, Vector3};
 
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::{CameraModel, Intrinsics};
+use crate::{CameraModel, Intrinsics, Rigid3};
 
 /// Correspondences, and the same packed for vectors.
 pub(super) struct Pairs {
@@ -40,6 +40,18 @@ impl Pairs {
         squared: &mut [f64],
     ) {
         squared_errors(&self.blocks, m, factor, range, squared);
+    }
+
+    /// The same under the essential matrix of a pose, infinite where the rays meet behind a camera, unless they are parallel to
+    /// within an angle of which `parallel_sin2` is the squared sine.
+    pub(super) fn squared_errors_in_front(
+        &self,
+        pose: &Rigid3,
+        parallel_sin2: f64,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        squared_errors_in_front(&self.blocks, &pose.to_matrix(), parallel_sin2, range, squared);
     }
 }
 
@@ -85,6 +97,57 @@ dispatch! {
             store(&lanes, index, &range, squared);
         }
     }
+}
+
+dispatch! {
+    /// [`Pair::squared_error`] and [`rays_meet_in_front`](crate::epipolar::rays_meet_in_front), eight at a time.
+    fn squared_errors_in_front(
+        blocks: &[[Lanes; 18]],
+        pose: &Matrix3x4<f64>,
+        parallel_sin2: f64,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        let m = pose;
+        let t = [m.m14, m.m24, m.m34];
+        for index in blocks_of(&range) {
+            let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = &blocks[index];
+            let [.., j20, j21, j22, j23, j24, j25] = &blocks[index];
+            let mut lanes = [0.0; LANES];
+            for l in 0..LANES {
+                let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
+                let rotated = [
+                    dot([m.m11, m.m12, m.m13], y1),
+                    dot([m.m21, m.m22, m.m23], y1),
+                    dot([m.m31, m.m32, m.m33], y1),
+                ];
+                // E y₁ = t × R y₁ and Eᵀ y₂ = Rᵀ (y₂ × t).
+                let line2 = cross(t, rotated);
+                let moment = cross(y2, t);
+                let line1 = [
+                    dot([m.m11, m.m21, m.m31], moment),
+                    dot([m.m12, m.m22, m.m32], moment),
+                    dot([m.m13, m.m23, m.m33], moment),
+                ];
+                let product = dot(y2, line2);
+                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
+                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
+                let c = dot([j20[l], j21[l], j22[l]], line2);
+                let d = dot([j23[l], j24[l], j25[l]], line2);
+                let error = product * product / ((a * a + b * b) + (c * c + d * d));
+                let (cosine, along1, along2) = (dot(rotated, y2), dot(rotated, t), dot(y2, t));
+                let in_front = (cosine * along2 > along1) & (along2 > cosine * along1);
+                let parallel = (1.0 - cosine * cosine < parallel_sin2) & (cosine > 0.0);
+                lanes[l] = if in_front | parallel { error } else { f64::INFINITY };
+            }
+            store(&lanes, index, &range, squared);
+        }
+    }
+}
+
+#[inline(always)]
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]
@@ -160,18 +223,23 @@ fn ray_with_jacobian(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::epipolar::{essential_from_pose, rays_meet_in_front};
     use crate::{CameraModelKind, Rng};
+
+    fn pairs(camera: &Intrinsics) -> Vec<Pair> {
+        let mut rng = Rng::stream(1, &[]);
+        let mut pixel = || Vector2::new(1000.0 * rng.uniform(), 800.0 * rng.uniform());
+        (0..37).filter_map(|_| Pair::of_pixels(&pixel(), &pixel(), camera, camera)).collect()
+    }
+
+    const RANGES: [Range<usize>; 6] = [0..37, 0..8, 5..6, 7..31, 36..37, 12..12];
 
     #[test]
     fn eight_at_a_time_is_one_at_a_time() {
-        let mut rng = Rng::stream(1, &[]);
-        let camera = Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800);
-        let mut pixel = || Vector2::new(1000.0 * rng.uniform(), 800.0 * rng.uniform());
-        let pairs: Vec<Pair> =
-            (0..37).filter_map(|_| Pair::of_pixels(&pixel(), &pixel(), &camera, &camera)).collect();
+        let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
         let m = Matrix3::from_fn(|i, j| (1 + i + 3 * j) as f64 * if i == j { -1.0 } else { 0.5 });
         let packed = Pairs::new(pairs.clone());
-        for range in [0..37, 0..8, 5..6, 7..31, 36..37, 12..12] {
+        for range in RANGES {
             let mut squared = vec![f64::NAN; range.len()];
             packed.squared_errors(&m, 2.0, range.clone(), &mut squared);
             for (squared, pair) in squared.iter().zip(&pairs[range]) {
@@ -179,5 +247,30 @@ mod tests {
                 assert!((squared - expected).abs() <= 1e-12 * expected, "{squared} {expected}");
             }
         }
+    }
+
+    #[test]
+    fn in_front_eight_at_a_time_is_one_at_a_time() {
+        let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
+        let pose = Rigid3::from_axis_angle(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.6, 0.0, 0.8));
+        let packed = Pairs::new(pairs.clone());
+        let mut behind = 0;
+        // Wide enough that some of the pairs are parallel.
+        let parallel = 0.2_f64;
+        for range in RANGES {
+            let mut squared = vec![f64::NAN; range.len()];
+            packed.squared_errors_in_front(&pose, parallel.sin().powi(2), range.clone(), &mut squared);
+            for (squared, pair) in squared.iter().zip(&pairs[range]) {
+                let is_parallel = (pose.rotation * pair.y1).angle(&pair.y2) < parallel;
+                if is_parallel || rays_meet_in_front(&pair.y1, &pair.y2, &pose) {
+                    let expected = pair.squared_error(&essential_from_pose(&pose));
+                    assert!((squared - expected).abs() <= 1e-9 * expected, "{squared} {expected}");
+                } else {
+                    behind += 1;
+                    assert_eq!(*squared, f64::INFINITY);
+                }
+            }
+        }
+        assert!(behind > 0);
     }
 }

@@ -1,6 +1,6 @@
 //! COLMAP's models: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and frames; binary or text.
 //!
-//! Ids on disk are ours plus one, so that images and cameras have the same ids as in [`crate::database`]. Only registered
+//! Ids on disk are ours plus one, so that images and cameras have the same ids as in `database.db`. Only registered
 //! images are written. What a model does not hold is lost on the way: keypoint scales (1 when read), image times, hold-out
 //! flags, and where a focal length came from.
 //!

@@ -2,7 +2,7 @@
 //!
 //! A branch not taken waits in one queue for all trees, keyed by a bound on the distance of its points: the squared gaps
 //! between the query and the splits on the way (as in FLANN, a dimension that was split twice counts twice, so that the
-//! bound is an estimate). Each tree is descended once; then the best branch of all is taken, until enough leaves were
+//! bound is an estimate). Each tree is descended once; then the best branches of all are taken, until enough leaves were
 //! looked at. A point that several trees offer is looked at once.
 
 use std::cmp::Reverse;
@@ -13,10 +13,16 @@ use super::{Checks, Forest, Row};
 use crate::brute::{Isa, Kind};
 use crate::matches::Nearest;
 
+/// Leaves that are fetched together. At a million points almost every leaf and every point is a wait for main memory, and
+/// four that overlap take half the time of one after the other; the order of the search hardly changes.
+const ROUND: usize = 4;
+
 /// Room for what one search needs, kept from query to query.
 struct Scratch {
     /// Branches by ascending bound; the bound above, the node below.
     queue: BinaryHeap<Reverse<u64>>,
+    /// Leaves of this round: ranges of `Forest::points`.
+    leaves: Vec<(usize, usize)>,
     /// One bit for each point that was looked at.
     seen: Vec<u64>,
     /// Those points, to take the bits back.
@@ -62,6 +68,7 @@ fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Check
     };
     let mut scratch = Scratch {
         queue: BinaryHeap::new(),
+        leaves: Vec::new(),
         seen: vec![0; forest.descriptors.len().div_ceil(64)],
         looked_at: Vec::new(),
     };
@@ -75,18 +82,27 @@ fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Check
 #[inline(always)]
 fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) -> Nearest {
     let mut nearest = Nearest::NONE;
-    for &root in &forest.roots {
-        descend(forest, query, 0, root, &mut nearest, scratch);
+    for roots in forest.roots.chunks(ROUND) {
+        for &root in roots {
+            descend(forest, query, 0, root, nearest.second, scratch);
+        }
+        look_at_leaves(forest, query, &mut nearest, scratch);
     }
     let mut checked = forest.roots.len() as u64;
     while checked < checks || nearest.second == u32::MAX {
-        let Some(Reverse(branch)) = scratch.queue.pop() else { break };
-        let bound = (branch >> 32) as u32;
-        if bound > nearest.second {
+        for _ in 0..(checks.saturating_sub(checked)).clamp(1, ROUND as u64) {
+            let Some(Reverse(branch)) = scratch.queue.pop() else { break };
+            let bound = (branch >> 32) as u32;
+            if bound > nearest.second {
+                break;
+            }
+            descend(forest, query, bound, branch as u32, nearest.second, scratch);
+            checked += 1;
+        }
+        if scratch.leaves.is_empty() {
             break;
         }
-        descend(forest, query, bound, branch as u32, &mut nearest, scratch);
-        checked += 1;
+        look_at_leaves(forest, query, &mut nearest, scratch);
     }
     scratch.queue.clear();
     for point in scratch.looked_at.drain(..) {
@@ -95,16 +111,9 @@ fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) 
     nearest
 }
 
-/// Goes down to a leaf on the query's side of every split, queues the other sides, looks at the leaf's points.
+/// Goes down to a leaf on the query's side of every split, queues the other sides, and notes the leaf.
 #[inline(always)]
-fn descend(
-    forest: &Forest,
-    query: &Row,
-    bound: u32,
-    mut at: u32,
-    nearest: &mut Nearest,
-    scratch: &mut Scratch,
-) {
+fn descend(forest: &Forest, query: &Row, bound: u32, mut at: u32, worst: u32, scratch: &mut Scratch) {
     loop {
         match forest.nodes[at as usize].kind() {
             NodeKind::Inner { dimension, split, right } => {
@@ -113,23 +122,53 @@ fn descend(
                 let (near, far, gap) =
                     if x < split { (at + 1, right, split - x) } else { (right, at + 1, x + 1 - split) };
                 let far_bound = bound.saturating_add(gap * gap);
-                if far_bound <= nearest.second {
+                if far_bound <= worst {
                     scratch.queue.push(Reverse(u64::from(far_bound) << 32 | u64::from(far)));
                 }
                 at = near;
             }
             NodeKind::Leaf { first, len } => {
-                for &point in &forest.points[first..first + len] {
-                    let (word, bit) = (point as usize / 64, 1 << (point % 64));
-                    if scratch.seen[word] & bit == 0 {
-                        scratch.seen[word] |= bit;
-                        scratch.looked_at.push(point);
-                        nearest.offer(point, squared_distance(query, &forest.descriptors[point as usize]));
-                    }
+                if let Some(point) = forest.points.get(first) {
+                    prefetch(point);
                 }
+                scratch.leaves.push((first, len));
                 return;
             }
         }
+    }
+}
+
+/// Asks for a cache line that will be read soon.
+#[inline(always)]
+fn prefetch<T>(place: &T) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a hint; it neither reads nor writes.
+    unsafe {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(place).cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = place;
+}
+
+/// Compares the query with the points of the noted leaves that it has not met before.
+#[inline(always)]
+fn look_at_leaves(forest: &Forest, query: &Row, nearest: &mut Nearest, scratch: &mut Scratch) {
+    let begin = scratch.looked_at.len();
+    for (first, len) in scratch.leaves.drain(..) {
+        for &point in &forest.points[first..first + len] {
+            let (word, bit) = (point as usize / 64, 1 << (point % 64));
+            if scratch.seen[word] & bit == 0 {
+                scratch.seen[word] |= bit;
+                let row = &forest.descriptors[point as usize].0;
+                prefetch(&row[0]);
+                prefetch(&row[64]);
+                scratch.looked_at.push(point);
+            }
+        }
+    }
+    for &point in &scratch.looked_at[begin..] {
+        nearest.offer(point, squared_distance(query, &forest.descriptors[point as usize]));
     }
 }
 

@@ -1,0 +1,372 @@
+//! The command line. Help texts are read as prose: what an option means, its unit, its default.
+
+use std::fmt;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use clap::{Args, Parser, Subcommand};
+use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
+use tiepoint_pipeline::sfm::matching::PairSelection;
+use tiepoint_pipeline::{Calibration, ExportFormat, Stage, Truth};
+use tiepoint_synth::{Effects, Mounting};
+
+/// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
+#[derive(Debug, Parser)]
+#[command(name = "tiepoint", version, propagate_version = true, arg_required_else_help = true)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+    /// Threads to use; by default as many as the machine has. Results do not depend on it.
+    #[arg(long, global = true, value_name = "N")]
+    pub(crate) threads: Option<NonZeroUsize>,
+    /// Progress as JSON lines on stderr, and the result as one JSON object on stdout.
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Photos in, a COLMAP project out; goes on where an earlier run stopped.
+    Reconstruct(Reconstruct),
+    /// First stage: keypoints and descriptors, into WORKSPACE/database.db.
+    Features(Features),
+    /// Second stage: which images show the same things; matches and two-view geometries.
+    Match(Match),
+    /// Third stage: poses and points, into WORKSPACE/sparse/0 (and 1, ... where the photos do not hang together).
+    Map(Map),
+    /// Bundle adjustment alone, of a COLMAP model or a BAL problem.
+    Adjust(Adjust),
+    /// Compares a result with the truth.
+    #[command(subcommand)]
+    Evaluate(Evaluate),
+    /// Writes a result in another format.
+    Export(Export),
+    /// Renders the drive of two cameras along a street, with the truth beside it.
+    Synth(Synth),
+    /// Shows what this program does, with nothing prepared: renders a drive, reconstructs it, compares with the truth.
+    Demo(Demo),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Reconstruct {
+    #[command(flatten)]
+    pub(crate) input: Input,
+    #[command(flatten)]
+    pub(crate) cameras: Cameras,
+    #[command(flatten)]
+    pub(crate) pairs: Pairs,
+    #[command(flatten)]
+    pub(crate) mapping: Mapping,
+    #[command(flatten)]
+    pub(crate) seed: Seed,
+    /// Makes this stage and the later ones anew, whatever there is: features, match or map.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) redo: Option<Stage>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Features {
+    #[command(flatten)]
+    pub(crate) input: Input,
+    #[command(flatten)]
+    pub(crate) cameras: Cameras,
+    /// Makes this stage anew, whatever there is: features.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) redo: Option<Stage>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Match {
+    /// A workspace that has features.
+    pub(crate) workspace: PathBuf,
+    #[command(flatten)]
+    pub(crate) pairs: Pairs,
+    #[command(flatten)]
+    pub(crate) seed: Seed,
+    /// Makes this stage anew, whatever there is: match.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) redo: Option<Stage>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Map {
+    /// A workspace that has matches.
+    pub(crate) workspace: PathBuf,
+    #[command(flatten)]
+    pub(crate) mapping: Mapping,
+    #[command(flatten)]
+    pub(crate) seed: Seed,
+    /// Makes this stage anew, whatever there is: map.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) redo: Option<Stage>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Input {
+    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(crate) inputs: Vec<PathBuf>,
+    /// Where to work and to leave the results; also a COLMAP project.
+    #[arg(short, long = "output", value_name = "WORKSPACE")]
+    pub(crate) output: PathBuf,
+    /// When the photos were taken: CSV with the header `image,seconds`. By default from their names or EXIF.
+    #[arg(long, value_name = "FILE.csv")]
+    pub(crate) timestamps: Option<PathBuf>,
+    /// Where nothing is to be detected: a folder with a mask for each photo, black being out (left/1.jpg.png for left/1.jpg).
+    #[arg(long, value_name = "DIR")]
+    pub(crate) masks: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Cameras {
+    /// Known intrinsics of every camera, in pixels, (0.5, 0.5) being the centre of the first one; they stay fixed. OpenCV and KITTI
+    /// count from (0, 0): add 0.5 to cx and cy. Four numbers are a PINHOLE, more an OPENCV with k1,k2,p1,p2.
+    #[arg(
+        long,
+        value_name = "fx,fy,cx,cy[,k..]",
+        allow_hyphen_values = true,
+        conflicts_with = "focal_prior"
+    )]
+    pub(crate) intrinsics: Option<NumberList>,
+    /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else 1.2 times the larger side.
+    #[arg(long, value_name = "PX")]
+    pub(crate) focal_prior: Option<PositivePixels>,
+    /// COLMAP's name of the camera model [default: SIMPLE_RADIAL].
+    #[arg(long, value_name = "NAME", value_parser = camera_model)]
+    pub(crate) camera_model: Option<CameraModelKind>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Pairs {
+    /// Which photos to match: exhaustive (each with every other), sequential:N (N neighbours before and after, within a camera and
+    /// across cameras), sequential:N+ends (and the first N with the last N).
+    #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Exhaustive)]
+    pub(crate) pairs: PairSelection,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Mapping {
+    /// What holds cameras that ride together to each other: off (nothing).
+    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_mode)]
+    pub(crate) rig: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Seed {
+    /// Seed of everything random.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) seed: u64,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Adjust {
+    /// A folder with a COLMAP model, or a BAL problem (a text file).
+    #[arg(value_name = "MODEL|PROBLEM.txt")]
+    pub(crate) model: PathBuf,
+    /// Where to write the result, in the format of the input; without it, only the costs are told.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: Option<PathBuf>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Evaluate {
+    /// Camera poses: centre errors after a similarity, relative-pose AUC, focal length.
+    Poses(EvaluatePoses),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluatePoses {
+    /// A folder with a COLMAP model, or a workspace.
+    pub(crate) model: PathBuf,
+    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (the number of an image is the line), tum (by time), colmap
+    /// (a model).
+    #[arg(long, value_name = "FORMAT:PATH")]
+    pub(crate) truth: Truth,
+    /// Compares only images whose names begin with this. By default all; for kitti and tum those of the first camera.
+    #[arg(long, value_name = "PREFIX")]
+    pub(crate) images: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Export {
+    /// A workspace, or a folder with a COLMAP model.
+    pub(crate) workspace: PathBuf,
+    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal.
+    #[arg(long, value_name = "FORMAT")]
+    pub(crate) to: ExportFormat,
+    /// The file or folder to write.
+    #[arg(short, long = "output", value_name = "PATH")]
+    pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Synth {
+    /// Where to write: left/, right/ and timestamps.csv as cameras leave them, and truth/. New, empty, or of the same drive.
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    /// At most so many images of each camera, the first ones; by default the whole drive around the block.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<NonZeroUsize>,
+    /// Size of the images, in pixels.
+    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    pub(crate) size: ImageSize,
+    /// Seed of the street, the drive and everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Images a second.
+    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    pub(crate) rate: f64,
+    /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
+    #[arg(long, value_name = "MOUNTING", default_value = "front")]
+    pub(crate) mounting: Mounting,
+    /// What is not ideal: none, all, or some of lens, rolling-shutter, vibration, mounting, traffic, clocks and photometry,
+    /// joined by +.
+    #[arg(long, value_name = "NAMES", default_value = "none")]
+    pub(crate) effects: Effects,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Demo {
+    /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
+    #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
+    pub(crate) output: PathBuf,
+    /// How many images of each camera.
+    #[arg(long, value_name = "N", default_value = "24")]
+    pub(crate) frames: NonZeroUsize,
+    /// Size of the images, in pixels.
+    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    pub(crate) size: ImageSize,
+    /// Seed of the street and of everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+}
+
+/// Width and height, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ImageSize {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+impl FromStr for ImageSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once('x').and_then(|(width, height)| {
+            Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
+        });
+        sides.ok_or_else(|| "it must be a width and a height in pixels, as 640x480".to_owned())
+    }
+}
+
+impl fmt::Display for ImageSize {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+/// Numbers with commas between them.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NumberList(Vec<f64>);
+
+impl FromStr for NumberList {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |word: &str| word.trim().parse().map_err(|_| format!("'{word}' is no number"));
+        text.split(',').map(number).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// A length in pixels that is not zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PositivePixels(f64);
+
+impl FromStr for PositivePixels {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
+        value.map(Self).ok_or_else(|| "it must be a number of pixels above 0".to_owned())
+    }
+}
+
+fn camera_model(name: &str) -> Result<CameraModelKind, String> {
+    CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|error| error.to_string())
+}
+
+fn rig_mode(mode: &str) -> Result<String, String> {
+    match mode {
+        "off" => Ok(mode.to_owned()),
+        _ => Err("only off is there in this version".to_owned()),
+    }
+}
+
+impl Cameras {
+    /// What is known of the cameras; an error is one of usage.
+    pub(crate) fn calibration(&self) -> Result<Calibration, String> {
+        let Some(NumberList(params)) = &self.intrinsics else {
+            let model = self.camera_model.unwrap_or(CameraModelKind::SimpleRadial);
+            return Ok(Calibration::Unknown { model, focal_px: self.focal_prior.map(|focal| focal.0) });
+        };
+        let intrinsics = match (self.camera_model, params.len()) {
+            (Some(model), _) => Intrinsics::new(model, params),
+            (None, 4) => Intrinsics::new(CameraModelKind::Pinhole, params),
+            (None, 5..=8) => {
+                let mut padded = params.clone();
+                padded.resize(CameraModelKind::Opencv.num_params(), 0.0);
+                Intrinsics::new(CameraModelKind::Opencv, &padded)
+            }
+            (None, count) => {
+                return Err(format!(
+                    "--intrinsics has {count} numbers: give fx,fy,cx,cy, or fx,fy,cx,cy,k1,k2,p1,p2, or a --camera-model and its \
+                     parameters"
+                ));
+            }
+        };
+        intrinsics.map(Calibration::Known).map_err(|error| format!("--intrinsics: {error}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clap_finds_the_definitions_sound() {
+        <Cli as clap::CommandFactory>::command().debug_assert();
+    }
+
+    #[test]
+    fn a_size_is_two_numbers() {
+        let size: ImageSize = "640x480".parse().unwrap();
+        assert_eq!(size, ImageSize { width: 640, height: 480 });
+        assert_eq!(size.to_string(), "640x480");
+        for wrong in ["640", "640*480", "x480", "640x-480", "640x480x3"] {
+            assert!(wrong.parse::<ImageSize>().unwrap_err().contains("640x480"), "{wrong}");
+        }
+    }
+
+    fn calibration(intrinsics: &str, model: Option<&str>) -> Result<Calibration, String> {
+        Cameras {
+            intrinsics: Some(intrinsics.parse()?),
+            focal_prior: None,
+            camera_model: model.map(camera_model).transpose()?,
+        }
+        .calibration()
+    }
+
+    #[test]
+    fn intrinsics_choose_their_model() {
+        let known = |model, params: &[f64]| Ok(Calibration::Known(Intrinsics::new(model, params).unwrap()));
+        assert_eq!(calibration("9,8,7,6", None), known(CameraModelKind::Pinhole, &[9.0, 8.0, 7.0, 6.0]));
+        let padded = [9.0, 8.0, 7.0, 6.0, -0.5, 0.0, 0.0, 0.0];
+        assert_eq!(calibration("9,8,7,6,-.5", None), known(CameraModelKind::Opencv, &padded));
+        let radial = known(CameraModelKind::SimpleRadial, &[9.0, 7.0, 6.0, 0.1]);
+        assert_eq!(calibration("9,7,6,.1", Some("simple_radial")), radial);
+        assert!(calibration("9,8,7", None).unwrap_err().contains("3 numbers"));
+        assert!(calibration("-9,8,7,6", None).unwrap_err().contains("--intrinsics"));
+        assert!(calibration("9,8,x,6", None).unwrap_err().contains("'x' is no number"));
+    }
+}

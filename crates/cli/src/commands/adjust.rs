@@ -1,0 +1,38 @@
+//! `adjust`.
+
+use std::fmt::Write;
+
+use tiepoint_pipeline::adjust as adjust_model;
+
+use super::Failure;
+use crate::args::Adjust;
+use crate::output::Output;
+use crate::progress::Progress;
+
+pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
+    let mut progress = Progress::new(output);
+    let report = adjust_model(&args.model, args.output.as_deref(), &mut |event| progress.watch(event))?;
+    drop(progress);
+    output.result(&report, || {
+        let end = if report.converged { "converged" } else { "stopped at the limit of steps" };
+        let mut text = "   seconds           cost\n".to_owned();
+        for step in &report.steps {
+            let rejected = if step.accepted { "" } else { "  rejected" };
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{:10.4} {:14.8e}{rejected}", step.seconds, step.cost);
+        }
+        let _ = writeln!(
+            text,
+            "{} images, {} points, {} residuals\ncost {:.6e} -> {:.6e} in {} steps, {:.2} s, {end}",
+            report.images,
+            report.points,
+            report.residuals,
+            report.initial_cost,
+            report.final_cost,
+            report.iterations,
+            report.seconds,
+        );
+        text
+    });
+    Ok(())
+}

@@ -1,0 +1,39 @@
+//! One file a command.
+
+mod adjust;
+mod demo;
+mod evaluate;
+mod export;
+mod stages;
+mod synth;
+
+use crate::args::{Command, Evaluate};
+use crate::output::Output;
+
+/// Why a command did not do what it was asked.
+pub(crate) enum Failure {
+    /// The command line contradicts itself.
+    Usage(String),
+    /// It could not be done.
+    CouldNot(String),
+}
+
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::CouldNot(error.to_string())
+    }
+}
+
+pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
+    match command {
+        Command::Reconstruct(args) => stages::reconstruct(&args, output),
+        Command::Features(args) => stages::features(&args, output),
+        Command::Match(args) => stages::match_images(&args, output),
+        Command::Map(args) => stages::map(&args, output),
+        Command::Adjust(args) => adjust::adjust(&args, output),
+        Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
+        Command::Export(args) => export::export(&args, output),
+        Command::Synth(args) => synth::synth(&args, output),
+        Command::Demo(args) => demo::demo(&args, output),
+    }
+}

@@ -1,0 +1,91 @@
+//! `reconstruct`, and its stages one by one.
+
+use tiepoint_pipeline::sfm::MapperOptions;
+use tiepoint_pipeline::{
+    FeatureOptions, MatchOptions, Options, Photos, Stage, Workspace, extract_features, map as map_workspace,
+    match_images as match_workspace, reconstruct as reconstruct_all,
+};
+
+use super::Failure;
+use crate::args::{Cameras, Features, Input, Map, Match, Pairs, Reconstruct, Seed};
+use crate::output::Output;
+use crate::progress::Progress;
+use crate::summary;
+
+pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Failure> {
+    let options = Options {
+        features: feature_options(&args.input, &args.cameras)?,
+        masks: args.input.masks.clone(),
+        matching: match_options(&args.pairs, &args.seed),
+        mapper: mapper_options(&args.seed),
+        redo: args.redo,
+    };
+    let mut progress = Progress::new(output);
+    let workspace = &args.input.output;
+    let report =
+        reconstruct_all(&args.input.inputs, workspace, &options, &mut |event| progress.watch(event))?;
+    drop(progress);
+    output.result(&report, || summary::report(workspace, &report));
+    Ok(())
+}
+
+pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
+    let redo = own_stage(args.redo, Stage::Features)?;
+    let options = feature_options(&args.input, &args.cameras)?;
+    let photos = Photos::open(&args.input.inputs, args.input.masks.as_deref())?;
+    let mut workspace = Workspace::create(&args.input.output)?;
+    let mut progress = Progress::new(output);
+    extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
+    drop(progress);
+    tell(&workspace, output)
+}
+
+pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure> {
+    let redo = own_stage(args.redo, Stage::Match)?;
+    let mut workspace = Workspace::open(&args.workspace)?;
+    let mut progress = Progress::new(output);
+    let options = match_options(&args.pairs, &args.seed);
+    match_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
+    drop(progress);
+    tell(&workspace, output)
+}
+
+pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
+    let redo = own_stage(args.redo, Stage::Map)?;
+    let mut workspace = Workspace::open(&args.workspace)?;
+    let mut progress = Progress::new(output);
+    map_workspace(&mut workspace, &mapper_options(&args.seed), redo, &mut |event| progress.watch(event))?;
+    drop(progress);
+    tell(&workspace, output)
+}
+
+fn tell(workspace: &Workspace, output: &Output) -> Result<(), Failure> {
+    let report = workspace.report()?;
+    output.result(&report, || summary::report(workspace.root(), &report));
+    Ok(())
+}
+
+fn own_stage(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure> {
+    match redo {
+        Some(stage) if stage != own => Err(Failure::Usage(format!(
+            "this command makes the stage {own}, so --redo can only be {own} here"
+        ))),
+        _ => Ok(redo),
+    }
+}
+
+fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, Failure> {
+    Ok(FeatureOptions {
+        calibration: cameras.calibration().map_err(Failure::Usage)?,
+        timestamps: input.timestamps.clone(),
+        ..FeatureOptions::default()
+    })
+}
+
+fn match_options(pairs: &Pairs, seed: &Seed) -> MatchOptions {
+    MatchOptions { pairs: pairs.pairs, seed: seed.seed, ..MatchOptions::default() }
+}
+
+fn mapper_options(seed: &Seed) -> MapperOptions {
+    MapperOptions { seed: seed.seed, ..MapperOptions::default() }
+}

@@ -1,0 +1,161 @@
+//! `synth`: a drive on disk.
+//!
+//! The same command writes the same files again. A folder with anything else is refused, so that no drive is mixed with another
+//! and nothing of anybody is overwritten: `synth.json` says what the files were made from.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use tiepoint_pipeline::io::colmap::{Format, write_model};
+use tiepoint_synth::{Drive, DriveOptions, Mount};
+
+use super::Failure;
+use crate::args::Synth;
+use crate::output::Output;
+use crate::progress::Progress;
+
+/// Distance of the two cameras.
+const BASELINE_M: f64 = 0.5;
+/// What the files were made from.
+const RECORD: &str = "synth.json";
+
+/// What was written.
+#[derive(Debug, Serialize)]
+pub(crate) struct Rendered {
+    folder: PathBuf,
+    /// The true model, for `evaluate poses --truth colmap:`.
+    pub(crate) truth: PathBuf,
+    pub(crate) cameras: Vec<RenderedCamera>,
+    /// Way of the first camera from its first image to its last.
+    pub(crate) driven_m: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct RenderedCamera {
+    name: String,
+    pub(crate) images: usize,
+    width: u32,
+    height: u32,
+    focal_px: f64,
+}
+
+/// Made from the same, files are the same.
+#[derive(Serialize)]
+struct Record {
+    program: &'static str,
+    frames: Option<usize>,
+    drive: String,
+}
+
+pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
+    let mut progress = Progress::new(output);
+    let rendered = render(args, &mut progress)?;
+    drop(progress);
+    output.result(&rendered, || rendered.describe());
+    Ok(())
+}
+
+/// Renders a drive to disk.
+pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, Failure> {
+    let options = DriveOptions {
+        seed: args.seed,
+        mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
+        width: args.size.width,
+        height: args.size.height,
+        rate_hz: args.rate,
+        effects: args.effects,
+        ..DriveOptions::default()
+    };
+    let mut drive = Drive::new(&options).map_err(|error| match error {
+        tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
+        _ => error.into(),
+    })?;
+    if let Some(frames) = args.frames {
+        drive.keep_first(frames.get());
+    }
+    let folder = &args.output;
+    let frames = args.frames.map(usize::from);
+    claim(
+        folder,
+        &Record {
+            program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
+            frames,
+            drive: format!("{options:?}"),
+        },
+    )?;
+    drive.write_tables(folder)?;
+    let truth = folder.join("truth/model");
+    write_model(&truth, &drive.truth(), Format::Binary)?;
+    let total = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
+    let mut done = 0;
+    for (index, camera) in drive.cameras().iter().enumerate() {
+        let renderer = drive.renderer(index);
+        for exposure in &camera.exposures {
+            progress.rendering(&exposure.name, done, total);
+            drive.write_image(folder, index, exposure, &renderer)?;
+            done += 1;
+        }
+    }
+    let cameras = drive.cameras().iter().map(|camera| RenderedCamera {
+        name: camera.name.clone(),
+        images: camera.exposures.len(),
+        width: camera.width,
+        height: camera.height,
+        focal_px: camera.lens.focal_px(),
+    });
+    let cameras = cameras.collect();
+    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(&drive) })
+}
+
+fn driven_m(drive: &Drive) -> f64 {
+    let exposures = drive.cameras()[0].exposures.iter();
+    let centres: Vec<_> = exposures.map(|e| drive.cam_from_world(0, e.time_s).origin_in_a()).collect();
+    centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
+}
+
+/// Makes the folder ours, if it is new or empty; it may be already, if it is of the same drive.
+fn claim(folder: &Path, record: &Record) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(record).expect("our own types are JSON: string keys") + "\n";
+    let path = folder.join(RECORD);
+    let cannot = |path: &Path, doing: &str, cause: std::io::Error| {
+        Failure::CouldNot(format!("cannot {doing} {}: {cause}", path.display()))
+    };
+    match fs::read_to_string(&path) {
+        Ok(found) if found == text => return Ok(()),
+        Ok(_) => {
+            let folder = folder.display();
+            return Err(Failure::CouldNot(format!(
+                "{folder} holds a drive with other options, or of another version: choose another folder with -o, or remove it"
+            )));
+        }
+        Err(cause) if cause.kind() == ErrorKind::NotFound => {}
+        Err(cause) => return Err(cannot(&path, "read", cause)),
+    }
+    fs::create_dir_all(folder).map_err(|cause| cannot(folder, "write", cause))?;
+    let mut entries = fs::read_dir(folder).map_err(|cause| cannot(folder, "read", cause))?;
+    if entries.next().is_some() {
+        let folder = folder.display();
+        return Err(Failure::CouldNot(format!(
+            "{folder} is not empty, and what is there is no drive of this program: choose another folder with -o"
+        )));
+    }
+    fs::write(&path, text).map_err(|cause| cannot(&path, "write", cause))
+}
+
+impl Rendered {
+    fn describe(&self) -> String {
+        let line = |camera: &RenderedCamera| {
+            let RenderedCamera { name, images, width, height, focal_px } = camera;
+            format!("{name:<9} {images} images, {width} x {height}, focal length {focal_px:.2} px\n")
+        };
+        let cameras: String = self.cameras.iter().map(line).collect();
+        let truth = self.truth.display();
+        format!(
+            "{cameras}driven    {:.1} m\ntruth     colmap:{truth}\nin {}\n",
+            self.driven_m,
+            self.folder.display()
+        )
+    }
+}

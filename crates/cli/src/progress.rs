@@ -1,0 +1,103 @@
+//! Draws events: a bar on a terminal, JSON lines for programs.
+
+use std::ops::ControlFlow;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use tiepoint_pipeline::Event;
+
+use crate::output::{Output, line_to_stderr};
+
+/// Watches a run.
+pub(crate) struct Progress {
+    json: bool,
+    /// Hidden where stderr is no terminal.
+    bar: ProgressBar,
+}
+
+impl Progress {
+    pub(crate) fn new(output: &Output) -> Self {
+        Self { json: output.json, bar: ProgressBar::hidden() }
+    }
+
+    pub(crate) fn watch(&mut self, event: &Event) -> ControlFlow<()> {
+        if self.json {
+            line_to_stderr(&serde_json::to_string(event).expect("events are JSON: numbers and strings"));
+        } else {
+            self.draw(event);
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// An image of a drive is about to be rendered, `done` of `total` being there.
+    pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) {
+        if self.json {
+            let event =
+                serde_json::json!({ "event": "rendering", "image": image, "done": done, "total": total });
+            line_to_stderr(&event.to_string());
+            return;
+        }
+        if done == 0 {
+            self.begin("render", total, 0);
+        }
+        self.bar.set_message(image.to_owned());
+        self.bar.set_position(done as u64);
+    }
+
+    /// A new bar.
+    fn begin(&mut self, what: &'static str, total: usize, done: usize) {
+        let style = ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
+        self.bar.finish_and_clear();
+        self.bar = ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64);
+        self.bar.set_style(style.expect("the template is sound"));
+    }
+
+    fn draw(&mut self, event: &Event) {
+        match *event {
+            Event::StageBegan { stage, total, done } => self.begin(stage.name(), total, done),
+            Event::StageKept { .. } => {}
+            Event::ImageSkipped { why, .. } => {
+                self.say(&format!("skipped {why}"));
+                self.bar.inc(1);
+            }
+            Event::PointsGrey { why } => self.say(&format!("the points have no colours: {why}")),
+            Event::ImageDone { image, keypoints } => {
+                self.bar.set_message(format!("{image}: {keypoints} keypoints"));
+                self.bar.inc(1);
+            }
+            Event::PairDone { image1, image2, inliers, .. } => {
+                self.bar.set_message(format!("{image1}, {image2}: {inliers} matches"));
+                self.bar.inc(1);
+            }
+            Event::ModelBegan { image1, image2, points } => {
+                self.bar.set_message(format!("began with {image1}, {image2}: {points} points"));
+                self.bar.set_position(2);
+            }
+            Event::ImageRegistered { image, registered, points } => {
+                self.bar.set_message(format!("{image}: {points} points"));
+                self.bar.set_position(registered as u64);
+            }
+            Event::ModelAdjusted { images, observations, .. } => {
+                self.bar.set_message(format!("adjusted {images} images, {observations} observations"));
+            }
+            Event::AdjustmentStep { step, cost } => {
+                if self.bar.is_hidden() {
+                    self.bar = ProgressBar::new_spinner();
+                }
+                self.bar.set_message(format!("step {step}: cost {cost:.6e}"));
+                self.bar.tick();
+            }
+            Event::StageDone { .. } => self.bar.finish_and_clear(),
+        }
+    }
+
+    /// A line that stays, above the bar.
+    fn say(&self, line: &str) {
+        self.bar.suspend(|| line_to_stderr(line));
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}

@@ -1,0 +1,91 @@
+//! Results for people.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use tiepoint_pipeline::{PoseEvaluation, Report};
+
+/// Names listed before the rest is only counted.
+const MAX_NAMES: usize = 8;
+
+/// What a workspace holds now.
+pub(crate) fn report(workspace: &Path, report: &Report) -> String {
+    let mut text = String::new();
+    let mut line = |arguments: std::fmt::Arguments| {
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "{arguments}");
+    };
+    if let Some(features) = &report.stages.features {
+        let skipped = match features.skipped.len() {
+            0 => String::new(),
+            count => format!(", {count} skipped"),
+        };
+        let (images, keypoints, seconds) = (features.images, features.keypoints, features.seconds);
+        line(format_args!("features  {images} images, {keypoints} keypoints{skipped}  ({seconds:.1} s)"));
+    }
+    if let Some(matches) = &report.stages.matches {
+        let (pairs, verified, inliers) = (matches.pairs, matches.verified_pairs, matches.inlier_matches);
+        let seconds = matches.seconds;
+        line(format_args!("match     {verified} of {pairs} pairs, {inliers} matches  ({seconds:.1} s)"));
+    }
+    if let Some(map) = &report.stages.map {
+        for (index, model) in report.models.iter().enumerate() {
+            let label = if index == 0 { "map" } else { "" };
+            let time = if index == 0 { format!("  ({:.1} s)", map.seconds) } else { String::new() };
+            line(format_args!(
+                "{label:<9} {}: {} of {} images, {} points, {} observations ({:.2} a point), error {:.3} px{time}",
+                model.path,
+                model.registered,
+                model.images,
+                model.points,
+                model.observations,
+                model.mean_track_length,
+                model.mean_reprojection_error_px,
+            ));
+        }
+        if let Some(model) = report.models.first().filter(|model| !model.unregistered.is_empty()) {
+            line(format_args!("          without a pose in {}: {}", model.path, names(&model.unregistered)));
+        }
+    }
+    line(format_args!("in {}", workspace.display()));
+    text
+}
+
+fn names(all: &[String]) -> String {
+    let shown = all[..all.len().min(MAX_NAMES)].join(", ");
+    match all.len() - all.len().min(MAX_NAMES) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
+
+/// A model against the truth.
+pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
+    let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } = evaluation;
+    let mut text = format!(
+        "{registered} of {images} images, scale {scale:.6}\n\
+         centre error    mean {:.6}  median {:.6}  rmse (ATE) {:.6}  max {:.6}\n\
+         rotation error  mean {:.4}°  median {:.4}°  max {:.4}°\n\
+         relative poses ",
+        centre_error.mean,
+        centre_error.median,
+        centre_error.rmse,
+        centre_error.max,
+        rotation_error_deg.mean,
+        rotation_error_deg.median,
+        rotation_error_deg.max,
+    );
+    for auc in &evaluation.relative_pose_auc {
+        let _ = write!(text, " AUC@{}° {:.2} %", auc.threshold_deg, 100.0 * auc.auc);
+    }
+    text.push('\n');
+    for focal in &evaluation.focal_lengths {
+        let _ = write!(text, "camera {}  focal length {:.2} px", focal.camera, focal.model_px);
+        if let Some(truth_px) = focal.truth_px {
+            let percent = 100.0 * (focal.model_px / truth_px - 1.0);
+            let _ = write!(text, ", true {truth_px:.2} px ({percent:+.3} %)");
+        }
+        text.push('\n');
+    }
+    text
+}

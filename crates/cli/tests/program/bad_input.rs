@@ -1,0 +1,175 @@
+//! What is wrong is said in one sentence: what, where, what to do.
+
+use std::fs;
+use std::path::Path;
+
+use image::{DynamicImage, ImageFormat, imageops};
+
+use crate::{photos, tiepoint, tiepoint_in};
+
+fn reconstruct(dir: &Path) -> crate::Run {
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws")
+}
+
+#[test]
+fn an_empty_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir(dir.path().join("photos")).unwrap();
+    reconstruct(dir.path()).failed(1, &["photos", "holds no images"]);
+    assert!(!dir.path().join("ws").exists(), "nothing was begun");
+}
+
+#[test]
+fn a_folder_that_is_not_there() {
+    let dir = tempfile::tempdir().unwrap();
+    reconstruct(dir.path()).failed(1, &["photos", "No such file"]);
+}
+
+#[test]
+fn one_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 1, 0);
+    reconstruct(dir.path()).failed(1, &["photos", "1 usable photo of 1", "at least two"]);
+}
+
+#[test]
+fn photos_without_overlap() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 1, 0);
+    photos::photo(1, 77).save(folder.join("1.png")).unwrap();
+    reconstruct(dir.path()).failed(1, &["none of the 1 pairs", "ws", "overlap more"]);
+    assert!(dir.path().join("ws/database.db").is_file(), "what was computed is kept");
+}
+
+#[test]
+fn a_truncated_photo_and_a_file_that_is_none_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 4, 0);
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    DynamicImage::from(photos::photo(4, 0)).write_to(&mut bytes, ImageFormat::Jpeg).unwrap();
+    let bytes = bytes.into_inner();
+    fs::write(folder.join("4.jpg"), &bytes[..bytes.len() / 2]).unwrap();
+    fs::write(folder.join("5.jpg"), "these are words").unwrap();
+    fs::write(folder.join("notes.txt"), "no photo, and not named like one").unwrap();
+
+    let run = reconstruct(dir.path()).done();
+    let said = run.stderr();
+    assert_eq!(said.lines().count(), 2, "{said}");
+    let line = |name: &str| said.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{said}"));
+    assert!(line("4.jpg").starts_with("skipped") && line("4.jpg").contains("truncated"), "{said}");
+    assert!(line("5.jpg").contains("is no JPEG"), "{said}");
+    assert!(run.stdout().contains("4 of 4 images"), "{}", run.stdout());
+    let report = fs::read(dir.path().join("ws/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let skipped = report["stages"]["features"]["skipped"].as_array().unwrap();
+    assert_eq!(skipped.len(), 2);
+    assert_eq!(report["models"][0]["registered"], 4);
+}
+
+#[test]
+fn nothing_but_broken_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    fs::create_dir(&folder).unwrap();
+    for name in ["0.jpg", "1.png", "2.tif"] {
+        fs::write(folder.join(name), "words").unwrap();
+    }
+    reconstruct(dir.path()).failed(1, &["0 usable photos of 3", "at least two"]);
+}
+
+#[test]
+fn two_sizes_in_one_camera() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 2, 0);
+    imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
+    reconstruct(dir.path())
+        .failed(1, &["photos", "0.png", "320 x 240", "2.png", "240 x 320", "one folder for each camera"]);
+}
+
+#[test]
+fn an_output_that_cannot_be_written() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    fs::write(dir.path().join("file"), "").unwrap();
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file/ws").failed(1, &["cannot write", "file/ws"]);
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file").failed(1, &["cannot write", "file"]);
+}
+
+#[test]
+fn a_colmap_project_of_somebody_else_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    fs::create_dir(dir.path().join("ws")).unwrap();
+    fs::write(dir.path().join("ws/database.db"), "theirs").unwrap();
+    reconstruct(dir.path()).failed(1, &["database.db", "did not make it"]);
+    assert_eq!(fs::read(dir.path().join("ws/database.db")).unwrap(), b"theirs");
+}
+
+#[test]
+fn wrong_command_lines() {
+    let dir = tempfile::tempdir().unwrap();
+    let wrong = |line: &str, parts: &[&str]| {
+        let run = tiepoint_in(dir.path(), line).failed(2, parts);
+        assert_eq!(run.stderr().lines().count(), 1, "{}", run.stderr());
+    };
+    wrong("reconstruct {} -o {}/ws --pair exhaustive", &["unexpected argument '--pair'", "'--pairs'"]);
+    wrong("reconstruct {}", &["required", "--output <WORKSPACE>"]);
+    wrong("reconstruct {} -o {}/ws --pairs sequential", &["sequential", "exhaustive", "sequential:20"]);
+    wrong("reconstruct {} -o {}/ws --rig soft", &["soft", "only off"]);
+    wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
+    wrong("reconstruct {} -o {}/ws --intrinsics 1,2,3", &["--intrinsics has 3 numbers", "fx,fy,cx,cy"]);
+    wrong("reconstruct {} -o {}/ws --intrinsics 0,2,3,4", &["--intrinsics", "fx"]);
+    wrong("reconstruct {} -o {}/ws --intrinsics 9,9,3,3 --focal-prior 4", &["cannot be used with"]);
+    wrong("reconstruct {} -o {}/ws --focal-prior -4", &["-4"]);
+    wrong("reconstruct {} -o {}/ws --camera-model LENS", &["LENS", "SIMPLE_RADIAL"]);
+    wrong("reconstruct {} -o {}/ws --threads 0", &["--threads"]);
+    wrong("map {}/ws --redo match", &["--redo can only be map"]);
+    wrong("evaluate poses {} --truth {}", &["FORMAT:PATH", "strecha, kitti, tum, colmap"]);
+    wrong("export {} --to dwg -o {}/x", &["dwg", "colmap-text"]);
+    wrong("reconstrct {}", &["reconstrct", "reconstruct"]);
+    assert!(!dir.path().join("ws").exists());
+}
+
+#[test]
+fn help_and_version_are_no_errors() {
+    assert!(tiepoint(["--help"]).done().stdout().contains("reconstruct"));
+    assert!(tiepoint(["match", "--help"]).done().stdout().contains("sequential:N"));
+    assert!(tiepoint(["--version"]).done().stdout().starts_with("tiepoint "));
+    let nothing = tiepoint([""; 0]);
+    assert_eq!((nothing.code(), nothing.stderr().contains("Usage")), (2, true));
+}
+
+#[test]
+fn stages_out_of_order() {
+    let dir = tempfile::tempdir().unwrap();
+    tiepoint_in(dir.path(), "match {}/ws").failed(1, &["ws is no workspace", "tiepoint features"]);
+    photos::write(&dir.path().join("photos"), 2, 0);
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    tiepoint_in(dir.path(), "map {}/ws").failed(1, &["no matches yet", "tiepoint match"]);
+}
+
+#[test]
+fn models_that_are_none() {
+    let dir = tempfile::tempdir().unwrap();
+    tiepoint_in(dir.path(), "adjust {}").failed(1, &["holds no COLMAP model"]);
+    tiepoint_in(dir.path(), "adjust {}/none.txt").failed(1, &["none.txt", "No such file"]);
+    fs::write(dir.path().join("bal.txt"), "2 2\n").unwrap();
+    tiepoint_in(dir.path(), "adjust {}/bal.txt").failed(1, &["bal.txt", "line 1"]);
+    tiepoint_in(dir.path(), "evaluate poses {} --truth kitti:{}/p").failed(1, &["holds no COLMAP model"]);
+    tiepoint_in(dir.path(), "export {} --to ply -o {}/x.ply").failed(1, &["holds no COLMAP model"]);
+}
+
+#[test]
+fn an_error_is_json_too() {
+    let dir = tempfile::tempdir().unwrap();
+    for (line, code) in [("match {}/ws --json", 1), ("match {}/ws --json --no-such-flag", 2)] {
+        let run = tiepoint_in(dir.path(), line);
+        assert_eq!((run.code(), run.stdout()), (code, String::new()));
+        let events = run.events();
+        assert_eq!(events.last().unwrap()["event"], "error");
+        assert!(events.last().unwrap()["message"].as_str().unwrap().len() > 10);
+    }
+}

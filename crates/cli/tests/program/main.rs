@@ -1,0 +1,77 @@
+//! Drives the program as a user does.
+
+#![allow(clippy::unwrap_used)]
+
+mod bad_input;
+mod drive;
+mod photos;
+mod results;
+
+use std::ffi::OsStr;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// Runs the program with these arguments.
+fn tiepoint<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_tiepoint")).args(arguments).output().expect("the program starts");
+    Run(output)
+}
+
+/// Runs a command line of words; `{}` stands for the folder.
+fn tiepoint_in(dir: &Path, line: &str) -> Run {
+    let dir = dir.to_str().expect("a temporary folder has a plain name");
+    tiepoint(line.split_whitespace().map(|word| word.replace("{}", dir)))
+}
+
+/// What a run left.
+struct Run(Output);
+
+impl Run {
+    fn stdout(&self) -> String {
+        String::from_utf8_lossy(&self.0.stdout).into_owned()
+    }
+
+    fn stderr(&self) -> String {
+        String::from_utf8_lossy(&self.0.stderr).into_owned()
+    }
+
+    fn code(&self) -> i32 {
+        self.0.status.code().expect("no signal")
+    }
+
+    /// It did what it was asked.
+    fn done(self) -> Self {
+        assert_eq!(self.code(), 0, "{}", self.stderr());
+        self
+    }
+
+    /// The result as JSON.
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.0.stdout).expect("stdout is one JSON object")
+    }
+
+    /// The lines of JSON on stderr.
+    fn events(&self) -> Vec<Value> {
+        self.stderr()
+            .lines()
+            .map(|line| serde_json::from_str(line).expect("stderr is lines of JSON"))
+            .collect()
+    }
+
+    /// It failed with this code, and the last line on stderr, one sentence, has these parts; nothing is on stdout.
+    fn failed(self, code: i32, parts: &[&str]) -> Self {
+        let stderr = self.stderr();
+        assert_eq!(self.code(), code, "{stderr}");
+        assert_eq!(self.stdout(), "");
+        let last = stderr.lines().last().expect("it says why");
+        let sentence = last.strip_prefix("tiepoint: ").unwrap_or_else(|| panic!("{last}"));
+        for part in parts {
+            assert!(sentence.contains(part), "no {part:?} in: {sentence}");
+        }
+        assert!(!stderr.contains("panicked"), "{stderr}");
+        self
+    }
+}

@@ -1,0 +1,85 @@
+//! LAS and LAZ files (ASPRS 1.0 to 1.4): what laser scanners deliver, and georeferenced clouds. The layouts are those of the `las`
+//! package.
+
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use las::point::Format;
+use las::{Builder, Color, Point, PointData, Reader, Transform, Vector, Writer};
+use tiepoint_geometry::nalgebra::Vector3;
+
+use crate::ply::Vertex;
+use crate::{AtomicFile, Error, Result};
+
+/// Points taken at a time.
+const CHUNK: u64 = 1 << 16;
+/// Coordinates are whole multiples of this, in units of the cloud (metres): finer than any scanner.
+const RESOLUTION: f64 = 1e-4;
+const GREY: [u8; 3] = [128; 3];
+
+fn error(path: &Path) -> impl Fn(las::Error) -> Error {
+    move |cause| Error::content(path, cause.to_string())
+}
+
+/// Reads the points of a LAS or LAZ file; grey where it has no colours.
+pub fn read(path: &Path) -> Result<Vec<Vertex>> {
+    // Opened here for the sake of the message.
+    std::fs::File::open(path).map_err(Error::io(path))?;
+    let mut reader = Reader::from_path(path).map_err(error(path))?;
+    let announced = reader.header().number_of_points();
+    let mut vertices = Vec::new();
+    while (vertices.len() as u64) < announced {
+        let points: PointData = reader.read_points(CHUNK).map_err(error(path))?;
+        let before = vertices.len();
+        for point in points.points() {
+            vertices.push(vertex(&point.map_err(error(path))?));
+        }
+        if vertices.len() == before {
+            let what = format!("announces {announced} points, but ends after {before}");
+            return Err(Error::content(path, what));
+        }
+    }
+    Ok(vertices)
+}
+
+/// Colours have 16 bits, but many writers fill the lower 8 only: those are taken as they are.
+fn vertex(point: &Point) -> Vertex {
+    let color = point.color.map_or(GREY, |Color { red, green, blue }| {
+        let shift = if red.max(green).max(blue) > 255 { 8 } else { 0 };
+        [red, green, blue].map(|value| (value >> shift) as u8)
+    });
+    Vertex { xyz: Vector3::new(point.x, point.y, point.z), color }
+}
+
+/// Writes a LAS file, or a LAZ file where the name ends so: version 1.4, with colours, rounded to a tenth of a millimetre.
+pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
+    let is_compressed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("laz"));
+    let mut least = vertices.first().map_or_else(Vector3::zeros, |vertex| vertex.xyz);
+    for vertex in vertices {
+        least = least.inf(&vertex.xyz);
+    }
+    let transform = |axis: usize| Transform { scale: RESOLUTION, offset: least[axis].floor() };
+    let mut builder = Builder::from((1, 4));
+    builder.point_format = Format::new(2).map_err(error(path))?;
+    builder.point_format.is_compressed = is_compressed;
+    builder.transforms = Vector { x: transform(0), y: transform(1), z: transform(2) };
+    builder.generating_software = "tiepoint".to_owned();
+    // The same cloud makes the same file on any day.
+    builder.date = None;
+    let header = builder.into_header().map_err(error(path))?;
+    let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(error(path))?;
+    for Vertex { xyz, color } in vertices {
+        // 257 · 255 = 65535.
+        let [red, green, blue] = color.map(|value| 257 * u16::from(value));
+        let point = Point {
+            x: xyz.x,
+            y: xyz.y,
+            z: xyz.z,
+            color: Some(Color { red, green, blue }),
+            ..Default::default()
+        };
+        writer.write_point(point).map_err(error(path))?;
+    }
+    let bytes = writer.into_inner().map_err(error(path))?;
+    AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
+}

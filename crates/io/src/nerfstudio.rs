@@ -1,0 +1,82 @@
+//! nerfstudio's `transforms.json`: poses and intrinsics for neural fields and Gaussian splats.
+//!
+//! Poses are world_from_cam of a camera that looks along −z with y up: our y and z axes, turned round. Intrinsics stand with each
+//! frame, so that any number of cameras may take part; but nerfstudio takes one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::{Matrix4, Vector4};
+use tiepoint_scene::{Camera, Reconstruction};
+
+use crate::undistort::focal_lengths;
+use crate::{AtomicFile, Error, Result};
+
+/// Writes the registered images. `image_folder` is put before the images' names: the path from the folder of the file to that of
+/// the images; `cloud` is the path of a PLY file with the points, to start splats from.
+pub fn write(path: &Path, model: &Reconstruction, image_folder: &str, cloud: Option<&str>) -> Result<()> {
+    model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
+    let mut common = None;
+    let mut frames = Vec::new();
+    for (_, image, cam_from_world) in model.registered() {
+        let camera = model.camera(image.camera);
+        let name = match camera.intrinsics.kind().name() {
+            "OPENCV_FISHEYE" => "OPENCV_FISHEYE",
+            "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" => "OPENCV",
+            other => {
+                let what =
+                    format!("nerfstudio knows no camera model {other}, which {} was taken with", image.name);
+                return Err(Error::content(path, what));
+            }
+        };
+        if *common.get_or_insert(name) != name {
+            let what = "nerfstudio takes perspective or fisheye cameras, but not both in one file";
+            return Err(Error::content(path, what));
+        }
+        let separator = if image_folder.is_empty() { "" } else { "/" };
+        let mut frame = Map::new();
+        frame.insert("file_path".to_owned(), json!(format!("{image_folder}{separator}{}", image.name)));
+        frame.insert("transform_matrix".to_owned(), matrix(cam_from_world));
+        intrinsics(camera, &mut frame);
+        if let Some(time_s) = image.time_s {
+            frame.insert("time".to_owned(), json!(time_s));
+        }
+        frames.push(Value::Object(frame));
+    }
+    let mut root = json!({ "camera_model": common.unwrap_or("OPENCV"), "frames": frames });
+    if let Some(cloud) = cloud {
+        root["ply_file_path"] = json!(cloud);
+    }
+    AtomicFile::write_with(path, |file| {
+        serde_json::to_writer_pretty(&mut *file, &root)?;
+        writeln!(file)
+    })
+}
+
+fn matrix(cam_from_world: &Rigid3) -> Value {
+    let mut matrix = Matrix4::identity();
+    matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&cam_from_world.inverse().to_matrix());
+    let matrix = matrix * Matrix4::from_diagonal(&Vector4::new(1.0, -1.0, -1.0, 1.0));
+    let row = |row: usize| json!([matrix[(row, 0)], matrix[(row, 1)], matrix[(row, 2)], matrix[(row, 3)]]);
+    json!([row(0), row(1), row(2), row(3)])
+}
+
+fn intrinsics(camera: &Camera, frame: &mut Map<String, Value>) {
+    let [fx, fy] = focal_lengths(&camera.intrinsics);
+    let middle = camera.intrinsics.principal_point();
+    let [w, h] = [camera.width, camera.height].map(|side| json!(side));
+    let numbers = [("fl_x", fx), ("fl_y", fy), ("cx", middle.x), ("cy", middle.y)];
+    frame.extend([("w".to_owned(), w), ("h".to_owned(), h)]);
+    frame.extend(numbers.map(|(name, value)| (name.to_owned(), json!(value))));
+    // The distortions have OpenCV's names, but for the single one of SIMPLE_RADIAL.
+    let names = camera.intrinsics.kind().param_names();
+    for (name, value) in names.iter().zip(camera.intrinsics.params()) {
+        match *name {
+            "k" => frame.insert("k1".to_owned(), json!(value)),
+            "k1" | "k2" | "k3" | "k4" | "p1" | "p2" => frame.insert((*name).to_owned(), json!(value)),
+            _ => None,
+        };
+    }
+}

@@ -1,0 +1,252 @@
+//! What other programs are given: read with readers of their own, each point must be seen where our cameras see it.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Riding, random_model};
+use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector2, Vector3, Vector4};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
+use tiepoint_io::undistort::{pinhole_of, undistort_image, undistort_model};
+use tiepoint_io::{Rgb, nerfstudio, openmvs};
+use tiepoint_scene::{Camera, Image, Keypoint, Observation, Reconstruction, Track};
+
+/// A chain of a dozen products of numbers up to 1000, in pixels; points and their depth are f32 in OpenMVS.
+const TOLERANCE_PX: f64 = 1e-6;
+
+/// The bytes of an OpenMVS scene, taken one by one as Interface.h of version 7 says.
+struct Mvs<'a>(&'a [u8]);
+
+impl Mvs<'_> {
+    fn take<const N: usize>(&mut self) -> [u8; N] {
+        let (head, tail) = self.0.split_first_chunk().unwrap();
+        self.0 = tail;
+        *head
+    }
+    fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.take())
+    }
+    fn u64(&mut self) -> usize {
+        u64::from_le_bytes(self.take()) as usize
+    }
+    fn f64(&mut self) -> f64 {
+        f64::from_le_bytes(self.take())
+    }
+    fn string(&mut self) -> String {
+        let bytes: Vec<u8> = (0..self.u64()).map(|_| self.take::<1>()[0]).collect();
+        String::from_utf8(bytes).unwrap()
+    }
+    fn matrix(&mut self) -> Matrix3<f64> {
+        let values: Vec<f64> = (0..9).map(|_| self.f64()).collect();
+        Matrix3::from_row_slice(&values)
+    }
+    fn vector(&mut self) -> Vector3<f64> {
+        Vector3::new(self.f64(), self.f64(), self.f64())
+    }
+    fn single(&mut self) -> Vector3<f64> {
+        Vector3::from([(); 3].map(|()| f64::from(f32::from_le_bytes(self.take()))))
+    }
+}
+
+/// K, R, C of a camera on its platform; R, C of the platform's poses.
+type Platform = (Vec<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)>, Vec<(Matrix3<f64>, Vector3<f64>)>);
+
+#[test]
+fn openmvs_sees_the_points_where_we_do() {
+    let model = undistort_model(&random_model(11, Riding::Together));
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.mvs");
+    openmvs::write(&path, &model, "undistorted").unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let mut mvs = Mvs(&bytes);
+    assert_eq!((&mvs.take::<4>(), mvs.u32(), mvs.u32()), (b"MVSI", 7, 0));
+    let platforms: Vec<Platform> = (0..mvs.u64())
+        .map(|_| {
+            mvs.string();
+            let cameras = (0..mvs.u64()).map(|_| {
+                let _name_and_band = (mvs.string(), mvs.string());
+                assert_eq!((mvs.u32(), mvs.u32()), (640, 480));
+                (mvs.matrix(), mvs.matrix(), mvs.vector())
+            });
+            let cameras = cameras.collect();
+            (cameras, (0..mvs.u64()).map(|_| (mvs.matrix(), mvs.vector())).collect())
+        })
+        .collect();
+    assert_eq!(platforms.len(), 2, "the rig, and the camera that rides alone");
+    assert_eq!(platforms[0].1.len(), model.frames.len());
+    let images: Vec<(String, [usize; 3], u32)> = (0..mvs.u64())
+        .map(|_| {
+            let (name, mask) = (mvs.string(), mvs.string());
+            let place = [(); 3].map(|()| mvs.u32() as usize);
+            let id = mvs.u32();
+            assert_eq!((mask.as_str(), mvs.take::<12>(), mvs.u64()), ("", [0; 12], 0));
+            (name, place, id)
+        })
+        .collect();
+    assert_eq!(images.len(), model.num_registered());
+    assert_eq!(mvs.u64(), model.num_tracks());
+    let mut compared = 0;
+    for (_, track) in model.tracks() {
+        let point = mvs.single();
+        assert!((point - track.xyz).norm() < 1e-5);
+        let views: Vec<u32> = (0..mvs.u64()).map(|_| (mvs.u32(), mvs.u32()).0).collect();
+        assert_eq!(views.len(), track.observations.len());
+        for view in views {
+            let (name, [platform, camera, pose], id) = &images[view as usize];
+            let image = model.image(tiepoint_scene::ImageId(*id));
+            assert_eq!(*name, format!("undistorted/{}", image.name));
+            let (k, r, c) = platforms[*platform].0[*camera];
+            let (r_platform, c_platform) = platforms[*platform].1[*pose];
+            // Interface.h: R = camera.R · pose.R, C = pose.Rᵀ camera.C + pose.C
+            let theirs = r * r_platform * (point - (r_platform.transpose() * c + c_platform));
+            let ours = *image.cam_from_world().unwrap() * point;
+            assert!((theirs - ours).norm() < 1e-9);
+            if let Some(pixel) = model.camera(image.camera).intrinsics.project(&ours) {
+                let theirs = k * theirs / theirs.z;
+                assert!(
+                    (theirs.xy() + Vector2::repeat(0.5) - pixel).norm() < TOLERANCE_PX * (1.0 + pixel.norm())
+                );
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 5);
+    assert_eq!((mvs.u64(), mvs.u64()), (0, model.num_tracks()));
+    for (_, track) in model.tracks() {
+        let [b, g, r] = mvs.take();
+        assert_eq!([r, g, b], track.color);
+    }
+    assert_eq!([mvs.u64(), mvs.u64(), mvs.u64()], [0; 3]);
+    let transform: Vec<f64> = (0..16).map(|_| mvs.f64()).collect();
+    assert_eq!(Matrix4::from_row_slice(&transform), Matrix4::identity());
+    assert_eq!(
+        (mvs.matrix(), mvs.vector(), mvs.vector()),
+        (Matrix3::identity(), Vector3::zeros(), Vector3::zeros())
+    );
+    assert!(mvs.0.is_empty());
+}
+
+fn one_camera(kind: CameraModelKind, params: &[f64]) -> Reconstruction {
+    let mut model = Reconstruction::default();
+    let intrinsics = Intrinsics::new(kind, params).unwrap();
+    let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+    for (index, axis_angle) in
+        [Vector3::new(0.1, 0.2, 0.3), Vector3::new(-0.2, 0.1, 0.0)].into_iter().enumerate()
+    {
+        let pose = Rigid3::from_axis_angle(axis_angle, Vector3::new(0.5, -0.2, 4.0 + index as f64));
+        let pixel = intrinsics.project(&(pose * Vector3::new(0.3, 0.4, 0.5))).unwrap();
+        let keypoint = Keypoint { pixel, scale_px: 1.0 };
+        let image = model.add_image(Image::new(format!("{index}.jpg"), camera, vec![keypoint]));
+        model.register(image, pose);
+    }
+    let observations = model.registered().map(|(image, ..)| Observation { image, keypoint: 0 }).collect();
+    model.add_track(Track::new(Vector3::new(0.3, 0.4, 0.5), observations));
+    model
+}
+
+const RADIAL: (CameraModelKind, &[f64]) = (CameraModelKind::Radial, &[500.0, 320.5, 239.5, -0.1, 0.02]);
+
+#[test]
+fn openmvs_refuses_distortion() {
+    let model = one_camera(RADIAL.0, RADIAL.1);
+    let dir = tempfile::tempdir().unwrap();
+    let error = openmvs::write(&dir.path().join("scene.mvs"), &model, "").unwrap_err().to_string();
+    assert!(error.contains("the camera of 0.jpg is a RADIAL: undistort first"), "{error}");
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn nerfstudio_sees_the_points_where_we_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("transforms.json");
+    for (kind, params, name) in [
+        (RADIAL.0, RADIAL.1, "OPENCV"),
+        (CameraModelKind::Opencv, &[500.0, 510.0, 320.5, 239.5, -0.1, 0.02, 0.003, -0.004], "OPENCV"),
+        (CameraModelKind::SimpleRadial, &[500.0, 320.5, 239.5, -0.1], "OPENCV"),
+        (
+            CameraModelKind::OpencvFisheye,
+            &[300.0, 301.0, 320.5, 239.5, 0.1, -0.02, 0.003, 0.004],
+            "OPENCV_FISHEYE",
+        ),
+    ] {
+        let model = one_camera(kind, params);
+        nerfstudio::write(&path, &model, "images", Some("points.ply")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(
+            (json["camera_model"].as_str(), json["ply_file_path"].as_str()),
+            (Some(name), Some("points.ply"))
+        );
+        let frames = json["frames"].as_array().unwrap();
+        assert_eq!(frames.len(), 2);
+        for (frame, (_, image, _)) in frames.iter().zip(model.registered()) {
+            assert_eq!(frame["file_path"], format!("images/{}", image.name));
+            let number = |name: &str| frame.get(name).map_or(0.0, |value| value.as_f64().unwrap());
+            let values: Vec<f64> = frame["transform_matrix"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .flat_map(|row| row.as_array().unwrap().iter().map(|value| value.as_f64().unwrap()))
+                .collect();
+            let point =
+                Matrix4::from_row_slice(&values).try_inverse().unwrap() * Vector4::new(0.3, 0.4, 0.5, 1.0);
+            // It looks along −z, y up; OpenCV's formulas.
+            let (x, y) = (point.x / -point.z, -point.y / -point.z);
+            let (k1, k2, k3, k4) = (number("k1"), number("k2"), number("k3"), number("k4"));
+            let (p1, p2) = (number("p1"), number("p2"));
+            let r2 = x * x + y * y;
+            let distorted = if name == "OPENCV" {
+                let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+                Vector2::new(
+                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+                )
+            } else {
+                let theta = r2.sqrt().atan();
+                let t2 = theta * theta;
+                Vector2::new(x, y) * (theta / r2.sqrt()) * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+            };
+            let pixel = Vector2::new(
+                number("fl_x") * distorted.x + number("cx"),
+                number("fl_y") * distorted.y + number("cy"),
+            );
+            assert!((pixel - image.keypoints[0].pixel).norm() < TOLERANCE_PX, "{name}");
+            assert_eq!((number("w"), number("h")), (640.0, 480.0));
+        }
+    }
+}
+
+#[test]
+fn undistorted_models_have_no_error() {
+    let model = undistort_model(&one_camera(RADIAL.0, RADIAL.1));
+    model.validate().unwrap();
+    assert!(model.cameras().all(|(_, camera)| camera.intrinsics.kind() == CameraModelKind::Pinhole));
+    assert_eq!(model.num_observations(), 2);
+    assert!(model.mean_reprojection_error_px() < 1e-6);
+}
+
+/// A picture whose colour tells the ray: after undistortion each pixel has the colour of its own ray.
+#[test]
+fn undistorted_images_show_the_rays_of_their_camera() {
+    let intrinsics = Intrinsics::new(RADIAL.0, &[50.0, 32.0, 24.0, -0.1, 0.02]).unwrap();
+    let from = Camera { intrinsics, width: 64, height: 48, has_focal_prior: true };
+    let to = pinhole_of(&from);
+    let color = |camera: &Camera, x: u32, y: u32| {
+        let ray = camera.intrinsics.unproject(&Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).unwrap();
+        [128.0 + 100.0 * ray.x, 128.0 + 100.0 * ray.y, 200.0].map(|value: f64| value.round() as u8)
+    };
+    let data = (0..48).flat_map(|y| (0..64).flat_map(move |x| color(&from, x, y))).collect();
+    let new = undistort_image(&Rgb { width: 64, height: 48, data }, &from, &to);
+    let mut black = 0;
+    for (x, y) in (0..48).flat_map(|y| (0..64).map(move |x| (x, y))) {
+        let found = new.pixel(x, y);
+        if found == [0; 3] {
+            black += 1;
+            continue;
+        }
+        // Rounding of the picture, and its edge pixels which stand for half a pixel beyond.
+        for (found, expected) in found.into_iter().zip(color(&to, x, y)) {
+            assert!(found.abs_diff(expected) <= 2, "at {x} {y}: {found} for {expected}");
+        }
+    }
+    // A barrel-distorted camera sees more than the pinhole: nothing is missing.
+    assert_eq!(black, 0);
+}

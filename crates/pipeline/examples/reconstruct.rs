@@ -1,0 +1,31 @@
+//! Photos in, a COLMAP project out, in a program of one's own: `cargo run --release --example reconstruct PHOTOS WORKSPACE`.
+
+use std::error::Error;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use tiepoint_pipeline::{Event, Options, reconstruct};
+
+#[expect(clippy::print_stdout, reason = "an example speaks")]
+fn main() -> Result<(), Box<dyn Error>> {
+    let paths: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let [photos, workspace] = paths.as_slice() else {
+        return Err("usage: reconstruct PHOTOS WORKSPACE".into());
+    };
+    let report = reconstruct(std::slice::from_ref(photos), workspace, &Options::default(), &mut |event| {
+        match event {
+            Event::StageDone { stage, seconds } => println!("{stage}: {seconds:.1} s"),
+            Event::ImageSkipped { why, .. } => println!("skipped: {why}"),
+            Event::ImageRegistered { image, points, .. } => println!("{image}: {points} points"),
+            _ => {}
+        }
+        // `Break` would stop; what is done is kept, and the next run goes on from there.
+        ControlFlow::Continue(())
+    })?;
+    for model in &report.models {
+        let (registered, images, error_px) =
+            (model.registered, model.images, model.mean_reprojection_error_px);
+        println!("{}: {registered} of {images} images, {error_px:.2} px", model.path);
+    }
+    Ok(())
+}

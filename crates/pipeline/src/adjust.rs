@@ -1,0 +1,169 @@
+//! Bundle adjustment alone, of a COLMAP model or of a BAL problem.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde::Serialize;
+use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
+use tiepoint_io::colmap::{self, Format};
+use tiepoint_sfm::ba::factors::Reprojection;
+use tiepoint_sfm::ba::{Key, Order, Problem, Solver, Summary, Termination};
+use tiepoint_sfm::geometry::cameras::Radial;
+use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
+use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
+use tiepoint_sfm::{self as sfm, AdjustOptions, Scope};
+
+use crate::{Error, Event, Watch, model_folder};
+
+/// What an adjustment came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AdjustReport {
+    /// ½ Σ ρ(|r|²) at the beginning; residuals in pixels, weighed by the scale of their keypoints where that is known.
+    pub initial_cost: f64,
+    /// The same at the end.
+    pub final_cost: f64,
+    /// Steps attempted.
+    pub iterations: usize,
+    /// Wall time of the adjustment, without reading and writing.
+    pub seconds: f64,
+    /// Whether it ended because nothing more was to be gained.
+    pub converged: bool,
+    /// Numbers that were fitted.
+    pub residuals: usize,
+    /// Cameras or images.
+    pub images: usize,
+    /// Points.
+    pub points: usize,
+    /// The cost against time.
+    pub steps: Vec<AdjustStep>,
+}
+
+/// One attempted step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AdjustStep {
+    /// Since the optimiser began.
+    pub seconds: f64,
+    /// The cost after it.
+    pub cost: f64,
+    /// Whether it was taken.
+    pub accepted: bool,
+}
+
+/// Iterations of an adjustment that is asked for by itself.
+const MAX_ITERATIONS: usize = 100;
+
+/// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result to `output` in the format of
+/// the input.
+pub fn adjust(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+    if path.is_dir() {
+        adjust_colmap(&model_folder(path), output, watch)
+    } else {
+        adjust_bal(path, output, watch)
+    }
+}
+
+fn adjust_colmap(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+    let mut model = colmap::read_model(path)?;
+    let options = AdjustOptions { max_iterations: MAX_ITERATIONS, ..AdjustOptions::default() };
+    let start = Instant::now();
+    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut |step| {
+        watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+    })?;
+    let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
+    if let Some(output) = output {
+        let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
+        colmap::write_model(output, &model, if is_text { Format::Text } else { Format::Binary })?;
+    }
+    Ok(report)
+}
+
+/// Costs are those of the BAL paper: no robust loss, no priors, pixels. The camera looks down −z there; half a turn about x makes
+/// it ours.
+fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+    let mut bal = Bal::read(path)?;
+    let start = Instant::now();
+    let mut problem = Problem::new();
+    let half_turn = UnitQuaternion::new_unchecked(Quaternion::new(0.0, 1.0, 0.0, 0.0));
+    let mut cameras: Vec<(Key<SVector<f64, 5>>, Key<Rigid3>)> = Vec::with_capacity(bal.cameras.len());
+    for (index, camera) in bal.cameras.iter().enumerate() {
+        let order = Order::At(index as u32);
+        let params = SVector::<f64, 5>::new(camera.focal_px, 0.0, 0.0, camera.k1, camera.k2);
+        let rotation = half_turn * so3::exp(&camera.axis_angle_rad);
+        let params = problem.keep(params, order);
+        // The principal point is the origin.
+        problem.fix_tangent(params, &[1, 2]).map_err(sfm::Error::from)?;
+        cameras.push((params, problem.keep(Rigid3::new(rotation, half_turn * camera.translation), order)));
+    }
+    hold_gauge(&mut problem, &cameras)?;
+    let points: Vec<Key<Vector3<f64>>> = bal.points.iter().map(|xyz| problem.eliminate(*xyz)).collect();
+    for BalObservation { camera, point, pixel } in &bal.observations {
+        let (params, pose) = cameras[*camera as usize];
+        let factor = Reprojection::<Radial>::new(Vector2::new(pixel.x, -pixel.y), 1.0);
+        let keys = (params, pose, points[*point as usize]);
+        problem.add(keys, factor, Loss::Trivial).map_err(sfm::Error::from)?;
+    }
+    let options = sfm::ba::Options { max_iterations: MAX_ITERATIONS, ..Default::default() };
+    let mut solver = Solver::new(&problem, &options).map_err(sfm::Error::from)?;
+    let summary = solver
+        .solve(&mut problem, &mut |step| watch(&Event::AdjustmentStep { step: step.number, cost: step.cost }))
+        .map_err(sfm::Error::from)?;
+    let report = report(&summary, start, cameras.len(), points.len())?;
+    if let Some(output) = output {
+        for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {
+            let (params, pose) = (problem.get(*params), problem.get(*pose));
+            *camera = BalCamera {
+                axis_angle_rad: so3::log(&(half_turn * pose.rotation)),
+                translation: half_turn * pose.translation,
+                focal_px: params[0],
+                k1: params[3],
+                k2: params[4],
+            };
+        }
+        bal.points = points.iter().map(|point| problem.get(*point)).collect();
+        bal.write(output)?;
+    }
+    Ok(report)
+}
+
+/// Holds what no pixel depends on: the pose of the first camera, and the coordinate of another's translation that moves most when
+/// the world is scaled about the first.
+fn hold_gauge(problem: &mut Problem, cameras: &[(Key<SVector<f64, 5>>, Key<Rigid3>)]) -> Result<(), Error> {
+    let Some(&(_, first)) = cameras.first() else { return Ok(()) };
+    let centre = problem.get(first).origin_in_a();
+    problem.fix(first);
+    let baselines = cameras[1..].iter().map(|&(_, key)| {
+        let pose = problem.get(key);
+        (key, pose.rotation * (pose.origin_in_a() - centre))
+    });
+    let farthest = baselines.max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
+    if let Some((key, baseline)) = farthest {
+        // The tangent of a pose is its rotation, then its translation.
+        problem.fix_tangent(key, &[3 + baseline.iamax()]).map_err(sfm::Error::from)?;
+    }
+    Ok(())
+}
+
+fn report(summary: &Summary, start: Instant, images: usize, points: usize) -> Result<AdjustReport, Error> {
+    if summary.termination == Termination::Cancelled {
+        return Err(Error::Cancelled);
+    }
+    Ok(AdjustReport {
+        initial_cost: summary.initial_cost,
+        final_cost: summary.final_cost,
+        iterations: summary.iterations.len(),
+        seconds: start.elapsed().as_secs_f64(),
+        converged: summary.termination.converged(),
+        residuals: summary.num_residuals,
+        images,
+        points,
+        steps: summary
+            .iterations
+            .iter()
+            .map(|step| AdjustStep {
+                seconds: step.elapsed.as_secs_f64(),
+                cost: step.cost,
+                accepted: step.accepted,
+            })
+            .collect(),
+    })
+}

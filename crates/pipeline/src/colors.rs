@@ -1,0 +1,52 @@
+//! Colours of the points: the mean over the pixels at their observations.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use tiepoint_io::{ImageFolder, ImageSource, Rgb};
+use tiepoint_sfm::scene::{Image, PointId, Reconstruction};
+
+use crate::Error;
+use crate::ordered::for_each_in_order;
+
+/// Colours the points of all models from the photos; points of photos that are no longer there stay grey.
+pub(crate) fn color_points(inputs: &[PathBuf], models: &mut [Reconstruction]) -> Result<(), Error> {
+    let folder = ImageFolder::open(inputs, None)?;
+    let by_name: BTreeMap<&str, usize> =
+        folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
+    for model in models {
+        let mut sums = vec![([0u32; 3], 0u32); model.point_id_bound()];
+        let images: Vec<(&Image, usize)> = model
+            .registered()
+            .filter_map(|(_, image, _)| Some((image, *by_name.get(image.name.as_str())?)))
+            .collect();
+        let work = |(image, index): &(&Image, usize)| folder.rgb(*index).map(|rgb| colors(image, &rgb));
+        for_each_in_order(&images, work, |_, found| {
+            for (point, color) in found? {
+                let (sum, count) = &mut sums[point.index()];
+                (0..3).for_each(|channel| sum[channel] += u32::from(color[channel]));
+                *count += 1;
+            }
+            Ok::<(), Error>(())
+        })?;
+        let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
+        for point in points {
+            let (sum, count) = sums[point.index()];
+            if let (Some(track), true) = (model.track_mut(point), count > 0) {
+                track.color = sum.map(|channel| ((channel + count / 2) / count) as u8);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The colours of the pixels in which an image sees points.
+fn colors(image: &Image, rgb: &Rgb) -> Vec<(PointId, [u8; 3])> {
+    let seen = image.points().iter().zip(&image.keypoints);
+    seen.filter_map(|(point, keypoint)| {
+        let clamp = |position: f64, size: u32| (position.max(0.0) as u32).min(size - 1);
+        let (x, y) = (clamp(keypoint.pixel.x, rgb.width), clamp(keypoint.pixel.y, rgb.height));
+        Some(((*point)?, rgb.pixel(x, y)))
+    })
+    .collect()
+}

@@ -1,0 +1,177 @@
+use std::path::PathBuf;
+
+use crate::Stage;
+
+/// Why a run could not go on. Each message is one sentence that says what, where and what to do; what earlier stages made is kept.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The workspace cannot be written.
+    #[error("cannot write {path}: {cause}; choose a place where files can be written")]
+    Output {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// Something that is there cannot be read.
+    #[error("cannot read {path}: {cause}")]
+    Unreadable {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// Another process is at work in it.
+    #[error("{path} is in use by another run: wait for it to end, or choose another workspace")]
+    InUse {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// Not a workspace.
+    #[error("{path} is no workspace: make one with `tiepoint features INPUT -o {path}`")]
+    NoWorkspace {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A COLMAP project of somebody else.
+    #[error(
+        "{path} holds {found} but no stages.json, so this program did not make it: choose another workspace, or move it away"
+    )]
+    ForeignWorkspace {
+        /// The folder.
+        path: PathBuf,
+        /// What is there.
+        found: &'static str,
+    },
+    /// A file of the workspace is not what this program writes.
+    #[error("{path}: {what}; delete it to begin anew")]
+    Broken {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// A stage is missing on which the asked one builds.
+    #[error("{path} has no {products} yet: run `tiepoint {stage}` first", products = stage.products())]
+    Missing {
+        /// The workspace.
+        path: PathBuf,
+        /// What is missing.
+        stage: Stage,
+    },
+    /// The stage was made from something else, or in another way.
+    #[error(
+        "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or choose another workspace",
+        products = stage.products()
+    )]
+    Changed {
+        /// The workspace.
+        path: PathBuf,
+        /// Which stage.
+        stage: Stage,
+        /// What differs.
+        how: String,
+    },
+    /// Too little to reconstruct.
+    #[error("{path} gives {usable} usable photo{s} of {found}: at least two that overlap are needed", s = if *usable == 1 { "" } else { "s" })]
+    TooFewPhotos {
+        /// The input.
+        path: PathBuf,
+        /// Photos found.
+        found: usize,
+        /// Photos that could be read.
+        usable: usize,
+    },
+    /// One camera has one size.
+    #[error(
+        "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} is {other_size}: put them into one folder \
+         for each camera"
+    )]
+    TwoSizes {
+        /// The folder.
+        camera: String,
+        /// A photo.
+        first: String,
+        /// Its size in pixels.
+        first_size: Size,
+        /// Another one.
+        other: String,
+        /// Its size in pixels.
+        other_size: Size,
+    },
+    /// A list of times that does not fit.
+    #[error("{path}: {what}")]
+    Times {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// No pair of images has a common view.
+    #[error(
+        "none of the {pairs} pairs of photos in {path} shows the same things: at least {required} matches must agree with each other, \
+         and the best pair has {best} in all; take photos that overlap more"
+    )]
+    NoOverlap {
+        /// The workspace.
+        path: PathBuf,
+        /// Pairs that were tried.
+        pairs: usize,
+        /// Matches of the best of them.
+        best: usize,
+        /// How many are asked for.
+        required: usize,
+    },
+    /// A trajectory with times of images without.
+    #[error(
+        "no image with a pose in {model} has a time: give times to `tiepoint features` with --timestamps FILE.csv"
+    )]
+    NoTimes {
+        /// The model.
+        model: PathBuf,
+    },
+    /// A model and a truth that cannot be compared.
+    #[error("cannot compare {model} with {truth}: {why}")]
+    Evaluation {
+        /// The model.
+        model: PathBuf,
+        /// The truth.
+        truth: PathBuf,
+        /// Why.
+        why: String,
+    },
+    /// A file of another format.
+    #[error(transparent)]
+    File(#[from] tiepoint_io::Error),
+    /// An option of the detector, or an image that contradicts itself.
+    #[error(transparent)]
+    Features(#[from] tiepoint_io::features::Error),
+    /// An option of matching.
+    #[error(transparent)]
+    Matching(#[from] tiepoint_sfm::matching::Error),
+    /// The mapper.
+    #[error(transparent)]
+    Mapping(tiepoint_sfm::Error),
+    /// The caller's callback asked to stop.
+    #[error("stopped on request")]
+    Cancelled,
+}
+
+impl From<tiepoint_sfm::Error> for Error {
+    fn from(error: tiepoint_sfm::Error) -> Self {
+        match error {
+            tiepoint_sfm::Error::Cancelled => Self::Cancelled,
+            error => Self::Mapping(error),
+        }
+    }
+}
+
+/// Width and height in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size(pub u32, pub u32);
+
+impl std::fmt::Display for Size {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} x {}", self.0, self.1)
+    }
+}

@@ -1,0 +1,285 @@
+//! A model against the truth.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::Serialize;
+use tiepoint_eval::geometry::Rigid3;
+use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad};
+use tiepoint_io::{colmap, strecha, timestamps, trajectory};
+use tiepoint_sfm::scene::{Image, Reconstruction};
+
+use crate::Error;
+
+/// Poses known to be true.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Truth {
+    /// How they are written.
+    pub format: TruthFormat,
+    /// Where.
+    pub path: PathBuf,
+}
+
+/// Formats of true poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TruthFormat {
+    /// A folder of `.camera` files, by image name.
+    Strecha,
+    /// One pose a line, the number in an image's name being the line, from 0.
+    Kitti,
+    /// Poses with times.
+    Tum,
+    /// A COLMAP model, by image name.
+    Colmap,
+}
+
+/// Formats by name.
+const FORMATS: [(&str, TruthFormat); 4] = [
+    ("strecha", TruthFormat::Strecha),
+    ("kitti", TruthFormat::Kitti),
+    ("tum", TruthFormat::Tum),
+    ("colmap", TruthFormat::Colmap),
+];
+
+impl FromStr for Truth {
+    type Err = String;
+
+    /// `FORMAT:PATH`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = || FORMATS.map(|(name, _)| name).join(", ");
+        let (name, path) = text
+            .split_once(':')
+            .ok_or_else(|| format!("expected FORMAT:PATH with FORMAT one of {}", known()))?;
+        let format = FORMATS.iter().find(|(known, _)| *known == name).map(|(_, format)| *format);
+        let format = format.ok_or_else(|| format!("unknown format {name}: use one of {}", known()))?;
+        Ok(Self { format, path: path.into() })
+    }
+}
+
+/// How far a model is from the truth, after a similarity of the camera centres. Lengths are in units of the truth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PoseEvaluation {
+    /// Images that the truth knows.
+    pub images: usize,
+    /// Those with a pose in the model.
+    pub registered: usize,
+    /// Length in the truth of one unit of the model.
+    pub scale: f64,
+    /// Distances between the centres; `rmse` is the ATE of a trajectory.
+    pub centre_error: ErrorStatistics,
+    /// Angles between the orientations, in degrees.
+    pub rotation_error_deg: ErrorStatistics,
+    /// Area under the recall curve of relative poses over all pairs of images, up to so many degrees; missing images count.
+    pub relative_pose_auc: Vec<Auc>,
+    /// The cameras of these images.
+    pub focal_lengths: Vec<FocalLength>,
+    /// Centre errors by image name.
+    pub centre_errors: BTreeMap<String, f64>,
+}
+
+/// What a list of errors comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ErrorStatistics {
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub median: f64,
+    /// Root mean square.
+    pub rmse: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// Area under a recall curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Auc {
+    /// Up to this error.
+    pub threshold_deg: f64,
+    /// From 0 to 1.
+    pub auc: f64,
+}
+
+/// A focal length against the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FocalLength {
+    /// COLMAP's id of the camera.
+    pub camera: u32,
+    /// In the model.
+    pub model_px: f64,
+    /// True, where that is known.
+    pub truth_px: Option<f64>,
+}
+
+/// Thresholds of the relative-pose AUC, in degrees.
+const AUC_THRESHOLDS_DEG: [f64; 4] = [1.0, 3.0, 5.0, 10.0];
+/// Cameras closer together have no direction from one to the other, in units of the truth.
+const MIN_BASELINE: f64 = 1e-9;
+/// Times farther apart are not those of one image.
+const MAX_TIME_DIFFERENCE_S: f64 = 0.02;
+
+/// A true pose and, where it is known, the true focal length.
+struct TruePose {
+    cam_from_world: Rigid3,
+    focal_px: Option<f64>,
+}
+
+/// The folder of a COLMAP model: `path` itself, or its `sparse/0` where `path` is a workspace.
+pub fn model_folder(path: &Path) -> PathBuf {
+    let largest = path.join("sparse/0");
+    if largest.is_dir() { largest } else { path.to_owned() }
+}
+
+/// Compares the images of a model (a folder, or a workspace) with the truth: those whose names begin with `prefix`; without it,
+/// all that the truth knows by name, or, where the truth is one trajectory, those of the camera of the first image.
+pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Result<PoseEvaluation, Error> {
+    let folder = model_folder(path);
+    let model = colmap::read_model(&folder)?;
+    let is_trajectory = matches!(truth.format, TruthFormat::Kitti | TruthFormat::Tum);
+    let prefix = match prefix {
+        Some(prefix) => prefix.to_owned(),
+        None if is_trajectory => first_folder(&model),
+        None => String::new(),
+    };
+    let images: Vec<&Image> =
+        model.images().map(|(_, image)| image).filter(|image| image.name.starts_with(&prefix)).collect();
+    let pairs = associate_images(&folder, &images, truth)?;
+    let cannot = |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
+    let found: Vec<Option<Rigid3>> =
+        pairs.iter().map(|(image, _)| image.and_then(|image| image.cam_from_world().copied())).collect();
+    let true_poses: Vec<Rigid3> = pairs.iter().map(|(_, truth)| truth.cam_from_world).collect();
+    let registered = found.iter().flatten().count();
+    if registered < 3 {
+        return Err(cannot(format!("only {registered} images have a pose in both, and three are needed")));
+    }
+    let comparison = compare_poses(&found, &true_poses, Alignment::Similarity).ok_or_else(|| {
+        cannot("the camera centres lie on a line, which leaves a turn about it open".to_owned())
+    })?;
+    let relative = relative_pose_errors_rad(&found, &true_poses, MIN_BASELINE);
+    let statistics = |errors: &[Option<f64>], unit: f64| {
+        let errors: Vec<f64> = errors.iter().flatten().map(|error| error * unit).collect();
+        let Statistics { mean, median, rmse, max, .. } = Statistics::of(&errors).expect("three or more");
+        ErrorStatistics { mean, median, rmse, max }
+    };
+    let centres = pairs.iter().zip(&comparison.centre_errors);
+    Ok(PoseEvaluation {
+        images: pairs.len(),
+        registered,
+        scale: comparison.truth_from_model.scale,
+        centre_error: statistics(&comparison.centre_errors, 1.0),
+        rotation_error_deg: statistics(&comparison.rotation_errors_rad, 1f64.to_degrees()),
+        relative_pose_auc: AUC_THRESHOLDS_DEG
+            .map(|threshold_deg| Auc { threshold_deg, auc: auc(&relative, threshold_deg.to_radians()) })
+            .to_vec(),
+        focal_lengths: focal_lengths(&model, &pairs),
+        centre_errors: centres
+            .filter_map(|((image, _), error)| Some(((*image)?.name.clone(), (*error)?)))
+            .collect(),
+    })
+}
+
+/// The folder in the name of the first image, with its `/`.
+pub(crate) fn first_folder(model: &Reconstruction) -> String {
+    let first = model.images().map(|(_, image)| image.name.as_str()).min().unwrap_or("");
+    first.rfind('/').map_or(String::new(), |end| first[..=end].to_owned())
+}
+
+/// Each image that the truth knows, with the model's image where there is one.
+fn associate_images<'a>(
+    folder: &Path,
+    images: &[&'a Image],
+    truth: &Truth,
+) -> Result<Vec<(Option<&'a Image>, TruePose)>, Error> {
+    let pose = |cam_from_world| TruePose { cam_from_world, focal_px: None };
+    let by_name = |poses: Vec<(String, TruePose)>| {
+        let file = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
+        let find = |name: &str| {
+            let same = images.iter().find(|image| image.name == name);
+            same.or_else(|| images.iter().find(|image| file(&image.name) == file(name))).copied()
+        };
+        poses.into_iter().map(|(name, pose)| (find(&name), pose)).collect()
+    };
+    let path = &truth.path;
+    Ok(match truth.format {
+        TruthFormat::Strecha => by_name(
+            strecha::read(path)?
+                .into_iter()
+                .map(|camera| {
+                    let focal_px = Some(0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]));
+                    (camera.name, TruePose { cam_from_world: camera.cam_from_world, focal_px })
+                })
+                .collect(),
+        ),
+        TruthFormat::Colmap => {
+            let model = colmap::read_model(&model_folder(path))?;
+            let poses = model.registered().map(|(id, image, cam_from_world)| {
+                let focal_px = Some(model.camera_of(id).intrinsics.mean_focal_px());
+                (image.name.clone(), TruePose { cam_from_world: *cam_from_world, focal_px })
+            });
+            by_name(poses.collect())
+        }
+        TruthFormat::Kitti => {
+            let numbers: BTreeMap<usize, &Image> =
+                images.iter().filter_map(|image| Some((number(&image.name)?, *image))).collect();
+            let poses = trajectory::read_kitti(path)?.into_iter().enumerate();
+            poses.map(|(line, cam_from_world)| (numbers.get(&line).copied(), pose(cam_from_world))).collect()
+        }
+        TruthFormat::Tum => {
+            let mut poses = trajectory::read_tum(path)?;
+            poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+            let file = folder.join("../../timestamps.csv");
+            let times = timestamps::read(&file)?;
+            let mut timed: Vec<(f64, &Image)> =
+                images.iter().filter_map(|image| Some((*times.get(&image.name)?, *image))).collect();
+            timed.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let image_times: Vec<f64> = timed.iter().map(|(time_s, _)| *time_s).collect();
+            let true_times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
+            let pairs = associate(&image_times, &true_times, MAX_TIME_DIFFERENCE_S);
+            pairs.into_iter().map(|(a, b)| (Some(timed[a].1), pose(poses[b].cam_from_world))).collect()
+        }
+    })
+}
+
+/// The last number in a file's name, before its ending.
+fn number(name: &str) -> Option<usize> {
+    let stem = name.rsplit('/').next()?.split('.').next()?;
+    stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
+}
+
+fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -> Vec<FocalLength> {
+    let mut cameras: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for (image, truth) in pairs.iter().filter_map(|(image, truth)| Some(((*image)?, truth))) {
+        cameras.entry(image.camera.0).or_default().extend(truth.focal_px);
+    }
+    let focal = |(id, truth): (u32, Vec<f64>)| FocalLength {
+        camera: id + 1,
+        model_px: model.camera(tiepoint_sfm::scene::CameraId(id)).intrinsics.mean_focal_px(),
+        truth_px: Statistics::of(&truth).map(|truth| truth.mean),
+    };
+    cameras.into_iter().map(focal).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_truth_is_a_format_and_a_path() {
+        let truth: Truth = "kitti:data/poses:1.txt".parse().unwrap();
+        assert_eq!(truth, Truth { format: TruthFormat::Kitti, path: "data/poses:1.txt".into() });
+        assert!("poses.txt".parse::<Truth>().unwrap_err().contains("FORMAT:PATH"));
+        assert!("euler:poses.txt".parse::<Truth>().unwrap_err().contains("unknown format euler"));
+    }
+
+    #[test]
+    fn the_number_of_a_name_is_the_last_one() {
+        for (name, expected) in [
+            ("left/000012.png", Some(12)),
+            ("cam2/frame_7.color.jpg", Some(7)),
+            ("a3b.png", Some(3)),
+            ("b.png", None),
+        ] {
+            assert_eq!(number(name), expected, "{name}");
+        }
+    }
+}

@@ -1,0 +1,96 @@
+use serde::Serialize;
+
+use crate::Stage;
+
+/// What a run tells while it works.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event<'a> {
+    /// A stage begins, or goes on after an interruption.
+    StageBegan {
+        /// Which.
+        stage: Stage,
+        /// How many steps it has: images, pairs, images.
+        total: usize,
+        /// How many of them an earlier run did.
+        done: usize,
+    },
+    /// An earlier run finished this stage with the same input and options.
+    StageKept {
+        /// Which.
+        stage: Stage,
+    },
+    /// A photo cannot be used; the others are.
+    ImageSkipped {
+        /// Its name.
+        image: &'a str,
+        /// Why, as a sentence.
+        why: &'a str,
+    },
+    /// The features of an image are in the database.
+    ImageDone {
+        /// Its name.
+        image: &'a str,
+        /// How many keypoints it has.
+        keypoints: usize,
+    },
+    /// A pair is matched and verified.
+    PairDone {
+        /// One image.
+        image1: &'a str,
+        /// The other one.
+        image2: &'a str,
+        /// Matches of descriptors.
+        matches: usize,
+        /// Those that agree with a two-view geometry; 0 where there is none.
+        inliers: usize,
+    },
+    /// A model begins with two images.
+    ModelBegan {
+        /// One image.
+        image1: &'a str,
+        /// The other one.
+        image2: &'a str,
+        /// Points that they see together.
+        points: usize,
+    },
+    /// An image has a pose.
+    ImageRegistered {
+        /// Its name.
+        image: &'a str,
+        /// Images with a pose in this model.
+        registered: usize,
+        /// Points in this model.
+        points: usize,
+    },
+    /// The whole model was adjusted.
+    ModelAdjusted {
+        /// Images with a pose.
+        images: usize,
+        /// Observations.
+        observations: usize,
+        /// ½ Σ ρ at the end.
+        cost: f64,
+        /// Steps taken.
+        iterations: usize,
+    },
+    /// An adjustment that was asked for by itself tried a step.
+    AdjustmentStep {
+        /// From 1.
+        step: usize,
+        /// ½ Σ ρ after it.
+        cost: f64,
+    },
+    /// The points have no colours, since the photos could not be read again.
+    PointsGrey {
+        /// Why, as a sentence.
+        why: &'a str,
+    },
+    /// A stage is complete on disk.
+    StageDone {
+        /// Which.
+        stage: Stage,
+        /// Wall time of this run's part.
+        seconds: f64,
+    },
+}

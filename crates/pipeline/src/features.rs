@@ -1,0 +1,216 @@
+//! First stage: keypoints and descriptors of every image, into the database.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use tiepoint_io::ImageSource;
+use tiepoint_io::database::Database;
+use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
+use tiepoint_io::{Luma, timestamps};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
+
+use crate::cameras::Calibration;
+use crate::fingerprint::of_text;
+use crate::ordered::for_each_in_order;
+use crate::photos::Photo;
+use crate::records::{Progress, Recipe};
+use crate::{
+    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace, tell,
+};
+
+/// Name of the option that says that the intrinsics are known: later stages look for it.
+pub(crate) const INTRINSICS: &str = "intrinsics";
+
+/// How to extract features.
+#[derive(Clone, Debug, Default)]
+pub struct FeatureOptions {
+    /// What is known of the cameras.
+    pub calibration: Calibration,
+    /// The detector.
+    pub detector: sift::Options,
+    /// When the images were taken (CSV with the header `image,seconds`); else from their names or EXIF.
+    pub timestamps: Option<PathBuf>,
+}
+
+impl FeatureOptions {
+    fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
+        let mut options = vec![("detector", format!("{:?}", self.detector))];
+        match self.calibration {
+            Calibration::Unknown { model, focal_px } => {
+                options.push(("camera-model", model.name().to_owned()));
+                options.extend(focal_px.map(|focal_px| ("focal-prior", focal_px.to_string())));
+            }
+            Calibration::Known(intrinsics) => {
+                options.push(("camera-model", intrinsics.kind().name().to_owned()));
+                let params: Vec<String> = intrinsics.params().iter().map(f64::to_string).collect();
+                options.push((INTRINSICS, params.join(",")));
+            }
+        }
+        if let Some(path) = &self.timestamps {
+            options.push(("timestamps", of_text(path)?));
+        }
+        Ok(Recipe::new(photos.fingerprint()?, options))
+    }
+}
+
+/// Extracts the features of all photos; those that cannot be read are reported and left out.
+pub fn extract_features(
+    photos: &Photos,
+    workspace: &mut Workspace,
+    options: &FeatureOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Features;
+    options.detector.validate()?;
+    workspace.records.inputs = photos.inputs.clone();
+    let recipe = options.recipe(photos)?;
+    let (usable, mut skipped) = photos.survey()?;
+    let times = times(photos, &usable, options)?;
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return tell(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    timestamps::write(&workspace.timestamps(), times.iter().map(|(name, time_s)| (*name, *time_s)))?;
+    let cameras = cameras(&usable, &options.calibration);
+    let mut database = open(workspace, photos, &usable, &cameras, progress)?;
+    let mut counts = database.keypoint_counts()?;
+    let tasks: Vec<(ImageId, &Photo)> = usable
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| counts[*index].is_none())
+        .map(|(index, photo)| (ImageId::from_index(index), photo))
+        .collect();
+    tell(watch, &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() })?;
+    for SkippedImage { image, why } in &skipped {
+        tell(watch, &Event::ImageSkipped { image, why })?;
+    }
+
+    let extractors = Extractors { options: options.detector, idle: Mutex::default() };
+    let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
+    let taken = for_each_in_order(&tasks, work, |(id, photo), found: Result<Features, Error>| {
+        let image = photos.name(photo);
+        match found {
+            Ok(features) => {
+                let keypoints = features.keypoints.len();
+                database.write_features([(*id, &features)])?;
+                counts[id.index()] = Some(keypoints);
+                tell(watch, &Event::ImageDone { image, keypoints })
+            }
+            Err(error) => {
+                let why = error.to_string();
+                tell(watch, &Event::ImageSkipped { image, why: &why })?;
+                skipped.push(SkippedImage { image: image.to_owned(), why });
+                Ok(())
+            }
+        }
+    });
+    database.finish()?;
+    taken?;
+
+    let found: Vec<usize> = counts.into_iter().flatten().collect();
+    if found.len() < 2 {
+        return Err(photos.too_few(found.len()));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let cameras = cameras.iter().enumerate();
+    let report = FeaturesReport {
+        seconds,
+        images: found.len(),
+        keypoints: found.iter().sum(),
+        skipped,
+        cameras: cameras
+            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera))
+            .collect(),
+    };
+    workspace.update_report(|all| all.stages.features = Some(report))?;
+    workspace.complete(STAGE)?;
+    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// The times that are known, in order of the images.
+fn times<'a>(
+    photos: &'a Photos,
+    usable: &[Photo],
+    options: &FeatureOptions,
+) -> Result<Vec<(&'a str, f64)>, Error> {
+    let names = usable.iter().map(|photo| photos.folder.images()[photo.index].name.as_str());
+    let Some(path) = &options.timestamps else {
+        return Ok(names.zip(usable).filter_map(|(name, photo)| Some((name, photo.info.time_s?))).collect());
+    };
+    let given = timestamps::read(path)?;
+    let times: Vec<_> = names.filter_map(|name| Some((name, *given.get(name)?))).collect();
+    if times.is_empty() {
+        let example = photos.folder.images().first().map_or("", |image| image.name.as_str());
+        let what =
+            format!("it has a time for none of the photos; names are relative to the input, as {example}");
+        return Err(Error::Times { path: path.clone(), what });
+    }
+    Ok(times)
+}
+
+/// One for each camera number, from its first photo.
+fn cameras(usable: &[Photo], calibration: &Calibration) -> Vec<Camera> {
+    let mut cameras = Vec::new();
+    for photo in usable {
+        // Cameras are numbered in the order of their first photos.
+        if photo.camera == cameras.len() {
+            cameras.push(calibration.camera(&photo.info));
+        }
+    }
+    cameras
+}
+
+/// The database with cameras and images, but without what is to be made anew.
+fn open(
+    workspace: &Workspace,
+    photos: &Photos,
+    usable: &[Photo],
+    cameras: &[Camera],
+    progress: Progress,
+) -> Result<Database, Error> {
+    let path = workspace.database();
+    if progress == Progress::Continue && path.is_file() {
+        let database = Database::open(&path)?;
+        // An interruption may have come before the images were written.
+        if database.num_images() == usable.len() {
+            return Ok(database);
+        }
+    }
+    let image =
+        |photo: &Photo| Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new());
+    let images: Vec<Image> = usable.iter().map(image).collect();
+    let mut database = Database::create(&path)?;
+    database.write_cameras(cameras)?;
+    database.write_images(&images)?;
+    database.write_rigs(&[], &[])?;
+    Ok(database)
+}
+
+/// Extractors keep their memory from image to image: as many as images that are worked on at once.
+struct Extractors {
+    options: sift::Options,
+    idle: Mutex<Vec<Sift>>,
+}
+
+impl Extractors {
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Sift>> {
+        // A list of idle extractors is sound even if a thread died that held the lock.
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn extract(photos: &Photos, index: usize, extractors: &Extractors) -> Result<Features, Error> {
+    let (image, mask) = (photos.folder.luma(index)?, photos.folder.mask(index)?);
+    let idle = extractors.idle().pop();
+    let mut sift = idle.map_or_else(|| Sift::new(extractors.options), Ok)?;
+    let features = sift.extract(&view(&image), mask.as_ref().map(view).as_ref())?;
+    extractors.idle().push(sift);
+    Ok(features)
+}
+
+fn view(image: &Luma) -> GrayView<'_> {
+    GrayView::new(&image.data, image.width as usize, image.height as usize)
+}

@@ -1,0 +1,85 @@
+//! Whether photos are still the same, without reading all of them.
+//!
+//! A file is told by its name, its size, and the BLAKE3 hash of its first and last 64 KiB. So copying or touching the photos
+//! changes nothing, and editing, replacing or exporting one anew does: it changes the size, the header or the end of the
+//! compressed data. Not noticed is only a change of bytes in the middle of a file that keeps its length.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use rayon::prelude::*;
+use tiepoint_io::{ImageFolder, ImageSource};
+
+use crate::Error;
+
+/// Bytes hashed at each end of a file.
+const END: u64 = 64 << 10;
+
+/// Of all images of a folder. An image that cannot be opened counts too: when it can, the fingerprint is another.
+pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
+    let hashes: Vec<[u8; 32]> = (0..folder.images().len())
+        .into_par_iter()
+        .map(|index| of_file(folder.path(index)).unwrap_or_default())
+        .collect();
+    let mut all = blake3::Hasher::new();
+    for (image, hash) in folder.images().iter().zip(hashes) {
+        all.update(&(image.name.len() as u64).to_le_bytes()).update(image.name.as_bytes()).update(&hash);
+    }
+    Ok(all.finalize().to_hex().to_string())
+}
+
+/// Of one small file, whole.
+pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
+    let bytes = std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
+    Ok(blake3::hash(&bytes).to_hex().to_string())
+}
+
+fn of_file(path: &Path) -> io::Result<[u8; 32]> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let mut ends = Vec::new();
+    file.by_ref().take(END).read_to_end(&mut ends)?;
+    if length > END {
+        file.seek(SeekFrom::Start(END.max(length.saturating_sub(END))))?;
+        file.take(END).read_to_end(&mut ends)?;
+    }
+    let mut hash = blake3::Hasher::new();
+    Ok(*hash.update(&length.to_le_bytes()).update(&ends).finalize().as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_and_length_count_and_touching_does_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.jpg");
+        let of = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            of_file(&path).unwrap()
+        };
+        for length in [0, 1, END as usize, END as usize + 1, 3 * END as usize] {
+            let bytes = vec![7; length];
+            let hash = of(&bytes);
+            assert_eq!(hash, of(&bytes), "written again");
+            assert_ne!(hash, of(&[bytes.as_slice(), &[7]].concat()), "one byte more");
+            for changed in [0, length.saturating_sub(1)].into_iter().filter(|at| *at < length) {
+                let mut other = bytes.clone();
+                other[changed] = 8;
+                assert_ne!(hash, of(&other), "byte {changed} of {length}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_count() {
+        let dir = tempfile::tempdir().unwrap();
+        let of = || fingerprint(&ImageFolder::open(&[dir.path().to_owned()], None).unwrap()).unwrap();
+        std::fs::write(dir.path().join("a.jpg"), "a").unwrap();
+        let one = of();
+        std::fs::rename(dir.path().join("a.jpg"), dir.path().join("b.jpg")).unwrap();
+        assert_ne!(one, of());
+    }
+}

@@ -1,0 +1,54 @@
+#![doc = include_str!("../README.md")]
+
+mod adjust;
+mod cameras;
+mod colors;
+mod error;
+mod evaluate;
+mod event;
+mod export;
+mod features;
+mod fingerprint;
+mod mapping;
+mod matching;
+mod ordered;
+mod photos;
+mod reconstruct;
+mod records;
+mod report;
+mod stage;
+mod workspace;
+
+use std::ops::ControlFlow;
+
+pub use adjust::{AdjustReport, AdjustStep, adjust};
+pub use cameras::Calibration;
+pub use error::{Error, Size};
+pub use evaluate::{
+    Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses, model_folder,
+};
+pub use event::Event;
+pub use export::{ExportFormat, Exported, export};
+pub use features::{FeatureOptions, extract_features};
+pub use mapping::map;
+pub use matching::{MatchOptions, match_images};
+pub use photos::Photos;
+pub use reconstruct::{Options, reconstruct};
+pub use report::{
+    CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
+};
+pub use stage::Stage;
+pub use tiepoint_eval as eval;
+pub use tiepoint_io as io;
+pub use tiepoint_sfm as sfm;
+pub use workspace::Workspace;
+
+/// Gets every event, in order, on the calling thread; what it returns stops the run.
+pub type Watch<'a> = &'a mut dyn FnMut(&Event) -> ControlFlow<()>;
+
+fn tell(watch: Watch, event: &Event) -> Result<(), Error> {
+    match watch(event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    }
+}

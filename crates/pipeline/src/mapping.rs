@@ -1,0 +1,134 @@
+//! Third stage: poses and points, from the database to `sparse/`, `points.ply` and the report.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use tiepoint_io::colmap::{Format, write_model};
+use tiepoint_io::database::Database;
+use tiepoint_io::{ply, timestamps};
+use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
+use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, VerifyOptions};
+
+use crate::colors::color_points;
+use crate::matching::keypoint;
+use crate::records::{Progress, Recipe};
+use crate::{Error, Event, MapReport, ModelReport, Stage, Watch, Workspace, features, tell};
+
+/// Maps a workspace that has matches: models of everything that hangs together, the largest first.
+pub fn map(
+    workspace: &mut Workspace,
+    options: &MapperOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Map;
+    let mut options = *options;
+    if workspace.records.option(Stage::Features, features::INTRINSICS).is_some() {
+        options.refine = RefineIntrinsics::NONE;
+    }
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, [("mapper", format!("{options:?}"))]);
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return tell(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let (graph, scene) = load(workspace)?;
+    let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
+    tell(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
+    if graph.pairs().is_empty() {
+        let required = VerifyOptions::default().min_num_inliers;
+        return Err(no_overlap(workspace, required)?);
+    }
+    let name = |id| scene.image(id).name.as_str();
+    let mut models = sfm::map(&graph, &scene, &options, &mut |event| watch(&translate(event, &name)))?;
+    if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
+        // The photos may have moved since; the model does not need them.
+        tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
+    }
+    let reports = write_models(workspace, &models)?;
+    let seconds = start.elapsed().as_secs_f64();
+    workspace.update_report(|all| {
+        all.stages.map = Some(MapReport { seconds });
+        all.models = reports;
+    })?;
+    workspace.complete(STAGE)?;
+    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// The scene without poses, and what relates its images, as they stand in the database.
+fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), Error> {
+    let database = Database::open(&workspace.database())?;
+    let mut scene = Reconstruction::default();
+    for camera in database.read_cameras()? {
+        scene.add_camera(camera);
+    }
+    let path = workspace.timestamps();
+    let times = if path.is_file() { timestamps::read(&path)? } else { BTreeMap::new() };
+    for (index, image) in database.read_images()?.into_iter().enumerate() {
+        let keypoints = database.read_keypoints(ImageId::from_index(index))?;
+        let mut image = Image::new(image.name, image.camera, keypoints.iter().map(keypoint).collect());
+        image.time_s = times.get(&image.name).copied();
+        scene.add_image(image);
+    }
+    let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
+    let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
+    database.finish()?;
+    Ok((graph, scene))
+}
+
+fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
+    let matches = Database::open(&workspace.database())?.read_matches()?;
+    let best = matches.iter().map(|(_, matches)| matches.len()).max().unwrap_or(0);
+    Ok(Error::NoOverlap { path: workspace.root().to_owned(), pairs: matches.len(), best, required })
+}
+
+/// What the mapper tells, with names for ids.
+fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event<'a> {
+    match *event {
+        sfm::Event::Initialised { image1, image2, num_points } => {
+            Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }
+        }
+        sfm::Event::Registered { image, num_registered, num_points, .. } => {
+            Event::ImageRegistered { image: name(image), registered: num_registered, points: num_points }
+        }
+        sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
+            Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
+        }
+    }
+}
+
+/// Writes all models beside the old ones, then puts them in their place.
+fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<ModelReport>, Error> {
+    let sparse = workspace.sparse();
+    let (new, old) = (workspace.root().join(".sparse.new"), workspace.root().join(".sparse.old"));
+    remove(&new)?;
+    for (index, model) in models.iter().enumerate() {
+        write_model(&new.join(index.to_string()), model, Format::Binary)?;
+    }
+    if sparse.exists() {
+        remove(&old)?;
+        rename(&sparse, &old)?;
+    }
+    rename(&new, &sparse)?;
+    remove(&old)?;
+    if let Some(largest) = models.first() {
+        ply::write(&workspace.points(), &ply::points(largest))?;
+    }
+    let path = |index: usize| format!("sparse/{index}");
+    Ok(models.iter().enumerate().map(|(index, model)| ModelReport::new(path(index), model)).collect())
+}
+
+fn rename(from: &Path, to: &Path) -> Result<(), Error> {
+    fs::rename(from, to).map_err(|cause| Error::Output { path: to.to_owned(), cause })
+}
+
+fn remove(dir: &Path) -> Result<(), Error> {
+    match fs::remove_dir_all(dir) {
+        Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => {
+            Err(Error::Output { path: dir.to_owned(), cause })
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,251 @@
+//! Second stage: which images show the same things, and which of their keypoints.
+//!
+//! Pairs are worked off in tiles of the table image × image, so that the descriptors of two blocks of images are in memory at a
+//! time and no more, however many images there are.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use rayon::prelude::*;
+use tiepoint_io::database::Database;
+use tiepoint_io::timestamps;
+use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
+use tiepoint_sfm::matching::{self, PairSelection, Prepared, Sequence, match_prepared};
+use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
+use tiepoint_sfm::{VerifyOptions, View, verify_pair};
+
+use crate::ordered::for_each_in_order;
+use crate::records::{Progress, Recipe};
+use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, tell};
+
+/// Images on a side of a tile. 8192 features take 1 MiB as descriptors: a tile takes a quarter of a gigabyte.
+const TILE: u32 = 128;
+/// Pairs written in one transaction: what an interruption loses.
+const PAIRS_PER_TRANSACTION: usize = 64;
+
+/// How to match.
+#[derive(Clone, Debug)]
+pub struct MatchOptions {
+    /// Which images with which.
+    pub pairs: PairSelection,
+    /// Which descriptors with which.
+    pub descriptors: matching::Options,
+    /// What counts as a two-view geometry.
+    pub verify: VerifyOptions,
+    /// Seed of the random samples.
+    pub seed: u64,
+}
+
+impl Default for MatchOptions {
+    fn default() -> Self {
+        Self {
+            pairs: PairSelection::Exhaustive,
+            descriptors: matching::Options::default(),
+            verify: VerifyOptions::default(),
+            seed: 0,
+        }
+    }
+}
+
+impl MatchOptions {
+    fn recipe(&self, input: String) -> Recipe {
+        let Self { pairs, descriptors, verify, seed } = self;
+        Recipe::new(
+            input,
+            [
+                ("pairs", pairs.to_string()),
+                ("matching", format!("{descriptors:?}")),
+                ("verification", format!("{verify:?}")),
+                ("seed", seed.to_string()),
+            ],
+        )
+    }
+}
+
+/// An image in memory for matching.
+struct Loaded {
+    keypoints: Vec<Keypoint>,
+    descriptors: Prepared,
+}
+
+/// Matches and verifies the pairs of a workspace that has features.
+pub fn match_images(
+    workspace: &mut Workspace,
+    options: &MatchOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Match;
+    options.descriptors.validate()?;
+    let recipe = options.recipe(workspace.fingerprint(Stage::Features)?);
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return tell(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let mut database = Database::open(&workspace.database())?;
+    if progress == Progress::Begin {
+        database.clear_matches()?;
+    }
+    let (cameras, images) = (database.read_cameras()?, database.read_images()?);
+    let all = select_pairs(workspace, &images, options.pairs)?;
+    let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
+    let tiles = tiles(all.iter().copied().filter(|pair| !done.contains(pair)));
+    let mut report = report(&database)?;
+    tell(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
+
+    let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
+    for pairs in &tiles {
+        load(&database, pairs, &mut loaded)?;
+        let work = |pair: &ImagePair| match_pair(*pair, &loaded, &cameras, &images, options);
+        let mut batch = Vec::new();
+        let taken = for_each_in_order(pairs, work, |pair, (matches, two_view)| {
+            let (image1, image2) = (&images[pair.a.index()].name, &images[pair.b.index()].name);
+            let inliers = two_view.matches.len();
+            let event = Event::PairDone { image1, image2, matches: matches.len(), inliers };
+            count(&mut report, &matches, &two_view);
+            batch.push((*pair, matches, two_view));
+            if batch.len() >= PAIRS_PER_TRANSACTION {
+                write(&mut database, &mut batch)?;
+            }
+            tell(watch, &event)
+        });
+        // What is done is kept even when the caller asked to stop.
+        write(&mut database, &mut batch)?;
+        taken?;
+    }
+    database.finish()?;
+    let seconds = start.elapsed().as_secs_f64();
+    report.seconds = seconds;
+    workspace.update_report(|all| all.stages.matches = Some(report))?;
+    workspace.complete(STAGE)?;
+    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// The pairs among the images of each camera, in order of their names or, where all times are known, of their times.
+fn select_pairs(
+    workspace: &Workspace,
+    images: &[Image],
+    pairs: PairSelection,
+) -> Result<Vec<ImagePair>, Error> {
+    let path = workspace.timestamps();
+    let times = if path.is_file() { timestamps::read(&path)? } else { BTreeMap::new() };
+    let mut cameras: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
+    let are_timed = images.iter().all(|image| times.contains_key(&image.name));
+    for (id, image) in (0..).zip(images) {
+        let time_s = times.get(&image.name).copied().unwrap_or_default();
+        cameras.entry(image.camera.0).or_default().push((time_s, id));
+    }
+    let sequences = cameras.into_values().map(|mut images| {
+        if !are_timed {
+            return Ok(Sequence::new(images.into_iter().map(|(_, id)| id).collect()));
+        }
+        images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (times_s, ids) = images.into_iter().unzip();
+        Sequence::with_times(ids, times_s)
+    });
+    let sequences: Vec<Sequence> = sequences.collect::<Result<_, _>>()?;
+    let pairs = pairs.pairs(&sequences);
+    Ok(pairs.into_iter().filter_map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b))).collect())
+}
+
+/// Groups pairs by the tile that they lie in.
+fn tiles(pairs: impl Iterator<Item = ImagePair>) -> Vec<Vec<ImagePair>> {
+    let mut tiles: BTreeMap<(u32, u32), Vec<ImagePair>> = BTreeMap::new();
+    for pair in pairs {
+        tiles.entry((pair.a.0 / TILE, pair.b.0 / TILE)).or_default().push(pair);
+    }
+    tiles.into_values().collect()
+}
+
+/// Brings the images of these pairs into memory, and lets go of all others.
+fn load(
+    database: &Database,
+    pairs: &[ImagePair],
+    loaded: &mut BTreeMap<ImageId, Loaded>,
+) -> Result<(), Error> {
+    let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
+    loaded.retain(|image, _| needed.contains(image));
+    let missing = needed.into_iter().filter(|image| !loaded.contains_key(image));
+    let read = missing.map(|image| Ok((image, database.read_features(image)?)));
+    let features = read.collect::<Result<Vec<_>, Error>>()?;
+    let prepare = |(image, features): (ImageId, tiepoint_io::features::Features)| {
+        let keypoints = features.keypoints.iter().map(keypoint).collect();
+        (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
+    };
+    let ready: Vec<_> = features.into_par_iter().map(prepare).collect();
+    loaded.extend(ready);
+    Ok(())
+}
+
+/// A keypoint as the scene has it.
+pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
+    Keypoint { pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)), scale_px: keypoint.scale }
+}
+
+fn match_pair(
+    pair: ImagePair,
+    loaded: &BTreeMap<ImageId, Loaded>,
+    cameras: &[Camera],
+    images: &[Image],
+    options: &MatchOptions,
+) -> (Vec<Match>, TwoView) {
+    let (a, b) = (&loaded[&pair.a], &loaded[&pair.b]);
+    let matches = match_prepared(&a.descriptors, &b.descriptors, &options.descriptors);
+    let matches: Vec<Match> = matches.iter().map(|m| Match { a: m.a, b: m.b }).collect();
+    let view = |image: ImageId| View {
+        keypoints: &loaded[&image].keypoints,
+        camera: &cameras[images[image.index()].camera.index()],
+    };
+    let seed = Rng::stream(options.seed, &[u64::from(pair.a.0), u64::from(pair.b.0)]).next_u64();
+    let two_view = verify_pair(view(pair.a), view(pair.b), &matches, &options.verify, seed);
+    (matches, two_view)
+}
+
+/// Writes pairs; the list is empty afterwards.
+fn write(database: &mut Database, batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>) -> Result<(), Error> {
+    // The matches last: a pair counts as done when they are there.
+    database.write_two_views(batch.iter().map(|(pair, _, two_view)| (*pair, two_view)))?;
+    database.write_matches(batch.iter().map(|(pair, matches, _)| (*pair, matches.as_slice())))?;
+    batch.clear();
+    Ok(())
+}
+
+/// What an earlier run left.
+fn report(database: &Database) -> Result<MatchReport, Error> {
+    let mut report = MatchReport::default();
+    let two_views: BTreeMap<ImagePair, TwoView> = database.read_two_views()?.into_iter().collect();
+    for (pair, matches) in database.read_matches()? {
+        count(&mut report, &matches, two_views.get(&pair).unwrap_or(&TwoView::default()));
+    }
+    Ok(report)
+}
+
+fn count(report: &mut MatchReport, matches: &[Match], two_view: &TwoView) {
+    report.pairs += 1;
+    report.matches += matches.len();
+    if two_view.is_verified() {
+        report.verified_pairs += 1;
+        report.inlier_matches += two_view.matches.len();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_hold_every_pair_once_and_few_images() {
+        let pair = |a, b| ImagePair::new(ImageId(a), ImageId(b)).unwrap();
+        let pairs: Vec<ImagePair> =
+            (0..300).flat_map(|a| (a + 1..300).step_by(7).map(move |b| pair(a, b))).collect();
+        let tiles = tiles(pairs.iter().copied());
+        let mut back = tiles.concat();
+        back.sort();
+        assert_eq!(back, pairs);
+        for tile in &tiles {
+            let images: BTreeSet<ImageId> = tile.iter().flat_map(|pair| [pair.a, pair.b]).collect();
+            assert!(images.len() <= 2 * TILE as usize);
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Parallel work whose results are taken in order, with a bounded number of them waiting.
+//!
+//! Tasks run on rayon's current pool; the calling thread takes the results, one by one in the order of the tasks, so that what it
+//! does with them does not depend on the number of threads.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::mpsc::{self, Receiver};
+use std::thread;
+use std::time::Duration;
+
+/// Tasks that are running or whose results wait, for each thread: enough that none idles while a slow one is awaited.
+const WINDOW_PER_THREAD: usize = 3;
+/// How long a thread of the pool sleeps when there is nothing to do but wait.
+const NAP: Duration = Duration::from_micros(200);
+
+/// Calls `work` for every task in parallel, and `take` for every result in order, until that fails.
+pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
+    tasks: &[T],
+    work: impl Fn(&T) -> R + Sync,
+    mut take: impl FnMut(&T, R) -> Result<(), E>,
+) -> Result<(), E> {
+    let window = WINDOW_PER_THREAD * rayon::current_num_threads();
+    let (sender, receiver) = mpsc::channel();
+    rayon::in_place_scope(|scope| {
+        let work = &work;
+        let start = |index: usize| {
+            if let Some(task) = tasks.get(index) {
+                let sender = sender.clone();
+                scope.spawn(move |_| {
+                    let result = catch_unwind(AssertUnwindSafe(|| work(task)));
+                    // Nobody listens after an error.
+                    let _ = sender.send((index, result));
+                });
+            }
+        };
+        (0..window).for_each(start);
+        let mut waiting = BTreeMap::new();
+        for (index, task) in tasks.iter().enumerate() {
+            let result = loop {
+                if let Some(result) = waiting.remove(&index) {
+                    break result;
+                }
+                let (done, result) = receive(&receiver);
+                waiting.insert(done, result);
+            };
+            take(task, result.unwrap_or_else(|panic| resume_unwind(panic)))?;
+            start(index + window);
+        }
+        Ok(())
+    })
+}
+
+/// Waits for a message; on a thread of the pool by working, since the sender may have no other thread to run on.
+fn receive<T>(receiver: &Receiver<T>) -> T {
+    loop {
+        if let Ok(message) = receiver.try_recv() {
+            return message;
+        }
+        match rayon::yield_now() {
+            Some(rayon::Yield::Executed) => {}
+            Some(rayon::Yield::Idle) => thread::sleep(NAP),
+            None => return receiver.recv().expect("the caller holds a sender"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn squares(tasks: &[u64]) -> Vec<u64> {
+        let mut taken = Vec::new();
+        let square = |task: &u64| {
+            // The earlier, the slower.
+            thread::sleep(Duration::from_micros(500 / (task + 1)));
+            task * task
+        };
+        for_each_in_order(tasks, square, |_, result| {
+            taken.push(result);
+            Ok::<(), ()>(())
+        })
+        .unwrap();
+        taken
+    }
+
+    #[test]
+    fn results_come_in_order_within_a_pool_of_any_size_and_outside() {
+        let tasks: Vec<u64> = (0..100).collect();
+        let expected: Vec<u64> = tasks.iter().map(|task| task * task).collect();
+        assert_eq!(squares(&tasks), expected);
+        for threads in 1..=3 {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            assert_eq!(pool.install(|| squares(&tasks)), expected);
+        }
+        assert!(squares(&[]).is_empty());
+    }
+
+    #[test]
+    fn an_error_stops_and_only_the_window_was_computed() {
+        let computed = std::sync::atomic::AtomicUsize::new(0);
+        let tasks = [(); 1000];
+        let count = |_: &()| computed.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        assert_eq!(for_each_in_order(&tasks, count, |_, _| Err("stop")), Err("stop"));
+        assert!(computed.into_inner() <= WINDOW_PER_THREAD * rayon::current_num_threads());
+    }
+
+    #[test]
+    #[should_panic(expected = "task 7")]
+    fn a_panic_of_a_task_arrives() {
+        let tasks: Vec<u32> = (0..20).collect();
+        let work = |task: &u32| assert!(*task != 7, "task {task}");
+        let _ = for_each_in_order(&tasks, work, |_, ()| Ok::<(), ()>(()));
+    }
+}

@@ -1,0 +1,103 @@
+//! The photos that a workspace is made from.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
+
+use crate::fingerprint::fingerprint;
+use crate::{Error, Size, SkippedImage};
+
+/// Photos on disk, listed but not read.
+#[derive(Clone, Debug)]
+pub struct Photos {
+    pub(crate) folder: ImageFolder,
+    pub(crate) inputs: Vec<PathBuf>,
+    masks: Option<PathBuf>,
+}
+
+/// A photo whose header could be read.
+pub(crate) struct Photo {
+    /// Its place in the folder.
+    pub(crate) index: usize,
+    /// Its camera, numbered among those that have a usable photo.
+    pub(crate) camera: usize,
+    pub(crate) info: ImageInfo,
+}
+
+impl Photos {
+    /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder per camera is a rig. Nothing is
+    /// detected where the mask of an image is 0.
+    pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self, Error> {
+        let folder = ImageFolder::open(inputs, masks)?;
+        // So that a later run finds them from another working directory.
+        let absolute = |path: &PathBuf| {
+            path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
+        };
+        let photos = Self {
+            folder,
+            inputs: inputs.iter().map(absolute).collect::<Result<_, _>>()?,
+            masks: masks.map(Path::to_owned),
+        };
+        let found = photos.folder.images().len();
+        if found < 2 { Err(photos.too_few(found)) } else { Ok(photos) }
+    }
+
+    pub(crate) fn too_few(&self, usable: usize) -> Error {
+        let path = self.inputs.first().cloned().unwrap_or_default();
+        Error::TooFewPhotos { path, found: self.folder.images().len(), usable }
+    }
+
+    pub(crate) fn name(&self, photo: &Photo) -> &str {
+        &self.folder.images()[photo.index].name
+    }
+
+    /// Of all photos and masks.
+    pub(crate) fn fingerprint(&self) -> Result<String, Error> {
+        let photos = fingerprint(&self.folder)?;
+        let Some(masks) = &self.masks else { return Ok(photos) };
+        let masks = fingerprint(&ImageFolder::open(std::slice::from_ref(masks), None)?)?;
+        Ok(format!("{photos} masked by {masks}"))
+    }
+
+    /// Reads all headers: the photos that can be used, and those that cannot. Those of one camera must be of one size.
+    pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
+        let images = self.folder.images();
+        let infos: Vec<_> = (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
+        let (mut photos, mut skipped) = (Vec::<Photo>::new(), Vec::new());
+        let mut first_of_camera: Vec<Option<usize>> = vec![None; self.folder.camera_names().len()];
+        let mut num_cameras = 0;
+        for (index, (image, info)) in images.iter().zip(infos).enumerate() {
+            let info = match info {
+                Ok(info) => info,
+                Err(error) => {
+                    skipped.push(SkippedImage { image: image.name.clone(), why: error.to_string() });
+                    continue;
+                }
+            };
+            let camera = match first_of_camera[image.camera.index()] {
+                None => {
+                    first_of_camera[image.camera.index()] = Some(photos.len());
+                    num_cameras += 1;
+                    num_cameras - 1
+                }
+                Some(first) => {
+                    let first = &photos[first];
+                    let size = |info: &ImageInfo| Size(info.width, info.height);
+                    if size(&first.info) != size(&info) {
+                        return Err(Error::TwoSizes {
+                            camera: self.folder.camera_names()[image.camera.index()].clone(),
+                            first: self.name(first).to_owned(),
+                            first_size: size(&first.info),
+                            other: image.name.clone(),
+                            other_size: size(&info),
+                        });
+                    }
+                    first.camera
+                }
+            };
+            photos.push(Photo { index, camera, info });
+        }
+        if photos.len() < 2 { Err(self.too_few(photos.len())) } else { Ok((photos, skipped)) }
+    }
+}

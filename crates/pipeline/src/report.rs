@@ -1,0 +1,171 @@
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+
+use crate::{Error, Stage};
+
+/// `report.json`: what came out of each stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Version of this program.
+    pub version: String,
+    /// What each stage did.
+    pub stages: StageReports,
+    /// The models, the largest first.
+    pub models: Vec<ModelReport>,
+}
+
+/// What each stage did; `None` before it is complete.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StageReports {
+    /// Keypoints and descriptors.
+    pub features: Option<FeaturesReport>,
+    /// Matches.
+    #[serde(rename = "match")]
+    pub matches: Option<MatchReport>,
+    /// The mapper.
+    pub map: Option<MapReport>,
+}
+
+/// What the extraction of features gave.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FeaturesReport {
+    /// Wall time of the run that ended it.
+    pub seconds: f64,
+    /// Images with features.
+    pub images: usize,
+    /// Keypoints of all.
+    pub keypoints: usize,
+    /// Images that could not be used.
+    pub skipped: Vec<SkippedImage>,
+    /// As they were before any image was registered.
+    pub cameras: Vec<CameraReport>,
+}
+
+/// An image that could not be used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SkippedImage {
+    /// Its name.
+    pub image: String,
+    /// Why.
+    pub why: String,
+}
+
+/// What matching gave.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MatchReport {
+    /// Wall time of the run that ended it.
+    pub seconds: f64,
+    /// Pairs of images that were matched.
+    pub pairs: usize,
+    /// Those with a two-view geometry.
+    pub verified_pairs: usize,
+    /// Matches of descriptors.
+    pub matches: usize,
+    /// Those that agree with a two-view geometry.
+    pub inlier_matches: usize,
+}
+
+/// What the mapper did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MapReport {
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// A model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModelReport {
+    /// Its folder, relative to the workspace.
+    pub path: String,
+    /// Images with a pose.
+    pub registered: usize,
+    /// Images with features.
+    pub images: usize,
+    /// Names of the images without a pose.
+    pub unregistered: Vec<String>,
+    /// Points.
+    pub points: usize,
+    /// Observations of them.
+    pub observations: usize,
+    /// Observations a point.
+    pub mean_track_length: f64,
+    /// Mean over the points of the mean over their observations, in pixels, as COLMAP has it.
+    pub mean_reprojection_error_px: f64,
+    /// Cameras with an image in it.
+    pub cameras: Vec<CameraReport>,
+}
+
+/// A camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// COLMAP's id.
+    pub id: u32,
+    /// COLMAP's name of the model.
+    pub model: String,
+    /// In pixels.
+    pub width: u32,
+    /// In pixels.
+    pub height: u32,
+    /// Parameters of the model, in its order.
+    pub params: Vec<f64>,
+}
+
+impl CameraReport {
+    pub(crate) fn new(id: CameraId, camera: &Camera) -> Self {
+        let (model, params) =
+            (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
+        Self { id: id.0 + 1, model, width: camera.width, height: camera.height, params }
+    }
+}
+
+impl ModelReport {
+    pub(crate) fn new(path: String, model: &Reconstruction) -> Self {
+        // Images without keypoints could not be read.
+        let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
+        let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
+        let is_used = |id: &CameraId| model.registered().any(|(_, image, _)| image.camera == *id);
+        Self {
+            path,
+            registered: model.num_registered(),
+            images: images().count(),
+            unregistered: unregistered.map(|(_, image)| image.name.clone()).collect(),
+            points: model.num_tracks(),
+            observations: model.num_observations(),
+            mean_track_length: model.mean_track_length(),
+            mean_reprojection_error_px: model.mean_reprojection_error_px(),
+            cameras: model
+                .cameras()
+                .filter(|(id, _)| is_used(id))
+                .map(|(id, c)| CameraReport::new(id, c))
+                .collect(),
+        }
+    }
+}
+
+impl Report {
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        match std::fs::read(path) {
+            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
+                Ok(Self { version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() })
+            }
+            Err(cause) => Err(Error::Unreadable { path: path.to_owned(), cause }),
+            Ok(text) => serde_json::from_slice(&text)
+                .map_err(|error| Error::Broken { path: path.to_owned(), what: error.to_string() }),
+        }
+    }
+
+    /// Drops what a stage and the later ones said.
+    pub(crate) fn forget_from(&mut self, stage: Stage) {
+        let Self { stages, models, .. } = self;
+        models.clear();
+        stages.map = None;
+        if stage <= Stage::Match {
+            stages.matches = None;
+        }
+        if stage <= Stage::Features {
+            stages.features = None;
+        }
+    }
+}

@@ -1,0 +1,56 @@
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// A part of the work whose result is kept on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// Keypoints and descriptors of every image.
+    Features,
+    /// Matches and two-view geometries of image pairs.
+    Match,
+    /// Poses and points.
+    Map,
+}
+
+impl Stage {
+    /// All, each made from what the ones before it left.
+    pub const ALL: [Self; 3] = [Self::Features, Self::Match, Self::Map];
+
+    /// Its name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Features => "features",
+            Self::Match => "match",
+            Self::Map => "map",
+        }
+    }
+
+    /// What it makes, as a plural.
+    pub(crate) fn products(self) -> &'static str {
+        match self {
+            Self::Features => "features",
+            Self::Match => "matches",
+            Self::Map => "models",
+        }
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Stage {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|stage| stage.name() == text)
+            .ok_or_else(|| format!("there is no stage {text}: use {}", Self::ALL.map(Self::name).join(", ")))
+    }
+}

@@ -1,0 +1,12 @@
+#![doc = include_str!("../README.md")]
+
+mod baseline;
+pub mod paper;
+mod relative_pose;
+mod spread;
+
+pub use baseline::Baseline;
+pub use relative_pose::RelativePose;
+pub use spread::{Spread, spread};
+pub use tiepoint_ba as ba;
+pub use tiepoint_geometry as geometry;

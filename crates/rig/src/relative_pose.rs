@@ -1,0 +1,107 @@
+//! The relative pose p of two cameras at one moment: six numbers, three of translation and three of rotation.
+//!
+//! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the right camera,
+//! c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the left one's frame, and a = Log(R_r R_lᵀ) is the
+//! axis-angle vector (radians) of right from left. With the perturbations of CONVENTIONS.md (R ← Exp(δ) R, t ← t + τ) and
+//! Q = R_r R_lᵀ:
+//!
+//! | | δ_l | τ_l | δ_r | τ_r |
+//! |---|---|---|---|---|
+//! | c | −[R_l c_r]ₓ | I | −Qᵀ [t_r]ₓ | −Qᵀ |
+//! | a | −J_l⁻¹(a) Q | 0 | J_l⁻¹(a) | 0 |
+//!
+//! J_l is the left Jacobian of SO(3). Axis-angle wraps at π: for cameras that look in opposite directions, differences of `a`
+//! are only meaningful after [`RelativePose::nearest_to`].
+
+use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector3};
+use tiepoint_geometry::{Rigid3, so3};
+
+/// p of Huang, Elhashash & Qin 2022, Eq. (3).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelativePose {
+    /// The right camera's centre in the left camera's frame, in units of the model.
+    pub translation: Vector3<f64>,
+    /// Axis-angle vector of right from left, in radians.
+    pub axis_angle: Vector3<f64>,
+}
+
+/// A relative pose with its derivatives by the tangents (rotation, translation) of the two camera poses.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LinearRelativePose {
+    pub(crate) p: RelativePose,
+    pub(crate) d_left: SMatrix<f64, 6, 6>,
+    pub(crate) d_right: SMatrix<f64, 6, 6>,
+}
+
+impl RelativePose {
+    /// From the poses of the two cameras.
+    pub fn between(left_from_world: &Rigid3, right_from_world: &Rigid3) -> Self {
+        let right_in_world = right_from_world.origin_in_a();
+        Self {
+            translation: *left_from_world * right_in_world,
+            axis_angle: so3::log(&(right_from_world.rotation * left_from_world.rotation.inverse())),
+        }
+    }
+
+    /// The transform that it stands for.
+    pub fn right_from_left(&self) -> Rigid3 {
+        let rotation = so3::exp(&self.axis_angle);
+        Rigid3::new(rotation, -(rotation * self.translation))
+    }
+
+    /// (translation, axis-angle) as one vector, the order of Eq. (3).
+    pub fn to_vector(&self) -> SVector<f64, 6> {
+        let (t, a) = (&self.translation, &self.axis_angle);
+        SVector::<f64, 6>::new(t.x, t.y, t.z, a.x, a.y, a.z)
+    }
+
+    /// The same rotation written by the axis-angle vector nearest to that of `other`: a, or a turn more or less about its axis.
+    pub fn nearest_to(&self, other: &RelativePose) -> Self {
+        let angle = self.axis_angle.norm();
+        if angle == 0.0 {
+            return *self;
+        }
+        let axis = self.axis_angle / angle;
+        let turns = ((other.axis_angle.dot(&axis) - angle) / std::f64::consts::TAU).round();
+        Self { axis_angle: axis * (angle + turns * std::f64::consts::TAU), ..*self }
+    }
+
+    /// With derivatives.
+    pub(crate) fn linearize(left_from_world: &Rigid3, right_from_world: &Rigid3) -> LinearRelativePose {
+        let p = Self::between(left_from_world, right_from_world);
+        let q = (right_from_world.rotation * left_from_world.rotation.inverse())
+            .to_rotation_matrix()
+            .into_inner();
+        let right_rotated = p.translation - left_from_world.translation;
+        let mut d_left = SMatrix::<f64, 6, 6>::zeros();
+        let mut d_right = SMatrix::<f64, 6, 6>::zeros();
+        d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&right_rotated));
+        d_left.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+        d_right
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&(-q.transpose() * so3::hat(&right_from_world.translation)));
+        d_right.fixed_view_mut::<3, 3>(0, 3).copy_from(&-q.transpose());
+        LinearRelativePose { p, d_left, d_right }.with_rotation(&q)
+    }
+}
+
+impl LinearRelativePose {
+    /// Fills the rows of the rotation for the branch that `p` is in.
+    fn with_rotation(mut self, q: &tiepoint_geometry::nalgebra::Matrix3<f64>) -> Self {
+        let inverse = so3::left_jacobian_inverse(&self.p.axis_angle);
+        self.d_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * q));
+        self.d_right.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
+        self
+    }
+
+    /// The same in the branch of the axis-angle vector nearest to `other`.
+    pub(crate) fn nearest_to(mut self, other: &RelativePose) -> Self {
+        let moved = self.p.nearest_to(other);
+        if moved != self.p {
+            self.p = moved;
+            let q = so3::exp(&moved.axis_angle).to_rotation_matrix().into_inner();
+            self = self.with_rotation(&q);
+        }
+        self
+    }
+}

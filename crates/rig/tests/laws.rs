@@ -1,0 +1,107 @@
+//! The baseline factor against numbers: its Jacobian, its zero, its branch near π, and the weights of Eq. (2) and (4).
+
+use proptest::prelude::*;
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_rig::ba::testing::check_jacobians;
+use tiepoint_rig::{Baseline, RelativePose, paper, spread};
+
+/// Numeric differentiation with steps near the cube root of machine precision, on numbers up to about 10 and weights of √500.
+const JACOBIAN_TOLERANCE: f64 = 1e-5;
+
+fn vector(limit: f64) -> impl Strategy<Value = Vector3<f64>> {
+    [-limit..limit, -limit..limit, -limit..limit].prop_map(|[x, y, z]| Vector3::new(x, y, z))
+}
+
+fn pose() -> impl Strategy<Value = Rigid3> {
+    (vector(1.8), vector(5.0)).prop_map(|(w, t)| Rigid3::from_axis_angle(w, t))
+}
+
+/// A drive of two moments: two rig poses, one mounting with a small change between the moments.
+fn moments(mounting: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value = [Rigid3; 4]> {
+    (pose(), pose(), mounting, vector(1.0), vector(0.05), vector(0.05)).prop_map(
+        |(left, next_left, w, t, dw, dt)| {
+            let right_from_left = Rigid3::from_axis_angle(w, t);
+            let next_right_from_left = Rigid3::new(so3::exp(&dw) * right_from_left.rotation, t + dt);
+            [left, right_from_left * left, next_left, next_right_from_left * next_left]
+        },
+    )
+}
+
+fn near_pi() -> impl Strategy<Value = Vector3<f64>> {
+    (vector(1.0), -0.02..0.02).prop_filter_map("an axis", |(axis, off)| {
+        let axis = axis.try_normalize(0.1)?;
+        Some(axis * (std::f64::consts::PI + off))
+    })
+}
+
+fn check([a, b, c, d]: [Rigid3; 4]) {
+    if let Err(difference) = check_jacobians(
+        &Baseline::with_weight(paper::LAMBDA, RelativePose::between(&a, &b)),
+        (a, b, c, d),
+        JACOBIAN_TOLERANCE,
+    ) {
+        panic!("{difference}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn jacobian_for_any_mounting(m in moments(vector(1.5))) {
+        check(m);
+    }
+
+    #[test]
+    fn jacobian_for_cameras_that_look_in_opposite_directions(m in moments(near_pi())) {
+        check(m);
+    }
+
+    #[test]
+    fn jacobian_for_cameras_that_look_in_one_direction(m in moments(vector(1e-9))) {
+        check(m);
+    }
+
+    #[test]
+    fn a_rigid_rig_has_no_cost(left in pose(), next in pose(), w in near_pi(), t in vector(1.0)) {
+        let rig = Rigid3::from_axis_angle(w, t);
+        let now = RelativePose::between(&left, &(rig * left));
+        let then = RelativePose::between(&next, &(rig * next)).nearest_to(&now);
+        prop_assert!((now.to_vector() - then.to_vector()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn the_transform_comes_back(left in pose(), w in vector(1.5), t in vector(1.0)) {
+        let rig = Rigid3::from_axis_angle(w, t);
+        let back = RelativePose::between(&left, &(rig * left)).right_from_left();
+        prop_assert!((back.translation - rig.translation).norm() < 1e-9);
+        prop_assert!(back.rotation.angle_to(&rig.rotation) < 1e-7);
+    }
+}
+
+fn p(t: f64, a: f64) -> RelativePose {
+    RelativePose { translation: Vector3::new(t, 0.01, 0.02), axis_angle: Vector3::new(0.01, a, 0.01) }
+}
+
+#[test]
+fn the_weight_grows_with_the_pairs() {
+    assert_eq!(paper::growing_weight(3, 6), 250.0);
+    assert_eq!(paper::growing_weight(6, 6), 500.0);
+}
+
+#[test]
+fn a_pair_that_one_element_betrays_is_pulled_harder() {
+    let mut poses = vec![p(0.5, 0.1); 20];
+    poses[7] = p(0.5, -0.8);
+    let weights = paper::final_link_weights(&poses);
+    let expected: Vec<f64> = (0..19).map(|i| if i == 6 || i == 7 { 500.0 } else { 250.0 }).collect();
+    assert_eq!(weights, expected);
+}
+
+#[test]
+fn spread_of_a_drifting_baseline() {
+    let poses: Vec<RelativePose> = (0..10).map(|i| p(if i < 5 { 0.5 } else { 0.4 }, 0.1)).collect();
+    let spread = spread(&poses).unwrap();
+    assert!((spread.second_over_first_half - 0.8).abs() < 0.01);
+    assert!(spread.rms_rotation_rad < 1e-9);
+    assert!((spread.rms_translation - 0.05).abs() < 1e-12);
+}

@@ -1,0 +1,278 @@
+//! Bundle adjustment of a reconstruction: into a least-squares problem, and back.
+//!
+//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
+//! leaving columns out: the pose of one image and the coordinate of a second image's translation that moves most with the
+//! scale. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+
+use tiepoint_ba::factors::{Prior, Reprojection};
+use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
+use tiepoint_geometry::nalgebra::{SVector, Vector3};
+use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
+use tiepoint_scene::{Camera, CameraId, ImageId, PointId, Reconstruction};
+
+use crate::{Error, keypoint_sigma_px, triangulation};
+
+/// Which intrinsics an adjustment may move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefineIntrinsics {
+    /// Focal lengths.
+    pub focal: bool,
+    /// The principal point, held near the middle of the image by a prior.
+    pub principal_point: bool,
+    /// Distortion.
+    pub distortion: bool,
+}
+
+impl RefineIntrinsics {
+    /// Nothing: the calibration is known.
+    pub const NONE: Self = Self { focal: false, principal_point: false, distortion: false };
+    /// Focal length and distortion, the principal point staying where it is.
+    pub const FOCAL_AND_DISTORTION: Self = Self { focal: true, principal_point: false, distortion: true };
+    /// Everything.
+    pub const ALL: Self = Self { focal: true, principal_point: true, distortion: true };
+}
+
+/// How to adjust.
+#[derive(Clone, Copy, Debug)]
+pub struct AdjustOptions {
+    /// What may move of the cameras.
+    pub refine: RefineIntrinsics,
+    /// Of the weighted residual.
+    pub loss: Loss,
+    /// Standard deviation of the principal point's prior, as a share of the image's larger side.
+    pub principal_point_sigma: f64,
+    /// Standard deviation of the prior on each distortion coefficient, around 0.
+    pub distortion_sigma: f64,
+    /// Steps at most.
+    pub max_iterations: usize,
+    /// Stop when a step lowers the cost by less than this share.
+    pub function_tolerance: f64,
+}
+
+impl Default for AdjustOptions {
+    fn default() -> Self {
+        Self {
+            refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
+            loss: Loss::SoftL1(4.0),
+            principal_point_sigma: 0.01,
+            distortion_sigma: 1.0,
+            max_iterations: 50,
+            function_tolerance: 1e-6,
+        }
+    }
+}
+
+/// Which images and points an adjustment moves.
+#[derive(Clone, Debug)]
+pub enum Scope<'a> {
+    /// Everything that is registered.
+    Global,
+    /// These images and the points that they see; the other images that see those points hold them in place.
+    Local(&'a BTreeSet<ImageId>),
+}
+
+/// Adjusts; the model is changed to where the optimiser ended, whatever the reason.
+pub fn adjust(
+    model: &mut Reconstruction,
+    scope: &Scope,
+    options: &AdjustOptions,
+    watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+) -> Result<Summary, Error> {
+    let mut bundle = Bundle::new(model, scope, options)?;
+    let solver_options = Options {
+        max_iterations: options.max_iterations,
+        function_tolerance: options.function_tolerance,
+        ..Options::default()
+    };
+    let summary = Solver::new(&bundle.problem, &solver_options)?.solve(&mut bundle.problem, watch)?;
+    bundle.write_back(model);
+    retriangulate_held_out(model);
+    Ok(summary)
+}
+
+/// A problem and which of its variables is what.
+struct Bundle {
+    problem: Problem,
+    cameras: Vec<(CameraId, ReadCamera)>,
+    poses: Vec<(ImageId, Key<Rigid3>)>,
+    points: Vec<(PointId, Key<Vector3<f64>>)>,
+}
+
+/// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of its own.
+type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
+
+impl Bundle {
+    fn new(model: &Reconstruction, scope: &Scope, options: &AdjustOptions) -> Result<Self, Error> {
+        let moves = |image: ImageId| match scope {
+            Scope::Global => true,
+            Scope::Local(images) => images.contains(&image),
+        };
+        let mut bundle =
+            Self { problem: Problem::new(), cameras: Vec::new(), poses: Vec::new(), points: Vec::new() };
+        let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
+        let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
+            vec![Vec::new(); model.images().count()];
+        let mut num_observations = 0;
+        for (point, track) in model.tracks() {
+            if track.is_held_out || !track.observations.iter().any(|o| moves(o.image)) {
+                continue;
+            }
+            let key = bundle.problem.eliminate(track.xyz);
+            point_keys[point.index()] = Some(key);
+            bundle.points.push((point, key));
+            num_observations += track.observations.len();
+            for observation in &track.observations {
+                observations_of_image[observation.image.index()].push((observation.keypoint, key));
+            }
+        }
+        let posed: Vec<ImageId> = model
+            .registered()
+            .map(|(id, ..)| id)
+            .filter(|id| !observations_of_image[id.index()].is_empty())
+            .collect();
+        if posed.len() < 2 || num_observations == 0 {
+            return Err(Error::NothingToAdjust {
+                images: posed.len(),
+                points: bundle.points.len(),
+                observations: num_observations,
+            });
+        }
+        for (order, &image) in posed.iter().enumerate() {
+            let Some(pose) = model.image(image).cam_from_world() else { continue };
+            let key = bundle.problem.keep(*pose, Order::At(order as u32));
+            if !moves(image) {
+                bundle.problem.fix(key);
+            }
+            bundle.poses.push((image, key));
+        }
+        bundle.hold_gauge(model, &moves)?;
+        for (id, camera) in model.cameras() {
+            let images: Vec<(ImageId, Key<Rigid3>)> =
+                bundle.poses.iter().copied().filter(|(image, _)| model.image(*image).camera == id).collect();
+            if images.is_empty() {
+                continue;
+            }
+            // A local adjustment sees too little of a camera that has images elsewhere.
+            let sees_all =
+                model.registered().filter(|(_, image, _)| image.camera == id).all(|(image, ..)| moves(image));
+            let refine = if sees_all { options.refine } else { RefineIntrinsics::NONE };
+            with_camera_model!(&camera.intrinsics, M, params => {
+                let key = bundle.problem.keep(*params, Order::Shared);
+                let kind = camera.intrinsics.kind();
+                let columns = fixed_columns(kind, refine);
+                if columns.len() == kind.num_params() {
+                    bundle.problem.fix(key);
+                } else {
+                    bundle.problem.fix_tangent(key, &columns)?;
+                    bundle.problem.add(key, intrinsics_prior(params, camera, options)?, Loss::Trivial)?;
+                }
+                for (image, pose) in &images {
+                    let keypoints = &model.image(*image).keypoints;
+                    for &(keypoint, point) in &observations_of_image[image.index()] {
+                        let keypoint = &keypoints[keypoint as usize];
+                        let factor = Reprojection::<M>::new(keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
+                        bundle.problem.add((key, *pose, point), factor, options.loss)?;
+                    }
+                }
+                bundle.cameras.push((id, Box::new(move |problem| problem.get(key).as_slice().to_vec())));
+            });
+        }
+        Ok(bundle)
+    }
+
+    /// Holds what the images cannot see: place, orientation and size of the world. Nothing to do where two images are held already.
+    fn hold_gauge(&mut self, model: &Reconstruction, moves: &dyn Fn(ImageId) -> bool) -> Result<(), Error> {
+        let held = self.poses.iter().filter(|(image, _)| !moves(*image)).count();
+        if held >= 2 {
+            return Ok(());
+        }
+        let first = self.poses.iter().position(|(image, _)| held == 0 || !moves(*image)).unwrap_or(0);
+        let (first_image, first_key) = self.poses[first];
+        self.problem.fix(first_key);
+        let Some(first_pose) = model.image(first_image).cam_from_world() else { return Ok(()) };
+        let first_centre = first_pose.origin_in_a();
+        // Scaling the world about the first camera by 1 + ε moves the translation of another by −ε R (c − c₁).
+        let farthest = self
+            .poses
+            .iter()
+            .filter_map(|&(image, key)| {
+                let pose = model.image(image).cam_from_world()?;
+                Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))
+            })
+            .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
+        if let Some((key, direction)) = farthest {
+            self.problem.fix_tangent(key, &[3 + direction.iamax()])?;
+        }
+        Ok(())
+    }
+
+    fn write_back(&self, model: &mut Reconstruction) {
+        for (camera, read) in &self.cameras {
+            model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
+        }
+        for &(image, key) in &self.poses {
+            model.register(image, self.problem.get(key));
+        }
+        for &(point, key) in &self.points {
+            if let Some(track) = model.track_mut(point) {
+                track.xyz = self.problem.get(key);
+            }
+        }
+    }
+}
+
+/// Indices of the parameters that stay.
+fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
+    (0..kind.num_params())
+        .filter(|index| {
+            if kind.focal_indices().contains(index) {
+                !refine.focal
+            } else if kind.principal_point_indices().contains(index) {
+                !refine.principal_point
+            } else {
+                !refine.distortion
+            }
+        })
+        .collect()
+}
+
+/// What is known of a camera before looking: the principal point is near the middle, distortion is small; of the focal length
+/// nothing.
+fn intrinsics_prior<const N: usize>(
+    params: &SVector<f64, N>,
+    camera: &Camera,
+    options: &AdjustOptions,
+) -> Result<Prior<SVector<f64, N>, N>, tiepoint_ba::Error> {
+    let kind = camera.intrinsics.kind();
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let (mut mean, mut sigmas) = (*params, [options.distortion_sigma; N]);
+    for index in 0..N {
+        if kind.focal_indices().contains(&index) {
+            sigmas[index] = f64::INFINITY;
+        } else if let Some(axis) = kind.principal_point_indices().iter().position(|&p| p == index) {
+            mean[index] = [width / 2.0, height / 2.0][axis];
+            sigmas[index] = options.principal_point_sigma * width.max(height);
+        } else {
+            mean[index] = 0.0;
+        }
+    }
+    Prior::new(mean, &sigmas)
+}
+
+/// Moves each held-out point to where the poses see it now.
+fn retriangulate_held_out(model: &mut Reconstruction) {
+    let held_out: Vec<PointId> =
+        model.tracks().filter(|(_, t)| t.is_held_out).map(|(point, _)| point).collect();
+    for point in held_out {
+        let Some(track) = model.track(point) else { continue };
+        let sights: Vec<_> =
+            track.observations.iter().filter_map(|o| triangulation::Sight::of(model, o)).collect();
+        let xyz = triangulation::nearest_to_rays(sights.iter());
+        if let (Some(xyz), Some(track)) = (xyz, model.track_mut(point)) {
+            track.xyz = xyz;
+        }
+    }
+}

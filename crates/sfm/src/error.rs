@@ -1,0 +1,33 @@
+/// Why a mapping or an adjustment could not be done.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// No two images overlap enough to begin with.
+    #[error(
+        "no image pair can start a model: {verified} verified pairs, the best has {best_inliers} matches that triangulate \
+         (at least {required} are needed); take photos that overlap more and are taken from different places"
+    )]
+    NoInitialPair {
+        /// How many verified pairs there are.
+        verified: usize,
+        /// Triangulated matches of the best of them.
+        best_inliers: usize,
+        /// How many are asked for.
+        required: usize,
+    },
+    /// Fewer than two images with a pose and a common point.
+    #[error("nothing to adjust: {images} posed images, {points} points, {observations} observations")]
+    NothingToAdjust {
+        /// Images with a pose.
+        images: usize,
+        /// Points.
+        points: usize,
+        /// Observations.
+        observations: usize,
+    },
+    /// The optimiser refused the problem.
+    #[error(transparent)]
+    Adjustment(#[from] tiepoint_ba::Error),
+    /// The caller's callback asked to stop.
+    #[error("stopped on request")]
+    Cancelled,
+}

@@ -1,0 +1,82 @@
+//! Dropping what does not fit: observations that project too far from their keypoint, points seen under too small an angle,
+//! images left with nothing.
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
+
+/// What is good enough to stay.
+#[derive(Clone, Copy, Debug)]
+pub struct FilterOptions {
+    /// Largest distance between keypoint and projection, in pixels.
+    pub max_error_px: f64,
+    /// Smallest angle between any two rays of a point, in radians.
+    pub min_angle_rad: f64,
+}
+
+impl Default for FilterOptions {
+    fn default() -> Self {
+        Self { max_error_px: 4.0, min_angle_rad: 1.5_f64.to_radians() }
+    }
+}
+
+/// Filters the given points; returns how many observations were dropped.
+pub fn filter_points(model: &mut Reconstruction, points: &[PointId], options: &FilterOptions) -> usize {
+    let mut dropped = 0;
+    for &point in points {
+        let Some(track) = model.track(point) else { continue };
+        let (xyz, count) = (track.xyz, track.observations.len());
+        let bad: Vec<Observation> = track
+            .observations
+            .iter()
+            .copied()
+            .filter(|o| model.error_of_px(o, &xyz).is_none_or(|error| error > options.max_error_px))
+            .collect();
+        if bad.len() + 2 > count {
+            model.delete_track(point);
+            dropped += count;
+            continue;
+        }
+        dropped += bad.len();
+        bad.into_iter().for_each(|o| model.remove_observation(o));
+        if let Some(track) = model.track(point)
+            && !has_angle(model, &track.observations, &xyz, options.min_angle_rad)
+        {
+            dropped += track.observations.len();
+            model.delete_track(point);
+        }
+    }
+    dropped
+}
+
+/// Filters all points.
+pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) -> usize {
+    let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
+    filter_points(model, &points, options)
+}
+
+/// Whether any two cameras see the point under at least `min_angle_rad`.
+fn has_angle(
+    model: &Reconstruction,
+    observations: &[Observation],
+    xyz: &Vector3<f64>,
+    min_angle_rad: f64,
+) -> bool {
+    let max_cosine = min_angle_rad.cos();
+    let directions: Vec<Vector3<f64>> = observations
+        .iter()
+        .filter_map(|o| model.image(o.image).cam_from_world())
+        .map(|pose| (pose.origin_in_a() - xyz).normalize())
+        .collect();
+    directions.iter().enumerate().any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
+}
+
+/// Takes the pose of images that see fewer than `min_points` points; returns them.
+pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
+    let poor: Vec<ImageId> = model
+        .registered()
+        .filter(|(_, image, _)| image.num_points() < min_points)
+        .map(|(id, ..)| id)
+        .collect();
+    poor.iter().for_each(|&image| model.deregister(image));
+    poor
+}

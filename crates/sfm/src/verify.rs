@@ -1,0 +1,116 @@
+//! Two-view geometry: which matches of an image pair a single rigid scene explains, and how.
+//!
+//! After Schönberger & Frahm 2016, section 4.1: an essential matrix where both cameras are calibrated, a fundamental matrix
+//! otherwise, and a homography to tell planes and pure rotations.
+
+use tiepoint_geometry::estimate;
+use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_geometry::{RansacOptions, epipolar};
+use tiepoint_scene::{Camera, Keypoint, Match, TwoView, TwoViewKind};
+
+/// What counts as verified.
+#[derive(Clone, Copy, Debug)]
+pub struct VerifyOptions {
+    /// Largest Sampson or transfer error of an inlier, in pixels.
+    pub max_error_px: f64,
+    /// Fewer inliers are no relation.
+    pub min_num_inliers: usize,
+    /// The essential matrix must hold this share of the fundamental matrix's inliers; otherwise the calibration is wrong.
+    pub min_essential_share: f64,
+    /// A homography that holds this share of the inliers means a plane or a rotation.
+    pub max_homography_share: f64,
+}
+
+impl Default for VerifyOptions {
+    fn default() -> Self {
+        Self { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, max_homography_share: 0.8 }
+    }
+}
+
+/// One side of a pair.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// What was detected.
+    pub keypoints: &'a [Keypoint],
+    /// By which camera.
+    pub camera: &'a Camera,
+}
+
+/// Verifies the matches of two images. `seed` makes the random samples reproducible.
+pub fn verify_pair(
+    view1: View,
+    view2: View,
+    matches: &[Match],
+    options: &VerifyOptions,
+    seed: u64,
+) -> TwoView {
+    let degenerate = TwoView { kind: TwoViewKind::Degenerate, ..TwoView::default() };
+    if matches.len() < options.min_num_inliers {
+        return degenerate;
+    }
+    let points1: Vec<Vector2<f64>> = matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
+    let points2: Vec<Vector2<f64>> = matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
+    let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
+
+    let essential = if view1.camera.has_focal_prior && view2.camera.has_focal_prior {
+        estimate::relative_pose(
+            &points1,
+            &points2,
+            &view1.camera.intrinsics,
+            &view2.camera.intrinsics,
+            &ransac,
+        )
+    } else {
+        None
+    };
+    // No fundamental matrix holds more matches than there are, so where the essential matrix holds nearly all of them the
+    // question whether the calibration is right is settled.
+    let enough = options.min_essential_share * matches.len() as f64;
+    let fundamental = match &essential {
+        Some(report) if report.num_inliers as f64 >= enough => None,
+        _ => estimate::fundamental(&points1, &points2, &ransac),
+    };
+    let num_fundamental = fundamental.as_ref().map_or(0, |report| report.num_inliers);
+    let mut two_view = match (essential, fundamental) {
+        (Some(e), _) if e.num_inliers as f64 >= options.min_essential_share * num_fundamental as f64 => {
+            let essential = epipolar::essential_from_pose(&e.model);
+            TwoView {
+                kind: TwoViewKind::Calibrated,
+                essential: Some(essential),
+                fundamental: epipolar::fundamental_from_essential(
+                    &essential,
+                    &view1.camera.intrinsics.calibration_matrix(),
+                    &view2.camera.intrinsics.calibration_matrix(),
+                ),
+                cam2_from_cam1: Some(e.model),
+                matches: select(matches, &e.inliers),
+                ..TwoView::default()
+            }
+        }
+        (_, Some(f)) => TwoView {
+            kind: TwoViewKind::Uncalibrated,
+            fundamental: Some(f.model),
+            matches: select(matches, &f.inliers),
+            ..TwoView::default()
+        },
+        _ => return degenerate,
+    };
+    if two_view.matches.len() < options.min_num_inliers {
+        return degenerate;
+    }
+    let inliers1: Vec<Vector2<f64>> =
+        two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
+    let inliers2: Vec<Vector2<f64>> =
+        two_view.matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
+    if let Some(homography) = estimate::homography(&inliers1, &inliers2, &ransac)
+        && homography.num_inliers as f64 > options.max_homography_share * inliers1.len() as f64
+    {
+        two_view.kind = TwoViewKind::PlanarOrPanoramic;
+        two_view.homography = Some(homography.model);
+    }
+    two_view
+}
+
+fn select(matches: &[Match], mask: &[bool]) -> Vec<Match> {
+    matches.iter().zip(mask).filter(|(_, inlier)| **inlier).map(|(m, _)| *m).collect()
+}

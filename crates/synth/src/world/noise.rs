@@ -1,0 +1,275 @@
+//! Patterns on a plane, averaged over the footprint of a pixel.
+//!
+//! Every pattern takes the width of the footprint and returns its mean over it, exactly where a closed form exists (lines,
+//! cells) and by fading each octave out before it could alias where not (noise). So textures are anti-aliased at every
+//! distance without a texture in memory, and an edge lies where its geometry says.
+
+/// What stands for "nothing": the mean of patterns in −1..1.
+const MEAN: f32 = 0.0;
+
+/// 32 well-mixed bits of a lattice point.
+pub(crate) fn hash(x: i32, y: i32, seed: u32) -> u32 {
+    let mut h = (x as u32).wrapping_mul(0x8DA6_B343)
+        ^ (y as u32).wrapping_mul(0xD816_3841)
+        ^ seed.wrapping_mul(0xCB1A_B31F);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
+    h ^ (h >> 15)
+}
+
+/// Bits as a number in −1..1.
+pub(crate) fn signed(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (2.0 / (1u32 << 24) as f32) - 1.0
+}
+
+/// Bits as a number in 0..1.
+pub(crate) fn unsigned(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
+}
+
+pub(crate) fn smoothstep(x: f32) -> f32 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * (3.0 - 2.0 * x)
+}
+
+/// `x.floor()` for numbers that fit 32 bits: processors without SSE 4.1 would call a function for it.
+pub(crate) fn floor(x: f64) -> i32 {
+    let truncated = x as i32;
+    truncated - i32::from(x < f64::from(truncated))
+}
+
+fn lattice(x: f64) -> (i32, f32) {
+    let whole = floor(x);
+    (whole, (x - f64::from(whole)) as f32)
+}
+
+/// A footprint longer than this many times its width is split along its length, into at most so many parts.
+const SPLIT: f64 = 2.0;
+const MAX_PARTS: f64 = 4.0;
+
+/// The parallelogram of a surface that a pixel sees, by its longer side.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    long: [f64; 2],
+    length: f64,
+    width: f64,
+    /// The shorter side's extent along each axis.
+    short: [f64; 2],
+}
+
+impl Footprint {
+    /// From the steps on the surface that belong to a pixel to the right and one downwards.
+    pub(crate) fn new(right: [f64; 2], down: [f64; 2]) -> Self {
+        let length = |step: [f64; 2]| (step[0] * step[0] + step[1] * step[1]).sqrt();
+        let (mut long, mut short) = ((right, length(right)), (down, length(down)));
+        if long.1 < short.1 {
+            (long, short) = (short, long);
+        }
+        Self { long: long.0, length: long.1, width: short.1.max(1e-6), short: short.0.map(f64::abs) }
+    }
+
+    /// How far it reaches, at most.
+    pub(crate) fn reach(&self) -> f64 {
+        self.length + self.width
+    }
+
+    /// Mean of a function of (offset, width, width along each axis) over the parts of the footprint: as many as its shape asks
+    /// for, but none finer than `fineness`.
+    #[inline(always)]
+    pub(crate) fn mean<const N: usize>(
+        &self,
+        fineness: f64,
+        f: impl Fn([f64; 2], f64, [f64; 2]) -> [f32; N],
+    ) -> [f32; N] {
+        let ratio = self.length / (SPLIT * self.width).max(fineness);
+        if ratio <= 1.0 {
+            let axes = [0, 1].map(|axis| self.long[axis].abs() + self.short[axis]);
+            return f([0.0; 2], self.length.max(self.width), axes);
+        }
+        let parts = ratio.min(MAX_PARTS).ceil();
+        let width = (self.length / parts).max(self.width);
+        let axes = [0, 1].map(|axis| self.long[axis].abs() / parts + self.short[axis]);
+        let mut sum = [0.0f32; N];
+        for part in 0..parts as usize {
+            let along = (part as f64 + 0.5) / parts - 0.5;
+            let value = f(self.long.map(|step| step * along), width, axes);
+            sum = std::array::from_fn(|k| sum[k] + value[k]);
+        }
+        sum.map(|sum| sum / parts as f32)
+    }
+}
+
+/// One octave: random values at lattice points, interpolated smoothly; in −1..1.
+fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
+    let ((ix, fx), (iy, fy)) = (lattice(x), lattice(y));
+    let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
+    // One round of mixing will do here: the four corners of a cell share what comes before it.
+    let [x0, y0] = [(ix as u32).wrapping_mul(0x8DA6_B343), (iy as u32).wrapping_mul(0xD816_3841)];
+    let [x1, y1] = [x0.wrapping_add(0x8DA6_B343), y0.wrapping_add(0xD816_3841)];
+    let salt = seed.wrapping_mul(0xCB1A_B31F);
+    let corners = [x0 ^ y0, x1 ^ y0, x0 ^ y1, x1 ^ y1].map(|h| {
+        let h = h ^ salt;
+        let h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+        ((h ^ (h >> 14)) >> 8) as i32 as f32
+    });
+    let (bottom, top) =
+        (corners[0] + sx * (corners[1] - corners[0]), corners[2] + sx * (corners[3] - corners[2]));
+    (bottom + sy * (top - bottom)) * (2.0 / (1u32 << 24) as f32) - 1.0
+}
+
+/// Several octaves, from blobs of `coarsest` size downwards; an octave is gone before its blobs are as small as the footprint.
+pub(crate) struct Fractal {
+    pub(crate) coarsest: f64,
+    pub(crate) octaves: u32,
+    /// Amplitude of each octave relative to the one before.
+    pub(crate) persistence: f32,
+}
+
+impl Fractal {
+    /// About −1..1. Coarse octaves look at the middle of a long footprint only: they do not change along it.
+    pub(crate) fn at(&self, [u, v]: [f64; 2], footprint: &Footprint, seed: u32) -> f32 {
+        let (mut sum, mut amplitude, mut size) = (0.0, 1.0, self.coarsest);
+        for octave in 0..self.octaves {
+            if size <= footprint.width {
+                break;
+            }
+            let inverse = 1.0 / size;
+            let [value] = footprint.mean(size / 3.0, |offset, width, _| {
+                // Full above three footprints, nothing at one.
+                let fade = smoothstep(((size / width - 1.0) * 0.5) as f32);
+                if fade <= 0.0 {
+                    return [MEAN];
+                }
+                let (x, y) = ((u + offset[0]) * inverse, (v + offset[1]) * inverse);
+                [fade * value_noise(x, y, seed.wrapping_add(octave))]
+            });
+            sum += amplitude * value;
+            amplitude *= self.persistence;
+            size *= 0.43;
+        }
+        sum
+    }
+}
+
+/// Share of the interval `x ± width/2` that lies in lines of thickness `line` which begin at every multiple of `period`.
+pub(crate) fn lines(x: f64, width: f64, period: f64, line: f64) -> f32 {
+    let integral = |x: f64| {
+        let turns = f64::from(floor(x / period));
+        turns * line + (x - turns * period).min(line)
+    };
+    let width = width.max(1e-6);
+    ((integral(x + 0.5 * width) - integral(x - 0.5 * width)) / width) as f32
+}
+
+/// Share of the interval `x ± width/2` that lies in `from..to`.
+pub(crate) fn interval(x: f64, width: f64, from: f64, to: f64) -> f32 {
+    let width = width.max(1e-6);
+    let (low, high) = ((x - 0.5 * width).max(from), (x + 0.5 * width).min(to));
+    ((high - low).max(0.0) / width) as f32
+}
+
+/// Mean over the footprint of a function that is constant on unit cells. Exact up to a footprint of one cell; beyond it the
+/// result fades to `mean`.
+pub(crate) fn cells(
+    [x, y]: [f64; 2],
+    [width_x, width_y]: [f64; 2],
+    mean: f32,
+    value: impl Fn(i32, i32) -> f32,
+) -> f32 {
+    let fade = smoothstep((2.0 - width_x.max(width_y)) as f32);
+    if fade <= 0.0 {
+        return mean;
+    }
+    let along = |x: f64, width: f64| {
+        let width = width.clamp(1e-6, 1.0);
+        let low = floor(x - 0.5 * width);
+        // Share of the footprint in the cell after `low`.
+        let share = ((x + 0.5 * width - f64::from(low) - 1.0) / width).clamp(0.0, 1.0);
+        (low, share as f32)
+    };
+    let ((ix, sx), (iy, sy)) = (along(x, width_x), along(y, width_y));
+    let mut sum = 0.0;
+    for (dx, weight_x) in [(0, 1.0 - sx), (1, sx)] {
+        for (dy, weight_y) in [(0, 1.0 - sy), (1, sy)] {
+            if weight_x * weight_y > 0.0 {
+                sum += weight_x * weight_y * value(ix.wrapping_add(dx), iy.wrapping_add(dy));
+            }
+        }
+    }
+    mean + fade * (sum - mean)
+}
+
+/// Round spots, at most one in each cell of `size`, in a share of the cells: darker or lighter, −1..1.
+pub(crate) fn spots([u, v]: [f64; 2], footprint: &Footprint, size: f64, share: f32, seed: u32) -> f32 {
+    if footprint.width > size {
+        return MEAN;
+    }
+    // The edge of a large spot may be a little softer than a long footprint would make it.
+    let [mean] = footprint.mean(size / 10.0, |offset, width, _| {
+        [spot([u + offset[0], v + offset[1]], width, size, share, seed)]
+    });
+    mean
+}
+
+fn spot([u, v]: [f64; 2], width: f64, size: f64, share: f32, seed: u32) -> f32 {
+    let ((ix, fx), (iy, fy)) = (lattice(u / size), lattice(v / size));
+    let bits = hash(ix, iy, seed);
+    if unsigned(bits) > share {
+        return MEAN;
+    }
+    let more = hash(iy, ix, seed ^ 0x5BD1_E995);
+    let radius = 0.12 + 0.2 * (more & 0xFF) as f32 / 255.0;
+    let place = |bits: u32| radius + (1.0 - 2.0 * radius) * (bits & 0xFF) as f32 / 255.0;
+    let (dx, dy) = (fx - place(more >> 8), fy - place(more >> 16));
+    let edge = (width / size) as f32;
+    let stretch = 0.6 + 0.8 * (more >> 24) as f32 / 255.0;
+    let inside =
+        (radius - (dx * dx + dy * dy * stretch * stretch).sqrt() / stretch.max(1.0)) / edge.max(1e-4) + 0.5;
+    // Small spots lose contrast as the pixel outgrows them.
+    let fade = smoothstep(2.0 - edge / radius);
+    fade * inside.clamp(0.0, 1.0) * signed(bits.wrapping_mul(0x9E37_79B9))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Samples of a slow mean along one axis; its error is then about one part in as many.
+    const SAMPLES: usize = 400;
+    const TOLERANCE: f32 = 0.01;
+
+    fn slow_mean(x: f64, width: f64, f: impl Fn(f64) -> f32) -> f32 {
+        let sum: f32 = (0..SAMPLES).map(|k| f(x + width * ((k as f64 + 0.5) / SAMPLES as f64 - 0.5))).sum();
+        sum / SAMPLES as f32
+    }
+
+    proptest! {
+        #[test]
+        fn lines_and_intervals_are_means(x in -5.0..5.0, width in 0.01..3.0, line in 0.05..0.6) {
+            let exact = lines(x, width, 0.7, line);
+            let slow = slow_mean(x, width, |x| f32::from(x.rem_euclid(0.7) < line));
+            prop_assert!((exact - slow).abs() < TOLERANCE, "{exact} {slow}");
+            let exact = interval(x, width, -1.0, line);
+            let slow = slow_mean(x, width, |x| f32::from((-1.0..line).contains(&x)));
+            prop_assert!((exact - slow).abs() < TOLERANCE, "{exact} {slow}");
+        }
+
+        #[test]
+        fn cells_are_means(x in -5.0..5.0, y in -5.0..5.0, wx in 0.01..1.0, wy in 0.01..1.0) {
+            let value = |ix: i32, iy: i32| signed(hash(ix, iy, 3));
+            let exact = cells([x, y], [wx, wy], 0.0, value);
+            let slow = slow_mean(y, wy, |y| slow_mean(x, wx, |x| value(x.floor() as i32, y.floor() as i32)));
+            prop_assert!((exact - slow).abs() < 2.0 * TOLERANCE, "{exact} {slow}");
+        }
+
+        #[test]
+        fn nothing_is_left_of_noise_when_the_footprint_is_coarser(u in -9.0..9.0, v in -9.0..9.0, seed: u32) {
+            let fractal = Fractal { coarsest: 0.5, octaves: 6, persistence: 0.8 };
+            let footprint = Footprint::new([0.6, 0.0], [0.0, 0.6]);
+            prop_assert_eq!(fractal.at([u, v], &footprint, seed), 0.0);
+            prop_assert_eq!(cells([u, v], [2.5, 0.1], 0.25, |_, _| 1.0), 0.25);
+            prop_assert_eq!(spots([u, v], &footprint, 0.2, 1.0, seed), 0.0);
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! A drive on disk: the images as cameras would leave them, and beside them the truth as tables.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use tiepoint_geometry::nalgebra::Vector3;
+
+use crate::drive::Drive;
+use crate::error::Error;
+use crate::photometry::jpeg_bytes;
+use crate::{Exposure, Lens, Renderer};
+
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let written = path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(path, bytes));
+    written.map_err(|source| Error::Write { path: path.to_owned(), source })
+}
+
+impl Drive {
+    /// What the cameras say about time: `image,seconds`, one line an image.
+    pub fn timestamps_csv(&self) -> String {
+        let mut text = String::from("image,seconds\n");
+        for exposure in self.cameras().iter().flat_map(|camera| &camera.exposures) {
+            writeln!(text, "{},{:.6}", exposure.name, exposure.stamp_s).expect("a string can be written to");
+        }
+        text
+    }
+
+    /// The true poses: `image,true_seconds,qw,qx,qy,qz,tx,ty,tz`, cam_from_world at the middle row.
+    pub fn poses_csv(&self) -> String {
+        let mut text = String::from("image,true_seconds,qw,qx,qy,qz,tx,ty,tz\n");
+        for (index, camera) in self.cameras().iter().enumerate() {
+            for exposure in &camera.exposures {
+                let pose = self.cam_from_world(index, exposure.time_s);
+                let (q, t) = (pose.rotation, pose.translation);
+                let numbers = [exposure.time_s, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
+                let numbers = numbers.map(|number| number.to_string()).join(",");
+                writeln!(text, "{},{numbers}", exposure.name).expect("a string can be written to");
+            }
+        }
+        text
+    }
+
+    /// The trajectory of a camera's images as TUM has it: `seconds tx ty tz qx qy qz qw`, true time, world_from_cam.
+    pub fn trajectory_tum(&self, camera: usize) -> String {
+        let mut text = String::new();
+        for exposure in &self.cameras()[camera].exposures {
+            let pose = self.cam_from_world(camera, exposure.time_s).inverse();
+            let (q, t) = (pose.rotation, pose.translation);
+            let numbers = [exposure.time_s, t.x, t.y, t.z, q.i, q.j, q.k, q.w];
+            writeln!(text, "{}", numbers.map(|number| number.to_string()).join(" "))
+                .expect("a string can be written to");
+        }
+        text
+    }
+
+    /// The true cameras: name and number, one a line. Lens (`focal_px`, `cx`, `cy`, and for the action lens `a1`..`a4`, `p1`,
+    /// `p2`), clock, readout, and place on the rig (cam_from_rig, the first camera being the rig).
+    pub fn cameras_csv(&self) -> String {
+        let mut text = String::from("camera,quantity,value\n");
+        for (index, camera) in self.cameras().iter().enumerate() {
+            let (centre, in_rig) = (camera.lens.principal_point(), self.cam_from_rig(index));
+            let (q, t) = (in_rig.rotation, in_rig.translation);
+            let mut rows = vec![
+                ("width", f64::from(camera.width)),
+                ("height", f64::from(camera.height)),
+                ("focal_px", camera.lens.focal_px()),
+                ("cx", centre.x),
+                ("cy", centre.y),
+                ("readout_s", camera.readout_s),
+                ("clock_offset_s", camera.clock.offset_s),
+                ("clock_drift", camera.clock.drift),
+                ("rig_qw", q.w),
+                ("rig_qx", q.i),
+                ("rig_qy", q.j),
+                ("rig_qz", q.k),
+                ("rig_tx", t.x),
+                ("rig_ty", t.y),
+                ("rig_tz", t.z),
+            ];
+            if let Lens::Action(lens) = &camera.lens {
+                rows.extend(["a1", "a2", "a3", "a4"].into_iter().zip(lens.radial));
+                rows.extend(["p1", "p2"].into_iter().zip(lens.decentring));
+            }
+            for (quantity, value) in rows {
+                writeln!(text, "{},{quantity},{value}", camera.name).expect("a string can be written to");
+            }
+        }
+        text
+    }
+
+    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and one TUM trajectory a camera.
+    pub fn write_tables(&self, folder: &Path) -> Result<(), Error> {
+        write_file(&folder.join("timestamps.csv"), self.timestamps_csv().as_bytes())?;
+        write_file(&folder.join("truth/poses.csv"), self.poses_csv().as_bytes())?;
+        write_file(&folder.join("truth/cameras.csv"), self.cameras_csv().as_bytes())?;
+        for (index, camera) in self.cameras().iter().enumerate() {
+            let path = folder.join("truth").join(format!("{}.tum", camera.name));
+            write_file(&path, self.trajectory_tum(index).as_bytes())?;
+        }
+        Ok(())
+    }
+
+    /// Renders an image and writes it under its name in `folder`.
+    pub fn write_image(
+        &self,
+        folder: &Path,
+        camera: usize,
+        exposure: &Exposure,
+        renderer: &Renderer,
+    ) -> Result<(), Error> {
+        let path = folder.join(&exposure.name);
+        let image = self.render_raw(camera, exposure, renderer);
+        let bytes = match self.jpeg_quality() {
+            Some(quality) => jpeg_bytes(&image, quality),
+            None => {
+                let mut bytes = std::io::Cursor::new(Vec::new());
+                image.write_to(&mut bytes, image::ImageFormat::Png).ok().map(|()| bytes.into_inner())
+            }
+        };
+        let bytes = bytes.ok_or_else(|| Error::Encode {
+            path: path.clone(),
+            reason: format!("an image of {} x {} pixels was refused", image.width(), image.height()),
+        })?;
+        write_file(&path, &bytes)
+    }
+}
+
+/// Writes points as a binary PLY.
+pub fn write_ply(path: &Path, points: &[Vector3<f64>]) -> Result<(), Error> {
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n",
+        points.len()
+    )
+    .into_bytes();
+    for point in points {
+        for value in point.iter() {
+            bytes.extend_from_slice(&(*value as f32).to_le_bytes());
+        }
+    }
+    write_file(path, &bytes)
+}

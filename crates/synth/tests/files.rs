@@ -1,0 +1,77 @@
+//! What a drive leaves on disk.
+
+use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, Mounting, image, write_ply};
+
+fn drive(effects: Effects) -> Drive {
+    let mounts = Mount::stereo(Mounting::Right, 0.5).to_vec();
+    let options = DriveOptions { mounts, width: 160, height: 120, effects, ..DriveOptions::default() };
+    Drive::new(&options).expect("the options are valid")
+}
+
+#[test]
+fn images_come_back_as_they_were_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    for (effects, extension) in [(Effects::default(), "png"), (Effects::all(), "jpg")] {
+        let drive = drive(effects);
+        let (renderer, exposure) = (drive.renderer(1), &drive.cameras()[1].exposures[7]);
+        drive.write_image(folder.path(), 1, exposure, &renderer).unwrap();
+        assert_eq!(exposure.name, format!("right/000007.{extension}"));
+        let back = image::open(folder.path().join(&exposure.name)).unwrap().to_rgb8();
+        assert_eq!(back, drive.render(1, exposure, &renderer));
+    }
+}
+
+#[test]
+fn tables_hold_the_stamps_and_the_true_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = drive(Effects::all());
+    drive.write_tables(folder.path()).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let exposures: Vec<_> = drive
+        .cameras()
+        .iter()
+        .enumerate()
+        .flat_map(|(c, camera)| camera.exposures.iter().map(move |exposure| (c, exposure)))
+        .collect();
+    let stamps = read("timestamps.csv");
+    let poses = read("truth/poses.csv");
+    assert_eq!(stamps.lines().next(), Some("image,seconds"));
+    assert_eq!((stamps.lines().count(), poses.lines().count()), (exposures.len() + 1, exposures.len() + 1));
+    for ((stamp, pose), (camera, exposure)) in stamps.lines().zip(poses.lines()).skip(1).zip(exposures) {
+        let (name, seconds) = stamp.split_once(',').unwrap();
+        assert_eq!(name, exposure.name);
+        // Six decimals are written.
+        assert!((seconds.parse::<f64>().unwrap() - exposure.stamp_s).abs() < 1e-6);
+        let (name, numbers) = pose.split_once(',').unwrap();
+        let n: Vec<f64> = numbers.split(',').map(|number| number.parse().unwrap()).collect();
+        let truth = drive.cam_from_world(camera, exposure.time_s);
+        assert_eq!((name, n[0]), (exposure.name.as_str(), exposure.time_s));
+        assert_eq!(UnitQuaternion::new_unchecked(Quaternion::new(n[1], n[2], n[3], n[4])), truth.rotation);
+        assert_eq!(Vector3::new(n[5], n[6], n[7]), truth.translation);
+    }
+    assert_eq!(read("truth/left.tum").lines().count(), drive.cameras()[0].exposures.len());
+    let offset = format!("right,clock_offset_s,{}", drive.cameras()[1].clock.offset_s);
+    assert!(read("truth/cameras.csv").contains(&offset));
+}
+
+#[test]
+fn a_cloud_is_a_binary_ply() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloud.ply");
+    write_ply(&path, &[Vector3::new(1.0, 2.0, 3.0), Vector3::new(-4.0, 0.5, 0.25)]).unwrap();
+    let bytes = std::fs::read(path).unwrap();
+    let header = b"end_header\n";
+    let body = bytes.windows(header.len()).position(|window| window == header).unwrap() + header.len();
+    let numbers: Vec<f32> =
+        bytes[body..].chunks(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
+    assert_eq!(numbers, [1.0, 2.0, 3.0, -4.0, 0.5, 0.25]);
+    assert!(String::from_utf8_lossy(&bytes[..body]).contains("element vertex 2"));
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_an_error() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let error = drive(Effects::default()).write_tables(file.path()).unwrap_err();
+    assert!(error.to_string().contains("timestamps.csv"), "{error}");
+}

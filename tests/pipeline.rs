@@ -1,0 +1,156 @@
+//! The pipeline on real photos, made small so that the tests stay short: fountain-P11 of Strecha et al. 2008.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use image::imageops::FilterType;
+use tiepoint_pipeline::io::ImageSource as _;
+use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
+use tiepoint_pipeline::{
+    Calibration, Error, Event, FeatureOptions, Options, Photos, Report, Stage, Truth, Workspace,
+    evaluate_poses, extract_features, reconstruct,
+};
+
+/// The photos are made smaller by this factor: 3072 x 2048 to 512 x 341 (the last two lines are cut off).
+const SHRINK: u32 = 6;
+/// Full-size photos with known intrinsics give 2.5 mm; a pixel is `SHRINK` times as large here.
+const MAX_MEAN_CENTRE_ERROR_M: f64 = 6.0 * 2.5e-3;
+/// K.txt of the data set: fx, fy, cx, cy of the full-size photos.
+const FULL_SIZE_INTRINSICS: [f64; 4] = [2759.48, 2764.16, 1520.69, 1006.81];
+
+/// The reference data, or a loud line.
+fn data(test: &str) -> Option<PathBuf> {
+    let data = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from);
+    if data.is_none() {
+        eprintln!("SKIPPED: TIEPOINT_DATA is not set, so {test} did not run on real photos");
+    }
+    data
+}
+
+/// Writes small grey versions of the first `count` photos to `to`.
+fn shrink(data: &Path, count: usize, to: &Path) {
+    let photos = data.join("fountain-P11/images");
+    let folder = tiepoint_pipeline::io::ImageFolder::open(&[photos], None).unwrap();
+    fs::create_dir_all(to).unwrap();
+    for (index, photo) in folder.images().iter().enumerate().take(count) {
+        let luma = folder.luma(index).unwrap();
+        let (width, height) = (luma.width / SHRINK * SHRINK, luma.height / SHRINK * SHRINK);
+        let image = image::GrayImage::from_raw(luma.width, luma.height, luma.data).unwrap();
+        let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
+        let small = image::imageops::resize(&image, width / SHRINK, height / SHRINK, FilterType::Triangle);
+        // The name that the truth has; the content says what it is.
+        small.save_with_format(to.join(&photo.name), image::ImageFormat::Png).unwrap();
+    }
+}
+
+/// With known intrinsics: (0, 0) is the corner of the first pixel, so they shrink with the photo.
+fn calibrated() -> Options {
+    let params = FULL_SIZE_INTRINSICS.map(|param| param / f64::from(SHRINK));
+    let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &params).unwrap();
+    let features =
+        FeatureOptions { calibration: Calibration::Known(intrinsics), ..FeatureOptions::default() };
+    Options { features, ..Options::default() }
+}
+
+fn run(photos: &Path, workspace: &Path, threads: usize) -> Report {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        reconstruct(&[photos.to_owned()], workspace, &calibrated(), &mut |_| ControlFlow::Continue(()))
+            .unwrap()
+    })
+}
+
+/// The files that must be the same.
+fn results(workspace: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files: Vec<PathBuf> =
+        fs::read_dir(workspace.join("sparse/0")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.push(workspace.join("points.ply"));
+    let read = |path: PathBuf| (path.strip_prefix(workspace).unwrap().to_owned(), fs::read(&path).unwrap());
+    files.into_iter().map(read).collect()
+}
+
+#[test]
+fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
+    let Some(data) = data("the accuracy of the pipeline") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    shrink(&data, usize::MAX, &photos);
+    let report = run(&photos, &dir.path().join("two"), 2);
+    assert_eq!((report.models.len(), report.models[0].registered), (1, 11));
+    let truth: Truth = format!("strecha:{}", data.join("fountain-P11/cameras").display()).parse().unwrap();
+    let evaluation = evaluate_poses(&dir.path().join("two"), &truth, None).unwrap();
+    assert_eq!((evaluation.images, evaluation.registered), (11, 11));
+    let mean_m = evaluation.centre_error.mean;
+    assert!(mean_m < MAX_MEAN_CENTRE_ERROR_M, "mean centre error {mean_m} m");
+    run(&photos, &dir.path().join("one"), 1);
+    assert!(results(&dir.path().join("one")) == results(&dir.path().join("two")), "not the same bytes");
+}
+
+#[test]
+fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
+    const COUNT: usize = 5;
+    let Some(data) = data("resuming") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let (photos, workspace) = (dir.path().join("photos"), dir.path().join("ws"));
+    shrink(&data, COUNT, &photos);
+    run(&photos, &dir.path().join("undisturbed"), 2);
+
+    // Stops when the given event comes; tells how far the stage was when it was begun.
+    let stop_at = |stop: &dyn Fn(&Event) -> bool| {
+        let mut done_before = 0;
+        let result = reconstruct(std::slice::from_ref(&photos), &workspace, &calibrated(), &mut |event| {
+            if let Event::StageBegan { done, .. } = event {
+                done_before = *done;
+            }
+            if stop(event) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
+        done_before
+    };
+    let third_image =
+        |event: &Event| matches!(event, Event::ImageDone { image, .. } if image.contains("0002"));
+    assert_eq!(stop_at(&third_image), 0);
+    let mut pairs = std::cell::Cell::new(0);
+    let fourth_pair = |event: &Event| {
+        pairs.set(pairs.get() + usize::from(matches!(event, Event::PairDone { .. })));
+        pairs.get() == 4
+    };
+    stop_at(&fourth_pair);
+    let done = stop_at(&|event| matches!(event, Event::ImageRegistered { .. }));
+    assert_eq!((pairs.get_mut(), done), (&mut 4, 0), "the mapper begins anew");
+    let report = run(&photos, &workspace, 2);
+    assert_eq!(report.stages.matches.as_ref().map(|matches| matches.pairs), Some(COUNT * (COUNT - 1) / 2));
+    assert!(results(&workspace) == results(&dir.path().join("undisturbed")), "not the same bytes");
+}
+
+#[test]
+fn what_an_interruption_left_is_not_computed_again() {
+    let Some(data) = data("resuming") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    shrink(&data, 4, &folder);
+    let photos = Photos::open(&[folder], None).unwrap();
+    let mut workspace = Workspace::create(&dir.path().join("ws")).unwrap();
+    let mut extract = |limit: usize| {
+        let mut images = Vec::new();
+        let result =
+            extract_features(&photos, &mut workspace, &FeatureOptions::default(), None, &mut |event| {
+                if let Event::ImageDone { image, .. } = event {
+                    images.push((*image).to_owned());
+                }
+                if images.len() == limit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            });
+        (images, result.is_ok())
+    };
+    let (first, done) = extract(3);
+    assert_eq!((first.len(), done), (3, false));
+    let (rest, done) = extract(usize::MAX);
+    assert_eq!((rest.len(), done), (1, true));
+    assert!(!first.contains(&rest[0]));
+    assert_eq!(extract(usize::MAX), (vec![], true), "kept");
+    let report = workspace.report().unwrap().stages.features.unwrap();
+    assert_eq!((report.images, report.skipped.len()), (4, 0));
+    assert_eq!(Stage::ALL.map(Stage::name), ["features", "match", "map"]);
+}
