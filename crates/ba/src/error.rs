@@ -99,6 +99,14 @@ pub enum Error {
     /// The problem got variables, factors or fixings after the solver was made from it.
     #[error("the problem has changed since its solver was made: make a new solver")]
     StructureChanged,
+    /// A variable, or one that it depends on, is not determined by the factors: there is no finite covariance.
+    #[error("the factors do not determine {variable} number {slot}, or what it depends on: fix the gauge")]
+    Undetermined {
+        /// The variable's type.
+        variable: &'static str,
+        /// Which of that type, from 0.
+        slot: u32,
+    },
     /// More factors or variables than 32-bit indices can number.
     #[error("{count} {what} are more than the {limit} that can be numbered")]
     TooLarge {

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod autodiff;
+mod covariance;
 mod damping;
 mod eliminate;
 mod error;
@@ -20,6 +21,7 @@ pub mod testing;
 mod variable;
 
 pub use autodiff::{AutoDiff, DIRECTIONS, Dual, Lift, LiftVars, Residual, RigidOf, Scalar};
+pub use covariance::Covariance;
 pub use error::Error;
 pub use factor::{Factor, IntoKeys, Linear, Refs, Vars};
 pub use nalgebra;

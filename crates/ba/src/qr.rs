@@ -6,7 +6,7 @@ use std::time::Instant;
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsqCore;
 
-use crate::eliminate::damping_of;
+use crate::eliminate::damping;
 use crate::error::Error;
 use crate::problem::Problem;
 use crate::run::Rows;
@@ -136,8 +136,7 @@ impl System for QrSystem {
             right[(i, 0)] = -residual;
         }
         for (j, &diagonal) in diagonal.iter().enumerate() {
-            matrix[(self.rows + j, j)] =
-                if diagonal > 0.0 { (lambda * damping_of(diagonal)).sqrt() } else { 1.0 };
+            matrix[(self.rows + j, j)] = damping(diagonal, lambda).sqrt();
         }
         matrix.col_piv_qr().solve_lstsq_in_place_with_conj(faer::Conj::No, right.as_mut());
         let [mut g_step, mut damped] = [0.0; 2];
@@ -145,7 +144,7 @@ impl System for QrSystem {
             let step = right[(j, 0)];
             self.step[self.column_at[j]] = step;
             g_step += gradient[j] * step;
-            damped += lambda * damping_of(diagonal[j]) * step * step;
+            damped += lambda * diagonal[j] * step * step;
         }
         times.solve += begin.elapsed();
         for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&self.structure.step_at)

@@ -193,7 +193,7 @@ impl System for SchurSystem {
             kept.iter().zip(&self.reduced.gradient).zip(&self.reduced.diagonal)
         {
             g_step += gradient * step;
-            damped += lambda * crate::eliminate::damping_of(*diagonal) * step * step;
+            damped += lambda * diagonal * step * step;
         }
         for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&structure.step_at) {
             trial.plus_all(&**values, &self.step, at);

@@ -151,7 +151,7 @@ struct Attempt {
     cost: f64,
 }
 
-fn check_finite(problem: &Problem, at: &Linearised) -> Result<(), Error> {
+pub(crate) fn check_finite(problem: &Problem, at: &Linearised) -> Result<(), Error> {
     if at.cost.is_finite() && at.gradient_max.is_finite() {
         return Ok(());
     }

@@ -5,7 +5,7 @@
 #[cfg(target_arch = "x86_64")]
 use super::lanes::Fused;
 use super::lanes::{Isa, LANES, Portable, lanes, lanes_mut};
-use super::{Sums, damping_of, stash_head, stash_len};
+use super::{Sums, damping, stash_head, stash_len};
 use crate::structure::{Cell, Chunk, Local, Shape};
 
 /// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
@@ -136,11 +136,11 @@ impl Work<'_> {
             return;
         }
 
-        let mut damping = [0.0; P];
+        let mut diagonal = [0.0; P];
         for i in 0..P {
-            damping[i] = damping_of(v[i][i]);
+            diagonal[i] = v[i][i];
             *gradient_max = gradient_max.max(g[i].abs());
-            v[i][i] += self.lambda * damping[i];
+            v[i][i] += damping(v[i][i], self.lambda);
         }
         cholesky::<P>(&mut v);
         let mut inverse = [0.0; P];
@@ -159,7 +159,7 @@ impl Work<'_> {
             head[i * P..][..P].copy_from_slice(&v[i]);
             head[P * P + i] = y[i];
             head[P * P + P + i] = g[i];
-            head[P * P + 2 * P + i] = damping[i];
+            head[P * P + 2 * P + i] = diagonal[i];
         }
         whiten::<P, I>(w, stashed, width, &v, &inverse);
         let w = &*w;

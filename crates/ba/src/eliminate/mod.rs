@@ -28,7 +28,7 @@ use crate::variable::Values;
 /// Largest variable that can be eliminated: beyond, the reduced system is the better place.
 pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
-/// Numbers kept of a cell: L, y, g_p, D_p and Y.
+/// Numbers kept of a cell: L, y, g_p, the diagonal of J_pᵀJ_p, and Y.
 pub(crate) fn stash_len(dof: usize, width: usize) -> usize {
     stash_head(dof) + dof * width
 }
@@ -134,7 +134,7 @@ impl Sums {
             }
             for (k, component) in step.iter().enumerate() {
                 promise[0] += stash.gradient[k] * component;
-                promise[1] += lambda * stash.damping[k] * component * component;
+                promise[1] += lambda * stash.diagonal[k] * component * component;
             }
         }
         promise
@@ -149,8 +149,8 @@ pub(crate) struct CellStash<'a> {
     pub(crate) reduced_gradient: &'a [f64],
     /// g_p.
     pub(crate) gradient: &'a [f64],
-    /// D_p.
-    pub(crate) damping: &'a [f64],
+    /// The diagonal of J_pᵀJ_p.
+    pub(crate) diagonal: &'a [f64],
     /// Y: a row over the pattern's blocks for each direction of the variable.
     pub(crate) y: &'a [f64],
 }
@@ -162,14 +162,14 @@ impl<'a> CellStash<'a> {
         let (head, y) = stash[cell.stash..][..stash_len(p, width)].split_at(stash_head(p));
         let (factor, rest) = head.split_at(p * p);
         let (reduced_gradient, rest) = rest.split_at(p);
-        let (gradient, damping) = rest.split_at(p);
-        Self { factor, reduced_gradient, gradient, damping, y }
+        let (gradient, diagonal) = rest.split_at(p);
+        Self { factor, reduced_gradient, gradient, diagonal, y }
     }
 }
 
-/// The damping of a direction with this entry on the diagonal of JᵀJ, before it is multiplied by λ: Marquardt's scaling, which
-/// makes the step independent of units. A direction that no factor sees stays where it is.
+/// λD of a direction with this entry on the diagonal of JᵀJ: Marquardt's scaling, which makes the step independent of units. A
+/// direction that no factor sees gets a one, and stays where it is.
 #[inline(always)]
-pub(crate) fn damping_of(diagonal: f64) -> f64 {
-    if diagonal > 0.0 { diagonal } else { 1.0 }
+pub(crate) fn damping(diagonal: f64, lambda: f64) -> f64 {
+    if diagonal > 0.0 { lambda * diagonal } else { 1.0 }
 }

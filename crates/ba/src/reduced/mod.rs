@@ -7,7 +7,7 @@ mod sparse;
 
 use rayon::prelude::*;
 
-use crate::eliminate::{Sums, damping_of};
+use crate::eliminate::{Sums, damping};
 use crate::structure::{Block, Structure, padded};
 
 pub(crate) use dense::Dense;
@@ -119,9 +119,7 @@ impl Reduced {
             }
             for (column, i) in block.free_columns().enumerate() {
                 let at = layout.tile_at(a, a, column);
-                let diagonal = diagonal[block.at + i];
-                let damping = damping_of(diagonal);
-                numbers[at] += if diagonal > 0.0 { lambda * damping } else { damping };
+                numbers[at] += damping(diagonal[block.at + i], lambda);
             }
         };
         if structure.chunks.len() > 1 {
@@ -133,7 +131,7 @@ impl Reduced {
 
     /// Factorises and solves for the step of the kept variables, written over all blocks, fixed columns zero.
     pub(crate) fn solve(&mut self, structure: &Structure, step: &mut [f64]) -> Result<(), NotPositive> {
-        self.factorisation.factorise(&mut self.numbers)?;
+        self.factorise()?;
         for block in &structure.blocks {
             for (column, i) in block.free_columns().enumerate() {
                 let at = block.at + i;
@@ -147,6 +145,16 @@ impl Reduced {
             }
         }
         Ok(())
+    }
+
+    /// Factorises what was gathered.
+    pub(crate) fn factorise(&mut self) -> Result<(), NotPositive> {
+        self.factorisation.factorise(&mut self.numbers)
+    }
+
+    /// Solves the factorised system for several right-hand sides over its columns.
+    pub(crate) fn solve_columns(&mut self, x: &mut [f64]) {
+        self.factorisation.solve(&self.numbers, x);
     }
 }
 

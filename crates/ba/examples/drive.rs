@@ -1,0 +1,164 @@
+//! How time and memory grow with the length of a drive: two cameras that ride together, some thousand moments, tracks of a few
+//! moments each, intrinsics that all images of a camera share.
+//!
+//! `cargo run --release --example drive -- [MOMENTS [POINTS_PER_MOMENT]] [--no-rig] [--loop]`
+//!
+//! Consecutive moments are joined by a factor of four poses that wants the rig to stay as it is; `--no-rig` leaves it out. With
+//! `--loop` the drive is a circle whose end sees the points of its beginning.
+#![allow(clippy::print_stdout)] // a program may
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use tiepoint_ba::factors::Reprojection;
+use tiepoint_ba::nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3, Vector4};
+use tiepoint_ba::{Error, Factor, Linear, Loss, Options, Order, Problem, Refs, Solver};
+use tiepoint_geometry::cameras::Pinhole;
+use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
+
+/// The position of the right camera in the left one's frame at one moment, minus that at the next. Variables: left and right
+/// `cam_from_world`, then those of the next moment.
+struct SameBaseline {
+    sigma: f64,
+}
+
+/// The right camera's centre in the left frame, t_l − R_l R_rᵀ t_r, with its derivatives by both poses.
+fn baseline(left: &Rigid3, right: &Rigid3) -> (Vector3<f64>, SMatrix<f64, 3, 6>, SMatrix<f64, 3, 6>) {
+    let left_from_right = (left.rotation * right.rotation.inverse()).to_rotation_matrix().into_inner();
+    let carried = left_from_right * right.translation;
+    let (mut d_left, mut d_right) = (SMatrix::<f64, 3, 6>::zeros(), SMatrix::<f64, 3, 6>::zeros());
+    d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&so3::hat(&carried));
+    d_left.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+    d_right.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-left_from_right * so3::hat(&right.translation)));
+    d_right.fixed_view_mut::<3, 3>(0, 3).copy_from(&-left_from_right);
+    (left.translation - carried, d_left, d_right)
+}
+
+impl Factor<3> for SameBaseline {
+    type Vars = (Rigid3, Rigid3, Rigid3, Rigid3);
+
+    fn linearize(&self, (l0, r0, l1, r1): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 3>> {
+        let ((p0, l0, r0), (p1, l1, r1)) = (baseline(l0, r0), baseline(l1, r1));
+        let weight = 1.0 / self.sigma;
+        Some(((p0 - p1) * weight, (l0 * weight, r0 * weight, -l1 * weight, -r1 * weight)))
+    }
+}
+
+/// Moments for which a point stays in sight, and the metres between two of them.
+const SIGHT: usize = 5;
+const STEP_M: f64 = 0.5;
+const NOISE_PX: f64 = 0.5;
+
+fn drive(moments: usize, points_per_moment: usize, rig: bool, closed: bool) -> Result<Problem, Error> {
+    let mut rng = Rng::stream(5, &[]);
+    let mut problem = Problem::new();
+    let lens = Vector4::new(900.0, 900.0, 960.0, 540.0);
+    let lenses = [0, 1].map(|_| problem.keep(lens + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared));
+    lenses.iter().try_for_each(|&lens| problem.fix_tangent(lens, &[2, 3]))?;
+    let radius = STEP_M * moments as f64 / std::f64::consts::TAU;
+    let right_from_left = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.8, 0.0, 0.0));
+    // Driving along x, looking to the side, along z; around a circle when it closes.
+    let left_at = |i: usize| {
+        let angle = if closed { i as f64 / moments as f64 * std::f64::consts::TAU } else { 0.0 };
+        let centre = match closed {
+            true => Vector3::new(radius * angle.sin(), 0.0, radius * (1.0 - angle.cos())),
+            false => Vector3::new(STEP_M * i as f64, 0.0, 0.0),
+        };
+        let rotation = so3::exp(&Vector3::new(0.0, angle, 0.0));
+        Rigid3::new(rotation, -(rotation * centre))
+    };
+    let mut poses = Vec::with_capacity(moments);
+    let mut truth = Vec::with_capacity(moments);
+    for i in 0..moments {
+        let left = left_at(i);
+        let both = [left, right_from_left * left];
+        let mut off = || {
+            let mut three = || Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.002;
+            Rigid3::from_axis_angle(three(), three() * 5.0)
+        };
+        poses.push(
+            both.map(|pose| problem.keep(if i < 2 { pose } else { off() * pose }, Order::At(i as u32))),
+        );
+        truth.push(both);
+    }
+    poses[0].iter().chain(&poses[1]).for_each(|&pose| problem.fix(pose));
+    for i in 0..moments {
+        for _ in 0..points_per_moment {
+            let in_left =
+                Vector3::new(6.0 * rng.uniform() - 2.0, 6.0 * rng.uniform() - 3.0, 6.0 + 6.0 * rng.uniform());
+            let point = truth[i][0].inverse() * in_left;
+            let off = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
+            let key = problem.eliminate(point + off);
+            for j in i..i + SIGHT {
+                let j = match closed {
+                    true => j % moments,
+                    false if j < moments => j,
+                    false => break,
+                };
+                for side in 0..2 {
+                    // One keypoint in five is not found.
+                    let seen =
+                        Pinhole::project(&lens, &(truth[j][side] * point)).filter(|_| rng.below(5) > 0);
+                    let Some(pixel) = seen else { continue };
+                    let pixel = pixel + Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
+                    let factor = Reprojection::<Pinhole>::new(pixel, NOISE_PX);
+                    problem.add((lenses[side], poses[j][side], key), factor, Loss::Huber(2.0))?;
+                }
+            }
+        }
+    }
+    let end = if closed { moments } else { moments - 1 };
+    for i in (0..end).filter(|_| rig) {
+        let ([l0, r0], [l1, r1]) = (poses[i], poses[(i + 1) % moments]);
+        problem.add((l0, r0, l1, r1), SameBaseline { sigma: 0.01 }, Loss::Trivial)?;
+    }
+    Ok(problem)
+}
+
+/// Mean squared residual, as a plain check that the solve went where it should.
+fn mean_square(problem: &Problem) -> f64 {
+    let residuals = problem.residuals::<2, Reprojection<Pinhole>>();
+    let norms: SVector<f64, 2> =
+        residuals.iter().flatten().fold(SVector::zeros(), |sum, r| sum + Vector2::new(r.norm_squared(), 2.0));
+    norms.x / norms.y
+}
+
+/// Largest resident memory of this process so far, in GiB, where the system tells.
+fn peak_gib() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").trim().parse::<f64>().ok());
+    kib.unwrap_or(f64::NAN) / (1 << 20) as f64
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let (mut rig, mut closed, mut numbers) = (true, false, Vec::new());
+    for argument in std::env::args().skip(1) {
+        match argument.as_str() {
+            "--no-rig" => rig = false,
+            "--loop" => closed = true,
+            number => numbers.push(number.parse::<usize>()?),
+        }
+    }
+    let moments = numbers.first().copied().unwrap_or(250).max(SIGHT + 1);
+    let points = numbers.get(1).copied().unwrap_or(500);
+    let mut problem = drive(moments, points, rig, closed)?;
+    let built = peak_gib();
+    let begin = Instant::now();
+    let mut solver = Solver::new(&problem, &Options { max_iterations: 10, ..Options::default() })?;
+    let analysis = begin.elapsed();
+    let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
+    let steps = summary.iterations.len().max(1) as f64;
+    println!("{summary}");
+    println!(
+        "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step; {:.2} GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
+        2 * moments,
+        problem.num_factors(),
+        analysis.as_secs_f64(),
+        summary.times.total.as_secs_f64() / steps,
+        peak_gib(),
+        mean_square(&problem),
+        summary.times,
+    );
+    Ok(())
+}

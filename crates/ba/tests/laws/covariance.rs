@@ -1,0 +1,163 @@
+//! Covariances: against a twin that eliminates nothing, against a textbook formula, and where there are none.
+
+use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
+use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
+use tiepoint_ba::{AnyKey, AutoDiff, Error, Key, LinearSolver, Loss, Order, Problem, Residual, Scalar};
+use tiepoint_geometry::cameras::SimpleRadial;
+use tiepoint_geometry::{CameraModel, Rigid3, Rng};
+
+use crate::scene::{Intrinsics, NOISE_PX, PARAMS, Scene, solve};
+
+/// Rounding times the condition number of a small bundle adjustment.
+const SAME: f64 = 1e-7;
+
+/// A line through samples with unit noise: the covariance of (slope, offset) is the inverse of [Σx², Σx; Σx, n].
+struct Line(f64);
+impl Residual<1> for Line {
+    type Vars = (Vector2<f64>,);
+    fn residual<T: Scalar>(&self, ([m, c],): ([T; 2],)) -> Option<[T; 1]> {
+        Some([m * self.0 + c])
+    }
+}
+
+#[test]
+fn of_a_line() {
+    let mut problem = Problem::new();
+    let line = problem.keep(Vector2::zeros(), Order::Shared);
+    let (n, mut sum, mut squares) = (10.0, 0.0, 0.0);
+    for i in 0..10 {
+        let x = f64::from(i);
+        problem.add(line, AutoDiff(Line(x)), Loss::Trivial).unwrap();
+        (sum, squares) = (sum + x, squares + x * x);
+    }
+    let expected = DMatrix::from_row_slice(2, 2, &[n, -sum, -sum, squares]) / (n * squares - sum * sum);
+    let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
+    assert!((found - expected).amax() < 1e-12);
+    // With the offset known, the slope's variance is 1/Σx².
+    problem.fix_tangent(line, &[1]).unwrap();
+    let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
+    assert!((found - DMatrix::from_row_slice(2, 2, &[1.0 / squares, 0.0, 0.0, 0.0])).amax() < 1e-12);
+    assert_eq!(problem.covariance(&[]).unwrap().matrix().shape(), (0, 0));
+}
+
+/// The factors of a scene once more, with points that are kept.
+fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
+    let mut twin = Problem::new();
+    let (old, mut keys) = (&scene.problem, Vec::new());
+    let params = twin.keep(old.get(scene.intrinsics[0]), Order::Shared);
+    keys.push(params.into());
+    let poses: Vec<_> = scene.poses.iter().map(|&key| twin.keep(old.get(key), Order::At(0))).collect();
+    keys.extend(poses.iter().map(|&key| AnyKey::from(key)));
+    let points: Vec<_> = scene.points.iter().map(|&key| twin.keep(old.get(key), Order::At(1))).collect();
+    keys.extend(points.iter().map(|&key| AnyKey::from(key)));
+    for &point in &points {
+        for &pose in &poses {
+            // A covariance does not depend on where the pixel was.
+            let factor = Reprojection::<SimpleRadial>::new(Vector2::zeros(), 1.0);
+            twin.add((params, pose, point), factor, Loss::Trivial).unwrap();
+        }
+    }
+    twin.fix(poses[0]);
+    twin.fix_tangent(poses[1], &[5]).unwrap();
+    twin.fix(points[2]);
+    twin.fix_tangent(points[4], &[0, 2]).unwrap();
+    (twin, keys)
+}
+
+#[test]
+fn of_eliminated_variables_as_if_they_were_kept() {
+    // All four cameras see all points.
+    let mut scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
+    scene.fix_gauge();
+    scene.problem.fix(scene.points[2]);
+    scene.problem.fix_tangent(scene.points[4], &[0, 2]).unwrap();
+    solve(&mut scene.problem, LinearSolver::Auto, 5);
+    let mut keys = vec![scene.intrinsics[0].into()];
+    keys.extend(scene.poses.iter().map(|&key| AnyKey::from(key)));
+    keys.extend(scene.points.iter().map(|&key| AnyKey::from(key)));
+    let found = scene.problem.covariance(&keys).unwrap();
+    let (twin, twin_keys) = without_elimination(&scene);
+    let expected = twin.covariance(&twin_keys).unwrap();
+    let difference = (found.matrix() - expected.matrix()).amax();
+    assert!(difference < SAME * expected.matrix().amax(), "{difference}");
+    // What is held does not vary; what is asked for in two ways is the same.
+    assert_eq!(found.of(scene.poses[0]).unwrap().amax(), 0.0);
+    assert_eq!(found.of(scene.points[2]).unwrap().amax(), 0.0);
+    let partly = found.of(scene.points[4]).unwrap();
+    assert!(partly[(1, 1)] > 0.0 && partly[(0, 0)] == 0.0 && partly[(2, 1)] == 0.0);
+    let cross = found.between(scene.poses[2], scene.points[5]).unwrap();
+    assert_eq!(cross.shape(), (6, 3));
+    assert!((cross - found.between(scene.points[5], scene.poses[2]).unwrap().transpose()).amax() < SAME);
+    let few = scene.problem.covariance(&[scene.points[5].into()]).unwrap();
+    assert!((few.matrix() - found.of(scene.points[5]).unwrap()).amax() < SAME * few.matrix().amax());
+    assert_eq!(few.of(scene.poses[2]), None);
+}
+
+#[test]
+fn there_is_none_without_a_gauge() {
+    let scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
+    for key in [scene.poses[2].into(), scene.points[3].into()] {
+        let error = scene.problem.covariance(&[key]).unwrap_err();
+        assert!(matches!(error, Error::Undetermined { .. }), "{error}");
+    }
+    let mut problem = Problem::new();
+    let (alone, known) = (problem.keep(1.0, Order::Shared), problem.keep(2.0, Order::Shared));
+    let point = problem.eliminate(Vector3::zeros());
+    problem.add(known, Prior::new(2.0, &[0.5]).unwrap(), Loss::Trivial).unwrap();
+    assert!(matches!(problem.covariance(&[alone.into()]), Err(Error::Undetermined { slot: 0, .. })));
+    assert!(matches!(problem.covariance(&[point.into()]), Err(Error::Undetermined { slot: 0, .. })));
+    assert!((problem.covariance(&[known.into()]).unwrap().matrix()[(0, 0)] - 0.25).abs() < 1e-12);
+    let strange: Key<f64> = {
+        let mut other = Problem::new();
+        (0..3).map(|_| other.keep(0.0, Order::Shared)).last().unwrap()
+    };
+    assert!(matches!(problem.covariance(&[strange.into()]), Err(Error::UnknownVariable { slot: 2, .. })));
+}
+
+/// How far the estimates of a rig's calibration scatter around the truth over many noises is what its covariance says.
+#[test]
+fn of_a_rig_is_its_scatter() {
+    /// χ² of 6 degrees of freedom, mean of so many runs: 6 ± √(12 / RUNS), within 4 standard deviations.
+    const RUNS: u32 = 60;
+    let cam_from_rig =
+        Rigid3::from_axis_angle(Vector3::new(0.02, -0.1, 0.01), Vector3::new(-0.5, 0.02, 0.05));
+    let mut total = 0.0;
+    for run in 0..RUNS {
+        let mut rng = Rng::stream(11, &[u64::from(run)]);
+        let mut problem = Problem::new();
+        let lens = Vector4::from(PARAMS);
+        let params = problem.keep(lens, Order::Shared);
+        problem.fix(params);
+        let first = problem.keep(Rigid3::identity(), Order::Shared);
+        problem.fix(first);
+        let second = problem.keep(cam_from_rig, Order::Shared);
+        let moments: Vec<_> = (0..4)
+            .map(|i| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.4 * f64::from(i), 0.0, 0.0)))
+            .collect();
+        let rigs: Vec<_> =
+            moments.iter().zip(0..).map(|(&pose, i)| problem.keep(pose, Order::At(i))).collect();
+        problem.fix(rigs[0]);
+        problem.fix_tangent(rigs[3], &[3]).unwrap();
+        for _ in 0..25 {
+            let point =
+                Vector3::new(4.0 * rng.uniform() - 1.4, 3.0 * rng.uniform() - 1.5, 3.0 + 3.0 * rng.uniform());
+            let key = problem.eliminate(point);
+            for (rig_from_world, &rig) in moments.iter().zip(&rigs) {
+                for (cam_from_rig, camera) in [(Rigid3::identity(), first), (cam_from_rig, second)] {
+                    let in_cam = cam_from_rig * *rig_from_world * point;
+                    let pixel = SimpleRadial::project(&lens, &in_cam).unwrap();
+                    let noise = Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
+                    let factor = RigReprojection::<SimpleRadial>::new(pixel + noise, NOISE_PX);
+                    problem.add((params, camera, rig, key), factor, Loss::Trivial).unwrap();
+                }
+            }
+        }
+        assert!(solve(&mut problem, LinearSolver::Auto, 20).termination.converged());
+        let covariance = problem.covariance(&[second.into()]).unwrap().of(second).unwrap();
+        let error = tiepoint_ba::Manifold::minus(&problem.get(second), &cam_from_rig);
+        let error = DMatrix::from_column_slice(6, 1, error.as_slice());
+        total += (error.transpose() * covariance.try_inverse().unwrap() * &error)[(0, 0)];
+    }
+    let mean = total / f64::from(RUNS);
+    assert!((mean - 6.0).abs() < 4.0 * (12.0 / f64::from(RUNS)).sqrt(), "{mean}");
+}
