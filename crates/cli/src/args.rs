@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand};
+use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
@@ -43,6 +44,8 @@ pub(crate) enum Command {
     Evaluate(Evaluate),
     /// Writes a result in another format.
     Export(Export),
+    /// Writes report.html into a workspace: cloud, cameras and plots in one file to open in a browser, offline too.
+    View(View),
     /// Renders the drive of two cameras along a street, with the truth beside it.
     Synth(Synth),
     /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without and with the constraint
@@ -176,6 +179,24 @@ pub(crate) struct Adjust {
 pub(crate) enum Evaluate {
     /// Camera poses: centre errors after a similarity, relative-pose AUC, focal length.
     Poses(EvaluatePoses),
+    /// A cloud: distance of its points to the nearest ones of a reference, a laser scan say, after alignment.
+    Cloud(EvaluateCloud),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateCloud {
+    /// A PLY, LAS or LAZ file, a workspace, or a folder with a COLMAP model. (LAS and LAZ need a build with --features las.)
+    pub(crate) cloud: PathBuf,
+    /// What it is compared with: as above.
+    pub(crate) reference: PathBuf,
+    /// What is found before distances are measured: similarity (from anywhere, by the clouds' own axes and then closest points), rigid
+    /// (a motion from where the cloud is), none. With a scale, closest points hide drift.
+    #[arg(long, value_name = "FREEDOM", default_value = "similarity", value_parser = alignment)]
+    pub(crate) align: Alignment,
+    /// Puts the cloud of a workspace where its cameras belong, given true poses in the world of the reference, and only moves it
+    /// rigidly from there: the honest way. FORMAT as in `evaluate poses`.
+    #[arg(long, value_name = "FORMAT:PATH", conflicts_with = "align")]
+    pub(crate) truth: Option<Truth>,
 }
 
 #[derive(Debug, Args)]
@@ -195,12 +216,19 @@ pub(crate) struct EvaluatePoses {
 pub(crate) struct Export {
     /// A workspace, or a folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal.
+    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
+    /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct View {
+    /// A workspace, or a folder with a COLMAP model.
+    pub(crate) workspace: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -298,6 +326,15 @@ impl FromStr for PositivePixels {
     fn from_str(text: &str) -> Result<Self, String> {
         let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
         value.map(Self).ok_or_else(|| "it must be a number of pixels above 0".to_owned())
+    }
+}
+
+fn alignment(name: &str) -> Result<Alignment, String> {
+    match name {
+        "similarity" => Ok(Alignment::Similarity),
+        "rigid" => Ok(Alignment::Rigid),
+        "none" => Ok(Alignment::None),
+        _ => Err("use similarity, rigid or none".to_owned()),
     }
 }
 

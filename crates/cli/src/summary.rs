@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::{PoseEvaluation, Report};
+use tiepoint_pipeline::{CloudEvaluation, ErrorStatistics, PoseEvaluation, Report};
 
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
@@ -117,4 +117,20 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
         text.push('\n');
     }
     text
+}
+
+/// A cloud against a reference.
+pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
+    let CloudEvaluation { points, reference_points, scale, iterations, .. } = evaluation;
+    let line = |distance: &ErrorStatistics| {
+        let ErrorStatistics { mean, std, median, max, .. } = distance;
+        format!("mean {mean:.6}  std {std:.6}  median {median:.6}  max {max:.6}")
+    };
+    format!(
+        "{points} points against {reference_points}, scale {scale:.6}, aligned in {iterations} rounds\n\
+         distance to the reference  {}\n\
+         distance of the reference  {}\n",
+        line(&evaluation.distance),
+        line(&evaluation.reference_distance),
+    )
 }

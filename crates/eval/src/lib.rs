@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod cloud;
+mod coarse;
 mod poses;
 mod relative;
 mod rig;
@@ -9,6 +10,7 @@ mod surface;
 mod trajectory;
 
 pub use cloud::{Cloud, CloudAlignment, IcpOptions};
+pub use coarse::find_alignment;
 pub use poses::{Alignment, PoseComparison, compare_poses, focal_error};
 pub use relative::{auc, relative_pose_errors_rad};
 pub use rig::{PosePair, RigOverTime, rig_over_time};

@@ -6,8 +6,10 @@ use serde::Serialize;
 use tiepoint_eval::geometry::Sim3;
 use tiepoint_eval::geometry::nalgebra::Vector3;
 use tiepoint_eval::{Alignment, Cloud, IcpOptions, Statistics};
+use tiepoint_io::colmap::read_model;
 use tiepoint_io::ply;
 
+use crate::evaluate::model_folder;
 use crate::{Error, ErrorStatistics};
 
 /// Points that take part in the search for the alignment, at most: evenly chosen. A rigid motion needs no more, and it is
@@ -68,8 +70,12 @@ fn sample(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     points.iter().step_by(points.len().div_ceil(MAX_ALIGNED).max(1)).copied().collect()
 }
 
-/// The points of a PLY file, or of a LAS or LAZ one (with the feature `las`).
+/// The points of a PLY file, of a LAS or LAZ one (with the feature `las`), or of a model (a folder, or a workspace).
 pub fn read_cloud(path: &Path) -> Result<Vec<Vector3<f64>>, Error> {
+    if path.is_dir() {
+        let model = read_model(&model_folder(path))?;
+        return Ok(model.tracks().map(|(_, track)| track.xyz).collect());
+    }
     let is_las =
         path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"));
     let vertices = if is_las { read_las(path)? } else { ply::read(path)? };

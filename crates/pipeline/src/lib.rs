@@ -21,6 +21,7 @@ mod rig_over_time;
 mod rig_report;
 mod stage;
 mod surface;
+mod view;
 mod workspace;
 
 use std::ops::ControlFlow;
@@ -49,6 +50,7 @@ pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
+pub use view::{Exhibit, TableRow, report_html, view};
 pub use workspace::Workspace;
 
 /// Gets every event, in order, on the calling thread; what it returns stops the run.

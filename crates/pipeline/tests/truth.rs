@@ -1,11 +1,12 @@
 //! The measures of a drive: nothing is wrong with the truth, and what is made wrong is measured.
 #![allow(clippy::unwrap_used)]
 
+use tiepoint_pipeline::eval::find_alignment;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3};
 use tiepoint_pipeline::eval::{Alignment, Sighting};
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
-use tiepoint_pipeline::{evaluate_cloud, evaluate_rig, evaluate_surface};
+use tiepoint_pipeline::{Exhibit, evaluate_cloud, evaluate_rig, evaluate_surface, report_html};
 use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 
 /// Through lens and shutter and back, at distances up to 100 m.
@@ -156,4 +157,62 @@ fn a_moved_cloud_is_put_back_onto_its_scan() {
         found.reference_distance.mean > 0.0 && found.reference_distance.mean < unaligned.distance.mean * 10.0
     );
     assert!(evaluate_cloud(&[], &scan, &start, Alignment::Rigid).is_none());
+}
+
+#[test]
+fn a_cloud_is_found_from_anywhere() {
+    let drive = drive("none");
+    let scanner =
+        LidarOptions { every_turns: 10, azimuth_step_rad: 1f64.to_radians(), ..LidarOptions::default() };
+    let scan = reference_cloud(&drive, &scanner).unwrap();
+    // What another scan of the same drive sees, at another place, orientation and scale, with points far out.
+    let other = LidarOptions { azimuth_step_rad: 1.3f64.to_radians(), seed: 1, ..scanner };
+    let moved = Sim3 {
+        scale: 0.03,
+        rotation: tiepoint_pipeline::eval::geometry::so3::exp(&Vector3::new(0.5, -2.0, 1.0)),
+        translation: Vector3::new(30.0, -20.0, 10.0),
+    };
+    let mut cloud: Vec<_> = reference_cloud(&drive, &other).unwrap().iter().map(|p| moved * *p).collect();
+    cloud.extend((0..20).map(|k| Vector3::new(1000.0, f64::from(k), 0.0)));
+    let start = find_alignment(&cloud, &scan).unwrap();
+    let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Similarity).unwrap();
+    // Scans half a metre apart between points at 10 m, and noise of 1.5 cm: closest points pull the scale by a few parts of a
+    // thousand.
+    assert!((found.scale * moved.scale - 1.0).abs() < 0.01, "{found:?}");
+    assert!(found.distance.median < 0.3, "{found:?}");
+    let line: Vec<_> = (0..50).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
+    assert!(find_alignment(&line, &line).is_none());
+    assert!(find_alignment(&[], &scan).is_none());
+}
+
+#[test]
+fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
+    let drive = drive("none");
+    let model = truth_with_points(&drive);
+    let exhibit =
+        Exhibit { name: "off", model: &model, world_from_model: Some(Sim3::identity()), report: None };
+    let other = Exhibit { name: "</script>paper", ..exhibit };
+    let table = [("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
+    let page = report_html("a drive", &[exhibit, other], &table, vec![("rig.json", "{}".to_owned())]);
+    assert_eq!(page.matches("</script>").count(), 2, "the template's own");
+    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let data: serde_json::Value = serde_json::from_str(data).unwrap();
+    assert_eq!(data["table"][0], serde_json::json!(["ATE", "1 m", "2 m"]));
+    assert_eq!(data["models"][1]["name"], "</script>paper");
+    for shown in data["models"].as_array().unwrap() {
+        assert_eq!(shown["points_shown"], shown["num_points"]);
+        // Four letters of base64 are three bytes; a point has six bytes of place and three of colour.
+        let count = shown["num_points"].as_u64().unwrap() as usize;
+        assert_eq!(shown["points"].as_str().unwrap().len(), (6 * count).div_ceil(3) * 4);
+        assert_eq!(shown["cameras"][0]["corners"].as_array().unwrap().len(), 15 * 30);
+        assert_eq!(shown["errors"]["counts"][0], 2 * count, "the truth has no reprojection error");
+        assert_eq!(shown["track_lengths"]["counts"][0], count);
+        let baselines = shown["rigs"][0]["baselines"].as_array().unwrap();
+        assert!(baselines.iter().all(|b| (b.as_f64().unwrap() - 0.5).abs() < TOLERANCE_M));
+    }
+    // A frame's two images have their points in common, and no others.
+    let shared = &data["models"][0]["shared"];
+    assert_eq!(shared["side"], 60);
+    let total: u64 = shared["counts"].as_array().unwrap().iter().map(|c| c.as_u64().unwrap()).sum();
+    assert_eq!(total, 2 * model.num_tracks() as u64);
 }
