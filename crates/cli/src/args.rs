@@ -153,7 +153,8 @@ pub(crate) struct Pairs {
 #[derive(Debug, Args)]
 pub(crate) struct Mapping {
     /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
-    /// 2022: the relative pose at one moment equals that at the next). Moments come from the times of the photos.
+    /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
+    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Moments come from the times of the photos.
     #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
 }
@@ -354,7 +355,10 @@ fn rig_term(mode: &str) -> Result<RigTerm, String> {
     match mode {
         "off" => Ok(RigTerm::Off),
         "paper" => Ok(RigTerm::Paper),
-        _ => Err("it must be off or paper".to_owned()),
+        "soft" => Ok(RigTerm::Soft),
+        "hard" => Ok(RigTerm::Hard),
+        "auto" => Ok(RigTerm::Auto),
+        _ => Err("it must be off, paper, soft, hard or auto".to_owned()),
     }
 }
 

@@ -58,6 +58,14 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                     camera.second_over_first_half,
                 ));
             }
+            if let Some(mounting) = &rig.mounting {
+                line(format_args!("          {}: {}", mounting.chosen, mounting.why));
+                for [left, right] in mounting.bad_pairs.iter().take(MAX_NAMES) {
+                    line(format_args!(
+                        "          not held: {left} and {right} do not agree with the mounting"
+                    ));
+                }
+            }
             if let Some(paper) = &rig.paper {
                 let [first, second] = &paper.unit_images;
                 line(format_args!(

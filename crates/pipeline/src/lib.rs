@@ -44,7 +44,7 @@ pub use report::{
     CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
 };
 pub use rig_over_time::{RigEvaluation, evaluate_rig};
-pub use rig_report::{PaperReport, RigCameraReport, RigReport};
+pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport};
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use tiepoint_eval as eval;

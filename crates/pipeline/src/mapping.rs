@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
@@ -14,6 +15,7 @@ use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, Verify
 use crate::colors::color_points;
 use crate::matching::keypoint;
 use crate::records::{Progress, Recipe};
+use crate::rig_report::{Held, History};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// Maps a workspace that has matches: models of everything that hangs together, the largest first.
@@ -45,20 +47,26 @@ pub fn map(
         require_moments(workspace, &scene)?;
     }
     let name = |id| scene.image(id).name.as_str();
-    let mut began = Vec::new();
+    let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
     let mut models = sfm::map(&graph, &scene, &options, &mut |event| {
-        if let sfm::Event::Initialised { image1, image2, .. } = event {
-            began.push((*image1, *image2));
+        match event {
+            sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
+            sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::Mounted { hold, error_off_px, error_px, .. } => {
+                held.push(Held { hold: *hold, error_off_px: *error_off_px, error_px: *error_px });
+            }
+            _ => {}
         }
-        watch(&translate(event, &name))
+        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     })?;
     if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
+    let history = History { began, bad_pairs, held };
     let paths = write_models(workspace, &models)?;
     let report = |(path, model): (String, &Reconstruction)| {
-        ModelReport::new(path, model, RigReport::new(options.rig, model, &began))
+        ModelReport::new(path, model, RigReport::new(options.rig, model, &history))
     };
     let reports = paths.into_iter().zip(&models).map(report).collect();
     let seconds = start.elapsed().as_secs_f64();
@@ -98,8 +106,8 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
 }
 
 /// What the mapper tells, with names for ids.
-fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event<'a> {
-    match *event {
+fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
+    Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => {
             Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }
         }
@@ -109,7 +117,9 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event
         sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
             Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
         }
-    }
+        // These are for the report.
+        sfm::Event::BadPair { .. } | sfm::Event::Mounted { .. } => return None,
+    })
 }
 
 /// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing.

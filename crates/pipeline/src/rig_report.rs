@@ -3,19 +3,55 @@
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, paper, spread};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
+use tiepoint_sfm::{Hold, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
 
 use crate::rig_over_time::folder_of;
 
 /// Two or more cameras that took images at the same moments.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigReport {
-    /// What held them to each other: off or paper.
+    /// What was asked to hold them to each other: off, paper, soft, hard or auto.
     pub mode: String,
     /// The first camera with each other one.
     pub cameras: Vec<RigCameraReport>,
     /// With `--rig paper`: what the constraint meant in this model.
     pub paper: Option<PaperReport>,
+    /// With soft, hard and auto: what came of it.
+    pub mounting: Option<MountingReport>,
+}
+
+/// How firmly the cameras were held to one mounting in the end, and why.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MountingReport {
+    /// off, soft or hard.
+    pub chosen: String,
+    /// The reason, in one sentence.
+    pub why: String,
+    /// Of soft: standard deviation of each coordinate of the centre, as a share of the baseline.
+    pub sigma_translation: Option<f64>,
+    /// Of soft: standard deviation of each component of the rotation.
+    pub sigma_rotation_deg: Option<f64>,
+    /// Error of tracks that took no part, without any mounting.
+    pub held_out_error_off_px: f64,
+    /// The same in the end.
+    pub held_out_error_px: f64,
+    /// Images of one moment that agree with the mounting neither in the model nor by their own matches.
+    pub bad_pairs: Vec<[String; 2]>,
+}
+
+/// What the mapper told of mountings.
+pub(crate) struct Held {
+    pub(crate) hold: Option<Hold>,
+    pub(crate) error_off_px: f64,
+    pub(crate) error_px: f64,
+}
+
+/// What the mapper told, of all models.
+pub(crate) struct History {
+    /// The initial pairs.
+    pub(crate) began: Vec<(ImageId, ImageId)>,
+    pub(crate) bad_pairs: Vec<(ImageId, ImageId)>,
+    pub(crate) held: Vec<Held>,
 }
 
 /// How constant the relative pose of two cameras is, without any truth.
@@ -59,18 +95,26 @@ pub struct PaperReport {
 }
 
 impl RigReport {
-    /// `None` for a lone camera. `began` has the initial pairs of all models.
-    pub(crate) fn new(term: RigTerm, model: &Reconstruction, began: &[(ImageId, ImageId)]) -> Option<Self> {
+    /// `None` for a lone camera.
+    pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History) -> Option<Self> {
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
             rigs.iter().map(|rig| (rig, relative_poses(model, rig))).collect();
         let cameras: Vec<RigCameraReport> =
             series.iter().filter_map(|(rig, poses)| camera(model, rig, poses)).collect();
-        let (mode, paper) = match term {
-            RigTerm::Off => ("off", None),
-            RigTerm::Paper => ("paper", paper_report(model, &series, &cameras, began)),
+        let mode = match term {
+            RigTerm::Off => "off",
+            RigTerm::Paper => "paper",
+            RigTerm::Soft => "soft",
+            RigTerm::Hard => "hard",
+            RigTerm::Auto => "auto",
         };
-        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper })
+        let paper = match term {
+            RigTerm::Paper => paper_report(model, &series, &cameras, &history.began),
+            _ => None,
+        };
+        let mounting = mounting_report(term, model, history);
+        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, mounting })
     }
 }
 
@@ -90,6 +134,42 @@ fn camera(
         relative_translation_rms: spread.rms_translation / spread.mean_baseline,
         rotation_rms_deg: spread.rms_rotation_rad.to_degrees(),
         second_over_first_half: spread.second_over_first_half,
+    })
+}
+
+/// Of the largest model, to which the mapper came first.
+fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> Option<MountingReport> {
+    let Held { hold, error_off_px, error_px } = *history.held.first()?;
+    let name = |image| model.image(image).name.clone();
+    let (chosen, sigmas) = match hold {
+        None => ("off", None),
+        Some(Hold::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
+            ("soft", Some((sigma_translation, sigma_rotation_rad.to_degrees())))
+        }
+        Some(Hold::Rigid) => ("hard", None),
+    };
+    let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
+    let why = match (term, hold) {
+        (RigTerm::Auto, None) => {
+            "cameras held to one mounting would explain tracks that took no part worse, even loosely"
+                .to_owned()
+        }
+        (RigTerm::Auto, Some(Hold::Rigid)) => {
+            format!("a rigid rig explains tracks that took no part best, with {errors}")
+        }
+        (_, Some(Hold::Soft { .. })) => {
+            format!("this is as firmly as tracks that took no part allow: {errors}")
+        }
+        _ => format!("it was asked for; tracks that took no part are off by {errors}"),
+    };
+    Some(MountingReport {
+        chosen: chosen.to_owned(),
+        why,
+        sigma_translation: sigmas.map(|sigmas| sigmas.0),
+        sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
+        held_out_error_off_px: error_off_px,
+        held_out_error_px: error_px,
+        bad_pairs: history.bad_pairs.iter().map(|&(left, right)| [name(left), name(right)]).collect(),
     })
 }
 

@@ -7,14 +7,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use tiepoint_ba::factors::{Prior, Reprojection};
+use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
-use tiepoint_rig::Baseline;
+use tiepoint_rig::{Baseline, Mounted};
 use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
 use crate::focal::FocalPrior;
+use crate::mounting::{Hold, Mounting};
 use crate::rig_pairs::BaselineLink;
 use crate::{Error, keypoint_sigma_px, triangulation};
 
@@ -53,6 +54,8 @@ pub struct AdjustOptions<'a> {
     pub focal_priors: &'a [FocalPrior],
     /// Where cameras ride together: relative poses that should be equal.
     pub links: &'a [BaselineLink],
+    /// Where cameras ride together: mountings that they are held to. For adjustments of everything.
+    pub mountings: &'a [Mounting],
     /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate of the second one's
     /// translation. By default the first and the one farthest from it.
     pub gauge: Option<ImagePair>,
@@ -71,6 +74,7 @@ impl Default for AdjustOptions<'_> {
             distortion_sigma: 0.2,
             focal_priors: &[],
             links: &[],
+            mountings: &[],
             gauge: None,
             max_iterations: 50,
             function_tolerance: 1e-6,
@@ -111,7 +115,17 @@ struct Bundle {
     problem: Problem,
     cameras: Vec<(CameraId, ReadCamera)>,
     poses: Vec<(ImageId, Key<Rigid3>)>,
+    /// Images that are held rigidly to another: the mounting, and the other's pose.
+    held: Vec<(ImageId, Key<Rigid3>, Key<Rigid3>)>,
     points: Vec<(PointId, Key<Vector3<f64>>)>,
+}
+
+/// Where the pose of an image stands.
+#[derive(Clone, Copy)]
+enum Place {
+    Own(Key<Rigid3>),
+    /// Mounting and the other camera's pose.
+    Held(Key<Rigid3>, Key<Rigid3>),
 }
 
 /// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of its own.
@@ -123,8 +137,13 @@ impl Bundle {
             Scope::Global => true,
             Scope::Local(images) => images.contains(&image),
         };
-        let mut bundle =
-            Self { problem: Problem::new(), cameras: Vec::new(), poses: Vec::new(), points: Vec::new() };
+        let mut bundle = Self {
+            problem: Problem::new(),
+            cameras: Vec::new(),
+            poses: Vec::new(),
+            held: Vec::new(),
+            points: Vec::new(),
+        };
         let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
             vec![Vec::new(); model.images().count()];
@@ -153,7 +172,11 @@ impl Bundle {
                 observations: num_observations,
             });
         }
+        let rigid = rigid_pairs(options.mountings, &posed);
         for (order, &image) in posed.iter().enumerate() {
+            if rigid.contains_key(&image) {
+                continue;
+            }
             let Some(pose) = model.image(image).cam_from_world() else { continue };
             let key = bundle.problem.keep(*pose, Order::At(order as u32));
             if !moves(image) {
@@ -163,9 +186,12 @@ impl Bundle {
         }
         bundle.hold_gauge(model, options.gauge, &moves)?;
         bundle.add_links(model, options.links, &moves)?;
+        bundle.add_mountings(options.mountings, &rigid)?;
         for (id, camera) in model.cameras() {
-            let images: Vec<(ImageId, Key<Rigid3>)> =
-                bundle.poses.iter().copied().filter(|(image, _)| model.image(*image).camera == id).collect();
+            let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
+            let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));
+            let images: Vec<(ImageId, Place)> =
+                own.chain(held).filter(|(image, _)| model.image(*image).camera == id).collect();
             if images.is_empty() {
                 continue;
             }
@@ -183,12 +209,21 @@ impl Bundle {
                     bundle.problem.fix_tangent(key, &columns)?;
                     bundle.problem.add(key, intrinsics_prior(params, id, camera, options)?, Loss::Trivial)?;
                 }
-                for (image, pose) in &images {
+                for (image, place) in &images {
                     let keypoints = &model.image(*image).keypoints;
                     for &(keypoint, point) in &observations_of_image[image.index()] {
                         let keypoint = &keypoints[keypoint as usize];
-                        let factor = Reprojection::<M>::new(keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
-                        bundle.problem.add((key, *pose, point), factor, options.loss)?;
+                        let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
+                        match *place {
+                            Place::Own(pose) => {
+                                let factor = Reprojection::<M>::new(pixel, sigma_px);
+                                bundle.problem.add((key, pose, point), factor, options.loss)?;
+                            }
+                            Place::Held(mount, left) => {
+                                let factor = RigReprojection::<M>::new(pixel, sigma_px);
+                                bundle.problem.add((key, mount, left, point), factor, options.loss)?;
+                            }
+                        }
                     }
                 }
                 bundle.cameras.push((id, Box::new(move |problem| problem.get(key).as_slice().to_vec())));
@@ -265,6 +300,33 @@ impl Bundle {
         Ok(())
     }
 
+    /// Adds the mountings as variables, soft ones with a term for each moment.
+    fn add_mountings(
+        &mut self,
+        mountings: &[Mounting],
+        rigid: &BTreeMap<ImageId, (usize, ImageId)>,
+    ) -> Result<(), Error> {
+        let keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
+        for (index, mounting) in mountings.iter().enumerate() {
+            let key = self.problem.keep(mounting.right_from_left, Order::Shared);
+            for pair in &mounting.pairs {
+                let Some(&left) = keys.get(&pair.left) else { continue };
+                match mounting.hold {
+                    Hold::Rigid if rigid.get(&pair.right) == Some(&(index, pair.left)) => {
+                        self.held.push((pair.right, key, left));
+                    }
+                    Hold::Rigid => {}
+                    Hold::Soft { sigma_translation, sigma_rotation_rad, loss } => {
+                        let Some(&right) = keys.get(&pair.right) else { continue };
+                        let factor = Mounted { sigma_translation, sigma_rotation_rad };
+                        self.problem.add((left, right, key), factor, loss)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     fn write_back(&self, model: &mut Reconstruction) {
         for (camera, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
@@ -272,12 +334,28 @@ impl Bundle {
         for &(image, key) in &self.poses {
             model.register(image, self.problem.get(key));
         }
+        for &(image, mount, left) in &self.held {
+            model.register(image, self.problem.get(mount) * self.problem.get(left));
+        }
         for &(point, key) in &self.points {
             if let Some(track) = model.track_mut(point) {
                 track.xyz = self.problem.get(key);
             }
         }
     }
+}
+
+/// Images that take their pose from another's: by which mounting, and whose.
+fn rigid_pairs(mountings: &[Mounting], posed: &[ImageId]) -> BTreeMap<ImageId, (usize, ImageId)> {
+    let mut rigid = BTreeMap::new();
+    for (index, mounting) in mountings.iter().enumerate().filter(|(_, m)| m.hold == Hold::Rigid) {
+        for pair in &mounting.pairs {
+            if posed.binary_search(&pair.left).is_ok() && posed.binary_search(&pair.right).is_ok() {
+                rigid.insert(pair.right, (index, pair.left));
+            }
+        }
+    }
+    rigid
 }
 
 /// Indices of the parameters that stay.

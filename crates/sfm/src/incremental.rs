@@ -13,6 +13,7 @@ use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
+use crate::mounting::{Context, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
 use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
@@ -28,6 +29,12 @@ pub enum RigTerm {
     /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4), to the letter. What the paper leaves open: one unit is the
     /// distance of the initial pair, which is held, with the pose of its first image, and never normalised again.
     Paper,
+    /// One mounting for each camera, held up to standard deviations that are found by held-out tracks.
+    Soft,
+    /// One mounting for each camera, held exactly.
+    Hard,
+    /// Of off, soft and hard the one that explains held-out tracks best; soft where they hardly differ.
+    Auto,
 }
 
 /// How to map.
@@ -117,7 +124,7 @@ pub fn map(
     let focal_priors = focal_priors(&scene, &found);
     let rigs = match options.rig {
         RigTerm::Off => Vec::new(),
-        RigTerm::Paper => rig_pairs(&scene),
+        _ => rig_pairs(&scene),
     };
     let mut models: Vec<Reconstruction> = Vec::new();
     let mut taken: BTreeSet<ImageId> = BTreeSet::new();
@@ -261,9 +268,25 @@ impl<'a> Mapper<'a> {
         }
         self.is_final = true;
         self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
-        if !self.rigs.is_empty() {
-            let links = final_links(&self.model, self.rigs);
-            self.adjust_globally(&links, 1e-8, 100, watch)?;
+        match self.options.rig {
+            RigTerm::Paper => {
+                let links = final_links(&self.model, self.rigs);
+                self.adjust_globally(&links, 1e-8, 100, watch)?;
+            }
+            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto if !self.rigs.is_empty() => {
+                let mut model = self.model.clone();
+                let context = Context {
+                    graph: self.graph,
+                    rigs: self.rigs,
+                    tracks: &self.options.tracks,
+                    filter: &self.options.filter,
+                    adjust: self.adjust_options(&[], 1e-8, 100),
+                    seed: self.options.seed,
+                };
+                hold_to_mountings(&context, &mut model, self.options.rig, watch)?;
+                self.model = model;
+            }
+            _ => {}
         }
         Ok(())
     }
@@ -429,7 +452,7 @@ impl<'a> Mapper<'a> {
         let bundle: BTreeSet<ImageId> = std::iter::once(image)
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
-        let links = growing_links(&self.model, self.rigs);
+        let links = self.links();
         let options = self.adjust_options(&links, 1e-4, 25);
         match adjust(&mut self.model, &Scope::Local(&bundle), &options, &mut keep_going) {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
@@ -463,7 +486,7 @@ impl<'a> Mapper<'a> {
             let points: Vec<PointId> = self.model.tracks().map(|(point, _)| point).collect();
             complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
             merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
-            let links = growing_links(&self.model, self.rigs);
+            let links = self.links();
             let after = self.adjust_globally(&links, function_tolerance, max_iterations, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
@@ -472,6 +495,14 @@ impl<'a> Mapper<'a> {
             before = after;
         }
         Ok(())
+    }
+
+    /// The paper's terms of the model as it is now.
+    fn links(&self) -> Vec<BaselineLink> {
+        match self.options.rig {
+            RigTerm::Paper => growing_links(&self.model, self.rigs),
+            _ => Vec::new(),
+        }
     }
 
     /// Adjusts and filters everything. Returns the number of observations and the cost.

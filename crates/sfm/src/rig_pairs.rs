@@ -9,7 +9,7 @@ use tiepoint_rig::{RelativePose, paper};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 /// Two images of one moment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RigPair {
     /// Of the first camera.
     pub left: ImageId,

@@ -102,7 +102,7 @@ fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     let mut models = map(&truth.graph, &truth.scene, options, &mut |_| ControlFlow::Continue(()))
         .expect("the scene is easy");
     let model = models.remove(0);
-    model.validate().unwrap();
+    model.validate().expect("a sound model");
     assert_eq!(model.num_registered(), 2 * NUM_MOMENTS);
     model
 }
