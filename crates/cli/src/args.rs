@@ -7,10 +7,11 @@ use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand};
 use tiepoint_pipeline::eval::Alignment;
+use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::{Calibration, ExportFormat, Stage, Truth};
-use tiepoint_synth::{Effects, Mounting};
+use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -47,7 +48,8 @@ pub(crate) enum Command {
     View(View),
     /// Renders the drive of two cameras along a street, with the truth beside it.
     Synth(Synth),
-    /// Shows what this program does, with nothing prepared: renders a drive, reconstructs it, compares with the truth.
+    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without and with the constraint
+    /// between its two cameras, compares both with the truth.
     Demo(Demo),
 }
 
@@ -150,9 +152,10 @@ pub(crate) struct Pairs {
 
 #[derive(Debug, Args)]
 pub(crate) struct Mapping {
-    /// What holds cameras that ride together to each other: off (nothing).
-    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_mode)]
-    pub(crate) rig: String,
+    /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
+    /// 2022: the relative pose at one moment equals that at the next). Moments come from the times of the photos.
+    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_term)]
+    pub(crate) rig: RigTerm,
 }
 
 #[derive(Debug, Args)]
@@ -245,6 +248,12 @@ pub(crate) struct Synth {
     /// Images a second.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
+    /// Which way the street runs: loop (around a block, back to the start and a little further) or open (onwards).
+    #[arg(long, value_name = "ROUTE", default_value = "loop", value_parser = route)]
+    pub(crate) route: RouteKind,
+    /// How long the street is, in metres.
+    #[arg(long, value_name = "M", default_value_t = 200.0)]
+    pub(crate) length: f64,
     /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
     #[arg(long, value_name = "MOUNTING", default_value = "front")]
     pub(crate) mounting: Mounting,
@@ -259,9 +268,9 @@ pub(crate) struct Demo {
     /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
-    /// How many images of each camera.
-    #[arg(long, value_name = "N", default_value = "24")]
-    pub(crate) frames: NonZeroUsize,
+    /// At most so many images of each camera, the first ones; by default the whole loop.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
     #[arg(long, value_name = "WxH", default_value = "640x480")]
     pub(crate) size: ImageSize,
@@ -333,10 +342,19 @@ fn camera_model(name: &str) -> Result<CameraModelKind, String> {
     CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|error| error.to_string())
 }
 
-fn rig_mode(mode: &str) -> Result<String, String> {
+fn route(name: &str) -> Result<RouteKind, String> {
+    match name {
+        "loop" => Ok(RouteKind::Loop),
+        "open" => Ok(RouteKind::Open),
+        _ => Err("it must be loop or open".to_owned()),
+    }
+}
+
+fn rig_term(mode: &str) -> Result<RigTerm, String> {
     match mode {
-        "off" => Ok(mode.to_owned()),
-        _ => Err("only off is there in this version".to_owned()),
+        "off" => Ok(RigTerm::Off),
+        "paper" => Ok(RigTerm::Paper),
+        _ => Err("it must be off or paper".to_owned()),
     }
 }
 

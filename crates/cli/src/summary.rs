@@ -43,6 +43,35 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 model.mean_reprojection_error_px,
             ));
         }
+        for rig in report.models.first().iter().filter_map(|model| model.rig.as_ref()) {
+            for camera in &rig.cameras {
+                let [left, right] = &camera.names;
+                line(format_args!(
+                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} units, its spread {:.2} %, rotation's {:.3}°, \
+                     second half / first {:.4}",
+                    rig.mode,
+                    camera.reconstructed_pairs,
+                    camera.pairs,
+                    camera.median_baseline,
+                    100.0 * camera.relative_translation_rms,
+                    camera.rotation_rms_deg,
+                    camera.second_over_first_half,
+                ));
+            }
+            if let Some(paper) = &rig.paper {
+                let [first, second] = &paper.unit_images;
+                line(format_args!(
+                    "          one unit is the distance of {first} and {second} (now {:.3}); \u{3bb} = {} holds p_i to {:.3} units ({:.1} % of \
+                     the distance) and {:.2}°; {} pairs weighed as bad",
+                    paper.unit_distance,
+                    paper.lambda,
+                    paper.sigma_translation,
+                    100.0 * paper.relative_sigma_translation,
+                    paper.sigma_rotation_deg,
+                    paper.bad_pairs.len(),
+                ));
+            }
+        }
         if let Some(model) = report.models.first().filter(|model| !model.unregistered.is_empty()) {
             line(format_args!("          without a pose in {}: {}", model.path, names(&model.unregistered)));
         }

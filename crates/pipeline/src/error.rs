@@ -122,6 +122,18 @@ pub enum Error {
         /// How many are asked for.
         required: usize,
     },
+    /// A rig term without moments.
+    #[error(
+        "--rig asks for cameras that ride together, and in {path} no two of {cameras} cameras took images at the same moments: put the \
+         photos of each camera into a folder of its own, give their times to `tiepoint features` with --timestamps FILE.csv, or \
+         choose --rig off"
+    )]
+    NoMoments {
+        /// The workspace.
+        path: PathBuf,
+        /// Cameras in it.
+        cameras: usize,
+    },
     /// A trajectory with times of images without.
     #[error(
         "no image with a pose in {model} has a time: give times to `tiepoint features` with --timestamps FILE.csv"

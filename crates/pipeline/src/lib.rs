@@ -18,6 +18,7 @@ mod reconstruct;
 mod records;
 mod report;
 mod rig_over_time;
+mod rig_report;
 mod stage;
 mod surface;
 mod view;
@@ -43,6 +44,7 @@ pub use report::{
     CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
 };
 pub use rig_over_time::{RigEvaluation, evaluate_rig};
+pub use rig_report::{PaperReport, RigCameraReport, RigReport};
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use tiepoint_eval as eval;

@@ -9,12 +9,12 @@ use tiepoint_io::colmap::{Format, write_model};
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
-use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, VerifyOptions};
+use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, VerifyOptions, rig_pairs};
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
 use crate::records::{Progress, Recipe};
-use crate::{Error, Event, MapReport, ModelReport, Stage, Watch, Workspace, features, tell};
+use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// Maps a workspace that has matches: models of everything that hangs together, the largest first.
 pub fn map(
@@ -41,13 +41,26 @@ pub fn map(
         let required = VerifyOptions::default().min_num_inliers;
         return Err(no_overlap(workspace, required)?);
     }
+    if options.rig != RigTerm::Off {
+        require_moments(workspace, &scene)?;
+    }
     let name = |id| scene.image(id).name.as_str();
-    let mut models = sfm::map(&graph, &scene, &options, &mut |event| watch(&translate(event, &name)))?;
+    let mut began = Vec::new();
+    let mut models = sfm::map(&graph, &scene, &options, &mut |event| {
+        if let sfm::Event::Initialised { image1, image2, .. } = event {
+            began.push((*image1, *image2));
+        }
+        watch(&translate(event, &name))
+    })?;
     if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
-    let reports = write_models(workspace, &models)?;
+    let paths = write_models(workspace, &models)?;
+    let report = |(path, model): (String, &Reconstruction)| {
+        ModelReport::new(path, model, RigReport::new(options.rig, model, &began))
+    };
+    let reports = paths.into_iter().zip(&models).map(report).collect();
     let seconds = start.elapsed().as_secs_f64();
     workspace.update_report(|all| {
         all.stages.map = Some(MapReport { seconds });
@@ -99,8 +112,17 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event
     }
 }
 
-/// Writes all models beside the old ones, then puts them in their place.
-fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<ModelReport>, Error> {
+/// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing.
+fn require_moments(workspace: &Workspace, scene: &Reconstruction) -> Result<(), Error> {
+    if rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
+        return Ok(());
+    }
+    let cameras = scene.cameras().count();
+    Err(Error::NoMoments { path: workspace.root().to_owned(), cameras })
+}
+
+/// Writes all models beside the old ones, then puts them in their place. Returns their folders, relative to the workspace.
+fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<String>, Error> {
     let sparse = workspace.sparse();
     let (new, old) = (workspace.root().join(".sparse.new"), workspace.root().join(".sparse.old"));
     remove(&new)?;
@@ -116,8 +138,7 @@ fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<
     if let Some(largest) = models.first() {
         ply::write(&workspace.points(), &ply::points(largest))?;
     }
-    let path = |index: usize| format!("sparse/{index}");
-    Ok(models.iter().enumerate().map(|(index, model)| ModelReport::new(path(index), model)).collect())
+    Ok((0..models.len()).map(|index| format!("sparse/{index}")).collect())
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), Error> {

@@ -12,7 +12,7 @@ use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, PointId,
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors};
-use crate::initial_pair::{self, initial_pairs};
+use crate::initial_pair::{self, InitialPair, initial_pairs};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
 use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
@@ -79,13 +79,23 @@ impl Default for MapperOptions {
 const MAX_REGISTER_TRIALS: usize = 3;
 /// How many initial pairs are tried before giving up.
 const MAX_INITIAL_TRIALS: usize = 20;
+/// Initial pairs considered.
+const MAX_CANDIDATES: usize = 400;
+/// Images mapped from an initial pair to see whether it is sound, and how many pairs are tried so.
+const MAX_START_IMAGES: usize = 7;
+const MAX_STARTS: usize = 6;
+/// A start that explains this share is taken at once: its rms error is below 0.5 px.
+const GOOD_START_SHARE: f64 = 0.94;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
-/// With fewer images the distortion and the principal point are too weakly determined to be moved.
-const MIN_IMAGES_FOR_FULL_INTRINSICS: usize = 5;
+/// With fewer images the distortion is too weakly determined to be moved.
+const MIN_IMAGES_FOR_DISTORTION: usize = 5;
+/// Cameras that only move, without turning by this much (20°), hide their focal lengths and principal points: others stretch and
+/// shear the world.
+const MIN_TURN_RAD: f64 = 0.35;
 
 /// Maps all images that hang together, one model for each connected part, the one with the most images first. `scene` gives the
 /// cameras and the images with their keypoints; poses and points in it are ignored.
@@ -168,11 +178,7 @@ fn choose_focal_lengths(
         let mut mapper = Mapper { max_images: MAX_TRIAL_IMAGES, ..Mapper::new(graph, scene, options) };
         // A hypothesis under which nothing can be begun explains nothing.
         let _ = mapper.run(&mut |_| ControlFlow::Continue(()));
-        let share = |error_px: f64| (1.0 - (error_px / TRIAL_ERROR_PX).powi(2)).max(0.0);
-        let model = &mapper.model;
-        let errors =
-            model.tracks().flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
-        errors.flatten().map(share).sum()
+        explained(&mapper.model).0
     };
     let with = |scene: &Reconstruction, relative: f64| {
         let mut changed = scene.clone();
@@ -197,6 +203,15 @@ fn choose_focal_lengths(
     *scene = best.1;
 }
 
+/// How many observations a model explains, less for those that it explains badly; and the same as a share of all.
+fn explained(model: &Reconstruction) -> (f64, f64) {
+    let errors =
+        model.tracks().flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
+    let sum: f64 =
+        errors.flatten().map(|error_px| (1.0 - (error_px / TRIAL_ERROR_PX).powi(2)).max(0.0)).sum();
+    (sum, sum / model.num_observations().max(1) as f64)
+}
+
 /// One model in the making.
 struct Mapper<'a> {
     graph: &'a CorrespondenceGraph,
@@ -213,6 +228,8 @@ struct Mapper<'a> {
     initial: Option<ImagePair>,
     /// Where to stop.
     max_images: usize,
+    /// Whether all images that can be registered are.
+    is_final: bool,
 }
 
 impl<'a> Mapper<'a> {
@@ -227,11 +244,32 @@ impl<'a> Mapper<'a> {
             trials: BTreeMap::new(),
             initial: None,
             max_images: usize::MAX,
+            is_final: false,
         }
     }
 
     fn run(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
-        self.initialise(watch)?;
+        let candidates = self.candidates();
+        let is_trial = self.max_images < usize::MAX;
+        match if is_trial { None } else { self.best_start(&candidates) } {
+            Some(pair) => self.initialise(&[pair], watch)?,
+            None => self.initialise(&candidates, watch)?,
+        }
+        self.grow(watch)?;
+        if is_trial {
+            return Ok(());
+        }
+        self.is_final = true;
+        self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+        if !self.rigs.is_empty() {
+            let links = final_links(&self.model, self.rigs);
+            self.adjust_globally(&links, 1e-8, 100, watch)?;
+        }
+        Ok(())
+    }
+
+    /// Registers all images that can be, adjusting as the model grows.
+    fn grow(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
         let mut images_at_global = self.model.num_registered();
         let mut points_at_global = self.model.num_tracks();
         loop {
@@ -251,15 +289,9 @@ impl<'a> Mapper<'a> {
             self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
             self.trials.clear();
             if !self.try_remaining()? {
-                break;
+                return Ok(());
             }
         }
-        self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
-        if !self.rigs.is_empty() {
-            let links = final_links(&self.model, self.rigs);
-            self.adjust_globally(&links, 1e-8, 100, watch)?;
-        }
-        Ok(())
     }
 
     /// Registers one of the images that failed before, if any can be now.
@@ -283,14 +315,57 @@ impl<'a> Mapper<'a> {
             .collect()
     }
 
-    fn initialise(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
-        let taken = self.taken.clone();
-        let is_free = |pair: ImagePair| !taken.contains(&pair.a) && !taken.contains(&pair.b);
+    /// Pairs to begin with, the best first.
+    fn candidates(&self) -> Vec<InitialPair> {
+        let is_free = |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
         let max_error_px = self.options.filter.max_error_px;
-        let candidates = initial_pairs(self.graph, &self.model, &is_free, max_error_px, MAX_INITIAL_TRIALS);
+        initial_pairs(self.graph, &self.model, &is_free, max_error_px, MAX_CANDIDATES)
+    }
+
+    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell. So a few images are mapped from
+    /// the best pair, and unless they fit well, from others elsewhere, and the pair that explains the most is taken.
+    fn best_start(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
+        let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
+        let mut tried: Vec<ImageId> = Vec::new();
+        let mut best: Option<(f64, InitialPair)> = None;
+        for candidate in candidates {
+            let images = [candidate.pair.a, candidate.pair.b];
+            let is_near = |a: ImageId, b: ImageId| {
+                a == b || ImagePair::new(a, b).is_some_and(|pair| self.graph.pairs().contains_key(&pair))
+            };
+            if tried.iter().any(|&other| images.iter().any(|&image| is_near(image, other))) {
+                continue;
+            }
+            let mut trial = Mapper {
+                taken: self.taken.clone(),
+                max_images: MAX_START_IMAGES,
+                ..Mapper::new(self.graph, &self.model, options)
+            };
+            if trial.initialise(&[*candidate], &mut |_| ControlFlow::Continue(())).is_err() {
+                continue;
+            }
+            // What a failed trial has reached counts.
+            let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
+            tried.extend(images);
+            let (score, share) = explained(&trial.model);
+            if best.as_ref().is_none_or(|(most, _)| score > *most) {
+                best = Some((score, *candidate));
+            }
+            if share > GOOD_START_SHARE || tried.len() == 2 * MAX_STARTS {
+                break;
+            }
+        }
+        best.map(|(_, candidate)| candidate)
+    }
+
+    fn initialise(
+        &mut self,
+        candidates: &[InitialPair],
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
         let start = self.model.clone();
         let mut most = 0;
-        for candidate in &candidates {
+        for candidate in candidates.iter().take(MAX_INITIAL_TRIALS) {
             let pair = candidate.pair;
             let seed = self.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
             let Some(cam2_from_cam1) = initial_pair::refine(self.graph, &self.model, pair, seed) else {
@@ -427,7 +502,10 @@ impl<'a> Mapper<'a> {
         Self: 'l,
     {
         let mut refine = self.options.refine;
-        if self.model.num_registered() < MIN_IMAGES_FOR_FULL_INTRINSICS {
+        let turns = self.turns();
+        refine.focal &= self.is_final || turns;
+        refine.principal_point &= self.is_final && turns;
+        if self.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
             refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
         }
         if self.model.num_registered() < 3 {
@@ -443,6 +521,12 @@ impl<'a> Mapper<'a> {
             function_tolerance,
             ..AdjustOptions::default()
         }
+    }
+
+    /// Whether some image looks elsewhere than the first one.
+    fn turns(&self) -> bool {
+        let mut poses = self.model.registered().map(|(.., pose)| pose.rotation);
+        poses.next().is_some_and(|first| poses.any(|rotation| rotation.angle_to(&first) > MIN_TURN_RAD))
     }
 
     fn seed_of(&self, key: &[u64]) -> u64 {

@@ -6,7 +6,6 @@ mod evaluate;
 mod export;
 mod stages;
 mod synth;
-#[expect(dead_code, reason = "the demo is to compare with the true surface")]
 mod truth;
 mod view;
 

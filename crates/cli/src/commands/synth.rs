@@ -51,30 +51,40 @@ struct Record {
 
 pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
-    let rendered = render(args, &mut progress)?;
+    let rendered = render(args, &drive(args)?, &mut progress)?;
     drop(progress);
     output.result(&rendered, || rendered.describe());
     Ok(())
 }
 
-/// Renders a drive to disk.
-pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, Failure> {
-    let options = DriveOptions {
+fn options(args: &Synth) -> DriveOptions {
+    DriveOptions {
         seed: args.seed,
+        route: args.route,
+        length_m: args.length,
         mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
         width: args.size.width,
         height: args.size.height,
         rate_hz: args.rate,
         effects: args.effects,
         ..DriveOptions::default()
-    };
-    let mut drive = Drive::new(&options).map_err(|error| match error {
+    }
+}
+
+/// The drive that the arguments mean.
+pub(crate) fn drive(args: &Synth) -> Result<Drive, Failure> {
+    let mut drive = Drive::new(&options(args)).map_err(|error| match error {
         tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
         _ => error.into(),
     })?;
     if let Some(frames) = args.frames {
         drive.keep_first(frames.get());
     }
+    Ok(drive)
+}
+
+/// Renders a drive to disk.
+pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
     let folder = &args.output;
     let frames = args.frames.map(usize::from);
     claim(
@@ -82,7 +92,7 @@ pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, 
         &Record {
             program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
             frames,
-            drive: format!("{options:?}"),
+            drive: format!("{:?}", options(args)),
         },
     )?;
     drive.write_tables(folder)?;
@@ -106,7 +116,7 @@ pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, 
         focal_px: camera.lens.focal_px(),
     });
     let cameras = cameras.collect();
-    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(&drive) })
+    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(drive) })
 }
 
 fn driven_m(drive: &Drive) -> f64 {
