@@ -9,12 +9,12 @@ use serde::Serialize;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::eval::geometry::{Sim3, nalgebra::Vector3};
 use tiepoint_pipeline::io::colmap::read_model;
-use tiepoint_pipeline::sfm::scene::Reconstruction;
+use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigEvaluation,
-    SurfaceEvaluation, Truth, TruthFormat, Workspace, evaluate_cloud, evaluate_poses, evaluate_rig,
-    evaluate_surface, model_folder, reconstruct,
+    CloudEvaluation, Exhibit, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigEvaluation,
+    SurfaceEvaluation, TableRow, Truth, TruthFormat, Workspace, evaluate_cloud, evaluate_poses, evaluate_rig,
+    evaluate_surface, model_folder, reconstruct, report_html,
 };
 use tiepoint_synth::{Drive, Effects, LidarOptions, Mounting, RouteKind, reference_cloud};
 
@@ -42,6 +42,8 @@ struct Outcome {
     /// Of this run; what was kept took none of it.
     seconds: f64,
     runs: Vec<Run>,
+    /// The table, the clouds and the plots, side by side.
+    page: PathBuf,
 }
 
 /// One reconstruction, against the truth.
@@ -51,6 +53,8 @@ struct Run {
     workspace: PathBuf,
     report: Report,
     poses: PoseEvaluation,
+    #[serde(skip)]
+    model: Reconstruction,
     /// Lengths in metres.
     baseline: Option<RigEvaluation>,
     surface: Option<SurfaceEvaluation>,
@@ -107,7 +111,9 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
         runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
     }
     drop(progress);
-    let outcome = Outcome { drive: rendered, seconds: start.elapsed().as_secs_f64(), runs };
+    let (page, seconds) = (args.output.join("report.html"), start.elapsed().as_secs_f64());
+    let outcome = Outcome { drive: rendered, seconds, runs, page };
+    outcome.write_page()?;
     output.result(&outcome, || outcome.describe(&synth));
     Ok(())
 }
@@ -122,7 +128,10 @@ fn evaluate(
 ) -> Result<Run, Failure> {
     let truth = Truth { format: TruthFormat::Colmap, path: rendered.truth.clone() };
     let poses = evaluate_poses(&workspace, &truth, None)?;
-    let model = read_model(&model_folder(&workspace))?;
+    let mut model = read_model(&model_folder(&workspace))?;
+    let times: Vec<(ImageId, f64)> =
+        model.images().filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s))).collect();
+    times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
     let world_from_model = poses.truth_from_model;
     let surface = evaluate_surface(&model, &world_from_model, |image, pixel| sighting(drive, image, pixel));
     let centres: Vec<Vector3<f64>> =
@@ -133,7 +142,7 @@ fn evaluate(
     let cloud = evaluate_cloud(&points, scan, &Sim3::identity(), Alignment::Rigid);
     let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
     let model_size_over_true_size = size_ratio(&report, &model, drive, poses.scale);
-    Ok(Run { rig, workspace, report, poses, baseline, surface, cloud, model_size_over_true_size })
+    Ok(Run { rig, workspace, report, poses, model, baseline, surface, cloud, model_size_over_true_size })
 }
 
 /// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over what the whole model says.
@@ -149,12 +158,27 @@ fn size_ratio(report: &Report, model: &Reconstruction, drive: &Drive, metres_per
     Some((first.0 - second.0).norm() / ((first.1 - second.1).norm() * metres_per_unit))
 }
 
-/// A line of the table: what it is, and its value for each run.
-type Row = (String, Vec<String>);
-
 impl Outcome {
-    fn table(&self) -> Vec<Row> {
-        let mut rows: Vec<Row> = Vec::new();
+    fn write_page(&self) -> Result<(), Failure> {
+        let names: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
+        let exhibits: Vec<Exhibit> = self
+            .runs
+            .iter()
+            .zip(&names)
+            .map(|(run, name)| Exhibit {
+                name,
+                model: &run.model,
+                world_from_model: Some(run.poses.truth_from_model),
+                report: Some(&run.report),
+            })
+            .collect();
+        let page = report_html("tiepoint demo", &exhibits, &self.table(), Vec::new());
+        let cannot = |cause| Failure::CouldNot(format!("cannot write {}: {cause}", self.page.display()));
+        std::fs::write(&self.page, page).map_err(cannot)
+    }
+
+    fn table(&self) -> Vec<TableRow> {
+        let mut rows: Vec<TableRow> = Vec::new();
         let mut row = |what: &str, value: &dyn Fn(&Run) -> Option<String>| {
             let values = self.runs.iter().map(|run| value(run).unwrap_or_else(|| "-".to_owned()));
             rows.push((what.to_owned(), values.collect()));
@@ -210,7 +234,11 @@ impl Outcome {
             let columns: String = values.iter().map(|value| format!("{value:>22}")).collect();
             line(format_args!("{what:<33}{columns}"));
         }
-        line(format_args!("\ntime of this run {:.1} s\n\nThis did what these do:", self.seconds));
+        line(format_args!(
+            "\ntime of this run {:.1} s\nto look at: {}\n\nThis did what these do:",
+            self.seconds,
+            self.page.display()
+        ));
         let (folder, truth) = (synth.output.display(), self.drive.truth.display());
         let frames = synth.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
         line(format_args!(
