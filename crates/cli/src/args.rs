@@ -262,6 +262,9 @@ pub(crate) struct Synth {
     /// joined by +.
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
+    /// Also writes truth/scan.ply: the cloud of a laser scanner on the roof, for `evaluate cloud`.
+    #[arg(long)]
+    pub(crate) scan: bool,
 }
 
 #[derive(Debug, Args)]

@@ -150,14 +150,17 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
     }
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let exhibit = Exhibit { name: &name, model: &model, world_from_model: None, report: report.as_ref() };
-    let html = report_html(&format!("tiepoint: {name}"), &[exhibit], &summary(&model), files);
+    let html =
+        report_html(&format!("tiepoint: {name}"), &[exhibit], &summary(&model, report.as_ref()), files);
     let file = path.join("report.html");
     AtomicFile::write_with(&file, |out| std::io::Write::write_all(out, html.as_bytes()))?;
     Ok(file)
 }
 
-fn summary(model: &Reconstruction) -> Vec<TableRow> {
-    let registered = format!("{} of {}", model.num_registered(), model.images().count());
+fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
+    // A model on disk holds no images without a pose; the report counts them.
+    let images = report.and_then(|report| report.models.first()).map_or(model.images().count(), |m| m.images);
+    let registered = format!("{} of {images}", model.num_registered());
     let mut rows = vec![
         ("images with a pose".to_owned(), registered),
         ("points".to_owned(), model.num_tracks().to_string()),

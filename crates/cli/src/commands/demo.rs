@@ -74,6 +74,7 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
         route: RouteKind::Loop,
         length: LENGTH_M,
         mounting: Mounting::Front,
+        scan: false,
         effects: "clocks".parse::<Effects>().map_err(|error| Failure::Usage(error.to_string()))?,
     };
     let drive = make_drive(&synth)?;

@@ -7,9 +7,10 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
-use tiepoint_synth::{Drive, DriveOptions, Mount};
+use tiepoint_synth::{Drive, DriveOptions, LidarOptions, Mount, reference_cloud, write_ply};
 
 use super::Failure;
 use crate::args::Synth;
@@ -18,6 +19,8 @@ use crate::progress::Progress;
 
 /// Distance of the two cameras.
 const BASELINE_M: f64 = 0.5;
+/// A scan a second shows everything beside the way.
+pub(crate) const SCAN_EVERY_TURNS: usize = 10;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
 
@@ -98,14 +101,23 @@ pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Re
     drive.write_tables(folder)?;
     let truth = folder.join("truth/model");
     write_model(&truth, &drive.truth(), Format::Binary)?;
+    if args.scan {
+        let scan = LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() };
+        write_ply(&folder.join("truth/scan.ply"), &reference_cloud(drive, &scan)?)?;
+    }
     let total = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
     let mut done = 0;
     for (index, camera) in drive.cameras().iter().enumerate() {
         let renderer = drive.renderer(index);
-        for exposure in &camera.exposures {
-            progress.rendering(&exposure.name, done, total);
-            drive.write_image(folder, index, exposure, &renderer)?;
-            done += 1;
+        // Several at a time: files are encoded by one thread each.
+        for exposures in camera.exposures.chunks(rayon::current_num_threads()) {
+            for exposure in exposures {
+                progress.rendering(&exposure.name, done, total);
+                done += 1;
+            }
+            exposures
+                .par_iter()
+                .try_for_each(|exposure| drive.write_image(folder, index, exposure, &renderer))?;
         }
     }
     let cameras = drive.cameras().iter().map(|camera| RenderedCamera {

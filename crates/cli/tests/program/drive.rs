@@ -25,7 +25,8 @@ const MAX_FOCAL_ERROR: f64 = 0.03;
 fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects photometry --json";
+    let line =
+        "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects photometry --scan --json";
     let run = tiepoint_in(dir, line).done();
     let (rendered, events) = (run.json(), run.events());
     assert_eq!(events.len(), 6);
@@ -45,6 +46,10 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
         let trajectory = fs::read_to_string(drive.join(format!("truth/{name}.tum"))).unwrap();
         assert_eq!(trajectory.lines().count(), 3);
     }
+    // The scan lies on itself and is of the size of the street: 200 m around the block.
+    let scan = "evaluate cloud {}/deep/drive/truth/scan.ply {}/deep/drive/truth/scan.ply --align none --json";
+    let scan = tiepoint_in(dir, scan).done().json();
+    assert!(scan["points"].as_u64().unwrap() > 100_000 && scan["distance"]["max"] == 0.0, "{scan}");
     // The truth is true of itself.
     let truth = rendered["truth"].as_str().unwrap();
     let evaluation = tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
