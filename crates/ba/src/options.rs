@@ -14,6 +14,9 @@ pub struct Options {
     pub step_tolerance: f64,
     /// Damping λ of the first step, relative to the diagonal of JᵀJ.
     pub initial_damping: f64,
+    /// After each step, every eliminated variable takes up to so many Gauss-Newton steps of its own, with the kept ones held,
+    /// as long as they pay: cheap beside a step of all, of which fewer are then needed.
+    pub refinements: usize,
     /// How the linear system is solved.
     pub linear_solver: LinearSolver,
 }
@@ -26,6 +29,7 @@ impl Default for Options {
             gradient_tolerance: 1e-10,
             step_tolerance: 1e-8,
             initial_damping: 1e-4,
+            refinements: 3,
             linear_solver: LinearSolver::Auto,
         }
     }

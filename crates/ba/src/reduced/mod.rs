@@ -74,7 +74,7 @@ impl Reduced {
     }
 
     /// Adds up what the chunks have summed, in their order, and the damping.
-    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], lambda: f64) {
+    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], memory: &[f64], lambda: f64) {
         for (part, to) in
             [&mut self.gradient, &mut self.correction, &mut self.diagonal].into_iter().enumerate()
         {
@@ -101,10 +101,10 @@ impl Reduced {
             numbers.fill(0.0);
             let block = &structure.blocks[a];
             for (c, tiles) in &contributions[a] {
-                let (chunk, sums) = (&structure.chunks[*c as usize], &sums[*c as usize]);
+                let chunk = &structure.chunks[*c as usize];
                 for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
                     let other = &structure.blocks[tile.b as usize];
-                    let tile_numbers = &sums.tiles[tile.at..];
+                    let tile_numbers = &memory[chunk.memory.start + tile.at..];
                     add_tile(
                         &**layout,
                         block,
