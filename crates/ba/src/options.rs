@@ -47,8 +47,11 @@ pub enum LinearSolver {
     Qr,
     /// Dense Cholesky factorisation of the reduced system.
     Dense,
-    /// Sparse supernodal Cholesky factorisation of the reduced system.
+    /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not fit into 4 GiB, as
+    /// [`Iterative`](Self::Iterative).
     Sparse,
+    /// Conjugate gradients on the sparse reduced system, preconditioned by its diagonal blocks.
+    Iterative,
 }
 
 impl Options {

@@ -8,7 +8,7 @@ use crate::eliminate::Sums;
 use crate::error::Error;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::{Dense, Factorisation, Reduced, Sparse};
+use crate::reduced::{Columns, Conjugate, Dense, Factorisation, Reduced, Sparse};
 use crate::refine::Refine;
 use crate::structure::{Chunk, Elimination, Structure};
 use crate::summary::Times;
@@ -43,13 +43,18 @@ impl SchurSystem {
         let structure = Structure::new(problem, Elimination::Do)?;
         let dense = match solver {
             LinearSolver::Dense => true,
-            LinearSolver::Sparse => false,
+            LinearSolver::Sparse | LinearSolver::Iterative => false,
             _ => prefers_dense(&structure),
         };
         let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0 {
             ("dense Cholesky", Box::new(Dense::new(&structure)))
         } else {
-            ("sparse Cholesky", Box::new(Sparse::new(&structure)?))
+            let columns = Columns::new(&structure)?;
+            let direct = if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
+            match direct {
+                Ok(sparse) => ("sparse Cholesky", Box::new(sparse)),
+                Err(columns) => ("conjugate gradients", Box::new(Conjugate::new(columns))),
+            }
         };
         let reduced = Reduced::new(&structure, factorisation);
         Ok(Self {
@@ -124,7 +129,7 @@ impl SchurSystem {
 }
 
 /// The refinement of a step ends when a round lowers the cost by less than this part of it.
-const WORTH_REFINING: f64 = 1e-3;
+const WORTH_REFINING: f64 = 1e-2;
 
 /// Whether a factor that had the one cost still exists with the other.
 pub(crate) fn survives(before: f64, after: f64) -> bool {

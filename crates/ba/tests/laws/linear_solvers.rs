@@ -9,6 +9,8 @@ use tiepoint_ba::{LinearSolver, Loss, Options, Summary};
 const SAME_COST: f64 = 1e-9;
 const SAME_POSE: f64 = 1e-6;
 const STEPS: usize = 6;
+/// What the accuracy to which a step is solved for leaves of the difference that it makes.
+const SIMILAR_STEP: f64 = 1e-4;
 
 /// A scene with everything in it: partly fixed variables, a fixed point, factors between kept variables, robust losses.
 fn everything(intrinsics: Intrinsics) -> Scene {
@@ -127,5 +129,23 @@ fn refinement_lowers_the_cost_and_ends_the_same() {
         let (plain, refined) = (run(0, 100), run(2, 100));
         let difference = (plain.final_cost - refined.final_cost).abs();
         assert!(difference < SAME_COST * plain.final_cost, "{plain}\n{refined}");
+    }
+}
+
+/// Steps solved for iteratively are as good as those solved for directly, and lead to the same end.
+#[test]
+fn conjugate_gradients_end_where_factorisation_does() {
+    for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
+        let [direct, iterative] = [LinearSolver::Dense, LinearSolver::Iterative].map(|linear_solver| {
+            let mut scene = everything(intrinsics);
+            let options = Options { linear_solver, function_tolerance: 1e-12, ..Options::default() };
+            solve_as(&mut scene.problem, &options)
+        });
+        assert_eq!(iterative.linear_solver, "conjugate gradients");
+        for (a, b) in costs(&iterative).iter().zip(costs(&direct)).take(STEPS) {
+            assert!((a - b).abs() < SIMILAR_STEP * b, "{iterative}\n{direct}");
+        }
+        let difference = (iterative.final_cost - direct.final_cost).abs();
+        assert!(difference < SAME_COST * direct.final_cost, "{iterative}\n{direct}");
     }
 }
