@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand};
+use tiepoint_pipeline::eval::Alignment;
+use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::{Calibration, ExportFormat, Stage, Truth};
-use tiepoint_synth::{Effects, Mounting};
+use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -42,9 +44,12 @@ pub(crate) enum Command {
     Evaluate(Evaluate),
     /// Writes a result in another format.
     Export(Export),
+    /// Writes report.html into a workspace: cloud, cameras and plots in one file to open in a browser, offline too.
+    View(View),
     /// Renders the drive of two cameras along a street, with the truth beside it.
     Synth(Synth),
-    /// Shows what this program does, with nothing prepared: renders a drive, reconstructs it, compares with the truth.
+    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without and with the constraint
+    /// between its two cameras, compares both with the truth.
     Demo(Demo),
 }
 
@@ -147,9 +152,11 @@ pub(crate) struct Pairs {
 
 #[derive(Debug, Args)]
 pub(crate) struct Mapping {
-    /// What holds cameras that ride together to each other: off (nothing).
-    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_mode)]
-    pub(crate) rig: String,
+    /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
+    /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
+    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Moments come from the times of the photos.
+    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_term)]
+    pub(crate) rig: RigTerm,
 }
 
 #[derive(Debug, Args)]
@@ -173,6 +180,24 @@ pub(crate) struct Adjust {
 pub(crate) enum Evaluate {
     /// Camera poses: centre errors after a similarity, relative-pose AUC, focal length.
     Poses(EvaluatePoses),
+    /// A cloud: distance of its points to the nearest ones of a reference, a laser scan say, after alignment.
+    Cloud(EvaluateCloud),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateCloud {
+    /// A PLY, LAS or LAZ file, a workspace, or a folder with a COLMAP model. (LAS and LAZ need a build with --features las.)
+    pub(crate) cloud: PathBuf,
+    /// What it is compared with: as above.
+    pub(crate) reference: PathBuf,
+    /// What is found before distances are measured: similarity (from anywhere, by the clouds' own axes and then closest points), rigid
+    /// (a motion from where the cloud is), none. With a scale, closest points hide drift.
+    #[arg(long, value_name = "FREEDOM", default_value = "similarity", value_parser = alignment)]
+    pub(crate) align: Alignment,
+    /// Puts the cloud of a workspace where its cameras belong, given true poses in the world of the reference, and only moves it
+    /// rigidly from there: the honest way. FORMAT as in `evaluate poses`.
+    #[arg(long, value_name = "FORMAT:PATH", conflicts_with = "align")]
+    pub(crate) truth: Option<Truth>,
 }
 
 #[derive(Debug, Args)]
@@ -192,12 +217,19 @@ pub(crate) struct EvaluatePoses {
 pub(crate) struct Export {
     /// A workspace, or a folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal.
+    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
+    /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct View {
+    /// A workspace, or a folder with a COLMAP model.
+    pub(crate) workspace: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -217,6 +249,12 @@ pub(crate) struct Synth {
     /// Images a second.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
+    /// Which way the street runs: loop (around a block, back to the start and a little further) or open (onwards).
+    #[arg(long, value_name = "ROUTE", default_value = "loop", value_parser = route)]
+    pub(crate) route: RouteKind,
+    /// How long the street is, in metres.
+    #[arg(long, value_name = "M", default_value_t = 200.0)]
+    pub(crate) length: f64,
     /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
     #[arg(long, value_name = "MOUNTING", default_value = "front")]
     pub(crate) mounting: Mounting,
@@ -224,6 +262,9 @@ pub(crate) struct Synth {
     /// joined by +.
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
+    /// Also writes truth/scan.ply: the cloud of a laser scanner on the roof, for `evaluate cloud`.
+    #[arg(long)]
+    pub(crate) scan: bool,
 }
 
 #[derive(Debug, Args)]
@@ -231,9 +272,9 @@ pub(crate) struct Demo {
     /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
-    /// How many images of each camera.
-    #[arg(long, value_name = "N", default_value = "24")]
-    pub(crate) frames: NonZeroUsize,
+    /// At most so many images of each camera, the first ones; by default the whole loop.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
     #[arg(long, value_name = "WxH", default_value = "640x480")]
     pub(crate) size: ImageSize,
@@ -292,14 +333,35 @@ impl FromStr for PositivePixels {
     }
 }
 
+fn alignment(name: &str) -> Result<Alignment, String> {
+    match name {
+        "similarity" => Ok(Alignment::Similarity),
+        "rigid" => Ok(Alignment::Rigid),
+        "none" => Ok(Alignment::None),
+        _ => Err("use similarity, rigid or none".to_owned()),
+    }
+}
+
 fn camera_model(name: &str) -> Result<CameraModelKind, String> {
     CameraModelKind::from_name(&name.to_ascii_uppercase()).map_err(|error| error.to_string())
 }
 
-fn rig_mode(mode: &str) -> Result<String, String> {
+fn route(name: &str) -> Result<RouteKind, String> {
+    match name {
+        "loop" => Ok(RouteKind::Loop),
+        "open" => Ok(RouteKind::Open),
+        _ => Err("it must be loop or open".to_owned()),
+    }
+}
+
+fn rig_term(mode: &str) -> Result<RigTerm, String> {
     match mode {
-        "off" => Ok(mode.to_owned()),
-        _ => Err("only off is there in this version".to_owned()),
+        "off" => Ok(RigTerm::Off),
+        "paper" => Ok(RigTerm::Paper),
+        "soft" => Ok(RigTerm::Soft),
+        "hard" => Ok(RigTerm::Hard),
+        "auto" => Ok(RigTerm::Auto),
+        _ => Err("it must be off, paper, soft, hard or auto".to_owned()),
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::{PoseEvaluation, Report};
+use tiepoint_pipeline::{CloudEvaluation, ErrorStatistics, PoseEvaluation, Report};
 
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
@@ -42,6 +42,43 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 model.mean_track_length,
                 model.mean_reprojection_error_px,
             ));
+        }
+        for rig in report.models.first().iter().filter_map(|model| model.rig.as_ref()) {
+            for camera in &rig.cameras {
+                let [left, right] = &camera.names;
+                line(format_args!(
+                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} units, its spread {:.2} %, rotation's {:.3}°, \
+                     second half / first {:.4}",
+                    rig.mode,
+                    camera.reconstructed_pairs,
+                    camera.pairs,
+                    camera.median_baseline,
+                    100.0 * camera.relative_translation_rms,
+                    camera.rotation_rms_deg,
+                    camera.second_over_first_half,
+                ));
+            }
+            if let Some(mounting) = &rig.mounting {
+                line(format_args!("          {}: {}", mounting.chosen, mounting.why));
+                for [left, right] in mounting.bad_pairs.iter().take(MAX_NAMES) {
+                    line(format_args!(
+                        "          not held: {left} and {right} do not agree with the mounting"
+                    ));
+                }
+            }
+            if let Some(paper) = &rig.paper {
+                let [first, second] = &paper.unit_images;
+                line(format_args!(
+                    "          one unit is the distance of {first} and {second} (now {:.3}); \u{3bb} = {} holds p_i to {:.3} units ({:.1} % of \
+                     the distance) and {:.2}°; {} pairs weighed as bad",
+                    paper.unit_distance,
+                    paper.lambda,
+                    paper.sigma_translation,
+                    100.0 * paper.relative_sigma_translation,
+                    paper.sigma_rotation_deg,
+                    paper.bad_pairs.len(),
+                ));
+            }
         }
         if let Some(model) = report.models.first().filter(|model| !model.unregistered.is_empty()) {
             line(format_args!("          without a pose in {}: {}", model.path, names(&model.unregistered)));
@@ -88,4 +125,20 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
         text.push('\n');
     }
     text
+}
+
+/// A cloud against a reference.
+pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
+    let CloudEvaluation { points, reference_points, scale, iterations, .. } = evaluation;
+    let line = |distance: &ErrorStatistics| {
+        let ErrorStatistics { mean, std, median, max, .. } = distance;
+        format!("mean {mean:.6}  std {std:.6}  median {median:.6}  max {max:.6}")
+    };
+    format!(
+        "{points} points against {reference_points}, scale {scale:.6}, aligned in {iterations} rounds\n\
+         distance to the reference  {}\n\
+         distance of the reference  {}\n",
+        line(&evaluation.distance),
+        line(&evaluation.reference_distance),
+    )
 }

@@ -1,17 +1,20 @@
 //! Pixels in memory, however they were stored.
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageFormat, ImageReader};
 
 use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
-use crate::{Error, Result};
+use crate::{AtomicFile, Error, Result};
 
 /// More pixels than this in one image are taken for a broken header: 2²⁹, half a gigabyte of luma.
 const MAX_PIXELS: u64 = 1 << 29;
+/// Little is lost beyond it, and files grow.
+const JPEG_QUALITY: u8 = 95;
 
 /// A grey image, row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -56,6 +59,22 @@ impl Rgb {
     pub fn read(path: &Path) -> Result<Self> {
         let image = decode(path, Planes::Rgb)?.into_rgb8();
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
+    }
+
+    /// Writes an image file: JPEG (of quality 95), PNG or TIFF, as its name says. The folder must exist.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let format = ImageFormat::from_path(path).map_err(|cause| Error::content(path, cause.to_string()))?;
+        let mut bytes = Cursor::new(Vec::new());
+        let color = image::ExtendedColorType::Rgb8;
+        let (data, width, height) = (&self.data, self.width, self.height);
+        let written = match format {
+            ImageFormat::Jpeg => {
+                JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(data, width, height, color)
+            }
+            _ => image::write_buffer_with_format(&mut bytes, data, width, height, color, format),
+        };
+        written.map_err(|cause| Error::content(path, cause.to_string()))?;
+        AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
     }
 
     /// The colour of the pixel at column x, row y.

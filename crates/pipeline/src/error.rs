@@ -122,6 +122,18 @@ pub enum Error {
         /// How many are asked for.
         required: usize,
     },
+    /// A rig term without moments.
+    #[error(
+        "--rig asks for cameras that ride together, and in {path} no two of {cameras} cameras took images at the same moments: put the \
+         photos of each camera into a folder of its own, give their times to `tiepoint features` with --timestamps FILE.csv, or \
+         choose --rig off"
+    )]
+    NoMoments {
+        /// The workspace.
+        path: PathBuf,
+        /// Cameras in it.
+        cameras: usize,
+    },
     /// A trajectory with times of images without.
     #[error(
         "no image with a pose in {model} has a time: give times to `tiepoint features` with --timestamps FILE.csv"
@@ -139,6 +151,40 @@ pub enum Error {
         truth: PathBuf,
         /// Why.
         why: String,
+    },
+    /// A format that goes with its photos, of a model that does not know them.
+    #[error(
+        "{path} is no workspace, and this format needs the photos: export from the workspace that the model was made in"
+    )]
+    NoPhotos {
+        /// What was to be exported.
+        path: PathBuf,
+    },
+    /// A photo is gone.
+    #[error("the photo {image} is no longer in {}: put it back", inputs.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "))]
+    NoPhoto {
+        /// Its name.
+        image: String,
+        /// Where the photos were.
+        inputs: Vec<PathBuf>,
+    },
+    /// Clouds that cannot be laid on each other.
+    #[error(
+        "cannot compare {cloud} with {reference}: one of them has fewer than three points that are not on a line"
+    )]
+    Clouds {
+        /// The cloud.
+        cloud: PathBuf,
+        /// The reference.
+        reference: PathBuf,
+    },
+    /// LAS needs a feature.
+    #[error(
+        "{path} is a LAS file, which this build does not read: build with --features las, or convert it to PLY"
+    )]
+    NoLas {
+        /// The file.
+        path: PathBuf,
     },
     /// A file of another format.
     #[error(transparent)]

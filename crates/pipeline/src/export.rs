@@ -1,18 +1,21 @@
 //! A result in formats of others.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{self, Format, read_model};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{ply, timestamps};
+use tiepoint_io::{ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
+use crate::records::Records;
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,10 +30,16 @@ pub enum ExportFormat {
     Kitti,
     /// A bundle adjustment problem.
     Bal,
+    /// `scene.mvs` and undistorted images, in a folder.
+    OpenMvs,
+    /// `transforms.json`, the images and the cloud, in a folder.
+    Nerfstudio,
 }
 
 /// Formats by name.
-const FORMATS: [(&str, ExportFormat); 5] = [
+const FORMATS: [(&str, ExportFormat); 7] = [
+    ("openmvs", ExportFormat::OpenMvs),
+    ("nerfstudio", ExportFormat::Nerfstudio),
     ("colmap-text", ExportFormat::ColmapText),
     ("ply", ExportFormat::Ply),
     ("tum", ExportFormat::Tum),
@@ -70,6 +79,8 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
             let bal = Bal::from_reconstruction(&model).map_err(|error| error.of(&folder))?;
             bal.write(to)?;
         }
+        ExportFormat::OpenMvs => export_openmvs(from, &model, to)?,
+        ExportFormat::Nerfstudio => export_nerfstudio(from, &model, to)?,
         ExportFormat::Ply => {
             ply::write(to, &ply::points(&model))?;
             poses = 0;
@@ -94,6 +105,59 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points })
+}
+
+/// Where the images lie in the folder of an export.
+const IMAGES: &str = "images";
+
+/// OpenMVS takes images to be free of distortion: they are written anew, as pinhole cameras would have taken them.
+fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+    let undistorted = undistort::undistort_model(model);
+    for_each_photo(from, model, |image, path| {
+        let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
+        let target = place(to, image)?;
+        Ok(undistort::undistort_image(&Rgb::read(path)?, old, new).write(&target)?)
+    })?;
+    Ok(openmvs::write(&to.join("scene.mvs"), &undistorted, IMAGES)?)
+}
+
+/// nerfstudio knows distortion: the photos are copied as they are.
+fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+    for_each_photo(from, model, |image, path| {
+        let target = place(to, image)?;
+        std::fs::copy(path, &target).map(|_| ()).map_err(|cause| Error::Output { path: target, cause })
+    })?;
+    ply::write(&to.join("points.ply"), &ply::points(model))?;
+    Ok(nerfstudio::write(&to.join("transforms.json"), model, IMAGES, Some("points.ply"))?)
+}
+
+/// Where an image goes, its folder being made.
+fn place(to: &Path, image: &Image) -> Result<PathBuf, Error> {
+    let path = to.join(IMAGES).join(&image.name);
+    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    made.map_err(|cause| Error::Output { path: path.clone(), cause })?;
+    Ok(path)
+}
+
+/// Calls `work` with each registered image and its file, in parallel.
+fn for_each_photo(
+    from: &Path,
+    model: &Reconstruction,
+    work: impl Fn(&Image, &Path) -> Result<(), Error> + Sync,
+) -> Result<(), Error> {
+    if !from.join("stages.json").is_file() {
+        return Err(Error::NoPhotos { path: from.to_owned() });
+    }
+    let inputs = Records::read(&from.join("stages.json"))?.inputs;
+    let folder = ImageFolder::open(&inputs, None)?;
+    let by_name: BTreeMap<&str, usize> =
+        folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
+    let images: Vec<&Image> = model.registered().map(|(_, image, _)| image).collect();
+    images.par_iter().try_for_each(|image| {
+        let missing = || Error::NoPhoto { image: image.name.clone(), inputs: inputs.clone() };
+        let index = by_name.get(image.name.as_str()).ok_or_else(missing)?;
+        work(image, folder.path(*index))
+    })
 }
 
 /// The registered images of the first camera, by name.

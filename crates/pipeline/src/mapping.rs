@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
@@ -9,12 +10,13 @@ use tiepoint_io::colmap::{Format, write_model};
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
-use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, VerifyOptions};
+use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, VerifyOptions, rig_pairs};
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
 use crate::records::{Progress, Recipe};
-use crate::{Error, Event, MapReport, ModelReport, Stage, Watch, Workspace, features, tell};
+use crate::rig_report::{Held, History};
+use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// Maps a workspace that has matches: models of everything that hangs together, the largest first.
 pub fn map(
@@ -41,13 +43,32 @@ pub fn map(
         let required = VerifyOptions::default().min_num_inliers;
         return Err(no_overlap(workspace, required)?);
     }
+    if options.rig != RigTerm::Off {
+        require_moments(workspace, &scene)?;
+    }
     let name = |id| scene.image(id).name.as_str();
-    let mut models = sfm::map(&graph, &scene, &options, &mut |event| watch(&translate(event, &name)))?;
+    let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
+    let mut models = sfm::map(&graph, &scene, &options, &mut |event| {
+        match event {
+            sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
+            sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::Mounted { hold, error_off_px, error_px, .. } => {
+                held.push(Held { hold: *hold, error_off_px: *error_off_px, error_px: *error_px });
+            }
+            _ => {}
+        }
+        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+    })?;
     if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
-    let reports = write_models(workspace, &models)?;
+    let history = History { began, bad_pairs, held };
+    let paths = write_models(workspace, &models)?;
+    let report = |(path, model): (String, &Reconstruction)| {
+        ModelReport::new(path, model, RigReport::new(options.rig, model, &history))
+    };
+    let reports = paths.into_iter().zip(&models).map(report).collect();
     let seconds = start.elapsed().as_secs_f64();
     workspace.update_report(|all| {
         all.stages.map = Some(MapReport { seconds });
@@ -85,8 +106,8 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
 }
 
 /// What the mapper tells, with names for ids.
-fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event<'a> {
-    match *event {
+fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
+    Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => {
             Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }
         }
@@ -96,11 +117,22 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Event
         sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
             Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
         }
-    }
+        // These are for the report.
+        sfm::Event::BadPair { .. } | sfm::Event::Mounted { .. } => return None,
+    })
 }
 
-/// Writes all models beside the old ones, then puts them in their place.
-fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<ModelReport>, Error> {
+/// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing.
+fn require_moments(workspace: &Workspace, scene: &Reconstruction) -> Result<(), Error> {
+    if rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
+        return Ok(());
+    }
+    let cameras = scene.cameras().count();
+    Err(Error::NoMoments { path: workspace.root().to_owned(), cameras })
+}
+
+/// Writes all models beside the old ones, then puts them in their place. Returns their folders, relative to the workspace.
+fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<String>, Error> {
     let sparse = workspace.sparse();
     let (new, old) = (workspace.root().join(".sparse.new"), workspace.root().join(".sparse.old"));
     remove(&new)?;
@@ -116,8 +148,7 @@ fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<
     if let Some(largest) = models.first() {
         ply::write(&workspace.points(), &ply::points(largest))?;
     }
-    let path = |index: usize| format!("sparse/{index}");
-    Ok(models.iter().enumerate().map(|(index, model)| ModelReport::new(path(index), model)).collect())
+    Ok((0..models.len()).map(|index| format!("sparse/{index}")).collect())
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), Error> {

@@ -133,9 +133,14 @@ impl Records {
                 None => Ok(Progress::Continue),
             };
         }
-        self.stages.retain(|other, _| *other < stage);
+        self.forget_from(stage);
         self.stages.insert(stage, Record { is_complete: false, recipe: recipe.clone() });
         Ok(Progress::Begin)
+    }
+
+    /// Forgets a stage and the later ones.
+    pub(crate) fn forget_from(&mut self, stage: Stage) {
+        self.stages.retain(|other, _| *other < stage);
     }
 
     /// Notes that all of a stage is there.

@@ -3,7 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
-use crate::{Error, Stage};
+use crate::{Error, RigReport, Stage};
 
 /// `report.json`: what came out of each stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -95,6 +95,8 @@ pub struct ModelReport {
     pub mean_reprojection_error_px: f64,
     /// Cameras with an image in it.
     pub cameras: Vec<CameraReport>,
+    /// Cameras that took images at the same moments.
+    pub rig: Option<RigReport>,
 }
 
 /// A camera.
@@ -121,7 +123,7 @@ impl CameraReport {
 }
 
 impl ModelReport {
-    pub(crate) fn new(path: String, model: &Reconstruction) -> Self {
+    pub(crate) fn new(path: String, model: &Reconstruction, rig: Option<RigReport>) -> Self {
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
         let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
@@ -140,6 +142,7 @@ impl ModelReport {
                 .filter(|(id, _)| is_used(id))
                 .map(|(id, c)| CameraReport::new(id, c))
                 .collect(),
+            rig,
         }
     }
 }

@@ -17,6 +17,7 @@ pub struct Workspace {
 
 const LOCK: &str = ".lock";
 const STAGES: &str = "stages.json";
+const REPORT: &str = "report.json";
 const DATABASE: &str = "database.db";
 const SPARSE: &str = "sparse";
 
@@ -54,6 +55,30 @@ impl Workspace {
         Self::create(root)
     }
 
+    /// Begins a workspace at `root` with the features and matches of this one, unless there is one already.
+    pub fn fork(&self, root: &Path) -> Result<(), Error> {
+        if root.join(STAGES).is_file() {
+            return Ok(());
+        }
+        let output = |path: &Path| {
+            let path = path.to_owned();
+            move |cause| Error::Output { path, cause }
+        };
+        fs::create_dir_all(root).map_err(output(root))?;
+        for from in [self.timestamps(), self.database()] {
+            let to = root.join(from.file_name().expect("both are files"));
+            let part = to.with_extension("part");
+            fs::copy(&from, &part).and_then(|_| fs::rename(&part, &to)).map_err(output(&to))?;
+        }
+        let mut report = self.report()?;
+        report.forget_from(Stage::Map);
+        write_json(&root.join(REPORT), &report)?;
+        // Last: without it, the rest is not taken for a workspace.
+        let mut records = self.records.clone();
+        records.forget_from(Stage::Map);
+        records.write(&root.join(STAGES))
+    }
+
     /// The folder.
     pub fn root(&self) -> &Path {
         &self.root
@@ -85,7 +110,7 @@ impl Workspace {
     }
 
     fn report_path(&self) -> PathBuf {
-        self.root.join("report.json")
+        self.root.join(REPORT)
     }
 
     /// Changes the report on disk.
@@ -135,6 +160,28 @@ mod tests {
         assert!(matches!(Workspace::create(&root), Err(Error::InUse { .. })));
         drop(held);
         Workspace::create(&root).unwrap();
+    }
+
+    #[test]
+    fn a_fork_has_features_and_matches_and_no_models() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut from = Workspace::create(&dir.path().join("a")).unwrap();
+        fs::write(from.database(), "features").unwrap();
+        fs::write(from.timestamps(), "image,seconds").unwrap();
+        let recipe = |words: &str| Recipe::new(words.to_owned(), []);
+        for (stage, words) in [(Stage::Features, "f"), (Stage::Match, "m"), (Stage::Map, "p")] {
+            from.begin(stage, &recipe(words), None).unwrap();
+            from.complete(stage).unwrap();
+        }
+        let root = dir.path().join("b");
+        from.fork(&root).unwrap();
+        let mut fork = Workspace::open(&root).unwrap();
+        assert_eq!(fs::read(fork.database()).unwrap(), b"features");
+        assert_eq!(fork.begin(Stage::Match, &recipe("m"), None).unwrap(), Progress::Kept);
+        assert_eq!(fork.begin(Stage::Map, &recipe("other"), None).unwrap(), Progress::Begin);
+        fs::write(fork.database(), "changed").unwrap();
+        from.fork(&root).unwrap();
+        assert_eq!(fs::read(fork.database()).unwrap(), b"changed", "what is there stays");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::ba::testing::check_jacobians;
-use tiepoint_rig::{Baseline, RelativePose, paper, spread};
+use tiepoint_rig::{Baseline, Mounted, RelativePose, paper, robust_average, spread};
 
 /// Numeric differentiation with steps near the cube root of machine precision, on numbers up to about 10 and weights of √500.
 const JACOBIAN_TOLERANCE: f64 = 1e-5;
@@ -104,4 +104,79 @@ fn spread_of_a_drifting_baseline() {
     assert!((spread.second_over_first_half - 0.8).abs() < 0.01);
     assert!(spread.rms_rotation_rad < 1e-9);
     assert!((spread.rms_translation - 0.05).abs() < 1e-12);
+}
+
+/// A rig at one moment, with some play against its calibration.
+fn mounted(mounting: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value = [Rigid3; 3]> {
+    (pose(), mounting, vector(1.0), vector(0.2), vector(0.2)).prop_filter_map(
+        "a baseline",
+        |(left, w, t, dw, dt)| {
+            let mount = Rigid3::from_axis_angle(w, t);
+            let right_from_left = Rigid3::new(so3::exp(&dw) * mount.rotation, t + dt);
+            (t.norm() > 0.2).then_some([left, right_from_left * left, mount])
+        },
+    )
+}
+
+fn check_mounted([left, right, mount]: [Rigid3; 3]) {
+    let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02 };
+    if let Err(difference) = check_jacobians(&factor, (left, right, mount), JACOBIAN_TOLERANCE) {
+        panic!("{difference}");
+    }
+}
+
+/// Rounding of numbers of about 10, times the weights.
+const ZERO: f64 = 1e-10;
+
+proptest! {
+    #[test]
+    fn mounting_jacobian_for_any(m in mounted(vector(1.5))) {
+        check_mounted(m);
+    }
+
+    #[test]
+    fn mounting_jacobian_for_cameras_that_look_in_opposite_directions(m in mounted(near_pi())) {
+        check_mounted(m);
+    }
+
+    #[test]
+    fn mounting_jacobian_for_cameras_that_look_in_one_direction(m in mounted(vector(1e-9))) {
+        check_mounted(m);
+    }
+
+    /// The size of a model is its own affair: scaled with its mounting, nothing changes.
+    #[test]
+    fn a_mounting_does_not_see_scale([left, right, mount] in mounted(vector(1.0)), scale in 0.01..100.0) {
+        use tiepoint_rig::ba::Factor;
+        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02 };
+        let grown = |pose: &Rigid3| Rigid3::new(pose.rotation, pose.translation * scale);
+        let before = factor.residual((&left, &right, &mount)).unwrap();
+        let after = factor.residual((&grown(&left), &grown(&right), &grown(&mount))).unwrap();
+        prop_assert!((before - after).norm() <= 1e-9 * (1.0 + before.norm()));
+        let exact = mount * left;
+        prop_assert!(factor.residual((&left, &exact, &mount)).unwrap().norm() < ZERO / 0.02);
+    }
+}
+
+/// Two moments in five are wrong by metres and radians; the average still is where the others are.
+#[test]
+fn bad_moments_do_not_carry_the_average_off() {
+    let truth = RelativePose {
+        translation: Vector3::new(0.5, 0.02, -0.01),
+        axis_angle: Vector3::new(0.01, 3.0, 0.1),
+    };
+    let mut rng = tiepoint_geometry::Rng::stream(3, &[]);
+    let mut noise = |size: f64| Vector3::new(rng.normal(), rng.normal(), rng.normal()) * size;
+    let poses: Vec<RelativePose> = (0..50)
+        .map(|moment| {
+            let (t, r) = if moment % 5 < 2 { (3.0, 1.0) } else { (0.002, 0.001) };
+            let rotation = so3::exp(&noise(r)) * so3::exp(&truth.axis_angle);
+            RelativePose { translation: truth.translation + noise(t), axis_angle: so3::log(&rotation) }
+        })
+        .collect();
+    let found = robust_average(&poses).unwrap();
+    // Two standard deviations of the good ones: bad ones pull in random directions.
+    assert!((found.translation - truth.translation).norm() < 0.004, "{found:?}");
+    assert!(so3::exp(&found.axis_angle).angle_to(&so3::exp(&truth.axis_angle)) < 0.002, "{found:?}");
+    assert_eq!(robust_average(&[]), None);
 }

@@ -2,17 +2,21 @@
 //!
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
 //! leaving columns out: the pose of one image and the coordinate of a second image's translation that moves most with the
-//! scale. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
+//! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use tiepoint_ba::factors::{Prior, Reprojection};
+use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
-use tiepoint_scene::{Camera, CameraId, ImageId, PointId, Reconstruction};
+use tiepoint_rig::{Baseline, Mounted};
+use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
+use crate::focal::FocalPrior;
+use crate::mounting::{Hold, Mounting};
+use crate::rig_pairs::BaselineLink;
 use crate::{Error, keypoint_sigma_px, triangulation};
 
 /// Which intrinsics an adjustment may move.
@@ -37,7 +41,7 @@ impl RefineIntrinsics {
 
 /// How to adjust.
 #[derive(Clone, Copy, Debug)]
-pub struct AdjustOptions {
+pub struct AdjustOptions<'a> {
     /// What may move of the cameras.
     pub refine: RefineIntrinsics,
     /// Of the weighted residual.
@@ -46,19 +50,32 @@ pub struct AdjustOptions {
     pub principal_point_sigma: f64,
     /// Standard deviation of the prior on each distortion coefficient, around 0.
     pub distortion_sigma: f64,
+    /// What is believed of the focal lengths; of cameras that are not listed, nothing.
+    pub focal_priors: &'a [FocalPrior],
+    /// Where cameras ride together: relative poses that should be equal.
+    pub links: &'a [BaselineLink],
+    /// Where cameras ride together: mountings that they are held to. For adjustments of everything.
+    pub mountings: &'a [Mounting],
+    /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate of the second one's
+    /// translation. By default the first and the one farthest from it.
+    pub gauge: Option<ImagePair>,
     /// Steps at most.
     pub max_iterations: usize,
     /// Stop when a step lowers the cost by less than this share.
     pub function_tolerance: f64,
 }
 
-impl Default for AdjustOptions {
+impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
-            distortion_sigma: 1.0,
+            distortion_sigma: 0.2,
+            focal_priors: &[],
+            links: &[],
+            mountings: &[],
+            gauge: None,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }
@@ -98,7 +115,17 @@ struct Bundle {
     problem: Problem,
     cameras: Vec<(CameraId, ReadCamera)>,
     poses: Vec<(ImageId, Key<Rigid3>)>,
+    /// Images that are held rigidly to another: the mounting, and the other's pose.
+    held: Vec<(ImageId, Key<Rigid3>, Key<Rigid3>)>,
     points: Vec<(PointId, Key<Vector3<f64>>)>,
+}
+
+/// Where the pose of an image stands.
+#[derive(Clone, Copy)]
+enum Place {
+    Own(Key<Rigid3>),
+    /// Mounting and the other camera's pose.
+    Held(Key<Rigid3>, Key<Rigid3>),
 }
 
 /// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of its own.
@@ -110,8 +137,13 @@ impl Bundle {
             Scope::Global => true,
             Scope::Local(images) => images.contains(&image),
         };
-        let mut bundle =
-            Self { problem: Problem::new(), cameras: Vec::new(), poses: Vec::new(), points: Vec::new() };
+        let mut bundle = Self {
+            problem: Problem::new(),
+            cameras: Vec::new(),
+            poses: Vec::new(),
+            held: Vec::new(),
+            points: Vec::new(),
+        };
         let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
             vec![Vec::new(); model.images().count()];
@@ -140,7 +172,11 @@ impl Bundle {
                 observations: num_observations,
             });
         }
+        let rigid = rigid_pairs(options.mountings, &posed);
         for (order, &image) in posed.iter().enumerate() {
+            if rigid.contains_key(&image) {
+                continue;
+            }
             let Some(pose) = model.image(image).cam_from_world() else { continue };
             let key = bundle.problem.keep(*pose, Order::At(order as u32));
             if !moves(image) {
@@ -148,10 +184,14 @@ impl Bundle {
             }
             bundle.poses.push((image, key));
         }
-        bundle.hold_gauge(model, &moves)?;
+        bundle.hold_gauge(model, options.gauge, &moves)?;
+        bundle.add_links(model, options.links, &moves)?;
+        bundle.add_mountings(options.mountings, &rigid)?;
         for (id, camera) in model.cameras() {
-            let images: Vec<(ImageId, Key<Rigid3>)> =
-                bundle.poses.iter().copied().filter(|(image, _)| model.image(*image).camera == id).collect();
+            let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
+            let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));
+            let images: Vec<(ImageId, Place)> =
+                own.chain(held).filter(|(image, _)| model.image(*image).camera == id).collect();
             if images.is_empty() {
                 continue;
             }
@@ -167,14 +207,23 @@ impl Bundle {
                     bundle.problem.fix(key);
                 } else {
                     bundle.problem.fix_tangent(key, &columns)?;
-                    bundle.problem.add(key, intrinsics_prior(params, camera, options)?, Loss::Trivial)?;
+                    bundle.problem.add(key, intrinsics_prior(params, id, camera, options)?, Loss::Trivial)?;
                 }
-                for (image, pose) in &images {
+                for (image, place) in &images {
                     let keypoints = &model.image(*image).keypoints;
                     for &(keypoint, point) in &observations_of_image[image.index()] {
                         let keypoint = &keypoints[keypoint as usize];
-                        let factor = Reprojection::<M>::new(keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
-                        bundle.problem.add((key, *pose, point), factor, options.loss)?;
+                        let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
+                        match *place {
+                            Place::Own(pose) => {
+                                let factor = Reprojection::<M>::new(pixel, sigma_px);
+                                bundle.problem.add((key, pose, point), factor, options.loss)?;
+                            }
+                            Place::Held(mount, left) => {
+                                let factor = RigReprojection::<M>::new(pixel, sigma_px);
+                                bundle.problem.add((key, mount, left, point), factor, options.loss)?;
+                            }
+                        }
                     }
                 }
                 bundle.cameras.push((id, Box::new(move |problem| problem.get(key).as_slice().to_vec())));
@@ -184,27 +233,96 @@ impl Bundle {
     }
 
     /// Holds what the images cannot see: place, orientation and size of the world. Nothing to do where two images are held already.
-    fn hold_gauge(&mut self, model: &Reconstruction, moves: &dyn Fn(ImageId) -> bool) -> Result<(), Error> {
+    fn hold_gauge(
+        &mut self,
+        model: &Reconstruction,
+        gauge: Option<ImagePair>,
+        moves: &dyn Fn(ImageId) -> bool,
+    ) -> Result<(), Error> {
         let held = self.poses.iter().filter(|(image, _)| !moves(*image)).count();
         if held >= 2 {
             return Ok(());
         }
-        let first = self.poses.iter().position(|(image, _)| held == 0 || !moves(*image)).unwrap_or(0);
-        let (first_image, first_key) = self.poses[first];
+        let index_of = |wanted: ImageId| self.poses.iter().position(|(image, _)| *image == wanted);
+        let wished =
+            gauge.filter(|_| held == 0).and_then(|pair| Some((index_of(pair.a)?, index_of(pair.b)?)));
+        let first = wished.map(|(first, _)| first);
+        let first = first.or_else(|| self.poses.iter().position(|(image, _)| held == 0 || !moves(*image)));
+        let (first_image, first_key) = self.poses[first.unwrap_or(0)];
         self.problem.fix(first_key);
         let Some(first_pose) = model.image(first_image).cam_from_world() else { return Ok(()) };
         let first_centre = first_pose.origin_in_a();
         // Scaling the world about the first camera by 1 + ε moves the translation of another by −ε R (c − c₁).
-        let farthest = self
-            .poses
-            .iter()
-            .filter_map(|&(image, key)| {
-                let pose = model.image(image).cam_from_world()?;
-                Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))
-            })
-            .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
-        if let Some((key, direction)) = farthest {
+        let direction = |&(image, key): &(ImageId, Key<Rigid3>)| {
+            let pose = model.image(image).cam_from_world()?;
+            Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))
+        };
+        let second = match wished {
+            Some((_, second)) => direction(&self.poses[second]),
+            None => self
+                .poses
+                .iter()
+                .filter_map(direction)
+                .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared())),
+        };
+        if let Some((key, direction)) = second {
             self.problem.fix_tangent(key, &[3 + direction.iamax()])?;
+        }
+        Ok(())
+    }
+
+    /// Adds the links of which some image moves. Images that are in no other term hold still.
+    fn add_links(
+        &mut self,
+        model: &Reconstruction,
+        links: &[BaselineLink],
+        moves: &dyn Fn(ImageId) -> bool,
+    ) -> Result<(), Error> {
+        let mut keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
+        for link in links {
+            let images = link.images();
+            if !images.iter().any(|image| moves(*image) && keys.contains_key(image)) {
+                continue;
+            }
+            let key_of = |image: ImageId| -> Option<Key<Rigid3>> {
+                if let Some(&key) = keys.get(&image) {
+                    return Some(key);
+                }
+                let key = self.problem.keep(*model.image(image).cam_from_world()?, Order::At(image.0));
+                self.problem.fix(key);
+                keys.insert(image, key);
+                Some(key)
+            };
+            let [a, b, c, d] = images.map(key_of);
+            let (Some(a), Some(b), Some(c), Some(d)) = (a, b, c, d) else { continue };
+            self.problem.add((a, b, c, d), Baseline::with_weight(link.weight, link.near), Loss::Trivial)?;
+        }
+        Ok(())
+    }
+
+    /// Adds the mountings as variables, soft ones with a term for each moment.
+    fn add_mountings(
+        &mut self,
+        mountings: &[Mounting],
+        rigid: &BTreeMap<ImageId, (usize, ImageId)>,
+    ) -> Result<(), Error> {
+        let keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
+        for (index, mounting) in mountings.iter().enumerate() {
+            let key = self.problem.keep(mounting.right_from_left, Order::Shared);
+            for pair in &mounting.pairs {
+                let Some(&left) = keys.get(&pair.left) else { continue };
+                match mounting.hold {
+                    Hold::Rigid if rigid.get(&pair.right) == Some(&(index, pair.left)) => {
+                        self.held.push((pair.right, key, left));
+                    }
+                    Hold::Rigid => {}
+                    Hold::Soft { sigma_translation, sigma_rotation_rad, loss } => {
+                        let Some(&right) = keys.get(&pair.right) else { continue };
+                        let factor = Mounted { sigma_translation, sigma_rotation_rad };
+                        self.problem.add((left, right, key), factor, loss)?;
+                    }
+                }
+            }
         }
         Ok(())
     }
@@ -216,12 +334,28 @@ impl Bundle {
         for &(image, key) in &self.poses {
             model.register(image, self.problem.get(key));
         }
+        for &(image, mount, left) in &self.held {
+            model.register(image, self.problem.get(mount) * self.problem.get(left));
+        }
         for &(point, key) in &self.points {
             if let Some(track) = model.track_mut(point) {
                 track.xyz = self.problem.get(key);
             }
         }
     }
+}
+
+/// Images that take their pose from another's: by which mounting, and whose.
+fn rigid_pairs(mountings: &[Mounting], posed: &[ImageId]) -> BTreeMap<ImageId, (usize, ImageId)> {
+    let mut rigid = BTreeMap::new();
+    for (index, mounting) in mountings.iter().enumerate().filter(|(_, m)| m.hold == Hold::Rigid) {
+        for pair in &mounting.pairs {
+            if posed.binary_search(&pair.left).is_ok() && posed.binary_search(&pair.right).is_ok() {
+                rigid.insert(pair.right, (index, pair.left));
+            }
+        }
+    }
+    rigid
 }
 
 /// Indices of the parameters that stay.
@@ -239,19 +373,22 @@ fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> 
         .collect()
 }
 
-/// What is known of a camera before looking: the principal point is near the middle, distortion is small; of the focal length
-/// nothing.
+/// What is known of a camera before looking: the principal point is near the middle, distortion is small, and what the options say
+/// of the focal length.
 fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
+    id: CameraId,
     camera: &Camera,
     options: &AdjustOptions,
 ) -> Result<Prior<SVector<f64, N>, N>, tiepoint_ba::Error> {
     let kind = camera.intrinsics.kind();
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let focal = options.focal_priors.iter().find(|prior| prior.camera == id);
     let (mut mean, mut sigmas) = (*params, [options.distortion_sigma; N]);
     for index in 0..N {
         if kind.focal_indices().contains(&index) {
-            sigmas[index] = f64::INFINITY;
+            mean[index] = focal.map_or(params[index], |prior| prior.mean_px);
+            sigmas[index] = focal.map_or(f64::INFINITY, |prior| prior.sigma_px);
         } else if let Some(axis) = kind.principal_point_indices().iter().position(|&p| p == index) {
             mean[index] = [width / 2.0, height / 2.0][axis];
             sigmas[index] = options.principal_point_sigma * width.max(height);

@@ -1,5 +1,7 @@
 use tiepoint_scene::ImageId;
 
+use crate::mounting::Hold;
+
 /// What the mapper tells while it works.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
@@ -33,5 +35,23 @@ pub enum Event {
         cost: f64,
         /// Steps taken.
         iterations: usize,
+    },
+    /// Two images of one moment that neither agree with the mounting of their cameras in the model nor by their own matches.
+    BadPair {
+        /// Of the first camera.
+        left: ImageId,
+        /// Of the other one.
+        right: ImageId,
+    },
+    /// A finished model was held to the mountings of its cameras.
+    Mounted {
+        /// How firmly in the end; `None` where it would have explained held-out tracks worse.
+        hold: Option<Hold>,
+        /// Moments that take part.
+        num_pairs: usize,
+        /// Error of the held-out tracks without any mounting, in pixels.
+        error_off_px: f64,
+        /// The same as it is now.
+        error_px: f64,
     },
 }

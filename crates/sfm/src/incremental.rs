@@ -7,16 +7,35 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::{Loss, Rigid3, Rng};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, PointId, Reconstruction};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, PointId, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
-use crate::focal::estimate_focal_lengths;
-use crate::initial_pair::{self, initial_pairs};
+use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors};
+use crate::initial_pair::{self, InitialPair, initial_pairs};
+use crate::mounting::{Context, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
+use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
 use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
 use crate::visibility::{Visibility, visibility};
 use crate::{Error, Event};
+
+/// What holds cameras that ride together to each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RigTerm {
+    /// Nothing.
+    #[default]
+    Off,
+    /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4), to the letter. What the paper leaves open: one unit is the
+    /// distance of the initial pair, which is held, with the pose of its first image, and never normalised again.
+    Paper,
+    /// One mounting for each camera, held up to standard deviations that are found by held-out tracks.
+    Soft,
+    /// One mounting for each camera, held exactly.
+    Hard,
+    /// Of off, soft and hard the one that explains held-out tracks best; soft where they hardly differ.
+    Auto,
+}
 
 /// How to map.
 #[derive(Clone, Copy, Debug)]
@@ -39,6 +58,8 @@ pub struct MapperOptions {
     pub local_images: usize,
     /// A global adjustment follows when images or points have grown by this factor.
     pub global_growth: f64,
+    /// Between cameras that ride together.
+    pub rig: RigTerm,
     /// Seed of everything random.
     pub seed: u64,
 }
@@ -55,6 +76,7 @@ impl Default for MapperOptions {
             loss: Loss::SoftL1(4.0),
             local_images: 6,
             global_growth: 1.1,
+            rig: RigTerm::Off,
             seed: 0,
         }
     }
@@ -64,13 +86,23 @@ impl Default for MapperOptions {
 const MAX_REGISTER_TRIALS: usize = 3;
 /// How many initial pairs are tried before giving up.
 const MAX_INITIAL_TRIALS: usize = 20;
+/// Initial pairs considered.
+const MAX_CANDIDATES: usize = 400;
+/// Images mapped from an initial pair to see whether it is sound, and how many pairs are tried so.
+const MAX_START_IMAGES: usize = 7;
+const MAX_STARTS: usize = 6;
+/// A start that explains this share is taken at once: its rms error is below 0.5 px.
+const GOOD_START_SHARE: f64 = 0.94;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
-/// With fewer images the distortion and the principal point are too weakly determined to be moved.
-const MIN_IMAGES_FOR_FULL_INTRINSICS: usize = 5;
+/// With fewer images the distortion is too weakly determined to be moved.
+const MIN_IMAGES_FOR_DISTORTION: usize = 5;
+/// Cameras that only move, without turning by this much (20°), hide their focal lengths and principal points: others stretch and
+/// shear the world.
+const MIN_TURN_RAD: f64 = 0.35;
 
 /// Maps all images that hang together, one model for each connected part, the one with the most images first. `scene` gives the
 /// cameras and the images with their keypoints; poses and points in it are ignored.
@@ -84,12 +116,25 @@ pub fn map(
     let mut options = *options;
     options.tracks.two_view |= graph.num_images() == 2;
     let options = &options;
-    estimate_focal_lengths(graph, &mut scene);
+    let mut found = Vec::new();
+    if options.refine.focal {
+        found = estimate_focal_lengths(graph, &mut scene);
+        choose_focal_lengths(graph, &mut scene, options, &found);
+    }
+    let focal_priors = focal_priors(&scene, &found);
+    let rigs = match options.rig {
+        RigTerm::Off => Vec::new(),
+        _ => rig_pairs(&scene),
+    };
     let mut models: Vec<Reconstruction> = Vec::new();
     let mut taken: BTreeSet<ImageId> = BTreeSet::new();
     loop {
-        let mut mapper =
-            Mapper { graph, model: scene.clone(), options, taken: &taken, trials: BTreeMap::new() };
+        let mut mapper = Mapper {
+            focal_priors: &focal_priors,
+            rigs: &rigs,
+            taken: taken.clone(),
+            ..Mapper::new(graph, &scene, options)
+        };
         match mapper.run(watch) {
             Ok(()) => {}
             Err(Error::NoInitialPair { .. }) if !models.is_empty() => break,
@@ -110,20 +155,144 @@ pub fn map(
     Ok(models)
 }
 
+/// Focal lengths that are tried where the pairs tell nothing, relative to the larger side of the image: 127° to 26° of view.
+const FOCAL_HYPOTHESES: [f64; 8] = [0.25, 0.35, 0.5, 0.65, 0.85, 1.2, 1.6, 2.2];
+/// Images in the model that each of them is tried on.
+const MAX_TRIAL_IMAGES: usize = 14;
+/// An observation off by this much speaks no longer for a hypothesis, in pixels.
+const TRIAL_ERROR_PX: f64 = 2.0;
+/// A hypothesis must explain this much more than the guess does.
+const MIN_TRIAL_GAIN: f64 = 1.05;
+
+/// Where neither the user nor EXIF nor the pairs tell the focal length, as on a straight drive, begins a model with each of several
+/// and keeps the one that explains the most. All such cameras are given the same, relative to their images.
+fn choose_focal_lengths(
+    graph: &CorrespondenceGraph,
+    scene: &mut Reconstruction,
+    options: &MapperOptions,
+    found: &[CameraId],
+) {
+    let unknown: Vec<CameraId> = scene
+        .cameras()
+        .filter(|(id, camera)| !camera.has_focal_prior && !found.contains(id))
+        .map(|(id, _)| id)
+        .collect();
+    if unknown.is_empty() {
+        return;
+    }
+    let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
+    let explained = |scene: &Reconstruction| -> f64 {
+        let mut mapper = Mapper { max_images: MAX_TRIAL_IMAGES, ..Mapper::new(graph, scene, options) };
+        // A hypothesis under which nothing can be begun explains nothing.
+        let _ = mapper.run(&mut |_| ControlFlow::Continue(()));
+        explained(&mapper.model).0
+    };
+    let with = |scene: &Reconstruction, relative: f64| {
+        let mut changed = scene.clone();
+        for &id in &unknown {
+            let camera = changed.camera_mut(id);
+            let focal_px = relative * f64::from(camera.width.max(camera.height));
+            for &param in camera.intrinsics.kind().focal_indices() {
+                camera.intrinsics.params_mut()[param] = focal_px;
+            }
+        }
+        changed
+    };
+    let guess = explained(scene);
+    let mut best = (MIN_TRIAL_GAIN * guess, scene.clone());
+    for relative in FOCAL_HYPOTHESES {
+        let candidate = with(scene, relative);
+        let score = explained(&candidate);
+        if score > best.0 {
+            best = (score, candidate);
+        }
+    }
+    *scene = best.1;
+}
+
+/// How many observations a model explains, less for those that it explains badly; and the same as a share of all.
+fn explained(model: &Reconstruction) -> (f64, f64) {
+    let errors =
+        model.tracks().flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
+    let sum: f64 =
+        errors.flatten().map(|error_px| (1.0 - (error_px / TRIAL_ERROR_PX).powi(2)).max(0.0)).sum();
+    (sum, sum / model.num_observations().max(1) as f64)
+}
+
 /// One model in the making.
 struct Mapper<'a> {
     graph: &'a CorrespondenceGraph,
     model: Reconstruction,
     options: &'a MapperOptions,
+    focal_priors: &'a [FocalPrior],
+    /// Cameras that are to be held to each other.
+    rigs: &'a [RigPairs],
     /// Images of earlier models.
-    taken: &'a BTreeSet<ImageId>,
+    taken: BTreeSet<ImageId>,
     /// How often each image failed to register.
     trials: BTreeMap<ImageId, usize>,
+    /// The pair that the model began with.
+    initial: Option<ImagePair>,
+    /// Where to stop.
+    max_images: usize,
+    /// Whether all images that can be registered are.
+    is_final: bool,
 }
 
-impl Mapper<'_> {
+impl<'a> Mapper<'a> {
+    fn new(graph: &'a CorrespondenceGraph, scene: &Reconstruction, options: &'a MapperOptions) -> Self {
+        Self {
+            graph,
+            model: scene.clone(),
+            options,
+            focal_priors: &[],
+            rigs: &[],
+            taken: BTreeSet::new(),
+            trials: BTreeMap::new(),
+            initial: None,
+            max_images: usize::MAX,
+            is_final: false,
+        }
+    }
+
     fn run(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
-        self.initialise(watch)?;
+        let candidates = self.candidates();
+        let is_trial = self.max_images < usize::MAX;
+        match if is_trial { None } else { self.best_start(&candidates) } {
+            Some(pair) => self.initialise(&[pair], watch)?,
+            None => self.initialise(&candidates, watch)?,
+        }
+        self.grow(watch)?;
+        if is_trial {
+            return Ok(());
+        }
+        self.is_final = true;
+        self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+        match self.options.rig {
+            RigTerm::Paper => {
+                let links = final_links(&self.model, self.rigs);
+                self.adjust_globally(&links, 1e-8, 100, watch)?;
+            }
+            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto if !self.rigs.is_empty() => {
+                let mut model = self.model.clone();
+                let context = Context {
+                    graph: self.graph,
+                    rigs: self.rigs,
+                    tracks: &self.options.tracks,
+                    filter: &self.options.filter,
+                    adjust: self.adjust_options(&[], 1e-8, 100),
+                    seed: self.options.seed,
+                };
+                hold_to_mountings(&context, &mut model, self.options.rig, watch)?;
+                self.model = model;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Registers all images that can be, adjusting as the model grows.
+    fn grow(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
         let mut images_at_global = self.model.num_registered();
         let mut points_at_global = self.model.num_tracks();
         loop {
@@ -143,10 +312,9 @@ impl Mapper<'_> {
             self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
             self.trials.clear();
             if !self.try_remaining()? {
-                break;
+                return Ok(());
             }
         }
-        self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)
     }
 
     /// Registers one of the images that failed before, if any can be now.
@@ -170,14 +338,57 @@ impl Mapper<'_> {
             .collect()
     }
 
-    fn initialise(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
-        let taken = self.taken;
-        let is_free = |pair: ImagePair| !taken.contains(&pair.a) && !taken.contains(&pair.b);
+    /// Pairs to begin with, the best first.
+    fn candidates(&self) -> Vec<InitialPair> {
+        let is_free = |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
         let max_error_px = self.options.filter.max_error_px;
-        let candidates = initial_pairs(self.graph, &self.model, &is_free, max_error_px, MAX_INITIAL_TRIALS);
+        initial_pairs(self.graph, &self.model, &is_free, max_error_px, MAX_CANDIDATES)
+    }
+
+    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell. So a few images are mapped from
+    /// the best pair, and unless they fit well, from others elsewhere, and the pair that explains the most is taken.
+    fn best_start(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
+        let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
+        let mut tried: Vec<ImageId> = Vec::new();
+        let mut best: Option<(f64, InitialPair)> = None;
+        for candidate in candidates {
+            let images = [candidate.pair.a, candidate.pair.b];
+            let is_near = |a: ImageId, b: ImageId| {
+                a == b || ImagePair::new(a, b).is_some_and(|pair| self.graph.pairs().contains_key(&pair))
+            };
+            if tried.iter().any(|&other| images.iter().any(|&image| is_near(image, other))) {
+                continue;
+            }
+            let mut trial = Mapper {
+                taken: self.taken.clone(),
+                max_images: MAX_START_IMAGES,
+                ..Mapper::new(self.graph, &self.model, options)
+            };
+            if trial.initialise(&[*candidate], &mut |_| ControlFlow::Continue(())).is_err() {
+                continue;
+            }
+            // What a failed trial has reached counts.
+            let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
+            tried.extend(images);
+            let (score, share) = explained(&trial.model);
+            if best.as_ref().is_none_or(|(most, _)| score > *most) {
+                best = Some((score, *candidate));
+            }
+            if share > GOOD_START_SHARE || tried.len() == 2 * MAX_STARTS {
+                break;
+            }
+        }
+        best.map(|(_, candidate)| candidate)
+    }
+
+    fn initialise(
+        &mut self,
+        candidates: &[InitialPair],
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
         let start = self.model.clone();
         let mut most = 0;
-        for candidate in &candidates {
+        for candidate in candidates.iter().take(MAX_INITIAL_TRIALS) {
             let pair = candidate.pair;
             let seed = self.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
             let Some(cam2_from_cam1) = initial_pair::refine(self.graph, &self.model, pair, seed) else {
@@ -185,8 +396,9 @@ impl Mapper<'_> {
             };
             self.model.register(pair.a, Rigid3::identity());
             self.model.register(pair.b, cam2_from_cam1);
+            self.initial = Some(pair);
             triangulate_image(self.graph, &mut self.model, pair.a, &self.options.tracks);
-            let options = self.adjust_options(1e-5, 50);
+            let options = self.adjust_options(&[], 1e-5, 50);
             let adjusted = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going);
             filter_all_points(&mut self.model, &self.options.filter);
             most = most.max(self.model.num_tracks());
@@ -205,6 +417,9 @@ impl Mapper<'_> {
 
     /// Registers the image that sees the most of the model, best spread; `None` when none can be.
     fn register_next(&mut self) -> Option<ImageId> {
+        if self.model.num_registered() >= self.max_images {
+            return None;
+        }
         let mut candidates: Vec<(Visibility, ImageId)> = self
             .remaining()
             .into_iter()
@@ -237,7 +452,8 @@ impl Mapper<'_> {
         let bundle: BTreeSet<ImageId> = std::iter::once(image)
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
-        let options = self.adjust_options(1e-4, 25);
+        let links = self.links();
+        let options = self.adjust_options(&links, 1e-4, 25);
         match adjust(&mut self.model, &Scope::Local(&bundle), &options, &mut keep_going) {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
@@ -270,20 +486,8 @@ impl Mapper<'_> {
             let points: Vec<PointId> = self.model.tracks().map(|(point, _)| point).collect();
             complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
             merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
-            let options = self.adjust_options(function_tolerance, max_iterations);
-            let summary = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
-            filter_all_points(&mut self.model, &self.options.filter);
-            filter_images(&mut self.model, self.options.register.min_num_inliers / 2);
-            let after = (self.model.num_observations(), summary.final_cost);
-            tell(
-                watch,
-                &Event::Adjusted {
-                    num_images: self.model.num_registered(),
-                    num_observations: after.0,
-                    cost: after.1,
-                    iterations: summary.iterations.len(),
-                },
-            )?;
+            let links = self.links();
+            let after = self.adjust_globally(&links, function_tolerance, max_iterations, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
                 break;
@@ -293,9 +497,46 @@ impl Mapper<'_> {
         Ok(())
     }
 
-    fn adjust_options(&self, function_tolerance: f64, max_iterations: usize) -> AdjustOptions {
+    /// The paper's terms of the model as it is now.
+    fn links(&self) -> Vec<BaselineLink> {
+        match self.options.rig {
+            RigTerm::Paper => growing_links(&self.model, self.rigs),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Adjusts and filters everything. Returns the number of observations and the cost.
+    fn adjust_globally(
+        &mut self,
+        links: &[BaselineLink],
+        function_tolerance: f64,
+        max_iterations: usize,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(usize, f64), Error> {
+        let options = self.adjust_options(links, function_tolerance, max_iterations);
+        let summary = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
+        filter_all_points(&mut self.model, &self.options.filter);
+        filter_images(&mut self.model, self.options.register.min_num_inliers / 2);
+        let (num_observations, cost) = (self.model.num_observations(), summary.final_cost);
+        let (num_images, iterations) = (self.model.num_registered(), summary.iterations.len());
+        tell(watch, &Event::Adjusted { num_images, num_observations, cost, iterations })?;
+        Ok((num_observations, cost))
+    }
+
+    fn adjust_options<'l>(
+        &self,
+        links: &'l [BaselineLink],
+        function_tolerance: f64,
+        max_iterations: usize,
+    ) -> AdjustOptions<'l>
+    where
+        Self: 'l,
+    {
         let mut refine = self.options.refine;
-        if self.model.num_registered() < MIN_IMAGES_FOR_FULL_INTRINSICS {
+        let turns = self.turns();
+        refine.focal &= self.is_final || turns;
+        refine.principal_point &= self.is_final && turns;
+        if self.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
             refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
         }
         if self.model.num_registered() < 3 {
@@ -304,10 +545,19 @@ impl Mapper<'_> {
         AdjustOptions {
             refine,
             loss: self.options.loss,
+            focal_priors: self.focal_priors,
+            links,
+            gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
             max_iterations,
             function_tolerance,
             ..AdjustOptions::default()
         }
+    }
+
+    /// Whether some image looks elsewhere than the first one.
+    fn turns(&self) -> bool {
+        let mut poses = self.model.registered().map(|(.., pose)| pose.rotation);
+        poses.next().is_some_and(|first| poses.any(|rotation| rotation.angle_to(&first) > MIN_TURN_RAD))
     }
 
     fn seed_of(&self, key: &[u64]) -> u64 {

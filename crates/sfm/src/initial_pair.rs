@@ -15,7 +15,7 @@ const MAX_RATED_MATCHES: usize = 500;
 const PLANAR_FACTOR: f64 = 0.3;
 
 /// A pair to begin with.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct InitialPair {
     /// The two images.
     pub pair: ImagePair,

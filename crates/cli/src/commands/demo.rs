@@ -1,108 +1,259 @@
-//! `demo`: the drive of `synth`, through `reconstruct` and `evaluate poses`.
+//! `demo`: the drive of `synth`, through `reconstruct` without and with the constraint between its cameras, and both against the
+//! truth.
 
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_pipeline::sfm::MapperOptions;
+use tiepoint_pipeline::eval::Alignment;
+use tiepoint_pipeline::eval::geometry::{Sim3, nalgebra::Vector3};
+use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
+use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, Truth, TruthFormat, evaluate_poses,
-    reconstruct,
+    CloudEvaluation, Exhibit, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigEvaluation,
+    SurfaceEvaluation, TableRow, Truth, TruthFormat, Workspace, evaluate_cloud, evaluate_poses, evaluate_rig,
+    evaluate_surface, model_folder, reconstruct, report_html,
 };
-use tiepoint_synth::{Effects, Mounting};
+use tiepoint_synth::{Drive, Effects, LidarOptions, Mounting, RouteKind, reference_cloud};
 
 use super::Failure;
-use super::synth::{Rendered, render};
+use super::synth::{Rendered, drive as make_drive, render};
+use super::truth::sighting;
 use crate::args::{Demo, Synth};
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::summary;
 
-/// Images a second: the vehicle moves by about 0.75 m from one to the next.
-const RATE_HZ: f64 = 10.0;
+/// Images a second: the vehicle moves by 2 to 3 m from one to the next.
+const RATE_HZ: f64 = 2.5;
+/// The shortest block to drive around, in metres.
+const LENGTH_M: f64 = 160.0;
+/// Which photos are matched: neighbours, and the end of the loop with its beginning.
+const PAIRS: &str = "sequential:6+ends";
+/// A scan a second is enough to compare with.
+const SCAN_EVERY_TURNS: usize = 10;
+/// Points of a cloud farther than this from the vehicle's way are no more compared than a scanner would see them.
+const MAX_CLOUD_RANGE_M: f64 = 30.0;
 
 #[derive(Serialize)]
 struct Outcome {
     drive: Rendered,
-    workspace: PathBuf,
-    /// Of this run; stages that were kept took none of it.
+    /// Of this run; what was kept took none of it.
     seconds: f64,
+    runs: Vec<Run>,
+    /// The table, the clouds and the plots, side by side.
+    page: PathBuf,
+}
+
+/// One reconstruction, against the truth.
+#[derive(Serialize)]
+struct Run {
+    rig: &'static str,
+    workspace: PathBuf,
     report: Report,
-    evaluation: PoseEvaluation,
+    poses: PoseEvaluation,
+    #[serde(skip)]
+    model: Reconstruction,
+    /// Lengths in metres.
+    baseline: Option<RigEvaluation>,
+    surface: Option<SurfaceEvaluation>,
+    cloud: Option<CloudEvaluation>,
+    /// What one unit of the model truly was where it began, over what it is on the whole: 1 where the model keeps its size.
+    model_size_over_true_size: Option<f64>,
 }
 
 pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     let start = Instant::now();
     let synth = Synth {
         output: args.output.join("drive"),
-        frames: Some(args.frames),
+        frames: args.frames,
         size: args.size,
         seed: args.seed,
         rate: RATE_HZ,
+        route: RouteKind::Loop,
+        length: LENGTH_M,
         mounting: Mounting::Front,
-        effects: Effects::default(),
+        scan: false,
+        effects: "clocks".parse::<Effects>().map_err(|error| Failure::Usage(error.to_string()))?,
     };
+    let drive = make_drive(&synth)?;
     let mut progress = Progress::new(output);
-    let drive = render(&synth, &mut progress)?;
-    let workspace = args.output.join("workspace");
-    let options = Options {
-        features: FeatureOptions {
-            timestamps: Some(synth.output.join("timestamps.csv")),
-            ..FeatureOptions::default()
-        },
-        matching: MatchOptions { seed: args.seed, ..MatchOptions::default() },
-        mapper: MapperOptions { seed: args.seed, ..MapperOptions::default() },
-        ..Options::default()
+    let rendered = render(&synth, &drive, &mut progress)?;
+    let scan = LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() };
+    let scan = reference_cloud(&drive, &scan)?;
+    let options = |rig| -> Result<Options, Failure> {
+        Ok(Options {
+            features: FeatureOptions {
+                timestamps: Some(synth.output.join("timestamps.csv")),
+                ..FeatureOptions::default()
+            },
+            matching: MatchOptions {
+                pairs: PAIRS.parse().expect("it is a selection of pairs"),
+                seed: args.seed,
+                ..MatchOptions::default()
+            },
+            mapper: MapperOptions { rig, seed: args.seed, ..MapperOptions::default() },
+            ..Options::default()
+        })
     };
-    let report = reconstruct(std::slice::from_ref(&synth.output), &workspace, &options, &mut |event| {
-        progress.watch(event)
-    })?;
+    let mut runs = Vec::new();
+    for (rig, term) in [("off", RigTerm::Off), ("paper", RigTerm::Paper)] {
+        let workspace = args.output.join(rig);
+        if let Some(first) = runs.first().map(|run: &Run| &run.workspace) {
+            // Features and matches are the same.
+            Workspace::open(first)?.fork(&workspace)?;
+        }
+        let report =
+            reconstruct(std::slice::from_ref(&synth.output), &workspace, &options(term)?, &mut |event| {
+                progress.watch(event)
+            })?;
+        runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
+    }
     drop(progress);
-    let truth = Truth { format: TruthFormat::Colmap, path: drive.truth.clone() };
-    let evaluation = evaluate_poses(&workspace, &truth, None)?;
-    let outcome = Outcome { drive, workspace, seconds: start.elapsed().as_secs_f64(), report, evaluation };
+    let (page, seconds) = (args.output.join("report.html"), start.elapsed().as_secs_f64());
+    let outcome = Outcome { drive: rendered, seconds, runs, page };
+    outcome.write_page()?;
     output.result(&outcome, || outcome.describe(&synth));
     Ok(())
 }
 
+fn evaluate(
+    rig: &'static str,
+    workspace: PathBuf,
+    report: Report,
+    drive: &Drive,
+    rendered: &Rendered,
+    scan: &[Vector3<f64>],
+) -> Result<Run, Failure> {
+    let truth = Truth { format: TruthFormat::Colmap, path: rendered.truth.clone() };
+    let poses = evaluate_poses(&workspace, &truth, None)?;
+    let mut model = read_model(&model_folder(&workspace))?;
+    let times: Vec<(ImageId, f64)> =
+        model.images().filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s))).collect();
+    times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
+    let world_from_model = poses.truth_from_model;
+    let surface = evaluate_surface(&model, &world_from_model, |image, pixel| sighting(drive, image, pixel));
+    let centres: Vec<Vector3<f64>> =
+        model.registered().map(|(.., pose)| world_from_model * pose.origin_in_a()).collect();
+    let near = |point: &Vector3<f64>| centres.iter().any(|c| (c - point).norm() < MAX_CLOUD_RANGE_M);
+    let points: Vec<Vector3<f64>> =
+        model.tracks().map(|(_, track)| world_from_model * track.xyz).filter(near).collect();
+    let cloud = evaluate_cloud(&points, scan, &Sim3::identity(), Alignment::Rigid);
+    let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
+    let model_size_over_true_size = size_ratio(&report, &model, drive, poses.scale);
+    Ok(Run { rig, workspace, report, poses, model, baseline, surface, cloud, model_size_over_true_size })
+}
+
+/// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over what the whole model says.
+fn size_ratio(report: &Report, model: &Reconstruction, drive: &Drive, metres_per_unit: f64) -> Option<f64> {
+    let names = &report.models.first()?.rig.as_ref()?.paper.as_ref()?.unit_images;
+    let place = |name: &String| {
+        let (camera, exposure) = drive.find(name)?;
+        let image = model.images().find(|(_, image)| image.name == *name)?.1;
+        let true_centre = drive.cam_from_world(camera, exposure.time_s).origin_in_a();
+        Some((true_centre, image.cam_from_world()?.origin_in_a()))
+    };
+    let (first, second) = (place(&names[0])?, place(&names[1])?);
+    Some((first.0 - second.0).norm() / ((first.1 - second.1).norm() * metres_per_unit))
+}
+
 impl Outcome {
-    fn describe(&self, synth: &Synth) -> String {
-        let Self { drive, workspace, seconds, report, evaluation } = self;
-        let mut text = summary::report(workspace, report);
-        text.push_str("\nagainst the truth:\n");
-        // Writing to a string does not fail.
-        let mut row = |what: &str, value: std::fmt::Arguments| {
-            let _ = writeln!(text, "{what:<29} {value}");
+    fn write_page(&self) -> Result<(), Failure> {
+        let names: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
+        let exhibits: Vec<Exhibit> = self
+            .runs
+            .iter()
+            .zip(&names)
+            .map(|(run, name)| Exhibit {
+                name,
+                model: &run.model,
+                world_from_model: Some(run.poses.truth_from_model),
+                report: Some(&run.report),
+            })
+            .collect();
+        let page = report_html("tiepoint demo", &exhibits, &self.table(), Vec::new());
+        let cannot = |cause| Failure::CouldNot(format!("cannot write {}: {cause}", self.page.display()));
+        std::fs::write(&self.page, page).map_err(cannot)
+    }
+
+    fn table(&self) -> Vec<TableRow> {
+        let mut rows: Vec<TableRow> = Vec::new();
+        let mut row = |what: &str, value: &dyn Fn(&Run) -> Option<String>| {
+            let values = self.runs.iter().map(|run| value(run).unwrap_or_else(|| "-".to_owned()));
+            rows.push((what.to_owned(), values.collect()));
         };
-        row("metres driven", format_args!("{:.1} m", drive.driven_m));
-        row("images with a pose", format_args!("{} of {}", evaluation.registered, evaluation.images));
-        let error = &evaluation.centre_error;
-        row("camera centres, rms (ATE)", format_args!("{:.4} m", error.rmse));
-        row("camera centres, median, max", format_args!("{:.4} m, {:.4} m", error.median, error.max));
-        row("rotation, median", format_args!("{:.4}°", evaluation.rotation_error_deg.median));
-        for auc in &evaluation.relative_pose_auc {
-            let what = format!("relative poses, AUC@{}°", auc.threshold_deg);
-            row(&what, format_args!("{:.2} %", 100.0 * auc.auc));
+        row("images with a pose", &|run| Some(format!("{} of {}", run.poses.registered, run.poses.images)));
+        row("trajectory error (ATE)", &|run| Some(format!("{:.4} m", run.poses.centre_error.rmse)));
+        row("camera centres, median", &|run| Some(format!("{:.4} m", run.poses.centre_error.median)));
+        row("rotation, median", &|run| Some(format!("{:.4}°", run.poses.rotation_error_deg.median)));
+        row("focal length", &|run| {
+            let focal = run.poses.focal_lengths.first()?;
+            let percent = 100.0 * (focal.model_px / focal.truth_px? - 1.0);
+            Some(format!("{:.2} px ({percent:+.2} %)", focal.model_px))
+        });
+        row("baseline (true 0.5 m), mean", &|run| {
+            Some(format!("{:.4} m", run.baseline.as_ref()?.baseline.mean))
+        });
+        row("baseline, spread", &|run| Some(format!("{:.4} m", run.baseline.as_ref()?.translation_rms)));
+        row("baseline, drift", &|run| {
+            Some(format!("{:+.2} %", 100.0 * run.baseline.as_ref()?.baseline_drift))
+        });
+        row("relative rotation, spread", &|run| {
+            Some(format!("{:.4}°", run.baseline.as_ref()?.rotation_rms_deg))
+        });
+        row("surface distance to 30 m, median", &|run| {
+            Some(format!("{:.4} m", run.surface.as_ref()?.near.as_ref()?.median))
+        });
+        row("  with exactly known cameras", &|run| {
+            Some(format!("{:.4} m", run.surface.as_ref()?.near_floor.as_ref()?.median))
+        });
+        row("cloud to laser scan, mean ± sd", &|run| {
+            let distance = &run.cloud.as_ref()?.distance;
+            Some(format!("{:.3} ± {:.3} m", distance.mean, distance.std))
+        });
+        row("model size / true size", &|run| Some(format!("{:.4}", run.model_size_over_true_size?)));
+        row("points", &|run| Some(run.report.models.first()?.points.to_string()));
+        row("time to map", &|run| Some(format!("{:.1} s", run.report.stages.map.as_ref()?.seconds)));
+        rows
+    }
+
+    fn describe(&self, synth: &Synth) -> String {
+        let mut text = String::new();
+        // Writing to a string does not fail.
+        let mut line = |arguments: std::fmt::Arguments| {
+            let _ = writeln!(text, "{arguments}");
+        };
+        let images: usize = self.drive.cameras.iter().map(|camera| camera.images).sum();
+        line(format_args!(
+            "{:.1} m around a block, {images} images of two cameras, against the truth:\n",
+            self.drive.driven_m
+        ));
+        let heads: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
+        for (what, values) in std::iter::once((String::new(), heads)).chain(self.table()) {
+            let columns: String = values.iter().map(|value| format!("{value:>22}")).collect();
+            line(format_args!("{what:<33}{columns}"));
         }
-        for focal in &evaluation.focal_lengths {
-            if let Some(truth_px) = focal.truth_px {
-                let percent = 100.0 * (focal.model_px / truth_px - 1.0);
-                let what = format!("focal length, camera {}", focal.camera);
-                row(&what, format_args!("{:.2} px, true {truth_px:.2} px ({percent:+.3} %)", focal.model_px));
-            }
+        line(format_args!(
+            "\ntime of this run {:.1} s\nto look at: {}\n\nThis did what these do:",
+            self.seconds,
+            self.page.display()
+        ));
+        let (folder, truth) = (synth.output.display(), self.drive.truth.display());
+        let frames = synth.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
+        line(format_args!(
+            "  tiepoint synth -o {folder} --length {} --rate {} --effects clocks --size {} --seed {}{frames}",
+            synth.length, synth.rate, synth.size, synth.seed
+        ));
+        for Run { rig, workspace, .. } in &self.runs {
+            let workspace = workspace.display();
+            line(format_args!(
+                "  tiepoint reconstruct {folder} -o {workspace} --rig {rig} --pairs {PAIRS} --timestamps {folder}/timestamps.csv \
+                 --seed {}",
+                synth.seed
+            ));
+            line(format_args!("  tiepoint evaluate poses {workspace} --truth colmap:{truth}"));
         }
-        row("time of this run", format_args!("{seconds:.1} s"));
-        let (folder, truth, workspace) = (synth.output.display(), drive.truth.display(), workspace.display());
-        let frames = drive.cameras.iter().map(|camera| camera.images).max().unwrap_or(0);
-        let _ = write!(
-            text,
-            "\nThis did what these do:\n  \
-             tiepoint synth -o {folder} --frames {frames} --size {} --seed {}\n  \
-             tiepoint reconstruct {folder} -o {workspace} --timestamps {folder}/timestamps.csv --seed {}\n  \
-             tiepoint evaluate poses {workspace} --truth colmap:{truth}\n",
-            synth.size, synth.seed, synth.seed,
-        );
         text
     }
 }

@@ -1,14 +1,32 @@
-//! `evaluate poses`.
+//! `evaluate poses` and `evaluate cloud`.
 
-use tiepoint_pipeline::evaluate_poses;
+use tiepoint_pipeline::eval::geometry::Sim3;
+use tiepoint_pipeline::eval::{Alignment, find_alignment};
+use tiepoint_pipeline::{Error, evaluate_cloud, evaluate_poses, read_cloud};
 
 use super::Failure;
-use crate::args::EvaluatePoses;
+use crate::args::{EvaluateCloud, EvaluatePoses};
 use crate::output::Output;
 use crate::summary;
 
 pub(crate) fn poses(args: &EvaluatePoses, output: &Output) -> Result<(), Failure> {
     let evaluation = evaluate_poses(&args.model, &args.truth, args.images.as_deref())?;
     output.result(&evaluation, || summary::poses(&evaluation));
+    Ok(())
+}
+
+pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure> {
+    let (cloud, reference) = (read_cloud(&args.cloud)?, read_cloud(&args.reference)?);
+    let (start, alignment) = match (&args.truth, args.align) {
+        (Some(truth), _) => {
+            (Some(evaluate_poses(&args.cloud, truth, None)?.truth_from_model), Alignment::Rigid)
+        }
+        (None, Alignment::Similarity) => (find_alignment(&cloud, &reference), Alignment::Similarity),
+        (None, alignment) => (Some(Sim3::identity()), alignment),
+    };
+    let evaluation = start.and_then(|start| evaluate_cloud(&cloud, &reference, &start, alignment));
+    let evaluation = evaluation
+        .ok_or_else(|| Error::Clouds { cloud: args.cloud.clone(), reference: args.reference.clone() })?;
+    output.result(&evaluation, || summary::cloud(&evaluation));
     Ok(())
 }

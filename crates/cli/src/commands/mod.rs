@@ -6,6 +6,8 @@ mod evaluate;
 mod export;
 mod stages;
 mod synth;
+mod truth;
+mod view;
 
 use crate::args::{Command, Evaluate};
 use crate::output::Output;
@@ -32,6 +34,8 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Map(args) => stages::map(&args, output),
         Command::Adjust(args) => adjust::adjust(&args, output),
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
+        Command::Evaluate(Evaluate::Cloud(args)) => evaluate::cloud(&args, output),
+        Command::View(args) => view::view(&args, output),
         Command::Export(args) => export::export(&args, output),
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),

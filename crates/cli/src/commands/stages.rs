@@ -7,7 +7,7 @@ use tiepoint_pipeline::{
 };
 
 use super::Failure;
-use crate::args::{Cameras, Features, Input, Map, Match, Pairs, Reconstruct, Seed};
+use crate::args::{Cameras, Features, Input, Map, Mapping, Match, Pairs, Reconstruct, Seed};
 use crate::output::Output;
 use crate::progress::Progress;
 use crate::summary;
@@ -17,7 +17,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         features: feature_options(&args.input, &args.cameras)?,
         masks: args.input.masks.clone(),
         matching: match_options(&args.pairs, &args.seed),
-        mapper: mapper_options(&args.seed),
+        mapper: mapper_options(&args.mapping, &args.seed),
         redo: args.redo,
     };
     let mut progress = Progress::new(output);
@@ -54,7 +54,9 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let redo = own_stage(args.redo, Stage::Map)?;
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    map_workspace(&mut workspace, &mapper_options(&args.seed), redo, &mut |event| progress.watch(event))?;
+    map_workspace(&mut workspace, &mapper_options(&args.mapping, &args.seed), redo, &mut |event| {
+        progress.watch(event)
+    })?;
     drop(progress);
     tell(&workspace, output)
 }
@@ -86,6 +88,6 @@ fn match_options(pairs: &Pairs, seed: &Seed) -> MatchOptions {
     MatchOptions { pairs: pairs.pairs, seed: seed.seed, ..MatchOptions::default() }
 }
 
-fn mapper_options(seed: &Seed) -> MapperOptions {
-    MapperOptions { seed: seed.seed, ..MapperOptions::default() }
+fn mapper_options(mapping: &Mapping, seed: &Seed) -> MapperOptions {
+    MapperOptions { rig: mapping.rig, seed: seed.seed, ..MapperOptions::default() }
 }

@@ -7,9 +7,10 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
-use tiepoint_synth::{Drive, DriveOptions, Mount};
+use tiepoint_synth::{Drive, DriveOptions, LidarOptions, Mount, reference_cloud, write_ply};
 
 use super::Failure;
 use crate::args::Synth;
@@ -18,6 +19,8 @@ use crate::progress::Progress;
 
 /// Distance of the two cameras.
 const BASELINE_M: f64 = 0.5;
+/// A scan a second shows everything beside the way.
+pub(crate) const SCAN_EVERY_TURNS: usize = 10;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
 
@@ -51,30 +54,40 @@ struct Record {
 
 pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
-    let rendered = render(args, &mut progress)?;
+    let rendered = render(args, &drive(args)?, &mut progress)?;
     drop(progress);
     output.result(&rendered, || rendered.describe());
     Ok(())
 }
 
-/// Renders a drive to disk.
-pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, Failure> {
-    let options = DriveOptions {
+fn options(args: &Synth) -> DriveOptions {
+    DriveOptions {
         seed: args.seed,
+        route: args.route,
+        length_m: args.length,
         mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
         width: args.size.width,
         height: args.size.height,
         rate_hz: args.rate,
         effects: args.effects,
         ..DriveOptions::default()
-    };
-    let mut drive = Drive::new(&options).map_err(|error| match error {
+    }
+}
+
+/// The drive that the arguments mean.
+pub(crate) fn drive(args: &Synth) -> Result<Drive, Failure> {
+    let mut drive = Drive::new(&options(args)).map_err(|error| match error {
         tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
         _ => error.into(),
     })?;
     if let Some(frames) = args.frames {
         drive.keep_first(frames.get());
     }
+    Ok(drive)
+}
+
+/// Renders a drive to disk.
+pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
     let folder = &args.output;
     let frames = args.frames.map(usize::from);
     claim(
@@ -82,20 +95,29 @@ pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, 
         &Record {
             program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
             frames,
-            drive: format!("{options:?}"),
+            drive: format!("{:?}", options(args)),
         },
     )?;
     drive.write_tables(folder)?;
     let truth = folder.join("truth/model");
     write_model(&truth, &drive.truth(), Format::Binary)?;
+    if args.scan {
+        let scan = LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() };
+        write_ply(&folder.join("truth/scan.ply"), &reference_cloud(drive, &scan)?)?;
+    }
     let total = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
     let mut done = 0;
     for (index, camera) in drive.cameras().iter().enumerate() {
         let renderer = drive.renderer(index);
-        for exposure in &camera.exposures {
-            progress.rendering(&exposure.name, done, total);
-            drive.write_image(folder, index, exposure, &renderer)?;
-            done += 1;
+        // Several at a time: files are encoded by one thread each.
+        for exposures in camera.exposures.chunks(rayon::current_num_threads()) {
+            for exposure in exposures {
+                progress.rendering(&exposure.name, done, total);
+                done += 1;
+            }
+            exposures
+                .par_iter()
+                .try_for_each(|exposure| drive.write_image(folder, index, exposure, &renderer))?;
         }
     }
     let cameras = drive.cameras().iter().map(|camera| RenderedCamera {
@@ -106,7 +128,7 @@ pub(crate) fn render(args: &Synth, progress: &mut Progress) -> Result<Rendered, 
         focal_px: camera.lens.focal_px(),
     });
     let cameras = cameras.collect();
-    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(&drive) })
+    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(drive) })
 }
 
 fn driven_m(drive: &Drive) -> f64 {

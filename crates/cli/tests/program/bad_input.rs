@@ -118,7 +118,7 @@ fn wrong_command_lines() {
     wrong("reconstruct {} -o {}/ws --pair exhaustive", &["unexpected argument '--pair'", "'--pairs'"]);
     wrong("reconstruct {}", &["required", "--output <WORKSPACE>"]);
     wrong("reconstruct {} -o {}/ws --pairs sequential", &["sequential", "exhaustive", "sequential:20"]);
-    wrong("reconstruct {} -o {}/ws --rig soft", &["soft", "only off"]);
+    wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "hard or auto"]);
     wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
     wrong("reconstruct {} -o {}/ws --intrinsics 1,2,3", &["--intrinsics has 3 numbers", "fx,fy,cx,cy"]);
     wrong("reconstruct {} -o {}/ws --intrinsics 0,2,3,4", &["--intrinsics", "fx"]);

@@ -12,6 +12,12 @@ const FOCAL_PX: f64 = 0.6 * 320.0;
 /// SIFT locates points of rendered images to a few tenths of a pixel: walls 10 m away to 10 m * 0.3 / 192 = 16 mm, and each
 /// camera sees hundreds of them. A pose that is wrong is wrong by decimetres.
 const MAX_ATE_M: f64 = 0.05;
+/// Distance of the two cameras, and how far the vehicle drives at most in the half interval (0.2 s) that the clocks may disagree by.
+const BASELINE_M: f64 = 0.5;
+const MAX_CLOCK_M: f64 = 2.0;
+/// Median distance of points to the surface that their pixels show, over that of points of exactly known cameras: at this size the
+/// keypoints alone leave decimetres, and cameras known to centimetres add little.
+const MAX_OVER_FLOOR: f64 = 4.0;
 /// Of the focal length, which is set 1.2 / 0.6 times too long at first: 0.3 % were measured.
 const MAX_FOCAL_ERROR: f64 = 0.03;
 
@@ -19,7 +25,8 @@ const MAX_FOCAL_ERROR: f64 = 0.03;
 fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects photometry --json";
+    let line =
+        "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects photometry --scan --json";
     let run = tiepoint_in(dir, line).done();
     let (rendered, events) = (run.json(), run.events());
     assert_eq!(events.len(), 6);
@@ -39,6 +46,10 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
         let trajectory = fs::read_to_string(drive.join(format!("truth/{name}.tum"))).unwrap();
         assert_eq!(trajectory.lines().count(), 3);
     }
+    // The scan lies on itself and is of the size of the street: 200 m around the block.
+    let scan = "evaluate cloud {}/deep/drive/truth/scan.ply {}/deep/drive/truth/scan.ply --align none --json";
+    let scan = tiepoint_in(dir, scan).done().json();
+    assert!(scan["points"].as_u64().unwrap() > 100_000 && scan["distance"]["max"] == 0.0, "{scan}");
     // The truth is true of itself.
     let truth = rendered["truth"].as_str().unwrap();
     let evaluation = tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
@@ -88,8 +99,21 @@ fn the_demo_reconstructs_what_it_rendered() {
     let dir = dir.path();
     let line = format!("demo -o {{}}/demo --frames {FRAMES} --size 320x240");
     let outcome = tiepoint_in(dir, &format!("{line} --json")).done().json();
-    let evaluation = &outcome["evaluation"];
-    assert_eq!(outcome["report"]["models"][0]["registered"], 2 * FRAMES, "{outcome}");
+    let [off, paper] = [0, 1].map(|index| &outcome["runs"][index]);
+    assert_eq!((&off["rig"], &paper["rig"]), (&"off".into(), &"paper".into()));
+    for run in [off, paper] {
+        let model = &run["report"]["models"][0];
+        assert_eq!(model["registered"], 2 * FRAMES, "{model}");
+        assert_eq!(model["rig"]["mode"], run["rig"]);
+        // The clocks disagree by less than an image.
+        assert!(model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1, "{model}");
+        let surface = |which: &str| run["surface"][which]["median"].as_f64().unwrap();
+        assert!(surface("near") < MAX_OVER_FLOOR * surface("near_floor"), "{}", run["surface"]);
+        let baseline = run["baseline"]["baseline"]["median"].as_f64().unwrap();
+        assert!((BASELINE_M - MAX_ATE_M..BASELINE_M + MAX_CLOCK_M).contains(&baseline), "{baseline}");
+    }
+    assert_eq!(paper["report"]["models"][0]["rig"]["paper"]["lambda"], 500.0);
+    let evaluation = &off["poses"];
     assert_eq!(
         (&evaluation["images"], &evaluation["registered"]),
         (&(2 * FRAMES).into(), &(2 * FRAMES).into())
@@ -108,11 +132,11 @@ fn the_demo_reconstructs_what_it_rendered() {
     let text = tiepoint_in(dir, &line).done().stdout();
     let registered = format!("{0} of {0}", 2 * FRAMES);
     let ate = format!("{:.4} m", evaluation["centre_error"]["rmse"].as_f64().unwrap());
-    for part in [registered.as_str(), &ate, "AUC@5°", "focal length, camera 2", "demo/workspace"] {
+    for part in [registered.as_str(), &ate, "--rig paper", "surface distance", "demo/paper"] {
         assert!(text.contains(part), "no {part} in {text}");
     }
     let events = tiepoint_in(dir, &format!("{line} --json")).done().events();
-    assert_eq!(events.iter().filter(|event| event["event"] == "stage_kept").count(), 3);
+    assert_eq!(events.iter().filter(|event| event["event"] == "stage_kept").count(), 6);
     // The commands that it names are the same work.
     let synth = text.lines().find_map(|line| line.trim().strip_prefix("tiepoint synth")).unwrap();
     tiepoint_in(dir, &format!("synth{synth}")).done();

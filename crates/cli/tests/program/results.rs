@@ -9,6 +9,8 @@ use serde_json::Value;
 use crate::{photos, tiepoint_in};
 
 const COUNT: usize = 5;
+/// PLY files hold single precision; the scene is some metres large.
+const MAX_ROUNDING: f64 = 1e-4;
 /// The cameras are 0.35 m apart and see walls 4 m away; 240 lines resolve a tenth of a pixel at best.
 const MAX_CENTRE_ERROR_M: f64 = 0.02;
 /// Of the focal length, which five views of a corner determine.
@@ -83,6 +85,33 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         tiepoint_in(dir, &format!("export {{}}/ws --to {format} -o {{}}/{path}")).done();
         assert!(dir.join(path).exists());
     }
+    for (format, file) in [("openmvs", "scene.mvs"), ("nerfstudio", "transforms.json")] {
+        tiepoint_in(dir, &format!("export {{}}/ws --to {format} -o {{}}/{format}")).done();
+        assert!(dir.join(format).join(file).is_file());
+        for k in 0..COUNT {
+            let size = image::image_dimensions(dir.join(format!("{format}/images/{k}.png"))).unwrap();
+            assert_eq!(size, image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap());
+        }
+        tiepoint_in(dir, &format!("export {{}}/ws/sparse/0 --to {format} -o {{}}/{format}"))
+            .failed(1, &["no workspace", "needs the photos"]);
+    }
+    let shown = tiepoint_in(dir, "view {}/ws --json").done().json();
+    let page = fs::read_to_string(shown["report"].as_str().unwrap()).unwrap();
+    assert!(page.contains("report.json") && page.len() < 1 << 20);
+    tiepoint_in(dir, "view {}/photos").failed(1, &["photos"]);
+    // A cloud lies on itself, wherever it was put; its cameras say so too.
+    let cloud = |options: &str| {
+        tiepoint_in(dir, &format!("evaluate cloud {{}}/ws {{}}/a.ply {options} --json")).done().json()
+    };
+    for options in ["--align none", "--align rigid", "", "--truth colmap:{}/ws"] {
+        let found = cloud(options);
+        assert_eq!(found["points"], model["points"], "{options}");
+        assert!(found["distance"]["max"].as_f64().unwrap() < MAX_ROUNDING, "{options}: {found}");
+        assert!((found["scale"].as_f64().unwrap() - 1.0).abs() < MAX_ROUNDING, "{options}: {found}");
+    }
+    tiepoint_in(dir, "evaluate cloud {}/a.ply {}/none.ply").failed(1, &["none.ply"]);
+    tiepoint_in(dir, "evaluate cloud {}/a.ply {}/a.ply --align free")
+        .failed(2, &["similarity, rigid or none"]);
     tiepoint_in(dir, "export {}/ws --to tum -o {}/t.txt").failed(1, &["has a time", "--timestamps"]);
     let text = tiepoint_in(dir, "evaluate poses {}/text --truth colmap:{}/ws --json").done().json();
     assert!(text["centre_error"]["max"].as_f64().unwrap() < 1e-9, "{text}");

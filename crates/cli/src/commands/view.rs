@@ -1,0 +1,18 @@
+//! `view`.
+
+use serde::Serialize;
+use tiepoint_pipeline::view as write_report;
+
+use super::Failure;
+use crate::args::View;
+use crate::output::Output;
+
+pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {
+    #[derive(Serialize)]
+    struct Written {
+        report: std::path::PathBuf,
+    }
+    let written = Written { report: write_report(&args.workspace)? };
+    output.result(&written, || format!("{}\n", written.report.display()));
+    Ok(())
+}

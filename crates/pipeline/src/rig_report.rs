@@ -1,0 +1,203 @@
+//! What the report says about cameras that ride together.
+
+use serde::{Deserialize, Serialize};
+use tiepoint_sfm::rig::{RelativePose, paper, spread};
+use tiepoint_sfm::scene::{ImageId, Reconstruction};
+use tiepoint_sfm::{Hold, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
+
+use crate::rig_over_time::folder_of;
+
+/// Two or more cameras that took images at the same moments.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigReport {
+    /// What was asked to hold them to each other: off, paper, soft, hard or auto.
+    pub mode: String,
+    /// The first camera with each other one.
+    pub cameras: Vec<RigCameraReport>,
+    /// With `--rig paper`: what the constraint meant in this model.
+    pub paper: Option<PaperReport>,
+    /// With soft, hard and auto: what came of it.
+    pub mounting: Option<MountingReport>,
+}
+
+/// How firmly the cameras were held to one mounting in the end, and why.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MountingReport {
+    /// off, soft or hard.
+    pub chosen: String,
+    /// The reason, in one sentence.
+    pub why: String,
+    /// Of soft: standard deviation of each coordinate of the centre, as a share of the baseline.
+    pub sigma_translation: Option<f64>,
+    /// Of soft: standard deviation of each component of the rotation.
+    pub sigma_rotation_deg: Option<f64>,
+    /// Error of tracks that took no part, without any mounting.
+    pub held_out_error_off_px: f64,
+    /// The same in the end.
+    pub held_out_error_px: f64,
+    /// Images of one moment that agree with the mounting neither in the model nor by their own matches.
+    pub bad_pairs: Vec<[String; 2]>,
+}
+
+/// What the mapper told of mountings.
+pub(crate) struct Held {
+    pub(crate) hold: Option<Hold>,
+    pub(crate) error_off_px: f64,
+    pub(crate) error_px: f64,
+}
+
+/// What the mapper told, of all models.
+pub(crate) struct History {
+    /// The initial pairs.
+    pub(crate) began: Vec<(ImageId, ImageId)>,
+    pub(crate) bad_pairs: Vec<(ImageId, ImageId)>,
+    pub(crate) held: Vec<Held>,
+}
+
+/// How constant the relative pose of two cameras is, without any truth.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigCameraReport {
+    /// Their folders.
+    pub names: [String; 2],
+    /// N_t: moments at which both took an image.
+    pub pairs: usize,
+    /// N_p: those with both poses.
+    pub reconstructed_pairs: usize,
+    /// Distance of the two, in units of the model.
+    pub median_baseline: f64,
+    /// Standard deviation of the distance over its mean.
+    pub relative_baseline_sd: f64,
+    /// Root mean square distance of the second camera from its mean place, over the mean distance.
+    pub relative_translation_rms: f64,
+    /// Root mean square angle from the mean rotation.
+    pub rotation_rms_deg: f64,
+    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale does not drift.
+    pub second_over_first_half: f64,
+}
+
+/// The constraint of Huang, Elhashash & Qin 2022 has a unit: what it was, and how strong λ is in it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PaperReport {
+    /// The images whose distance is one unit; the pose of the first one and this distance were held.
+    pub unit_images: [String; 2],
+    /// Their distance now, in units: only one coordinate of it is held.
+    pub unit_distance: f64,
+    /// λ while mapping, of a complete model.
+    pub lambda: f64,
+    /// The same as a standard deviation between consecutive moments, in units of the model.
+    pub sigma_translation: f64,
+    /// The same over the median distance of the cameras.
+    pub relative_sigma_translation: f64,
+    /// The same of the rotation.
+    pub sigma_rotation_deg: f64,
+    /// Pairs that Eq. (4) took for incorrectly estimated, as it sees the final model; they weigh 500 and not 250.
+    pub bad_pairs: Vec<[String; 2]>,
+}
+
+impl RigReport {
+    /// `None` for a lone camera.
+    pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History) -> Option<Self> {
+        let rigs = rig_pairs(model);
+        let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
+            rigs.iter().map(|rig| (rig, relative_poses(model, rig))).collect();
+        let cameras: Vec<RigCameraReport> =
+            series.iter().filter_map(|(rig, poses)| camera(model, rig, poses)).collect();
+        let mode = match term {
+            RigTerm::Off => "off",
+            RigTerm::Paper => "paper",
+            RigTerm::Soft => "soft",
+            RigTerm::Hard => "hard",
+            RigTerm::Auto => "auto",
+        };
+        let paper = match term {
+            RigTerm::Paper => paper_report(model, &series, &cameras, &history.began),
+            _ => None,
+        };
+        let mounting = mounting_report(term, model, history);
+        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, mounting })
+    }
+}
+
+fn camera(
+    model: &Reconstruction,
+    rig: &RigPairs,
+    poses: &[(RigPair, RelativePose)],
+) -> Option<RigCameraReport> {
+    let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
+    let spread = spread(&relative)?;
+    Some(RigCameraReport {
+        names: [rig.left, rig.right].map(|camera| folder_of(model, camera)),
+        pairs: rig.pairs.len(),
+        reconstructed_pairs: poses.len(),
+        median_baseline: spread.median_baseline,
+        relative_baseline_sd: spread.sd_baseline / spread.mean_baseline,
+        relative_translation_rms: spread.rms_translation / spread.mean_baseline,
+        rotation_rms_deg: spread.rms_rotation_rad.to_degrees(),
+        second_over_first_half: spread.second_over_first_half,
+    })
+}
+
+/// Of the largest model, to which the mapper came first.
+fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> Option<MountingReport> {
+    let Held { hold, error_off_px, error_px } = *history.held.first()?;
+    let name = |image| model.image(image).name.clone();
+    let (chosen, sigmas) = match hold {
+        None => ("off", None),
+        Some(Hold::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
+            ("soft", Some((sigma_translation, sigma_rotation_rad.to_degrees())))
+        }
+        Some(Hold::Rigid) => ("hard", None),
+    };
+    let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
+    let why = match (term, hold) {
+        (RigTerm::Auto, None) => {
+            "cameras held to one mounting would explain tracks that took no part worse, even loosely"
+                .to_owned()
+        }
+        (RigTerm::Auto, Some(Hold::Rigid)) => {
+            format!("a rigid rig explains tracks that took no part best, with {errors}")
+        }
+        (_, Some(Hold::Soft { .. })) => {
+            format!("this is as firmly as tracks that took no part allow: {errors}")
+        }
+        _ => format!("it was asked for; tracks that took no part are off by {errors}"),
+    };
+    Some(MountingReport {
+        chosen: chosen.to_owned(),
+        why,
+        sigma_translation: sigmas.map(|sigmas| sigmas.0),
+        sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
+        held_out_error_off_px: error_off_px,
+        held_out_error_px: error_px,
+        bad_pairs: history.bad_pairs.iter().map(|&(left, right)| [name(left), name(right)]).collect(),
+    })
+}
+
+fn paper_report(
+    model: &Reconstruction,
+    series: &[(&RigPairs, Vec<(RigPair, RelativePose)>)],
+    cameras: &[RigCameraReport],
+    began: &[(ImageId, ImageId)],
+) -> Option<PaperReport> {
+    let pose = |image| model.image(image).cam_from_world();
+    let both = |&(a, b): &(ImageId, ImageId)| Some((a, b, pose(a)?.origin_in_a(), pose(b)?.origin_in_a()));
+    let (a, b, centre_a, centre_b) = began.iter().find_map(both)?;
+    let name = |image| model.image(image).name.clone();
+    let sigmas = paper::sigmas(paper::LAMBDA);
+    let mut bad_pairs = Vec::new();
+    for (_, poses) in series {
+        let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
+        let Some(average) = paper::average(&relative) else { continue };
+        let bad = poses.iter().filter(|(_, pose)| paper::is_bad(pose, &average));
+        bad_pairs.extend(bad.map(|(pair, _)| [name(pair.left), name(pair.right)]));
+    }
+    Some(PaperReport {
+        unit_images: [name(a), name(b)],
+        unit_distance: (centre_a - centre_b).norm(),
+        lambda: paper::LAMBDA,
+        sigma_translation: sigmas.translation,
+        relative_sigma_translation: sigmas.translation / cameras.first()?.median_baseline,
+        sigma_rotation_deg: sigmas.rotation_rad.to_degrees(),
+        bad_pairs,
+    })
+}

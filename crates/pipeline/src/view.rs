@@ -1,0 +1,370 @@
+//! `report.html`: models to look at, in one file that needs nothing else.
+//!
+//! This gathers the data, bounded in size whatever the model's; `view.html` draws them. Models are turned upright (up is where the
+//! cameras' pictures have it on average) and scaled so that nine points of ten lie within a distance of one. Where the world of the
+//! models is known, all get one frame, so that they can be compared by eye.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use tiepoint_eval::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
+use tiepoint_eval::geometry::{Rigid3, Sim3};
+use tiepoint_io::colmap::read_model;
+use tiepoint_io::{AtomicFile, timestamps};
+use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
+
+use crate::evaluate::model_folder;
+use crate::{Error, Report, evaluate_rig};
+
+const TEMPLATE: &str = include_str!("view.html");
+/// Where the data stand in the template.
+const PLACE: &str = "{{DATA}}";
+/// Points shown, of all models together: about 1.2 MB of the file.
+const MAX_POINTS: usize = 100_000;
+/// Cameras, and moments of a rig, shown of one model.
+const MAX_CAMERAS: usize = 2_000;
+/// Cells along a side of the matrix; more images share a cell.
+const MAX_CELLS: usize = 100;
+/// Coordinates are whole multiples of this, in view units, up to 8 of them. `view.html` has the same number.
+const UNIT: f64 = 8.0 / 32767.0;
+/// Errors beyond this are in the last bar, in pixels.
+const MAX_ERROR_PX: f64 = 4.0;
+const ERROR_BINS: usize = 40;
+const MAX_TRACK_LENGTH: usize = 30;
+/// Depth of a drawn camera, as a part of the step from one to the next.
+const CAMERA_DEPTH: f64 = 0.5;
+
+/// A model to show.
+#[derive(Clone, Copy, Debug)]
+pub struct Exhibit<'a> {
+    /// What it is called: the heading of its column.
+    pub name: &'a str,
+    /// The model.
+    pub model: &'a Reconstruction,
+    /// Where it lies in a world in metres, if that is known: models are then shown in one frame, and lengths in metres.
+    pub world_from_model: Option<Sim3>,
+    /// What each stage did.
+    pub report: Option<&'a Report>,
+}
+
+/// A row of the table above the models: what it is, and a value for each model.
+pub type TableRow = (String, Vec<String>);
+
+#[derive(Serialize)]
+struct Page<'a> {
+    title: &'a str,
+    table: Vec<Vec<String>>,
+    models: Vec<Model<'a>>,
+}
+
+#[derive(Serialize)]
+struct Model<'a> {
+    name: &'a str,
+    unit: &'static str,
+    num_images: usize,
+    num_points: usize,
+    points_shown: usize,
+    /// Base64 of three 16-bit coordinates a point, in units of [`UNIT`].
+    points: String,
+    /// Base64 of red, green, blue.
+    colours: String,
+    cameras: Vec<Frusta>,
+    errors: Histogram,
+    track_lengths: Histogram,
+    shared: Matrix,
+    rigs: Vec<RigSeries>,
+    stages: Vec<(&'static str, f64)>,
+    files: Vec<(&'static str, String)>,
+}
+
+/// Images of one camera: centre and four corners of each, 15 numbers.
+#[derive(Serialize)]
+struct Frusta {
+    colour: u32,
+    corners: Vec<f32>,
+}
+
+#[derive(Serialize)]
+struct Histogram {
+    first: f64,
+    last: f64,
+    counts: Vec<usize>,
+}
+
+#[derive(Serialize)]
+struct Matrix {
+    side: usize,
+    counts: Vec<u32>,
+}
+
+#[derive(Serialize)]
+struct RigSeries {
+    cameras: [String; 2],
+    times_s: Vec<f64>,
+    baselines: Vec<f64>,
+    turns_deg: [Vec<f64>; 3],
+}
+
+/// A page with models side by side below a table; `files` are texts to fold out below the first model.
+pub fn report_html(
+    title: &str,
+    exhibits: &[Exhibit],
+    table: &[TableRow],
+    files: Vec<(&'static str, String)>,
+) -> String {
+    let shared_frame = exhibits.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
+    let mut files = Some(files);
+    let models = exhibits.iter().map(|exhibit| {
+        let view_from_world = shared_frame.filter(|_| exhibit.world_from_model.is_some());
+        let view_from_world = view_from_world.unwrap_or_else(|| upright(exhibit));
+        let files = files.take().unwrap_or_default();
+        describe(exhibit, &view_from_world, MAX_POINTS / exhibits.len(), files)
+    });
+    let row = |(what, values): &TableRow| std::iter::once(what).chain(values).cloned().collect();
+    let page = Page { title, table: table.iter().map(row).collect(), models: models.collect() };
+    let data = serde_json::to_string(&page).expect("our own types are JSON: string keys");
+    // No text can end the script that the data stand in.
+    TEMPLATE.replacen(PLACE, &data.replace('<', "\\u003c"), 1)
+}
+
+/// Writes `report.html` into a workspace: its largest model, with what `report.json` and `rig.json` say. `path` may also be a
+/// folder with a COLMAP model. Gives the file's path.
+pub fn view(path: &Path) -> Result<PathBuf, Error> {
+    let folder = model_folder(path);
+    let mut model = read_model(&folder)?;
+    let times = path.join("timestamps.csv");
+    if times.is_file() {
+        let times = timestamps::read(&times)?;
+        let known: Vec<(ImageId, Option<f64>)> =
+            model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
+        known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
+    }
+    let report = path.join("report.json");
+    let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
+    let mut files = Vec::new();
+    for name in ["rig.json", "report.json"] {
+        if let Ok(text) = std::fs::read_to_string(path.join(name)) {
+            files.push((name, text));
+        }
+    }
+    let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let exhibit = Exhibit { name: &name, model: &model, world_from_model: None, report: report.as_ref() };
+    let html =
+        report_html(&format!("tiepoint: {name}"), &[exhibit], &summary(&model, report.as_ref()), files);
+    let file = path.join("report.html");
+    AtomicFile::write_with(&file, |out| std::io::Write::write_all(out, html.as_bytes()))?;
+    Ok(file)
+}
+
+fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
+    // A model on disk holds no images without a pose; the report counts them.
+    let images = report.and_then(|report| report.models.first()).map_or(model.images().count(), |m| m.images);
+    let registered = format!("{} of {images}", model.num_registered());
+    let mut rows = vec![
+        ("images with a pose".to_owned(), registered),
+        ("points".to_owned(), model.num_tracks().to_string()),
+        (
+            "observations (a point)".to_owned(),
+            format!("{} ({:.2})", model.num_observations(), model.mean_track_length()),
+        ),
+        ("mean reprojection error".to_owned(), format!("{:.3} px", model.mean_reprojection_error_px())),
+    ];
+    for rig in evaluate_rig(model, 1.0) {
+        let between = format!("{} – {}", rig.cameras[0], rig.cameras[1]);
+        let baseline = format!("{:.4} ± {:.4}", rig.baseline.mean, rig.baseline.std);
+        rows.push((format!("distance {between} (model units)"), baseline));
+        let spread = format!("{:.4}°", rig.rotation_rms_deg);
+        rows.push((format!("spread of the rotation {between}"), spread));
+    }
+    rows.into_iter().map(|(what, value)| (what, vec![value])).collect()
+}
+
+/// The frame to look at a model in, from its world.
+fn upright(exhibit: &Exhibit) -> Sim3 {
+    let world_from_model = exhibit.world_from_model.unwrap_or_else(Sim3::identity);
+    let poses = exhibit.model.registered().map(|(.., pose)| world_from_model.transform_pose(pose));
+    let poses: Vec<Rigid3> = poses.collect();
+    let up: Vector3<f64> = poses.iter().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum();
+    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z())
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let seen = exhibit.model.tracks().map(|(_, track)| world_from_model * track.xyz);
+    let places: Vec<Vector3<f64>> = seen.chain(poses.iter().map(Rigid3::origin_in_a)).collect();
+    let middle = |axis: usize| {
+        let mut values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
+    let centre = Vector3::new(middle(0), middle(1), middle(2));
+    let mut distances: Vec<f64> = places.iter().map(|place| (place - centre).norm()).collect();
+    distances.sort_by(f64::total_cmp);
+    let radius =
+        distances.get(distances.len() * 9 / 10).copied().filter(|radius| *radius > 0.0).unwrap_or(1.0);
+    let scale = 1.0 / radius;
+    Sim3 { scale, rotation, translation: -(rotation * centre) * scale }
+}
+
+fn describe<'a>(
+    exhibit: &Exhibit<'a>,
+    view_from_world: &Sim3,
+    max_points: usize,
+    files: Vec<(&'static str, String)>,
+) -> Model<'a> {
+    let Exhibit { name, model, world_from_model, report } = exhibit;
+    let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
+    let (mut points, mut colours) = (Vec::new(), Vec::new());
+    for (_, track) in model.tracks().step_by(model.num_tracks().div_ceil(max_points).max(1)) {
+        let place = (view_from_model * track.xyz) / UNIT;
+        // Points far outside, in the sky say, would only be dots at the rim.
+        if place.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
+            points.extend(place.iter().flat_map(|value| (value.round() as i16).to_le_bytes()));
+            colours.extend(track.color);
+        }
+    }
+    let scale = world_from_model.map_or(1.0, |world_from_model| world_from_model.scale);
+    Model {
+        name,
+        unit: if world_from_model.is_some() { "m" } else { "model units" },
+        num_images: model.num_registered(),
+        num_points: model.num_tracks(),
+        points_shown: colours.len() / 3,
+        points: base64(&points),
+        colours: base64(&colours),
+        cameras: frusta(model, &view_from_model),
+        errors: errors(model),
+        track_lengths: track_lengths(model),
+        shared: shared_points(model),
+        rigs: rigs(model, scale),
+        stages: report.map_or_else(Vec::new, stages),
+        files,
+    }
+}
+
+fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
+    let step = model.num_registered().div_ceil(MAX_CAMERAS).max(1);
+    let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
+    let steps = poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
+    let mut steps: Vec<f64> = steps.collect();
+    steps.sort_by(f64::total_cmp);
+    let depth = CAMERA_DEPTH * steps.get(steps.len() / 2).copied().unwrap_or(1.0);
+    let mut all: BTreeMap<CameraId, Vec<f32>> = BTreeMap::new();
+    for (id, pose) in poses.iter().step_by(step) {
+        let camera = model.camera(*id);
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)].map(|(x, y)| {
+            let ray = camera.intrinsics.unproject(&Vector2::new(x, y)).unwrap_or_else(Vector3::z);
+            pose.inverse() * (ray * (depth / ray.z.abs().max(0.2)))
+        });
+        let numbers = all.entry(*id).or_default();
+        for point in std::iter::once(pose.origin_in_a()).chain(corners) {
+            // A ten-thousandth of the view is less than a pixel.
+            numbers.extend((*view_from_model * point).iter().map(|value| (value * 1e4).round() as f32 / 1e4));
+        }
+    }
+    all.into_iter().map(|(id, corners)| Frusta { colour: id.0, corners }).collect()
+}
+
+fn errors(model: &Reconstruction) -> Histogram {
+    let mut counts = vec![0; ERROR_BINS];
+    for (_, track) in model.tracks() {
+        for error in track.observations.iter().filter_map(|o| model.error_of_px(o, &track.xyz)) {
+            let bin = (error / MAX_ERROR_PX * ERROR_BINS as f64) as usize;
+            counts[bin.min(ERROR_BINS - 1)] += 1;
+        }
+    }
+    Histogram { first: 0.0, last: MAX_ERROR_PX, counts }
+}
+
+fn track_lengths(model: &Reconstruction) -> Histogram {
+    const SHORTEST: usize = 2;
+    let mut counts = vec![0; MAX_TRACK_LENGTH - SHORTEST + 1];
+    for (_, track) in model.tracks() {
+        counts[track.observations.len().clamp(SHORTEST, MAX_TRACK_LENGTH) - SHORTEST] += 1;
+    }
+    Histogram { first: SHORTEST as f64, last: MAX_TRACK_LENGTH as f64 + 1.0, counts }
+}
+
+/// How many points images have in common; neighbours by name share a cell where there are many images.
+fn shared_points(model: &Reconstruction) -> Matrix {
+    let mut order: Vec<(&str, ImageId)> =
+        model.registered().map(|(id, image, _)| (image.name.as_str(), id)).collect();
+    order.sort_unstable();
+    let side = order.len().min(MAX_CELLS);
+    let cells: BTreeMap<ImageId, usize> =
+        order.iter().enumerate().map(|(k, (_, id))| (*id, k * side / order.len())).collect();
+    let mut counts = vec![0; side * side];
+    for (_, track) in model.tracks() {
+        let seen: BTreeSet<usize> =
+            track.observations.iter().filter_map(|o| cells.get(&o.image).copied()).collect();
+        for a in &seen {
+            for b in seen.iter().filter(|b| *b != a) {
+                counts[a * side + b] += 1;
+            }
+        }
+    }
+    Matrix { side, counts }
+}
+
+fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
+    let series = |rig: crate::RigEvaluation| {
+        let step = rig.moments.div_ceil(MAX_CAMERAS).max(1);
+        let turn = |axis: usize| {
+            rig.series.turns_rad.iter().step_by(step).map(|turn| turn[axis].to_degrees()).collect()
+        };
+        RigSeries {
+            times_s: rig.times_s.iter().step_by(step).copied().collect(),
+            baselines: rig.series.centres.iter().step_by(step).map(|centre| centre.norm() * scale).collect(),
+            turns_deg: [turn(0), turn(1), turn(2)],
+            cameras: rig.cameras,
+        }
+    };
+    evaluate_rig(model, scale).into_iter().map(series).collect()
+}
+
+fn stages(report: &Report) -> Vec<(&'static str, f64)> {
+    let stages = &report.stages;
+    let times = [
+        ("features", stages.features.as_ref().map(|stage| stage.seconds)),
+        ("match", stages.matches.as_ref().map(|stage| stage.seconds)),
+        ("map", stages.map.as_ref().map(|stage| stage.seconds)),
+    ];
+    times.into_iter().filter_map(|(name, seconds)| Some((name, seconds?))).collect()
+}
+
+/// RFC 4648, with padding.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let bits = (0..3).fold(0u32, |bits, k| bits << 8 | u32::from(chunk.get(k).copied().unwrap_or(0)));
+        for k in 0..4 {
+            let letter = LETTERS[(bits >> (18 - 6 * k) & 63) as usize];
+            text.push(if k <= chunk.len() { char::from(letter) } else { '=' });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_the_rfc() {
+        for (plain, coded) in
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
+        {
+            assert_eq!(base64(plain.as_bytes()), coded);
+        }
+        assert_eq!(base64(&[0xfb, 0xff, 0xbf]), "+/+/");
+    }
+
+    #[test]
+    fn the_template_has_one_place_for_the_data_and_loads_nothing() {
+        assert_eq!(TEMPLATE.matches(PLACE).count(), 1);
+        assert!(TEMPLATE.contains("8 / 32767"));
+        for word in ["src=", "href=", "@import", "fetch(", "https://"] {
+            assert!(!TEMPLATE.contains(word), "{word}");
+        }
+    }
+}
