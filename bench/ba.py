@@ -44,6 +44,35 @@ def final_cost(path):
     return 0.5 * np.sum((pixel - seen[:, 2:]) ** 2)
 
 
+def made(path):
+    """A problem of the size of Dubrovnik-16 (which had 83,718 observations), from nothing: cameras on an arc around a ball."""
+    rng = np.random.default_rng(1)
+    cameras, points, longest = 16, 22106, 8
+    angle = np.linspace(0, 1.5, cameras)
+    centre = np.stack([15 * np.sin(angle), 0.3 * np.sin(5 * angle), 15 * np.cos(angle)], axis=1)
+    world = rng.normal(size=(points, 3)) * 2
+    length = np.minimum(2 + rng.geometric(0.36, size=points) - 1, longest)
+    rows = []
+    for j in range(points):
+        first = rng.integers(0, cameras - length[j] + 1)
+        for i in range(first, first + length[j]):
+            c, s = np.cos(-angle[i]), np.sin(-angle[i])
+            x, y, z = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ (world[j] - centre[i])
+            u, v = -x / z, -y / z
+            scale = 800 * (1 - 0.05 * (u * u + v * v))
+            rows.append(f"{i} {j} {scale * u + rng.normal() * 0.5:.6f} {scale * v + rng.normal() * 0.5:.6f}")
+    numbers = []
+    for i in range(cameras):
+        c, s = np.cos(-angle[i]), np.sin(-angle[i])
+        shift = -np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ centre[i]
+        numbers += [0.0, -angle[i], 0.0, *shift]
+        numbers[-6:] = list(np.array(numbers[-6:]) + rng.normal(size=6) * 0.005)
+        numbers += [810.0, 0.0, 0.0]
+    numbers += list((world + rng.normal(size=world.shape) * 0.05).ravel())
+    path.write_text(f"{cameras} {points} {len(rows)}\n" + "\n".join(rows) + "\n" + "\n".join(f"{x:.17g}" for x in numbers) + "\n")
+    return path
+
+
 def trace(command):
     """Seconds and costs, after the set-up and after every step."""
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -67,7 +96,7 @@ def main():
         ceres = folder / "ceres_bal"
         subprocess.run(["g++", "-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3",
                         str(ROOT / "bench/ceres_bal.cpp"), "-o", str(ceres), "-lceres", "-lglog"], check=True)
-        for problem in problems:
+        for problem in problems + [made(folder / "made-16-22106.txt")] * (not options.problems):
             compare(problem, ceres, folder, options)
 
 

@@ -60,7 +60,7 @@ impl Problem {
             let (store, _) = self.locate(key)?;
             first.push(first[first.len() - 1] + self.values.stores[store].dof());
         }
-        let mut system = SchurSystem::new(self, LinearSolver::Auto)?;
+        let mut system = SchurSystem::new(self, LinearSolver::Auto, 0)?;
         let linearised = system.linearize(self, &self.values, 0.0, &mut Times::default());
         crate::solver::check_finite(self, &linearised)?;
         let columns = system.structure.columns;
@@ -127,14 +127,14 @@ fn eliminated_columns(
     information: &mut [f64],
 ) -> Option<()> {
     let structure = &system.structure;
-    let (chunk, sums, cell) = structure.chunks.iter().zip(&system.sums).find_map(|(chunk, sums)| {
+    let (chunk, cell) = structure.chunks.iter().find_map(|chunk| {
         let is_it = |cell: &&crate::structure::Cell| {
             cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot)
         };
-        chunk.cells.iter().find(is_it).map(|cell| (chunk, sums, cell))
+        chunk.cells.iter().find(is_it).map(|cell| (chunk, cell))
     })?;
     let p = cell.dof as usize;
-    let stash = CellStash::of(&sums.stash, cell, chunk);
+    let stash = CellStash::of(&system.memory, cell, chunk);
     let factor = DMatrix::from_row_slice(p, p, stash.factor).lower_triangle();
     let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
     // A direction that is held has a one on V's diagonal, for want of anything else, and no variance.
@@ -153,7 +153,7 @@ fn eliminated_columns(
         for (column, i) in block.free_columns().enumerate() {
             for k in 0..p {
                 let sum: f64 =
-                    (k..p).map(|j| inverse[(j, k)] * stash.y[j * pattern.width + local.column + i]).sum();
+                    (k..p).map(|j| inverse[(j, k)] * stash.y[p * local.dense + j * local.dof + i]).sum();
                 a[(block.reduced + column, at + k)] = -sum;
             }
         }

@@ -51,6 +51,9 @@ pub trait Vars: Sized + 'static {
 
     #[doc(hidden)]
     fn slots(keys: Self::Keys) -> Self::Indices;
+    /// The indices of several factors, one after the other.
+    #[doc(hidden)]
+    fn flat(indices: &[Self::Indices]) -> &[u32];
     /// Numbers of the stores of the variables' types, which may not exist.
     #[doc(hidden)]
     fn stores(values: &ValuesRef<'_>) -> Vec<Option<u16>>;
@@ -61,6 +64,14 @@ pub trait Vars: Sized + 'static {
     /// Writes the Jacobian times `weight` as rows of `stride` numbers, the variables side by side.
     #[doc(hidden)]
     fn write_rows<const R: usize>(
+        jacobians: &Self::Jacobians<R>,
+        weight: f64,
+        rows: &mut [f64],
+        stride: usize,
+    );
+    /// The same for variable number `I` alone.
+    #[doc(hidden)]
+    fn write_own<const R: usize, const I: usize>(
         jacobians: &Self::Jacobians<R>,
         weight: f64,
         rows: &mut [f64],
@@ -126,6 +137,9 @@ macro_rules! impl_vars {
             fn slots(keys: Self::Keys) -> Self::Indices {
                 [$(keys.$i.slot),*]
             }
+            fn flat(indices: &[Self::Indices]) -> &[u32] {
+                indices.as_flattened()
+            }
             fn stores(values: &ValuesRef<'_>) -> Vec<Option<u16>> {
                 vec![$(values.0.find(std::any::TypeId::of::<$V>()).map(|store| store as u16)),*]
             }
@@ -149,6 +163,18 @@ macro_rules! impl_vars {
                     let start = start + $V::DOF;
                 )*
                 let _ = start;
+            }
+            #[inline(always)]
+            fn write_own<const R: usize, const I: usize>(
+                jacobians: &Self::Jacobians<R>,
+                weight: f64,
+                rows: &mut [f64],
+                stride: usize,
+            ) {
+                match I {
+                    $($i => write_block::<_, R>(&jacobians.$i, $V::DOF, weight, rows, stride),)*
+                    _ => {}
+                }
             }
         }
 

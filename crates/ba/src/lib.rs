@@ -11,6 +11,7 @@ mod options;
 mod problem;
 mod qr;
 mod reduced;
+mod refine;
 mod run;
 mod schur;
 mod solver;

@@ -14,6 +14,9 @@ pub struct Options {
     pub step_tolerance: f64,
     /// Damping λ of the first step, relative to the diagonal of JᵀJ.
     pub initial_damping: f64,
+    /// After each step, every eliminated variable takes up to so many Gauss-Newton steps of its own, with the kept ones held,
+    /// as long as they pay: cheap beside a step of all, of which fewer are then needed.
+    pub refinements: usize,
     /// How the linear system is solved.
     pub linear_solver: LinearSolver,
 }
@@ -26,6 +29,7 @@ impl Default for Options {
             gradient_tolerance: 1e-10,
             step_tolerance: 1e-8,
             initial_damping: 1e-4,
+            refinements: 3,
             linear_solver: LinearSolver::Auto,
         }
     }
@@ -43,8 +47,11 @@ pub enum LinearSolver {
     Qr,
     /// Dense Cholesky factorisation of the reduced system.
     Dense,
-    /// Sparse supernodal Cholesky factorisation of the reduced system.
+    /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not fit into 4 GiB, as
+    /// [`Iterative`](Self::Iterative).
     Sparse,
+    /// Conjugate gradients on the sparse reduced system, preconditioned by its diagonal blocks.
+    Iterative,
 }
 
 impl Options {

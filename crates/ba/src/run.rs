@@ -90,6 +90,53 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         }
     }
 
+    /// The factors' linearisation is inlined, or should be: then what the other variables would get is never computed.
+    #[inline(always)]
+    fn linearize_own_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
+        let dof = F::Vars::DOFS[I];
+        let records = out.rows.chunks_exact_mut(R * (dof + 1)).zip(out.costs);
+        for (&index, (rows, cost)) in factors.iter().zip(records) {
+            let index = index as usize;
+            let x = F::Vars::refs(slices, &self.slots[index]);
+            let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
+                rows.fill(0.0);
+                *cost = NO_COST;
+                continue;
+            };
+            let loss = self.losses.get(index);
+            let squared_norm = residual.norm_squared();
+            *cost = half_rho(loss, squared_norm);
+            let weight = match loss {
+                Loss::Trivial => 1.0,
+                _ => loss.evaluate(squared_norm)[1].sqrt(),
+            };
+            F::Vars::write_own::<R, I>(&jacobians, weight, rows, dof + 1);
+            for r in 0..R {
+                rows[r * (dof + 1) + dof] = weight * residual[r];
+            }
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn linearize_own_avx2<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        self.linearize_own_here::<I>(values, factors, out);
+    }
+
+    fn linearize_own_as<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        if I >= F::Vars::COUNT {
+            return;
+        }
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the feature that the function is compiled for has just been found.
+            unsafe { self.linearize_own_avx2::<I>(values, factors, out) };
+            return;
+        }
+        self.linearize_own_here::<I>(values, factors, out);
+    }
+
     #[inline(always)]
     fn costs_here(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
@@ -139,7 +186,10 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     /// Degrees of freedom of each variable.
     fn dofs(&self) -> &'static [usize];
     fn stores(&self) -> &[u16];
+    /// Of one factor.
     fn slots(&self, factor: usize) -> &[u32];
+    /// Of all factors, one after the other.
+    fn all_slots(&self) -> &[u32];
     /// Length of a row in [`Rows`].
     fn stride(&self) -> usize {
         (total_dof(self.dofs()) + 1).next_multiple_of(4)
@@ -147,6 +197,8 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     /// Linearises the listed factors. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
     /// not finite gets an infinite cost.
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>);
+    /// The same by variable number `own` alone: rows of its degrees of freedom and the residual, without padding.
+    fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>);
     /// Costs of the listed factors, as in [`AnyRun::linearize`].
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]);
     /// The first factor that is not finite: its number, what, and the value.
@@ -188,6 +240,9 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
     fn slots(&self, factor: usize) -> &[u32] {
         self.slots[factor].as_ref()
     }
+    fn all_slots(&self) -> &[u32] {
+        F::Vars::flat(&self.slots)
+    }
 
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
         #[cfg(target_arch = "x86_64")]
@@ -197,6 +252,19 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
             return;
         }
         self.linearize_here(values, factors, out);
+    }
+
+    fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>) {
+        match own {
+            0 => self.linearize_own_as::<0>(values, factors, out),
+            1 => self.linearize_own_as::<1>(values, factors, out),
+            2 => self.linearize_own_as::<2>(values, factors, out),
+            3 => self.linearize_own_as::<3>(values, factors, out),
+            4 => self.linearize_own_as::<4>(values, factors, out),
+            5 => self.linearize_own_as::<5>(values, factors, out),
+            6 => self.linearize_own_as::<6>(values, factors, out),
+            _ => self.linearize_own_as::<7>(values, factors, out),
+        }
     }
 
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]) {

@@ -8,7 +8,8 @@ use crate::eliminate::Sums;
 use crate::error::Error;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::{Dense, Factorisation, Reduced, Sparse};
+use crate::reduced::{Columns, Conjugate, Dense, Factorisation, Reduced, Sparse};
+use crate::refine::Refine;
 use crate::structure::{Chunk, Elimination, Structure};
 use crate::summary::Times;
 use crate::system::{Linearised, System};
@@ -25,30 +26,42 @@ const HALVINGS: i32 = 6;
 pub(crate) struct SchurSystem {
     pub(crate) structure: Structure,
     pub(crate) sums: Vec<Sums>,
+    /// Tiles and stashes of all chunks.
+    pub(crate) memory: Vec<f64>,
     pub(crate) reduced: Reduced,
     name: &'static str,
     /// Steps of all variables: kept ones by block, then eliminated ones by cell.
     step: Vec<f64>,
     block_at: Vec<usize>,
     trial_costs: Vec<Vec<f64>>,
+    refine: Refine,
+    refinements: usize,
 }
 
 impl SchurSystem {
-    pub(crate) fn new(problem: &Problem, solver: LinearSolver) -> Result<Self, Error> {
+    pub(crate) fn new(problem: &Problem, solver: LinearSolver, refinements: usize) -> Result<Self, Error> {
         let structure = Structure::new(problem, Elimination::Do)?;
         let dense = match solver {
             LinearSolver::Dense => true,
-            LinearSolver::Sparse => false,
+            LinearSolver::Sparse | LinearSolver::Iterative => false,
             _ => prefers_dense(&structure),
         };
         let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0 {
             ("dense Cholesky", Box::new(Dense::new(&structure)))
         } else {
-            ("sparse Cholesky", Box::new(Sparse::new(&structure)?))
+            let columns = Columns::new(&structure)?;
+            let direct = if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
+            match direct {
+                Ok(sparse) => ("sparse Cholesky", Box::new(sparse)),
+                Err(columns) => ("conjugate gradients", Box::new(Conjugate::new(columns))),
+            }
         };
         let reduced = Reduced::new(&structure, factorisation);
         Ok(Self {
+            memory: vec![0.0; structure.memory_len],
             sums: structure.chunks.iter().map(Sums::new).collect(),
+            refine: Refine::new(problem, &structure, refinements),
+            refinements,
             trial_costs: structure.chunks.iter().map(|chunk| vec![0.0; chunk.factors.len()]).collect(),
             step: vec![0.0; structure.step_len],
             block_at: structure.blocks.iter().map(|block| block.at).collect(),
@@ -59,12 +72,29 @@ impl SchurSystem {
     }
 
     /// Runs `work` on every chunk, in parallel if there are several.
-    fn for_chunks<T: Send>(chunks: &[Chunk], items: &mut [T], work: impl Fn(&Chunk, &mut T) + Sync) {
+    pub(crate) fn for_chunks<T: Send>(
+        chunks: &[Chunk],
+        items: &mut [T],
+        work: impl Fn(&Chunk, &mut T) + Sync,
+    ) {
         if chunks.len() > 1 {
             chunks.par_iter().zip(items).with_max_len(1).for_each(|(chunk, item)| work(chunk, item));
         } else {
             chunks.iter().zip(items).for_each(|(chunk, item)| work(chunk, item));
         }
+    }
+
+    /// The cost of the factors that exist where the system was linearised.
+    fn total(&self, costs: &[Vec<f64>]) -> f64 {
+        let mut total = 0.0;
+        for (sums, costs) in self.sums.iter().zip(costs) {
+            let mut chunk = 0.0;
+            for (before, after) in sums.costs.iter().zip(costs) {
+                chunk += if before.is_nan() { 0.0 } else { *after };
+            }
+            total += chunk;
+        }
+        total
     }
 
     /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
@@ -86,7 +116,7 @@ impl SchurSystem {
             let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
             trial.stores[store].plus_one(&*values.stores[store], slot, &shorter);
             for i in factors.clone() {
-                let run = crate::structure::run_of(chunk, &self.structure.shapes, i);
+                let run = chunk.run_of(i);
                 let at = chunk.factors[i];
                 problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
             }
@@ -98,8 +128,11 @@ impl SchurSystem {
     }
 }
 
+/// The refinement of a step ends when a round lowers the cost by less than this part of it.
+const WORTH_REFINING: f64 = 1e-2;
+
 /// Whether a factor that had the one cost still exists with the other.
-fn survives(before: f64, after: f64) -> bool {
+pub(crate) fn survives(before: f64, after: f64) -> bool {
     before.is_nan() || after.is_finite()
 }
 
@@ -135,11 +168,18 @@ impl System for SchurSystem {
     ) -> Linearised {
         let begin = Instant::now();
         let structure = &self.structure;
-        Self::for_chunks(&structure.chunks, &mut self.sums, |chunk, sums| {
-            sums.linearize(problem, values, &structure.shapes, chunk, lambda);
+        let mut tasks = Vec::with_capacity(structure.chunks.len());
+        let mut rest = &mut self.memory[..];
+        for (sums, chunk) in self.sums.iter_mut().zip(&structure.chunks) {
+            let (memory, others) = rest.split_at_mut(chunk.memory.len());
+            tasks.push((sums, memory));
+            rest = others;
+        }
+        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
+            sums.linearize(memory, problem, values, chunk, lambda);
         });
         let middle = Instant::now();
-        self.reduced.gather(structure, &self.sums, lambda);
+        self.reduced.gather(structure, &self.sums, &self.memory, lambda);
         times.linearize += middle - begin;
         times.gather += middle.elapsed();
         let mut linearised = Linearised { cost: 0.0, missing: 0, gradient_max: 0.0 };
@@ -175,17 +215,17 @@ impl System for SchurSystem {
         let begin = Instant::now();
         let mut tasks = Vec::with_capacity(structure.chunks.len());
         let mut rest = eliminated;
-        for sums in self.sums.iter().zip(&structure.chunks) {
-            let (steps, others) = rest.split_at_mut(sums.1.steps.len());
-            tasks.push((sums.0, steps, [0.0; 2]));
+        for chunk in &structure.chunks {
+            let (steps, others) = rest.split_at_mut(chunk.steps.len());
+            tasks.push((steps, [0.0; 2]));
             rest = others;
         }
-        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, steps, promise)| {
-            *promise = sums.back_substitute(chunk, kept, &self.block_at, lambda, steps);
+        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
+            *promise = Sums::back_substitute(&self.memory, chunk, kept, &self.block_at, lambda, steps);
         });
         // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).
         let [mut g_step, mut damped] = [0.0; 2];
-        for (_, _, promise) in &tasks {
+        for (_, promise) in &tasks {
             g_step += promise[0];
             damped += promise[1];
         }
@@ -234,14 +274,21 @@ impl System for SchurSystem {
                 alive &= chunk.cells[cell].dof > 0 && self.shorten(problem, values, trial, chunk, cell, pair);
             }
         }
-        let mut cost = 0.0;
-        for (sums, costs) in self.sums.iter().zip(&trial_costs) {
-            for (before, after) in sums.costs.iter().zip(costs) {
-                cost += if before.is_nan() { 0.0 } else { *after };
+        let mut cost = self.total(&trial_costs);
+        times.evaluate += begin.elapsed();
+        let begin = Instant::now();
+        for _ in 0..self.refinements {
+            if !alive || !cost.is_finite() {
+                break;
+            }
+            self.refine.round(problem, trial, &self.structure, &self.sums, &mut trial_costs);
+            let before = std::mem::replace(&mut cost, self.total(&trial_costs));
+            if before - cost < WORTH_REFINING * cost {
+                break;
             }
         }
         self.trial_costs = trial_costs;
-        times.evaluate += begin.elapsed();
+        times.refine += begin.elapsed();
         (alive && cost.is_finite()).then_some(cost)
     }
 }

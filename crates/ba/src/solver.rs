@@ -32,7 +32,7 @@ impl Solver {
         let system: Box<dyn System> = match options.linear_solver {
             LinearSolver::Qr => Box::new(QrSystem::new(problem)?),
             LinearSolver::Auto if prefers_qr(problem) => Box::new(QrSystem::new(problem)?),
-            solver => Box::new(SchurSystem::new(problem, solver)?),
+            solver => Box::new(SchurSystem::new(problem, solver, options.refinements)?),
         };
         Ok(Self {
             options: options.clone(),
@@ -66,7 +66,7 @@ impl Solver {
             if now.gradient_max <= self.options.gradient_tolerance {
                 break Termination::GradientTolerance;
             }
-            if iterations.len() >= self.options.max_iterations {
+            if self.options.max_iterations == 0 {
                 break Termination::MaxIterations;
             }
             let lambda = damping.lambda();
@@ -81,22 +81,15 @@ impl Solver {
             if accepted {
                 std::mem::swap(&mut problem.values, &mut self.trial);
                 damping.accepted(gain_ratio);
+                // Exact, since all factors that there are exist before and after: none can join.
+                now.cost = attempt.cost;
             } else {
                 damping.rejected();
             }
-            let next = self.system.linearize(problem, &problem.values, damping.lambda(), &mut times);
-            if next.cost.is_finite() && next.gradient_max.is_finite() {
-                now = next;
-                if accepted && next.missing == before.missing {
-                    // `residual` and `linearize` of a factor round differently: compare only what the same one has measured.
-                    now.cost = attempt.cost;
-                }
-            } else {
-                // The cost is finite there, but its derivatives are not: as bad as a step that raises the cost.
-                std::mem::swap(&mut problem.values, &mut self.trial);
-                accepted = false;
-                damping.rejected();
-                now = self.system.linearize(problem, &problem.values, damping.lambda(), &mut times);
+            // What comes after the last step of a solve needs no derivatives, unless factors may have come to exist.
+            let joined = before.missing > 0;
+            if joined {
+                accepted &= self.linearize(problem, accepted, &mut now, &before, &mut damping, &mut times);
             }
             iterations.push(IterationRecord {
                 number: iterations.len() + 1,
@@ -117,6 +110,16 @@ impl Solver {
             if damping.exhausted() {
                 break Termination::NoDescent;
             }
+            if iterations.len() >= self.options.max_iterations {
+                break Termination::MaxIterations;
+            }
+            if !joined
+                && !self.linearize(problem, accepted, &mut now, &before, &mut damping, &mut times)
+                && let Some(last) = iterations.last_mut()
+                && last.accepted
+            {
+                (last.accepted, last.cost) = (false, now.cost);
+            }
         };
         times.total = begin.elapsed();
         Ok(Summary {
@@ -131,6 +134,33 @@ impl Solver {
             linear_solver: self.system.name(),
             times,
         })
+    }
+
+    /// Linearises after a step that was taken or not, from `before`. Gives whether it stays taken: where the cost is finite but
+    /// its derivatives are not, the step is as bad as one that raises the cost.
+    fn linearize(
+        &mut self,
+        problem: &mut Problem,
+        accepted: bool,
+        now: &mut Linearised,
+        before: &Linearised,
+        damping: &mut Damping,
+        times: &mut Times,
+    ) -> bool {
+        let next = self.system.linearize(problem, &problem.values, damping.lambda(), times);
+        if next.cost.is_finite() && next.gradient_max.is_finite() {
+            // `residual` and `linearize` of a factor round differently: compare only what the same one has measured.
+            let cost = if next.missing == before.missing { now.cost } else { next.cost };
+            *now = Linearised { cost, ..next };
+            return accepted;
+        }
+        if accepted {
+            std::mem::swap(&mut problem.values, &mut self.trial);
+        }
+        damping.rejected();
+        let again = self.system.linearize(problem, &problem.values, damping.lambda(), times);
+        *now = Linearised { cost: before.cost, ..again };
+        false
     }
 
     /// Solves for a step, writes where it leads to `trial`, and evaluates the cost there. A step that cannot be computed

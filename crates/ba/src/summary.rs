@@ -89,6 +89,8 @@ pub struct Times {
     pub back_substitute: Duration,
     /// Costs of attempted steps.
     pub evaluate: Duration,
+    /// Steps of the eliminated variables on their own.
+    pub refine: Duration,
     /// All of the solve.
     pub total: Duration,
 }

@@ -11,7 +11,7 @@ use tiepoint_geometry::{Block, Manifold};
 pub(crate) const MAX_DOF: usize = 64;
 
 /// Stores longer than this are moved in parallel: below, waking a thread costs more than the work.
-const PARALLEL_VALUES: usize = 20_000;
+const PARALLEL_VALUES: usize = 4_000;
 
 /// In [`AnyStore::plus_all`]: this variable does not move.
 pub(crate) const FIXED: u32 = u32::MAX;
@@ -120,6 +120,8 @@ pub(crate) trait AnyStore: Any + Send + Sync {
     fn plus_all(&mut self, base: &dyn AnyStore, delta: &[f64], at: &[u32]);
     /// The same for one variable that moves.
     fn plus_one(&mut self, base: &dyn AnyStore, slot: usize, delta: &[f64]);
+    /// `self[slot] = base[slot]`.
+    fn copy_one(&mut self, base: &dyn AnyStore, slot: usize);
 }
 
 fn moved<V: Manifold>(base: &V, delta: &[f64]) -> V {
@@ -168,6 +170,9 @@ impl<V: Manifold> AnyStore for Store<V> {
     }
     fn plus_one(&mut self, base: &dyn AnyStore, slot: usize, delta: &[f64]) {
         self.0[slot] = moved(&typed::<V>(base)[slot], delta);
+    }
+    fn copy_one(&mut self, base: &dyn AnyStore, slot: usize) {
+        self.0[slot] = typed::<V>(base)[slot];
     }
 }
 

@@ -17,7 +17,8 @@ pub(crate) struct Snavely {
 impl Factor<2> for Snavely {
     type Vars = (Rigid3, Vector3<f64>, Vector3<f64>);
 
-    #[inline]
+    // Inlined for certain, so that the engine, where it wants the point's part alone, computes no other.
+    #[inline(always)]
     fn linearize(
         &self,
         (cam_from_world, lens, point): Refs<'_, Self::Vars>,

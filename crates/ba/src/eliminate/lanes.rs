@@ -1,120 +1,216 @@
-//! Four numbers at once, with the machine's instructions for it or without.
+//! Four or eight numbers at once, with the machine's instructions for it or without.
 //!
 //! The vectors are explicit because the compiler, left alone with loops over small arrays, vectorises along the wrong one.
 
-/// Numbers handled at once.
+/// Numbers of a [`Isa::Narrow`] vector: all rows are padded to multiples of it.
 pub(super) const LANES: usize = 4;
+/// Numbers of a [`Isa::Wide`] vector.
+pub(super) const WIDE: usize = 8;
 
-/// How to work on [`LANES`] numbers. Products `a·b + c` are fused where the machine can, so that results differ in the last
-/// bits between instruction sets, and not otherwise.
+/// Some numbers that are handled at once. Loads and stores take the first numbers of a slice.
+pub(super) trait Vector: Copy {
+    fn load(from: &[f64]) -> Self;
+    fn store(self, to: &mut [f64]);
+    fn splat(x: f64) -> Self;
+    fn mul(self, b: Self) -> Self;
+    /// self · b + c.
+    fn mul_add(self, b: Self, c: Self) -> Self;
+    /// c − self · b.
+    fn neg_mul_add(self, b: Self, c: Self) -> Self;
+}
+
+/// How to work on numbers. Products `a·b + c` are fused where the machine can, so that results differ in the last bits between
+/// machines with and without, and not otherwise: the order of operations is the same for all widths.
 pub(super) trait Isa {
-    /// The numbers.
-    type V: Copy;
-    fn load(from: &[f64; LANES]) -> Self::V;
-    fn store(v: Self::V, to: &mut [f64; LANES]);
-    fn splat(x: f64) -> Self::V;
-    fn mul(a: Self::V, b: Self::V) -> Self::V;
-    /// a b + c.
-    fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// c − a b.
-    fn neg_mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// [`LANES`] numbers.
+    type Narrow: Vector;
+    /// [`WIDE`] numbers.
+    type Wide: Vector;
+    /// Whether there are 32 vector registers and not 16.
+    const MANY_REGISTERS: bool;
     /// a b + c for single numbers.
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64;
 }
 
+/// No instructions in particular.
 pub(super) struct Portable;
 impl Isa for Portable {
-    type V = [f64; LANES];
-    #[inline(always)]
-    fn load(from: &[f64; LANES]) -> Self::V {
-        *from
-    }
-    #[inline(always)]
-    fn store(v: Self::V, to: &mut [f64; LANES]) {
-        *to = v;
-    }
-    #[inline(always)]
-    fn splat(x: f64) -> Self::V {
-        [x; LANES]
-    }
-    #[inline(always)]
-    fn mul(a: Self::V, b: Self::V) -> Self::V {
-        std::array::from_fn(|i| a[i] * b[i])
-    }
-    #[inline(always)]
-    fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        std::array::from_fn(|i| a[i] * b[i] + c[i])
-    }
-    #[inline(always)]
-    fn neg_mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        std::array::from_fn(|i| c[i] - a[i] * b[i])
-    }
+    type Narrow = [f64; LANES];
+    type Wide = [f64; WIDE];
+    const MANY_REGISTERS: bool = false;
     #[inline(always)]
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
         a * b + c
     }
 }
 
-/// AVX2 with fused multiply-add. To be used inside functions compiled for these only.
+impl<const N: usize> Vector for [f64; N] {
+    #[inline(always)]
+    fn load(from: &[f64]) -> Self {
+        *first(from)
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f64]) {
+        *first_mut(to) = self;
+    }
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        [x; N]
+    }
+    #[inline(always)]
+    fn mul(self, b: Self) -> Self {
+        std::array::from_fn(|i| self[i] * b[i])
+    }
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        std::array::from_fn(|i| self[i] * b[i] + c[i])
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, b: Self, c: Self) -> Self {
+        std::array::from_fn(|i| c[i] - self[i] * b[i])
+    }
+}
+
+#[inline(always)]
+fn first<const N: usize>(slice: &[f64]) -> &[f64; N] {
+    slice.first_chunk().expect("at least one vector")
+}
+
+#[inline(always)]
+fn first_mut<const N: usize>(slice: &mut [f64]) -> &mut [f64; N] {
+    slice.first_chunk_mut().expect("at least one vector")
+}
+
 #[cfg(target_arch = "x86_64")]
-pub(super) struct Fused;
+pub(super) use fused::{Fused, Fused512};
 
 #[cfg(target_arch = "x86_64")]
 mod fused {
     use std::arch::x86_64::{
-        __m256d, _mm256_fmadd_pd, _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_mul_pd, _mm256_set1_pd,
-        _mm256_storeu_pd,
+        __m256d, __m512d, _mm256_fmadd_pd, _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_mul_pd, _mm256_set1_pd,
+        _mm256_storeu_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_loadu_pd, _mm512_mul_pd, _mm512_set1_pd,
+        _mm512_storeu_pd,
     };
 
-    use super::{Fused, Isa, LANES};
+    use super::{Isa, LANES, Vector, WIDE, first, first_mut};
 
+    /// AVX2 with fused multiply-add. To be used inside functions compiled for these only.
+    pub(in super::super) struct Fused;
     impl Isa for Fused {
-        type V = __m256d;
-        #[inline(always)]
-        fn load(from: &[f64; LANES]) -> __m256d {
-            // SAFETY: the instruction exists where `Fused` may be used, and reads what the reference covers.
-            unsafe { _mm256_loadu_pd(from.as_ptr()) }
-        }
-        #[inline(always)]
-        fn store(v: __m256d, to: &mut [f64; LANES]) {
-            // SAFETY: the instruction exists where `Fused` may be used, and writes what the reference covers.
-            unsafe { _mm256_storeu_pd(to.as_mut_ptr(), v) }
-        }
-        #[inline(always)]
-        fn splat(x: f64) -> __m256d {
-            // SAFETY: the instruction exists where `Fused` may be used.
-            unsafe { _mm256_set1_pd(x) }
-        }
-        #[inline(always)]
-        fn mul(a: __m256d, b: __m256d) -> __m256d {
-            // SAFETY: the instruction exists where `Fused` may be used.
-            unsafe { _mm256_mul_pd(a, b) }
-        }
-        #[inline(always)]
-        fn mul_add(a: __m256d, b: __m256d, c: __m256d) -> __m256d {
-            // SAFETY: the instruction exists where `Fused` may be used.
-            unsafe { _mm256_fmadd_pd(a, b, c) }
-        }
-        #[inline(always)]
-        fn neg_mul_add(a: __m256d, b: __m256d, c: __m256d) -> __m256d {
-            // SAFETY: the instruction exists where `Fused` may be used.
-            unsafe { _mm256_fnmadd_pd(a, b, c) }
-        }
+        type Narrow = Four;
+        type Wide = Twice;
+        const MANY_REGISTERS: bool = false;
         #[inline(always)]
         fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
             a.mul_add(b, c)
         }
     }
-}
 
-/// The first [`LANES`] numbers.
-#[inline(always)]
-pub(super) fn lanes(slice: &[f64]) -> &[f64; LANES] {
-    slice.first_chunk().expect("at least one vector")
-}
+    /// AVX-512 F and VL. To be used inside functions compiled for these only.
+    pub(in super::super) struct Fused512;
+    impl Isa for Fused512 {
+        type Narrow = Four;
+        type Wide = Eight;
+        const MANY_REGISTERS: bool = true;
+        #[inline(always)]
+        fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
+            a.mul_add(b, c)
+        }
+    }
 
-/// The same, to be changed.
-#[inline(always)]
-pub(super) fn lanes_mut(slice: &mut [f64]) -> &mut [f64; LANES] {
-    slice.first_chunk_mut().expect("at least one vector")
+    macro_rules! vector {
+        ($name:ident, $inner:ty, $len:ident, $load:ident, $store:ident, $splat:ident, $mul:ident, $fma:ident, $fnma:ident) => {
+            #[derive(Clone, Copy)]
+            pub(in super::super) struct $name($inner);
+            // In each of these the instruction exists where the type may be used, and reads or writes what the reference covers.
+            impl Vector for $name {
+                #[inline(always)]
+                fn load(from: &[f64]) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $load(first::<$len>(from).as_ptr()) })
+                }
+                #[inline(always)]
+                fn store(self, to: &mut [f64]) {
+                    // SAFETY: as above.
+                    unsafe { $store(first_mut::<$len>(to).as_mut_ptr(), self.0) }
+                }
+                #[inline(always)]
+                fn splat(x: f64) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $splat(x) })
+                }
+                #[inline(always)]
+                fn mul(self, b: Self) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $mul(self.0, b.0) })
+                }
+                #[inline(always)]
+                fn mul_add(self, b: Self, c: Self) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $fma(self.0, b.0, c.0) })
+                }
+                #[inline(always)]
+                fn neg_mul_add(self, b: Self, c: Self) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $fnma(self.0, b.0, c.0) })
+                }
+            }
+        };
+    }
+
+    vector!(
+        Four,
+        __m256d,
+        LANES,
+        _mm256_loadu_pd,
+        _mm256_storeu_pd,
+        _mm256_set1_pd,
+        _mm256_mul_pd,
+        _mm256_fmadd_pd,
+        _mm256_fnmadd_pd
+    );
+    vector!(
+        Eight,
+        __m512d,
+        WIDE,
+        _mm512_loadu_pd,
+        _mm512_storeu_pd,
+        _mm512_set1_pd,
+        _mm512_mul_pd,
+        _mm512_fmadd_pd,
+        _mm512_fnmadd_pd
+    );
+
+    /// Eight numbers where four is what the machine has.
+    #[derive(Clone, Copy)]
+    pub(in super::super) struct Twice(Four, Four);
+    impl Vector for Twice {
+        #[inline(always)]
+        fn load(from: &[f64]) -> Self {
+            let from = first::<WIDE>(from);
+            Self(Four::load(&from[..LANES]), Four::load(&from[LANES..]))
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f64]) {
+            let (low, high) = first_mut::<WIDE>(to).split_at_mut(LANES);
+            self.0.store(low);
+            self.1.store(high);
+        }
+        #[inline(always)]
+        fn splat(x: f64) -> Self {
+            Self(Four::splat(x), Four::splat(x))
+        }
+        #[inline(always)]
+        fn mul(self, b: Self) -> Self {
+            Self(self.0.mul(b.0), self.1.mul(b.1))
+        }
+        #[inline(always)]
+        fn mul_add(self, b: Self, c: Self) -> Self {
+            Self(self.0.mul_add(b.0, c.0), self.1.mul_add(b.1, c.1))
+        }
+        #[inline(always)]
+        fn neg_mul_add(self, b: Self, c: Self) -> Self {
+            Self(self.0.neg_mul_add(b.0, c.0), self.1.neg_mul_add(b.1, c.1))
+        }
+    }
 }

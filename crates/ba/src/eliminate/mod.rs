@@ -17,91 +17,110 @@
 //! nearest cache, and subtracts its YᵀY from the tiles of the chunk. L, y and Y stay in the chunk's stash for δ_p. λD_c is added
 //! when the chunks' tiles are put together.
 
+mod cell;
 mod kernel;
 mod lanes;
+mod product;
+mod single;
+
+pub(crate) use kernel::cholesky;
+pub(crate) use single::ROWS as SINGLE_ROWS;
 
 use crate::problem::Problem;
 use crate::run::Rows;
-use crate::structure::{Cell, Chunk, Shape};
+use crate::structure::{Cell, Chunk};
 use crate::variable::Values;
 
 /// Largest variable that can be eliminated: beyond, the reduced system is the better place.
 pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
-/// Numbers kept of a cell: L, y, g_p, the diagonal of J_pᵀJ_p, and Y.
-pub(crate) fn stash_len(dof: usize, width: usize) -> usize {
-    stash_head(dof) + dof * width
+/// Numbers kept of a cell: L, y, g_p, the diagonal of J_pᵀJ_p, the inverses of L's diagonal, and Y: block by block, of each
+/// block a row for each direction, without padding.
+pub(crate) fn stash_len(dof: usize, dense: usize) -> usize {
+    stash_head(dof) + dof * dense + STASH_SLACK
 }
+
+/// The last vector of the last row may reach so far beyond it.
+const STASH_SLACK: usize = 3;
 
 /// Those before Y.
 fn stash_head(dof: usize) -> usize {
-    dof * dof + 3 * dof
+    dof * dof + 4 * dof
 }
 
-/// What a chunk sums up.
+/// What a chunk sums up, apart from its tiles and its stash, which live in the memory of all chunks.
 #[derive(Default)]
 pub(crate) struct Sums {
-    /// C − YᵀY without damping, in the chunk's tiles; of a block with itself only the lower triangle is meant.
-    pub(crate) tiles: Vec<f64>,
     /// For each of the chunk's blocks, one after the other: g_c, Yᵀy and the diagonal of J_cᵀJ_c.
     pub(crate) vectors: Vec<f64>,
-    pub(crate) stash: Vec<f64>,
     /// Cost of each factor, NaN where it does not exist.
     pub(crate) costs: Vec<f64>,
     rows: Vec<f64>,
-    /// Wᵀ of the cell at hand.
+    /// Wᵀ of the cells at hand.
     w: Vec<f64>,
     /// Largest component of g_p.
     pub(crate) gradient_max: f64,
+}
+
+/// What the kernel works on.
+struct Room<'a> {
+    /// C − YᵀY without damping, in the chunk's tiles; of a block with itself only the lower triangle is meant.
+    tiles: &'a mut [f64],
+    stash: &'a mut [f64],
+    vectors: &'a mut [f64],
+    rows: &'a mut [f64],
+    w: &'a mut [f64],
+    gradient_max: f64,
 }
 
 impl Sums {
     pub(crate) fn new(chunk: &Chunk) -> Self {
         let widest = chunk.patterns.iter().map(|pattern| pattern.width).max().unwrap_or(0);
         Self {
-            tiles: vec![0.0; chunk.tiles_len],
             vectors: vec![0.0; 3 * chunk.vector_len],
-            stash: vec![0.0; chunk.stash_len],
             costs: vec![0.0; chunk.factors.len()],
             rows: vec![0.0; chunk.rows_len + kernel::SLACK],
-            w: vec![0.0; MAX_ELIMINATED_DOF * widest],
+            w: vec![0.0; (MAX_ELIMINATED_DOF * widest).max(single::w_len(chunk))],
             gradient_max: 0.0,
         }
     }
 
-    /// Linearises the chunk's factors and eliminates its variables, with damping `lambda`.
+    /// Linearises the chunk's factors and eliminates its variables, with damping `lambda`, in the chunk's part of the memory.
     pub(crate) fn linearize(
         &mut self,
+        memory: &mut [f64],
         problem: &Problem,
         values: &Values,
-        shapes: &[Shape],
         chunk: &Chunk,
         lambda: f64,
     ) {
-        self.tiles.fill(0.0);
+        let (tiles, stash) = memory.split_at_mut(chunk.tiles_len);
+        tiles.fill(0.0);
         self.vectors.fill(0.0);
-        self.gradient_max = 0.0;
-        let (mut factor, mut local) = (0, 0);
+        let Self { vectors, rows, w, .. } = self;
+        let mut room = Room { tiles, stash, vectors, rows, w, gradient_max: 0.0 };
+        let mut done = kernel::At::default();
         for batch in &chunk.batches {
             let mut at = 0;
             for stretch in &chunk.stretches[batch.stretches.clone()] {
                 let run = &problem.runs[stretch.run as usize];
                 let len = (stretch.end - stretch.start) * run.rows() * run.stride();
                 let rows = Rows {
-                    rows: &mut self.rows[at..at + len],
+                    rows: &mut room.rows[at..at + len],
                     costs: &mut self.costs[stretch.start..stretch.end],
                 };
                 run.linearize(values, &chunk.factors[stretch.start..stretch.end], rows);
                 at += len;
             }
-            kernel::eliminate(self, shapes, chunk, batch.cells.clone(), lambda, &mut factor, &mut local);
+            kernel::eliminate(&mut room, chunk, batch.cells.clone(), lambda, &mut done);
         }
+        self.gradient_max = room.gradient_max;
     }
 
     /// The step of each eliminated variable of the chunk, given that of the kept ones; and what the step promises: gᵀδ and
     /// λ δᵀDδ over these variables.
     pub(crate) fn back_substitute(
-        &self,
+        memory: &[f64],
         chunk: &Chunk,
         kept_step: &[f64],
         block_at: &[usize],
@@ -118,11 +137,11 @@ impl Sums {
         for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
             let p = cell.dof as usize;
             let step = &mut steps[cell.step - chunk.steps.start..][..p];
-            let stash = CellStash::of(&self.stash, cell, chunk);
+            let stash = CellStash::of(memory, cell, chunk);
             step.copy_from_slice(stash.reduced_gradient);
             let pattern = &chunk.patterns[cell.pattern as usize];
             let locals = &chunk.pattern_locals[pattern.locals.clone()];
-            kernel::multiply(stash.y, pattern.width, locals, &kept, step);
+            kernel::multiply(stash.y, locals, &kept, step);
             // Lᵀ δ = −(y + Y δ_c), from the last row up.
             for k in (0..p).rev() {
                 let (this, below) = step[k..].split_first_mut().expect("k is below p");
@@ -130,7 +149,7 @@ impl Sums {
                 for (i, step) in below.iter().enumerate() {
                     sum -= stash.factor[(k + 1 + i) * p + k] * step;
                 }
-                *this = sum / stash.factor[k * p + k];
+                *this = sum * stash.inverse[k];
             }
             for (k, component) in step.iter().enumerate() {
                 promise[0] += stash.gradient[k] * component;
@@ -151,19 +170,44 @@ pub(crate) struct CellStash<'a> {
     pub(crate) gradient: &'a [f64],
     /// The diagonal of J_pᵀJ_p.
     pub(crate) diagonal: &'a [f64],
-    /// Y: a row over the pattern's blocks for each direction of the variable.
+    /// The inverses of L's diagonal.
+    inverse: &'a [f64],
+    /// Y: for each of the pattern's blocks, a row for each direction of the variable.
     pub(crate) y: &'a [f64],
 }
 
 impl<'a> CellStash<'a> {
-    pub(crate) fn of(stash: &'a [f64], cell: &Cell, chunk: &Chunk) -> Self {
+    /// In the memory of all chunks.
+    pub(crate) fn of(memory: &'a [f64], cell: &Cell, chunk: &Chunk) -> Self {
         let p = cell.dof as usize;
-        let width = chunk.patterns[cell.pattern as usize].width;
-        let (head, y) = stash[cell.stash..][..stash_len(p, width)].split_at(stash_head(p));
+        let dense = chunk.patterns[cell.pattern as usize].dense;
+        let (head, y) = memory[chunk.memory.start + chunk.tiles_len + cell.stash..][..stash_len(p, dense)]
+            .split_at(stash_head(p));
         let (factor, rest) = head.split_at(p * p);
         let (reduced_gradient, rest) = rest.split_at(p);
-        let (gradient, diagonal) = rest.split_at(p);
-        Self { factor, reduced_gradient, gradient, diagonal, y }
+        let (gradient, rest) = rest.split_at(p);
+        let (diagonal, inverse) = rest.split_at(p);
+        Self { factor, reduced_gradient, gradient, diagonal, inverse, y }
+    }
+}
+
+/// What the stash holds before Y, as far as elimination needs it, in registers.
+struct Head<const P: usize> {
+    factor: [[f64; P]; P],
+    y: [f64; P],
+    inverse: [f64; P],
+}
+
+impl<const P: usize> Head<P> {
+    #[inline(always)]
+    fn of(head: &[f64]) -> Self {
+        let mut this = Self { factor: [[0.0; P]; P], y: [0.0; P], inverse: [0.0; P] };
+        for i in 0..P {
+            this.factor[i].copy_from_slice(&head[i * P..][..P]);
+            this.y[i] = head[P * P + i];
+            this.inverse[i] = head[P * P + 3 * P + i];
+        }
+        this
     }
 }
 

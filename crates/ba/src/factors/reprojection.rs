@@ -42,7 +42,8 @@ fn scale<B: Block>(mut block: B, factor: f64) -> B {
 impl<M: CameraModel> Factor<2> for Reprojection<M> {
     type Vars = (M::Params, Rigid3, Vector3<f64>);
 
-    #[inline]
+    // Inlined for certain, so that the refinement of points computes their part alone.
+    #[inline(always)]
     fn linearize(
         &self,
         (params, cam_from_world, point): Refs<'_, Self::Vars>,

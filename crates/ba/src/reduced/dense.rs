@@ -43,7 +43,7 @@ impl Factorisation for Dense {
         }
     }
 
-    fn solve(&mut self, numbers: &[f64], x: &mut [f64]) {
+    fn solve(&mut self, numbers: &[f64], x: &mut [f64], _: f64) {
         if self.columns == 0 {
             return;
         }

@@ -2,6 +2,8 @@
 //!
 //! Only the lower triangle is stored, by block columns, each one contiguous, so that columns can be filled in parallel.
 
+mod columns;
+mod conjugate;
 mod dense;
 mod sparse;
 
@@ -10,8 +12,15 @@ use rayon::prelude::*;
 use crate::eliminate::{Sums, damping};
 use crate::structure::{Block, Structure, padded};
 
+pub(crate) use columns::Columns;
+pub(crate) use conjugate::Conjugate;
 pub(crate) use dense::Dense;
 pub(crate) use sparse::Sparse;
+
+/// How far steps are solved for iteratively. A tenth of it hardly changes what a step achieves; ten times it does.
+const STEP_ACCURACY: f64 = 1e-5;
+/// The same for solutions that are wanted for themselves.
+const ACCURACY: f64 = 1e-12;
 
 /// The matrix could not be factorised: column `0` of the reduced system is not positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,8 +39,9 @@ pub(crate) trait Layout: Sync {
 pub(crate) trait Factorisation: Layout + Send {
     /// Factorises the lower triangle in `numbers`.
     fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive>;
-    /// Solves for several right-hand sides, one after the other in `x`.
-    fn solve(&mut self, numbers: &[f64], x: &mut [f64]);
+    /// Solves for several right-hand sides, one after the other in `x`; where that is done step by step, until the residual has
+    /// shrunk to this part of them.
+    fn solve(&mut self, numbers: &[f64], x: &mut [f64], accuracy: f64);
 }
 
 /// The reduced system.
@@ -74,7 +84,7 @@ impl Reduced {
     }
 
     /// Adds up what the chunks have summed, in their order, and the damping.
-    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], lambda: f64) {
+    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], memory: &[f64], lambda: f64) {
         for (part, to) in
             [&mut self.gradient, &mut self.correction, &mut self.diagonal].into_iter().enumerate()
         {
@@ -101,10 +111,10 @@ impl Reduced {
             numbers.fill(0.0);
             let block = &structure.blocks[a];
             for (c, tiles) in &contributions[a] {
-                let (chunk, sums) = (&structure.chunks[*c as usize], &sums[*c as usize]);
+                let chunk = &structure.chunks[*c as usize];
                 for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
                     let other = &structure.blocks[tile.b as usize];
-                    let tile_numbers = &sums.tiles[tile.at..];
+                    let tile_numbers = &memory[chunk.memory.start + tile.at..];
                     add_tile(
                         &**layout,
                         block,
@@ -138,7 +148,7 @@ impl Reduced {
                 self.solution[block.reduced + column] = self.correction[at] - self.gradient[at];
             }
         }
-        self.factorisation.solve(&self.numbers, &mut self.solution);
+        self.factorisation.solve(&self.numbers, &mut self.solution, STEP_ACCURACY);
         for block in &structure.blocks {
             for (column, i) in block.free_columns().enumerate() {
                 step[block.at + i] = self.solution[block.reduced + column];
@@ -154,7 +164,7 @@ impl Reduced {
 
     /// Solves the factorised system for several right-hand sides over its columns.
     pub(crate) fn solve_columns(&mut self, x: &mut [f64]) {
-        self.factorisation.solve(&self.numbers, x);
+        self.factorisation.solve(&self.numbers, x, ACCURACY);
     }
 }
 

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use proptest::prelude::*;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
 use tiepoint_ba::testing::check_jacobians;
-use tiepoint_ba::{AutoDiff, Factor, LinearSolver};
+use tiepoint_ba::{AutoDiff, Factor, LinearSolver, Options};
 use tiepoint_geometry::{Rigid3, so3};
 
 use crate::file::{Bal, Derivatives};
-use crate::scene::solve;
+use crate::scene::{solve, solve_as};
 use crate::snavely::{Snavely, SnavelyResidual};
 
 /// Ceres, 50 iterations, dense Schur; the same starting costs by two independent programs.
@@ -35,7 +35,7 @@ fn as_low_as_ceres() {
     for (file, start, end) in [LADYBUG_49, TRAFALGAR_21] {
         let Some(mut bal) = read(file) else { return };
         let (mut problem, keys) = bal.problem(Derivatives::ByHand).unwrap();
-        let summary = solve(&mut problem, LinearSolver::Auto, 50);
+        let summary = solve_as(&mut problem, &Options { max_iterations: 50, ..Options::default() });
         assert!((summary.initial_cost - start).abs() < START_TOLERANCE * start, "{file}: {summary}");
         assert!(summary.final_cost < end * (1.0 + END_TOLERANCE), "{file}: {summary}");
         assert_eq!(summary.final_cost, summary.iterations.last().unwrap().cost);

@@ -1,14 +1,16 @@
 //! Every way to solve the linear system is checked against its slow twin, the QR factorisation of the whole Jacobian.
 
-use crate::scene::{Intrinsics, NOISE_PX, Scene, solve};
+use crate::scene::{Intrinsics, NOISE_PX, Scene, solve, solve_as};
 use rayon::ThreadPoolBuilder;
 use tiepoint_ba::factors::{Between, Prior};
-use tiepoint_ba::{LinearSolver, Loss, Summary};
+use tiepoint_ba::{LinearSolver, Loss, Options, Summary};
 
 /// Rounding of normal equations with a condition number of about 1e8 in a solve of a few steps.
 const SAME_COST: f64 = 1e-9;
 const SAME_POSE: f64 = 1e-6;
 const STEPS: usize = 6;
+/// What the accuracy to which a step is solved for leaves of the difference that it makes.
+const SIMILAR_STEP: f64 = 1e-4;
 
 /// A scene with everything in it: partly fixed variables, a fixed point, factors between kept variables, robust losses.
 fn everything(intrinsics: Intrinsics) -> Scene {
@@ -92,7 +94,8 @@ fn any_number_of_threads_gives_the_same_bytes() {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut scene = Scene::new(30, 2000, 0.8, 6, Intrinsics::Shared, NOISE_PX);
         scene.fix_gauge();
-        let summary = pool.install(|| solve(&mut scene.problem, solver, 4));
+        let options = Options { linear_solver: solver, max_iterations: 4, ..Options::default() };
+        let summary = pool.install(|| solve_as(&mut scene.problem, &options));
         let poses: Vec<_> = scene.poses.iter().map(|&pose| scene.problem.get(pose)).collect();
         let points: Vec<_> = scene.points.iter().map(|&point| scene.problem.get(point)).collect();
         (costs(&summary), poses, points)
@@ -102,5 +105,47 @@ fn any_number_of_threads_gives_the_same_bytes() {
         for threads in [2, 5] {
             assert_eq!(one, run(threads, solver));
         }
+    }
+}
+
+/// Points improved on their own lower the cost of every step, and lead to the same end.
+#[test]
+fn refinement_lowers_the_cost_and_ends_the_same() {
+    for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
+        let run = |refinements, max_iterations| {
+            let mut scene = everything(intrinsics);
+            let options =
+                Options { refinements, max_iterations, function_tolerance: 1e-12, ..Options::default() };
+            let summary = solve_as(&mut scene.problem, &options);
+            // What is held stays where it is.
+            let before = everything(intrinsics);
+            assert_eq!(before.problem.get(before.points[3]), scene.problem.get(scene.points[3]));
+            assert_eq!(before.problem.get(before.points[4]).y, scene.problem.get(scene.points[4]).y);
+            assert!((scene.problem.cost().total - summary.final_cost).abs() < SAME_COST * summary.final_cost);
+            summary
+        };
+        let (plain, refined) = (run(0, 1), run(2, 1));
+        assert!(refined.final_cost < plain.final_cost, "{plain}\n{refined}");
+        let (plain, refined) = (run(0, 100), run(2, 100));
+        let difference = (plain.final_cost - refined.final_cost).abs();
+        assert!(difference < SAME_COST * plain.final_cost, "{plain}\n{refined}");
+    }
+}
+
+/// Steps solved for iteratively are as good as those solved for directly, and lead to the same end.
+#[test]
+fn conjugate_gradients_end_where_factorisation_does() {
+    for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
+        let [direct, iterative] = [LinearSolver::Dense, LinearSolver::Iterative].map(|linear_solver| {
+            let mut scene = everything(intrinsics);
+            let options = Options { linear_solver, function_tolerance: 1e-12, ..Options::default() };
+            solve_as(&mut scene.problem, &options)
+        });
+        assert_eq!(iterative.linear_solver, "conjugate gradients");
+        for (a, b) in costs(&iterative).iter().zip(costs(&direct)).take(STEPS) {
+            assert!((a - b).abs() < SIMILAR_STEP * b, "{iterative}\n{direct}");
+        }
+        let difference = (iterative.final_cost - direct.final_cost).abs();
+        assert!(difference < SAME_COST * direct.final_cost, "{iterative}\n{direct}");
     }
 }

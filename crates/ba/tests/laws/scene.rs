@@ -100,10 +100,13 @@ impl Scene {
     }
 }
 
-/// Solves with one linear solver.
+/// Steps of the linear solver alone, so that its twins can be compared step by step.
 pub(crate) fn solve(problem: &mut Problem, linear_solver: LinearSolver, max_iterations: usize) -> Summary {
-    let options = Options { linear_solver, max_iterations, ..Options::default() };
-    Solver::new(problem, &options)
+    solve_as(problem, &Options { linear_solver, max_iterations, refinements: 0, ..Options::default() })
+}
+
+pub(crate) fn solve_as(problem: &mut Problem, options: &Options) -> Summary {
+    Solver::new(problem, options)
         .unwrap()
         .solve(problem, &mut |_| std::ops::ControlFlow::Continue(()))
         .unwrap()

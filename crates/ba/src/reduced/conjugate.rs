@@ -1,0 +1,141 @@
+//! Preconditioned conjugate gradients on the sparse reduced system, for what no direct factorisation has room for: nothing fills
+//! in. The preconditioner is the Cholesky factorisation of each block on the diagonal (Schur-Jacobi in Ceres' terms; Agarwal,
+//! Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 4).
+
+use super::columns::Columns;
+use super::{Factorisation, Layout, NotPositive};
+
+/// Damping grows where so many iterations were not enough: the step is then what they have found.
+const MAX_ITERATIONS: usize = 500;
+
+pub(crate) struct Conjugate {
+    columns: Columns,
+    /// Cholesky factors of the blocks on the diagonal, row by row, one after the other.
+    factors: Vec<f64>,
+}
+
+impl Conjugate {
+    pub(crate) fn new(columns: Columns) -> Self {
+        let len = columns.reduced.windows(2).map(|ends| (ends[1] - ends[0]).pow(2)).sum();
+        Self { columns, factors: vec![0.0; len] }
+    }
+
+    /// Each block on the diagonal: its columns, and where its factor begins.
+    fn blocks(&self) -> impl Iterator<Item = (std::ops::Range<usize>, usize)> {
+        let mut at = 0;
+        self.columns.reduced.windows(2).map(move |ends| {
+            let start = at;
+            at += (ends[1] - ends[0]).pow(2);
+            (ends[0]..ends[1], start)
+        })
+    }
+
+    /// y = S x, of which the lower triangle is given.
+    fn multiply(&self, numbers: &[f64], x: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+        for (j, ends) in self.columns.column_at.windows(2).enumerate() {
+            let range = ends[0] as usize..ends[1] as usize;
+            let (numbers, rows) = (&numbers[range.clone()], &self.columns.row_of[range]);
+            // The first is on the diagonal.
+            let (x_j, mut sum) = (x[j], numbers[0] * x[j]);
+            for (number, &row) in numbers.iter().zip(rows).skip(1) {
+                sum += number * x[row as usize];
+                y[row as usize] += number * x_j;
+            }
+            y[j] += sum;
+        }
+    }
+
+    /// z = M⁻¹ r.
+    fn precondition(&self, r: &[f64], z: &mut [f64]) {
+        z.copy_from_slice(r);
+        for (columns, at) in self.blocks() {
+            let (n, z) = (columns.len(), &mut z[columns]);
+            let l = &self.factors[at..at + n * n];
+            for i in 0..n {
+                for j in 0..i {
+                    z[i] -= l[i * n + j] * z[j];
+                }
+                z[i] /= l[i * n + i];
+            }
+            for i in (0..n).rev() {
+                for j in i + 1..n {
+                    z[i] -= l[j * n + i] * z[j];
+                }
+                z[i] /= l[i * n + i];
+            }
+        }
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// a += s b.
+fn add(a: &mut [f64], s: f64, b: &[f64]) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += s * b);
+}
+
+impl Layout for Conjugate {
+    fn block_column(&self, a: usize) -> std::ops::Range<usize> {
+        self.columns.block_column(a)
+    }
+    fn tile_at(&self, a: usize, b: usize, column: usize) -> usize {
+        self.columns.tile_at(a, b, column)
+    }
+}
+
+impl Factorisation for Conjugate {
+    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive> {
+        let blocks: Vec<_> = self.blocks().collect();
+        for (a, (columns, at)) in blocks.into_iter().enumerate() {
+            let (n, first) = (columns.len(), self.columns.block_column(a).start);
+            let l = &mut self.factors[at..at + n * n];
+            for j in 0..n {
+                let column = &numbers[first + self.columns.tile_at(a, a, j)..][..n - j];
+                for (i, number) in (j..n).zip(column) {
+                    let sum: f64 = (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum();
+                    l[i * n + j] = number - sum;
+                }
+                let pivot = l[j * n + j];
+                // Not a number is not positive either.
+                if pivot.is_nan() || pivot <= 0.0 {
+                    return Err(NotPositive(columns.start + j));
+                }
+                let root = pivot.sqrt();
+                (j..n).for_each(|i| l[i * n + j] /= root);
+            }
+        }
+        Ok(())
+    }
+
+    fn solve(&mut self, numbers: &[f64], x: &mut [f64], accuracy: f64) {
+        let n = self.columns.len;
+        let [mut r, mut z, mut p, mut s] = [(); 4].map(|()| vec![0.0; n]);
+        for x in x.chunks_exact_mut(n.max(1)) {
+            r.copy_from_slice(x);
+            x.fill(0.0);
+            self.precondition(&r, &mut z);
+            p.copy_from_slice(&z);
+            let mut rz = dot(&r, &z);
+            let goal = rz * accuracy * accuracy;
+            for _ in 0..MAX_ITERATIONS {
+                self.multiply(numbers, &p, &mut s);
+                let curvature = dot(&p, &s);
+                // At the bottom, or where rounding has eaten the matrix' being positive. Not a number ends it, too.
+                if !(rz > goal && curvature > 0.0) {
+                    break;
+                }
+                let length = rz / curvature;
+                add(x, length, &p);
+                add(&mut r, -length, &s);
+                self.precondition(&r, &mut z);
+                let before = std::mem::replace(&mut rz, dot(&r, &z));
+                for (p, z) in p.iter_mut().zip(&z) {
+                    *p = z + rz / before * *p;
+                }
+            }
+        }
+    }
+}
