@@ -316,10 +316,10 @@ impl Bundle {
                         self.held.push((pair.right, key, left));
                     }
                     Hold::Rigid => {}
-                    Hold::Soft { sigma_translation, sigma_rotation_rad, loss } => {
+                    Hold::Soft { sigma_translation, sigma_rotation_rad } => {
                         let Some(&right) = keys.get(&pair.right) else { continue };
                         let factor = Mounted { sigma_translation, sigma_rotation_rad };
-                        self.problem.add((left, right, key), factor, loss)?;
+                        self.problem.add((left, right, key), factor, Loss::Trivial)?;
                     }
                 }
             }
