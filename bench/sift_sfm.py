@@ -5,7 +5,7 @@
   TIEPOINT_DATA=... python bench/sift_sfm.py [SCENE...] [--with-k] [--seeds N]
 
 Scenes: fountain-P11 and Herz-Jesus-P8 (with the error of camera centres after a similarity), sceaux, temple_ring,
-kitti04/images/left.
+kitti04/images/left (with the intrinsics of its calib.txt: a straight drive does not determine them).
 """
 import argparse, glob, os, sys, tempfile, time
 import cv2, numpy as np, pycolmap
@@ -77,6 +77,9 @@ def main():
         k = None
         if args.with_k:
             m = np.loadtxt(os.path.join(DATA, scene, "K.txt"), comments="#")[:3, :3]
+            k = (m[0, 0], m[1, 1], m[0, 2] + .5, m[1, 2] + .5)
+        if scene.startswith("kitti"):
+            m = np.array(open(os.path.join(DATA, scene.split("/")[0], "calib.txt")).readline().split()[1:], float).reshape(3, 4)
             k = (m[0, 0], m[1, 1], m[0, 2] + .5, m[1, 2] + .5)
         truth = truth_centres(scene)
         print(f"{scene}{' with K' if args.with_k else ''}: {len(names)} images, at most {args.max} features")
