@@ -140,6 +140,14 @@ pub enum Error {
         /// Why.
         why: String,
     },
+    /// LAS needs a feature.
+    #[error(
+        "{path} is a LAS file, which this build does not read: build with --features las, or convert it to PLY"
+    )]
+    NoLas {
+        /// The file.
+        path: PathBuf,
+    },
     /// A file of another format.
     #[error(transparent)]
     File(#[from] tiepoint_io::Error),

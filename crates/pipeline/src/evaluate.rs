@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::Serialize;
-use tiepoint_eval::geometry::Rigid3;
+use tiepoint_eval::geometry::{Rigid3, Sim3};
 use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad};
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, Reconstruction};
@@ -76,6 +76,9 @@ pub struct PoseEvaluation {
     pub focal_lengths: Vec<FocalLength>,
     /// Centre errors by image name.
     pub centre_errors: BTreeMap<String, f64>,
+    /// Where the model lies in the world of the truth.
+    #[serde(skip)]
+    pub truth_from_model: Sim3,
 }
 
 /// What a list of errors comes to.
@@ -87,8 +90,16 @@ pub struct ErrorStatistics {
     pub median: f64,
     /// Root mean square.
     pub rmse: f64,
+    /// Standard deviation from the mean.
+    pub std: f64,
     /// Largest.
     pub max: f64,
+}
+
+impl From<Statistics> for ErrorStatistics {
+    fn from(Statistics { mean, median, rmse, std, max, .. }: Statistics) -> Self {
+        Self { mean, median, rmse, std, max }
+    }
 }
 
 /// Area under a recall curve.
@@ -158,8 +169,7 @@ pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Resul
     let relative = relative_pose_errors_rad(&found, &true_poses, MIN_BASELINE);
     let statistics = |errors: &[Option<f64>], unit: f64| {
         let errors: Vec<f64> = errors.iter().flatten().map(|error| error * unit).collect();
-        let Statistics { mean, median, rmse, max, .. } = Statistics::of(&errors).expect("three or more");
-        ErrorStatistics { mean, median, rmse, max }
+        ErrorStatistics::from(Statistics::of(&errors).expect("three or more"))
     };
     let centres = pairs.iter().zip(&comparison.centre_errors);
     Ok(PoseEvaluation {
@@ -175,6 +185,7 @@ pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Resul
         centre_errors: centres
             .filter_map(|((image, _), error)| Some(((*image)?.name.clone(), (*error)?)))
             .collect(),
+        truth_from_model: comparison.truth_from_model,
     })
 }
 
@@ -241,7 +252,7 @@ fn associate_images<'a>(
 }
 
 /// The last number in a file's name, before its ending.
-fn number(name: &str) -> Option<usize> {
+pub(crate) fn number(name: &str) -> Option<usize> {
     let stem = name.rsplit('/').next()?.split('.').next()?;
     stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
 }

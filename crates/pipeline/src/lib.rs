@@ -2,6 +2,7 @@
 
 mod adjust;
 mod cameras;
+mod cloud;
 mod colors;
 mod error;
 mod evaluate;
@@ -16,13 +17,16 @@ mod photos;
 mod reconstruct;
 mod records;
 mod report;
+mod rig_over_time;
 mod stage;
+mod surface;
 mod workspace;
 
 use std::ops::ControlFlow;
 
 pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use cameras::Calibration;
+pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
 pub use error::{Error, Size};
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses, model_folder,
@@ -37,7 +41,9 @@ pub use reconstruct::{Options, reconstruct};
 pub use report::{
     CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
 };
+pub use rig_over_time::{RigEvaluation, evaluate_rig};
 pub use stage::Stage;
+pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;

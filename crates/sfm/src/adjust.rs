@@ -2,17 +2,20 @@
 //!
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
 //! leaving columns out: the pose of one image and the coordinate of a second image's translation that moves most with the
-//! scale. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
+//! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
 use tiepoint_ba::factors::{Prior, Reprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
-use tiepoint_scene::{Camera, CameraId, ImageId, PointId, Reconstruction};
+use tiepoint_rig::Baseline;
+use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
+use crate::focal::FocalPrior;
+use crate::rig_pairs::BaselineLink;
 use crate::{Error, keypoint_sigma_px, triangulation};
 
 /// Which intrinsics an adjustment may move.
@@ -37,7 +40,7 @@ impl RefineIntrinsics {
 
 /// How to adjust.
 #[derive(Clone, Copy, Debug)]
-pub struct AdjustOptions {
+pub struct AdjustOptions<'a> {
     /// What may move of the cameras.
     pub refine: RefineIntrinsics,
     /// Of the weighted residual.
@@ -46,19 +49,29 @@ pub struct AdjustOptions {
     pub principal_point_sigma: f64,
     /// Standard deviation of the prior on each distortion coefficient, around 0.
     pub distortion_sigma: f64,
+    /// What is believed of the focal lengths; of cameras that are not listed, nothing.
+    pub focal_priors: &'a [FocalPrior],
+    /// Where cameras ride together: relative poses that should be equal.
+    pub links: &'a [BaselineLink],
+    /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate of the second one's
+    /// translation. By default the first and the one farthest from it.
+    pub gauge: Option<ImagePair>,
     /// Steps at most.
     pub max_iterations: usize,
     /// Stop when a step lowers the cost by less than this share.
     pub function_tolerance: f64,
 }
 
-impl Default for AdjustOptions {
+impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
-            distortion_sigma: 1.0,
+            distortion_sigma: 0.2,
+            focal_priors: &[],
+            links: &[],
+            gauge: None,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }
@@ -148,7 +161,8 @@ impl Bundle {
             }
             bundle.poses.push((image, key));
         }
-        bundle.hold_gauge(model, &moves)?;
+        bundle.hold_gauge(model, options.gauge, &moves)?;
+        bundle.add_links(model, options.links, &moves)?;
         for (id, camera) in model.cameras() {
             let images: Vec<(ImageId, Key<Rigid3>)> =
                 bundle.poses.iter().copied().filter(|(image, _)| model.image(*image).camera == id).collect();
@@ -167,7 +181,7 @@ impl Bundle {
                     bundle.problem.fix(key);
                 } else {
                     bundle.problem.fix_tangent(key, &columns)?;
-                    bundle.problem.add(key, intrinsics_prior(params, camera, options)?, Loss::Trivial)?;
+                    bundle.problem.add(key, intrinsics_prior(params, id, camera, options)?, Loss::Trivial)?;
                 }
                 for (image, pose) in &images {
                     let keypoints = &model.image(*image).keypoints;
@@ -184,27 +198,69 @@ impl Bundle {
     }
 
     /// Holds what the images cannot see: place, orientation and size of the world. Nothing to do where two images are held already.
-    fn hold_gauge(&mut self, model: &Reconstruction, moves: &dyn Fn(ImageId) -> bool) -> Result<(), Error> {
+    fn hold_gauge(
+        &mut self,
+        model: &Reconstruction,
+        gauge: Option<ImagePair>,
+        moves: &dyn Fn(ImageId) -> bool,
+    ) -> Result<(), Error> {
         let held = self.poses.iter().filter(|(image, _)| !moves(*image)).count();
         if held >= 2 {
             return Ok(());
         }
-        let first = self.poses.iter().position(|(image, _)| held == 0 || !moves(*image)).unwrap_or(0);
-        let (first_image, first_key) = self.poses[first];
+        let index_of = |wanted: ImageId| self.poses.iter().position(|(image, _)| *image == wanted);
+        let wished =
+            gauge.filter(|_| held == 0).and_then(|pair| Some((index_of(pair.a)?, index_of(pair.b)?)));
+        let first = wished.map(|(first, _)| first);
+        let first = first.or_else(|| self.poses.iter().position(|(image, _)| held == 0 || !moves(*image)));
+        let (first_image, first_key) = self.poses[first.unwrap_or(0)];
         self.problem.fix(first_key);
         let Some(first_pose) = model.image(first_image).cam_from_world() else { return Ok(()) };
         let first_centre = first_pose.origin_in_a();
         // Scaling the world about the first camera by 1 + ε moves the translation of another by −ε R (c − c₁).
-        let farthest = self
-            .poses
-            .iter()
-            .filter_map(|&(image, key)| {
-                let pose = model.image(image).cam_from_world()?;
-                Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))
-            })
-            .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
-        if let Some((key, direction)) = farthest {
+        let direction = |&(image, key): &(ImageId, Key<Rigid3>)| {
+            let pose = model.image(image).cam_from_world()?;
+            Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))
+        };
+        let second = match wished {
+            Some((_, second)) => direction(&self.poses[second]),
+            None => self
+                .poses
+                .iter()
+                .filter_map(direction)
+                .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared())),
+        };
+        if let Some((key, direction)) = second {
             self.problem.fix_tangent(key, &[3 + direction.iamax()])?;
+        }
+        Ok(())
+    }
+
+    /// Adds the links of which some image moves. Images that are in no other term hold still.
+    fn add_links(
+        &mut self,
+        model: &Reconstruction,
+        links: &[BaselineLink],
+        moves: &dyn Fn(ImageId) -> bool,
+    ) -> Result<(), Error> {
+        let mut keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
+        for link in links {
+            let images = link.images();
+            if !images.iter().any(|image| moves(*image) && keys.contains_key(image)) {
+                continue;
+            }
+            let key_of = |image: ImageId| -> Option<Key<Rigid3>> {
+                if let Some(&key) = keys.get(&image) {
+                    return Some(key);
+                }
+                let key = self.problem.keep(*model.image(image).cam_from_world()?, Order::At(image.0));
+                self.problem.fix(key);
+                keys.insert(image, key);
+                Some(key)
+            };
+            let [a, b, c, d] = images.map(key_of);
+            let (Some(a), Some(b), Some(c), Some(d)) = (a, b, c, d) else { continue };
+            self.problem.add((a, b, c, d), Baseline::with_weight(link.weight, link.near), Loss::Trivial)?;
         }
         Ok(())
     }
@@ -239,19 +295,22 @@ fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> 
         .collect()
 }
 
-/// What is known of a camera before looking: the principal point is near the middle, distortion is small; of the focal length
-/// nothing.
+/// What is known of a camera before looking: the principal point is near the middle, distortion is small, and what the options say
+/// of the focal length.
 fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
+    id: CameraId,
     camera: &Camera,
     options: &AdjustOptions,
 ) -> Result<Prior<SVector<f64, N>, N>, tiepoint_ba::Error> {
     let kind = camera.intrinsics.kind();
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let focal = options.focal_priors.iter().find(|prior| prior.camera == id);
     let (mut mean, mut sigmas) = (*params, [options.distortion_sigma; N]);
     for index in 0..N {
         if kind.focal_indices().contains(&index) {
-            sigmas[index] = f64::INFINITY;
+            mean[index] = focal.map_or(params[index], |prior| prior.mean_px);
+            sigmas[index] = focal.map_or(f64::INFINITY, |prior| prior.sigma_px);
         } else if let Some(axis) = kind.principal_point_indices().iter().position(|&p| p == index) {
             mean[index] = [width / 2.0, height / 2.0][axis];
             sigmas[index] = options.principal_point_sigma * width.max(height);

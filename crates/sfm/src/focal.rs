@@ -1,25 +1,74 @@
-//! Focal lengths from fundamental matrices, before any pose is known.
+//! Focal lengths from pairs of images, before any pose is known.
 //!
-//! For the right calibration K₂ᵀ F K₁ is an essential matrix: its two singular values are equal. The cost of a pair is
-//! (σ₁ − σ₂)/(σ₁ + σ₂) (Mendonça & Cipolla 1999; Sweeney et al. 2015, "Optimizing the viewing graph"), summed robustly over the
-//! verified pairs, and searched over a grid of focal lengths camera by camera, since it has several minima.
+//! For each candidate focal length, the relative pose of every pair is estimated; the candidate's cost is the sum of the Sampson
+//! errors that are left, truncated (MSAC). Conditions on the singular values of the fundamental matrices (Mendonça & Cipolla 1999)
+//! are quicker and fail on the road: where a camera moves without turning, any focal length explains a pair, so that they see
+//! only its noise, and where texture repeats, half of the matches that a fundamental matrix explains may be wrong. In pixels, the
+//! first kind of pair says nothing and the second little, and the pairs in which the camera turns decide. The cost has several
+//! minima, so a grid is searched, camera by camera.
 
-use tiepoint_geometry::nalgebra::Matrix3;
-use tiepoint_geometry::{Intrinsics, Loss};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction, TwoViewKind};
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_geometry::{Intrinsics, RansacOptions, estimate};
+use tiepoint_scene::{
+    CameraId, CorrespondenceGraph, ImageId, ImagePair, Reconstruction, TwoView, TwoViewKind,
+};
 
 /// Range of focal lengths considered, relative to the larger side of the image: 130° to 10° of view.
 const RANGE: (f64, f64) = (0.25, 6.0);
-/// Steps of the grid: 3.2 % each over that range.
-const NUM_STEPS: usize = 100;
-/// Imbalance of the singular values at which a pair is thought an outlier.
-const LOSS_SCALE: f64 = 0.05;
-/// A minimum counts when it lies below this share of the median over the grid; in degenerate motions the cost is flat.
-const MAX_RELATIVE_MINIMUM: f64 = 0.6;
-/// Pairs with fewer matches say little.
+/// Steps of the grid: 14 % each over that range.
+const NUM_STEPS: usize = 25;
+/// Steps of the search within the best cell of the grid: 2 % are left.
+const NUM_GOLDEN_STEPS: usize = 6;
+/// Largest Sampson error of a match that a relative pose explains, in pixels: several times what a keypoint is off by, and less than
+/// what verification allows.
+const MAX_ERROR_PX: f64 = 1.0;
+/// Samples drawn for a relative pose, at most; where more were needed, the pair would not have been verified.
+const MAX_SAMPLES: usize = 200;
+/// The minimum counts when half as large and twice as large focal lengths cost this much more. In degenerate motions the cost is flat.
+const MIN_RELATIVE_RISE: f64 = 1.05;
+/// Pairs with fewer matches say little; more of a pair than this, or more pairs, add little.
 const MIN_MATCHES: usize = 30;
-/// Rounds over the cameras; each depends on the others' focal lengths.
+const MAX_MATCHES: usize = 100;
+const MAX_PAIRS: usize = 80;
+/// Pairs whose matches move less than this share of the image's side say little; more than the second one adds nothing.
+const FLOW: (f64, f64) = (0.01, 0.05);
+/// Rounds over the cameras where each depends on the others' focal lengths.
 const NUM_ROUNDS: usize = 3;
+
+/// What is believed of a camera's focal length before anything is adjusted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FocalPrior {
+    /// Which camera.
+    pub camera: CameraId,
+    /// Value, in pixels.
+    pub mean_px: f64,
+    /// Standard deviation, in pixels. It is wide enough to yield to any model that determines the focal length, and keeps a model that
+    /// does not (a few images of straight motion) from wandering off.
+    pub sigma_px: f64,
+}
+
+/// Standard deviation of a prior, relative to its value: of a focal length that was estimated from pairs, one from EXIF or the user,
+/// and a mere guess.
+const FOUND_SIGMA: f64 = 0.03;
+const GIVEN_SIGMA: f64 = 0.1;
+const GUESSED_SIGMA: f64 = 0.1;
+
+/// The priors of all cameras at their present focal lengths, `found` being those from [`estimate_focal_lengths`].
+pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrior> {
+    let prior = |(camera, c): (CameraId, &tiepoint_scene::Camera)| {
+        let relative = match (found.contains(&camera), c.has_focal_prior) {
+            (true, _) => FOUND_SIGMA,
+            (false, true) => GIVEN_SIGMA,
+            (false, false) => GUESSED_SIGMA,
+        };
+        let mean_px = c.intrinsics.mean_focal_px();
+        FocalPrior { camera, mean_px, sigma_px: relative * mean_px }
+    };
+    model.cameras().map(prior).collect()
+}
 
 /// Estimates the focal length of each camera that has none from elsewhere; returns those that were found.
 pub fn estimate_focal_lengths(graph: &CorrespondenceGraph, model: &mut Reconstruction) -> Vec<CameraId> {
@@ -27,50 +76,114 @@ pub fn estimate_focal_lengths(graph: &CorrespondenceGraph, model: &mut Reconstru
         model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
     let mut found = vec![false; unknown.len()];
     let rounds = if unknown.len() > 1 { NUM_ROUNDS } else { 1 };
-    for _ in 0..rounds {
+    for round in 0..rounds {
         for (index, &camera) in unknown.iter().enumerate() {
-            if let Some(focal_px) = best_focal_px(graph, model, camera) {
+            let (pairs, is_alone) = pairs_of(graph, model, camera);
+            // What depends on this camera alone is settled by the first round.
+            if round > 0 && is_alone {
+                continue;
+            }
+            if let Some(focal_px) = best_focal_px(model, camera, &pairs) {
                 found[index] = true;
-                let intrinsics = &mut model.camera_mut(camera).intrinsics;
-                for &param in intrinsics.kind().focal_indices() {
-                    intrinsics.params_mut()[param] = focal_px;
-                }
+                let camera = model.camera_mut(camera);
+                camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
             }
         }
     }
     unknown.into_iter().zip(found).filter_map(|(camera, found)| found.then_some(camera)).collect()
 }
 
-fn best_focal_px(graph: &CorrespondenceGraph, model: &Reconstruction, camera: CameraId) -> Option<f64> {
-    let pairs: Vec<(&Matrix3<f64>, CameraId, CameraId, f64)> = graph
-        .pairs()
-        .iter()
-        .filter(|(_, two_view)| {
-            two_view.kind == TwoViewKind::Uncalibrated && two_view.matches.len() >= MIN_MATCHES
+/// Matched pixels of two images.
+struct Pair {
+    images: ImagePair,
+    cameras: [CameraId; 2],
+    pixels: [Vec<Vector2<f64>>; 2],
+    /// How much it is likely to tell.
+    merit: f64,
+}
+
+impl Pair {
+    fn new(model: &Reconstruction, images: &ImagePair, two_view: &TwoView) -> Option<Self> {
+        if two_view.kind != TwoViewKind::Uncalibrated || two_view.matches.len() < MIN_MATCHES {
+            return None;
+        }
+        let step = two_view.matches.len().div_ceil(MAX_MATCHES);
+        let pixel = |image, keypoint: u32| model.image(image).keypoints[keypoint as usize].pixel;
+        let (pixels1, pixels2): (Vec<_>, Vec<_>) = two_view
+            .matches
+            .iter()
+            .step_by(step)
+            .map(|m| (pixel(images.a, m.a), pixel(images.b, m.b)))
+            .unzip();
+        let mut flow_px: Vec<f64> = pixels1.iter().zip(&pixels2).map(|(a, b)| (b - a).norm()).collect();
+        flow_px.sort_by(f64::total_cmp);
+        let camera = model.camera_of(images.a);
+        let flow = flow_px[flow_px.len() / 2] / f64::from(camera.width.max(camera.height));
+        (flow >= FLOW.0).then(|| Self {
+            images: *images,
+            cameras: [model.image(images.a).camera, model.image(images.b).camera],
+            pixels: [pixels1, pixels2],
+            merit: two_view.matches.len() as f64 * flow.min(FLOW.1),
         })
-        .filter_map(|(pair, two_view)| {
-            let (a, b) = (model.image(pair.a).camera, model.image(pair.b).camera);
-            let concerns = a == camera || b == camera;
-            let weight = (two_view.matches.len() as f64).sqrt();
-            two_view.fundamental.as_ref().filter(|_| concerns).map(|f| (f, a, b, weight))
-        })
-        .collect();
+    }
+
+    /// Sum of the truncated squared Sampson errors at the best relative pose, in pixels squared.
+    fn cost(&self, intrinsics: [&Intrinsics; 2]) -> f64 {
+        let [pixels1, pixels2] = &self.pixels;
+        let options = RansacOptions {
+            max_error: MAX_ERROR_PX,
+            confidence: 0.99,
+            min_iterations: 20,
+            max_iterations: MAX_SAMPLES,
+            seed: u64::from(self.images.a.0) << 32 | u64::from(self.images.b.0),
+        };
+        let nothing = pixels1.len() as f64 * MAX_ERROR_PX * MAX_ERROR_PX;
+        estimate::relative_pose(pixels1, pixels2, intrinsics[0], intrinsics[1], &options)
+            .map_or(nothing, |report| report.score)
+    }
+}
+
+/// The pairs that tell of a camera, the best one of each image; those within the camera alone where there are enough of them.
+fn pairs_of(graph: &CorrespondenceGraph, model: &Reconstruction, camera: CameraId) -> (Vec<Pair>, bool) {
+    let choose = |is_wanted: &dyn Fn(CameraId, CameraId) -> bool| -> Vec<Pair> {
+        let mut best: BTreeMap<ImageId, Pair> = BTreeMap::new();
+        for (images, two_view) in graph.pairs() {
+            if !is_wanted(model.image(images.a).camera, model.image(images.b).camera) {
+                continue;
+            }
+            let Some(pair) = Pair::new(model, images, two_view) else { continue };
+            if best.get(&images.a).is_none_or(|other| other.merit < pair.merit) {
+                best.insert(images.a, pair);
+            }
+        }
+        let step = best.len().div_ceil(MAX_PAIRS).max(1);
+        best.into_values().step_by(step).collect()
+    };
+    let within = choose(&|a, b| a == camera && b == camera);
+    if within.len() >= MAX_PAIRS / 8 {
+        return (within, true);
+    }
+    (choose(&|a, b| a == camera || b == camera), false)
+}
+
+fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Option<f64> {
     if pairs.is_empty() {
         return None;
     }
     let side_px = f64::from(model.camera(camera).width.max(model.camera(camera).height));
     let cost = |focal_px: f64| -> f64 {
-        let calibration = |id: CameraId| {
-            let intrinsics = &model.camera(id).intrinsics;
-            if id == camera { with_focal(intrinsics, focal_px) } else { intrinsics.calibration_matrix() }
+        let intrinsics = |id: CameraId| {
+            let intrinsics = model.camera(id).intrinsics;
+            if id == camera { with_focal(&intrinsics, focal_px) } else { intrinsics }
         };
-        let sum: f64 = pairs
-            .iter()
-            .map(|(f, a, b, weight)| {
-                weight * imbalance(&(calibration(*b).transpose() * *f * calibration(*a)))
+        let costs: Vec<f64> = pairs
+            .par_iter()
+            .map(|pair| {
+                let [a, b] = pair.cameras.map(intrinsics);
+                pair.cost([&a, &b])
             })
-            .sum();
-        sum
+            .collect();
+        costs.into_iter().sum()
     };
     let ratio = (RANGE.1 / RANGE.0).powf(1.0 / (NUM_STEPS - 1) as f64);
     let grid: Vec<(f64, f64)> = (0..NUM_STEPS)
@@ -78,33 +191,37 @@ fn best_focal_px(graph: &CorrespondenceGraph, model: &Reconstruction, camera: Ca
         .map(|focal_px| (cost(focal_px), focal_px))
         .collect();
     let (least, focal_px) = grid.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let mut costs: Vec<f64> = grid.iter().map(|g| g.0).collect();
-    costs.sort_by(f64::total_cmp);
-    (least < MAX_RELATIVE_MINIMUM * costs[NUM_STEPS / 2])
-        .then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
+    let rise = |is_beyond: &dyn Fn(f64) -> bool| {
+        let beyond = grid.iter().filter(|(_, f)| is_beyond(*f)).map(|g| g.0);
+        beyond.min_by(f64::total_cmp).is_none_or(|cost| cost >= MIN_RELATIVE_RISE * least)
+    };
+    let is_determined = rise(&|f| f >= 2.0 * focal_px) && rise(&|f| f <= 0.5 * focal_px);
+    is_determined.then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
 }
 
-fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Matrix3<f64> {
-    let mut matrix = intrinsics.calibration_matrix();
-    (matrix[(0, 0)], matrix[(1, 1)]) = (focal_px, focal_px);
-    matrix
+fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
+    let mut changed = *intrinsics;
+    for &param in intrinsics.kind().focal_indices() {
+        changed.params_mut()[param] = focal_px;
+    }
+    changed
 }
 
-/// ρ of (σ₁ − σ₂)/(σ₁ + σ₂).
-fn imbalance(essential: &Matrix3<f64>) -> f64 {
-    let singular = essential.singular_values();
-    let (first, second) = (singular[0], singular[1]);
-    let relative = (first - second) / (first + second).max(f64::MIN_POSITIVE);
-    Loss::GemanMcClure(LOSS_SCALE).evaluate(relative * relative)[0]
-}
-
-/// The minimum of a function with one minimum in [low, high], to 1e-4 of the interval's start.
+/// The minimum of a function with one minimum in [low, high].
 fn golden_section(function: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-    let tolerance = 1e-4 * low;
-    while high - low > tolerance {
-        let (a, b) = (high - golden * (high - low), low + golden * (high - low));
-        if function(a) < function(b) { high = b } else { low = a }
+    let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
+    let (mut at_a, mut at_b) = (function(a), function(b));
+    for _ in 0..NUM_GOLDEN_STEPS {
+        if at_a < at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = high - golden * (high - low);
+            at_a = function(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = low + golden * (high - low);
+            at_b = function(b);
+        }
     }
     0.5 * (low + high)
 }

@@ -172,6 +172,15 @@ impl Drive {
         &self.cameras
     }
 
+    /// The camera and the exposure of an image, by its name; `None` for an image of another drive.
+    pub fn find(&self, image: &str) -> Option<(usize, &Exposure)> {
+        self.cameras.iter().enumerate().find_map(|(camera, DriveCamera { exposures, .. })| {
+            // Numbers have leading zeros, so names are in order.
+            let index = exposures.binary_search_by(|exposure| exposure.name.as_str().cmp(image)).ok()?;
+            Some((camera, &exposures[index]))
+        })
+    }
+
     /// The rig's calibration: a camera's pose in the frame of the first.
     pub fn cam_from_rig(&self, camera: usize) -> Rigid3 {
         if camera == 0 {

@@ -6,6 +6,8 @@ mod evaluate;
 mod export;
 mod stages;
 mod synth;
+#[expect(dead_code, reason = "the demo is to compare with the true surface")]
+mod truth;
 
 use crate::args::{Command, Evaluate};
 use crate::output::Output;

@@ -1,0 +1,131 @@
+//! Distances to true surfaces, and rigs over time, where the answer is known.
+#![allow(clippy::unwrap_used)]
+
+use proptest::prelude::*;
+use tiepoint_eval::{PosePair, Sighting, points_of_true_cameras, rig_over_time, surface_errors};
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::{Rigid3, Rng};
+
+/// Roundings of some tens of operations on numbers of size 10.
+const TOLERANCE: f64 = 1e-9;
+
+fn vector(rng: &mut Rng, scale: f64) -> Vector3<f64> {
+    Vector3::new(rng.normal(), rng.normal(), rng.normal()) * scale
+}
+
+fn sighting(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> Sighting {
+    Sighting { camera_in_world: camera, surface_in_world: surface }
+}
+
+#[test]
+fn an_error_is_the_median_over_what_stands_still() {
+    let eye = Vector3::zeros();
+    let wall = |x: f64| sighting(eye, Some(Vector3::new(x, 0.0, 10.0)));
+    let sky = sighting(eye, None);
+    let point = Vector3::new(0.0, 0.0, 10.0);
+    for (sightings, expected) in [
+        // Three agree, and a fourth looked past an edge.
+        (vec![wall(0.1), wall(0.2), wall(0.3), wall(50.0)], Some(0.2)),
+        (vec![wall(0.1), wall(9.0)], Some(0.1)),
+        (vec![wall(0.1), sky], Some(0.1)),
+        (vec![wall(0.1), sky, sky], None),
+        (vec![sky, sky], None),
+        (vec![], None),
+    ] {
+        let error = surface_errors(&[point], std::slice::from_ref(&sightings))[0];
+        match (error, expected) {
+            (Some(error), Some(expected)) => {
+                assert!((error.distance - expected).abs() < TOLERANCE, "{sightings:?}");
+                assert!((error.range - 10.0).abs() < 0.01, "{sightings:?}");
+            }
+            (error, expected) => assert_eq!(error.is_some(), expected.is_some(), "{sightings:?}"),
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
+
+    /// Rays that meet do so at their common point, whatever lies behind it; and no point near by is nearer to rays that miss.
+    #[test]
+    fn true_rays_meet_at_the_least_angle(seed: u64, count in 2..6usize, noise in prop::sample::select(vec![0.0, 0.05])) {
+        let mut rng = Rng::stream(seed, &[]);
+        let point = vector(&mut rng, 5.0);
+        let sightings: Vec<Sighting> = (0..count)
+            .map(|_| {
+                let camera = vector(&mut rng, 10.0);
+                let seen = point + vector(&mut rng, noise);
+                // The surface lies at the point or behind it: only the direction counts.
+                sighting(camera, Some(seen + (seen - camera) * noise))
+            })
+            .collect();
+        let cost = |at: &Vector3<f64>| -> f64 {
+            let square = |s: &Sighting| {
+                let ray = s.surface_in_world.unwrap() - s.camera_in_world;
+                let across = ray.cross(&(at - s.camera_in_world)).norm() / ray.norm();
+                (across / ray.norm()).powi(2)
+            };
+            sightings.iter().map(square).sum()
+        };
+        let Some(found) = points_of_true_cameras(std::slice::from_ref(&sightings))[0] else {
+            return Err(TestCaseError::reject("parallel rays"));
+        };
+        if noise == 0.0 {
+            // Directions 0.1 rad apart leave eight digits of ten.
+            prop_assert!((found - point).norm() < 1e-6, "{found} {point}");
+        }
+        for _ in 0..20 {
+            let step = vector(&mut rng, 1e-3);
+            prop_assert!(cost(&found) <= cost(&(found + step)) + 1e-15);
+        }
+    }
+
+    /// A rigid rig has no spread and no drift, wherever it goes.
+    #[test]
+    fn a_rigid_rig_is_constant(seed: u64, count in 2..20usize) {
+        let mut rng = Rng::stream(seed, &[]);
+        let rig = Rigid3::from_axis_angle(vector(&mut rng, 1.0), vector(&mut rng, 1.0));
+        let pairs: Vec<PosePair> = (0..count)
+            .map(|k| {
+                let left = Rigid3::from_axis_angle(vector(&mut rng, 1.0), vector(&mut rng, 10.0));
+                PosePair { time_s: k as f64, left_from_world: left, right_from_world: rig * left }
+            })
+            .collect();
+        let found = rig_over_time(&pairs).unwrap();
+        prop_assert!((found.right_from_left.translation - rig.translation).norm() < TOLERANCE);
+        prop_assert!(found.right_from_left.rotation.angle_to(&rig.rotation) < 1e-7);
+        prop_assert!((found.baseline.mean - rig.translation.norm()).abs() < TOLERANCE);
+        for zero in [
+            found.baseline.std, found.translation_rms, found.rotation_rms_rad, found.baseline_drift,
+            found.translation_drift, found.rotation_drift_rad,
+        ] {
+            // Against a baseline of about 1.
+            prop_assert!(zero.abs() < 1e-7 / found.baseline.mean.min(1.0), "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn drift_is_what_a_straight_line_changes_by() {
+    const COUNT: usize = 11;
+    // The baseline grows from 1 to 2, and the right camera turns from −0.1 to 0.1 rad; times are uneven.
+    let pair = |k: usize| {
+        let part = k as f64 / (COUNT - 1) as f64;
+        let turn = Vector3::new(0.0, 0.2 * part - 0.1, 0.0);
+        let left_from_right = Rigid3::from_axis_angle(turn, Vector3::new(1.0 + part, 0.0, 0.0));
+        PosePair {
+            time_s: 5.0 + 3.0 * part,
+            left_from_world: Rigid3::identity(),
+            right_from_world: left_from_right.inverse(),
+        }
+    };
+    let found = rig_over_time(&(0..COUNT).map(pair).collect::<Vec<_>>()).unwrap();
+    assert!((found.baseline_drift - 1.0 / 1.5).abs() < TOLERANCE, "{found:?}");
+    assert!((found.translation_drift - 1.0).abs() < TOLERANCE);
+    assert!((found.rotation_drift_rad - 0.2).abs() < TOLERANCE);
+    // Eleven even steps from −1/2 to 1/2 have the variance (11² − 1) / 12 / 10².
+    let expected = (120.0f64 / 12.0).sqrt() / 10.0;
+    assert!((found.translation_rms - expected).abs() < TOLERANCE);
+    assert!((found.rotation_rms_rad - 0.2 * expected).abs() < TOLERANCE);
+    assert!(rig_over_time(&[pair(0)]).is_none());
+}
