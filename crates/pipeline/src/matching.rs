@@ -270,7 +270,41 @@ fn count(report: &mut MatchReport, matches: &[Match], two_view: &TwoView) {
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_io::features::{Descriptor, Features, Keypoint as Feature};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_sfm::scene::CameraId;
+
     use super::*;
+
+    #[test]
+    fn images_of_one_place_are_found_by_what_they_look_like() {
+        /// More than are read at once, and each place seen twice.
+        const PLACES: usize = 50;
+        const FEATURES: usize = 40;
+        let folder = tempfile::tempdir().unwrap();
+        let mut database = Database::create(&folder.path().join("database.db")).unwrap();
+        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[9.0, 9.0, 5.0, 5.0]).unwrap();
+        let camera = Camera { intrinsics, width: 10, height: 10, has_focal_prior: false };
+        database.write_cameras(&[camera]).unwrap();
+        let image = |k: usize| Image::new(format!("{k}.jpg"), CameraId(0), Vec::new());
+        database.write_images(&(0..2 * PLACES).map(image).collect::<Vec<_>>()).unwrap();
+        let seen = |image: usize| {
+            let mut place = Rng::stream(7, &[(image % PLACES) as u64]);
+            let mut noise = Rng::stream(8, &[image as u64]);
+            let mut descriptor =
+                || -> Descriptor { std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8) };
+            Features {
+                keypoints: vec![Feature { x: 1.0, y: 2.0, scale: 1.0, orientation: 0.0 }; FEATURES],
+                descriptors: (0..FEATURES).map(|_| descriptor()).collect(),
+            }
+        };
+        for k in 0..2 * PLACES {
+            database.write_features([(ImageId::from_index(k), &seen(k))]).unwrap();
+        }
+        let pairs = bank(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
+        let expected: Vec<(u32, u32)> = (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
+        assert_eq!(pairs, expected);
+    }
 
     #[test]
     fn tiles_hold_every_pair_once_and_few_images() {
