@@ -29,8 +29,8 @@ const PAIRS_PER_TRANSACTION: usize = 64;
 /// Images that the vocabulary is learnt from, evenly spread, and descriptors of each: about 400 for each word.
 const SAMPLE_IMAGES: usize = 256;
 const SAMPLE_DESCRIPTORS: usize = 200;
-/// Images in memory while all are described.
-const IMAGES_READ_AT_ONCE: usize = 64;
+/// Images in memory before they are made ready: for matching, or described as a whole.
+const IMAGES_READ_AT_ONCE: usize = 16;
 
 /// How to match.
 #[derive(Clone, Debug)]
@@ -204,15 +204,17 @@ fn load(
 ) -> Result<(), Error> {
     let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
     loaded.retain(|image, _| needed.contains(image));
-    let missing = needed.into_iter().filter(|image| !loaded.contains_key(image));
-    let read = missing.map(|image| Ok((image, database.read_features(image)?)));
-    let features = read.collect::<Result<Vec<_>, Error>>()?;
+    let missing: Vec<ImageId> = needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
     let prepare = |(image, features): (ImageId, tiepoint_io::features::Features)| {
         let keypoints = features.keypoints.iter().map(keypoint).collect();
         (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
     };
-    let ready: Vec<_> = features.into_par_iter().map(prepare).collect();
-    loaded.extend(ready);
+    // A few at a time, so that not all are in memory twice.
+    for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
+        let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
+        let features = read.collect::<Result<Vec<_>, Error>>()?;
+        loaded.extend(features.into_par_iter().map(prepare).collect::<Vec<_>>());
+    }
     Ok(())
 }
 
