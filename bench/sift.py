@@ -2,11 +2,12 @@
 """SIFT of OpenCV, COLMAP and tiepoint on the same pixels, in one run: time, agreement, repeatability, matching.
 
   pip install numpy opencv-python-headless pycolmap
-  TIEPOINT_DATA=... python bench/sift.py [--threads 2] [--repeat 3]
+  TIEPOINT_DATA=... python bench/sift.py [quality] [time] [files] [--threads 2] [--repeat 3]
 
-Decoding is excluded: OpenCV gets arrays, COLMAP gets bitmaps, tiepoint gets PGM files that it reads before its clock
+Decoding is excluded at first: OpenCV gets arrays, COLMAP gets bitmaps, tiepoint gets PGM files that it reads before its clock
 starts. Each gets a pool of as many threads as asked for and one image per thread; times are wall seconds per image,
-the minimum over the repetitions.
+the minimum over the repetitions. Then from files to features: OpenCV reads within its threads, COLMAP and tiepoint run
+their whole first stage into a database (the program `tiepoint`, built in release mode).
 """
 import argparse, concurrent.futures, glob, os, re, subprocess, sys, tempfile, threading, time
 import cv2, numpy as np, pycolmap
@@ -42,9 +43,13 @@ class OpenCV:
 
 
 class Colmap:
+    def __init__(self, dsp=False):
+        self.dsp = dsp
+
     def __call__(self, images, limit, threads):
         options = pycolmap.FeatureExtractionOptions()
         options.sift.max_num_features = limit
+        options.sift.domain_size_pooling = self.dsp
         options.num_threads = 1
         extractors = threading.local()
         def work(image):
@@ -83,6 +88,28 @@ class Tiepoint:
         n = int.from_bytes(data[:4], "little")
         keypoints = np.frombuffer(data, np.float32, 4 * n, 4).reshape(n, 4)
         return keypoints, np.frombuffer(data, np.uint8, 128 * n, 4 + 16 * n).reshape(n, 128).astype(np.float32)
+
+
+def from_files(folder, threads):
+    """Seconds an image from files to features, for each program."""
+    paths = sorted(glob.glob(os.path.join(folder, "*")))
+    seconds = {}
+    cv2.setNumThreads(1)
+    work = lambda path: cv2.SIFT_create(nfeatures=MAX_FEATURES).detectAndCompute(cv2.imread(path, cv2.IMREAD_GRAYSCALE), None)
+    _, seconds["OpenCV"] = pooled(work, paths, threads)
+    options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=threads)
+    options.sift.max_num_features = MAX_FEATURES
+    with tempfile.TemporaryDirectory() as scratch:
+        start = time.perf_counter()
+        pycolmap.extract_features(os.path.join(scratch, "database.db"), folder, extraction_options=options)
+        seconds["COLMAP"] = (time.perf_counter() - start) / len(paths)
+    program = os.path.join(os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target")), "release", "tiepoint")
+    for _ in range(3):
+        with tempfile.TemporaryDirectory() as scratch:
+            start = time.perf_counter()
+            subprocess.run([program, "features", folder, "-o", os.path.join(scratch, "ws"), "--threads", str(threads)], check=True, capture_output=True)
+            seconds["tiepoint"] = min(seconds.get("tiepoint", np.inf), (time.perf_counter() - start) / len(paths))
+    return seconds
 
 
 def nearest_two(a, b):
@@ -144,14 +171,7 @@ def quality(a, b, h, shape, pixels=3.0):
             f" (precision {correct.sum() / max(1, good.sum()):.3f}, score {correct.sum() / min(len(ka), len(kb)):.4f}, median {np.median(error[correct]):.3f} px)")
 
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--repeat", type=int, default=3)
-    args = parser.parse_args()
-    programs = {"OpenCV": OpenCV(), "COLMAP": Colmap(), "tiepoint": Tiepoint(), "tiepoint exact limit": Tiepoint("--exact")}
-    print(f"OpenCV {cv2.__version__}, COLMAP {pycolmap.__version__}; load {os.getloadavg()[0]:.1f}")
-
+def compare_quality(programs):
     text = open(os.path.join(DATA, "vgg_homography/H1to3p.xml")).read()
     h = np.array(re.search(r"<data>(.*?)</data>", text, re.S)[1].split(), float).reshape(3, 3)
     shift = np.array([[1, 0, .5], [0, 1, .5], [0, 0, 1]])
@@ -159,7 +179,8 @@ def main():
     graf = [grey("vgg_homography/graf1.png"), grey("vgg_homography/graf3.png")]
     print("\ngraf 1-3")
     features = {}
-    for name, program in programs.items():
+    pooling = {"COLMAP DSP": Colmap(dsp=True), "tiepoint DSP": Tiepoint("--dsp")}
+    for name, program in {**programs, **pooling}.items():
         for limit in (ALL, 2000):
             (a, b), _ = program(graf, limit, 1)
             features[name, limit] = a
@@ -167,7 +188,9 @@ def main():
     for peer in ("COLMAP", "OpenCV"):
         print(f"  tiepoint has {peer}'s: {agreement(features['tiepoint', ALL], features[peer, ALL])}")
 
-    for scene in ("fountain-P11", "sceaux"):
+
+def compare_time(programs, args):
+    for scene in args.scenes:
         paths = sorted(glob.glob(os.path.join(DATA, scene, "images", "*")))
         images = [grey(p) for p in paths]
         print(f"\n{scene}: {len(images)} images of {images[0].shape[1]}x{images[0].shape[0]}, {MAX_FEATURES} features, {args.threads} threads")
@@ -184,6 +207,26 @@ def main():
         a = programs["tiepoint"](images[:1], ALL, 1)[0][0]
         b = programs["COLMAP"](images[:1], ALL, 1)[0][0]
         print(f"  tiepoint has COLMAP's (first image, no limit): {agreement(a, b)}")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--scenes", nargs="*", default=["fountain-P11", "sceaux"])
+    parser.add_argument("parts", nargs="*", default=["quality", "time", "files"])
+    args = parser.parse_args()
+    pycolmap.logging.minloglevel = 2
+    programs = {"OpenCV": OpenCV(), "COLMAP": Colmap(), "tiepoint": Tiepoint(), "tiepoint exact limit": Tiepoint("--exact")}
+    print(f"OpenCV {cv2.__version__}, COLMAP {pycolmap.__version__}; load {os.getloadavg()[0]:.1f}")
+    if "quality" in args.parts:
+        compare_quality(programs)
+    if "time" in args.parts:
+        compare_time(programs, args)
+    if "files" in args.parts:
+        for scene in args.scenes:
+            seconds = from_files(os.path.join(DATA, scene, "images"), args.threads)
+            print(f"{scene}, from files to features: " + ", ".join(f"{name} {s:.3f} s an image" for name, s in seconds.items()))
 
 
 if __name__ == "__main__":

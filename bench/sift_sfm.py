@@ -5,7 +5,7 @@
   TIEPOINT_DATA=... python bench/sift_sfm.py [SCENE...] [--with-k] [--seeds N]
 
 Scenes: fountain-P11 and Herz-Jesus-P8 (with the error of camera centres after a similarity), sceaux, temple_ring,
-kitti04/images/left.
+kitti04 (left and right, with the intrinsics of its calib.txt, 10 neighbours before and after in both).
 """
 import argparse, glob, os, sys, tempfile, time
 import cv2, numpy as np, pycolmap
@@ -38,7 +38,7 @@ def reconstruct(folder, names, features, k, seed, database_path):
         reader.camera_model = "PINHOLE"
         reader.camera_params = ",".join(map(str, k))
     pycolmap.Database.open(database_path).close()
-    pycolmap.import_images(database_path, folder, pycolmap.CameraMode.SINGLE, image_names=names, options=reader)
+    pycolmap.import_images(database_path, folder, pycolmap.CameraMode.PER_FOLDER if "/" in names[0] else pycolmap.CameraMode.SINGLE, image_names=names, options=reader)
     db = pycolmap.Database.open(database_path)
     for image in db.read_all_images():
         keypoints, descriptors = features[names.index(image.name)]
@@ -50,8 +50,13 @@ def reconstruct(folder, names, features, k, seed, database_path):
     if len(names) <= 50:
         pycolmap.match_exhaustive(database_path, matching_options=matching)
     else:
-        pairing = pycolmap.SequentialPairingOptions(overlap=10, loop_detection=False)
-        pycolmap.match_sequential(database_path, matching_options=matching, pairing_options=pairing)
+        frame = lambda name: int(os.path.splitext(os.path.basename(name))[0])
+        listed = os.path.join(os.path.dirname(database_path), "pairs.txt")
+        with open(listed, "w") as file:
+            file.writelines(f"{a} {b}\n" for i, a in enumerate(names) for b in names[i + 1:] if abs(frame(a) - frame(b)) <= 10)
+        pairing = pycolmap.ImportedPairingOptions()
+        pairing.match_list_path = listed
+        pycolmap.match_image_pairs(database_path, matching, pairing, device=pycolmap.Device.cpu)
     options = pycolmap.IncrementalPipelineOptions(num_threads=2, random_seed=seed)
     if k is not None:
         options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -71,12 +76,16 @@ def main():
     pycolmap.logging.minloglevel = 2
     programs = {"COLMAP": Colmap(), **{n: Tiepoint(*f) for n, f in FLAGS.items()}}
     for scene in args.scenes:
-        folder = os.path.join(DATA, scene) if "/" in scene or scene == "temple_ring" else os.path.join(DATA, scene, "images")
-        names = sorted(os.path.basename(p) for e in ("jpg", "JPG", "png") for p in glob.glob(os.path.join(folder, "*." + e)))
+        folder = os.path.join(DATA, scene) if scene == "temple_ring" else os.path.join(DATA, scene, "images")
+        paths = [p for e in ("jpg", "JPG", "png") for under in ("*.", "*/*.") for p in glob.glob(os.path.join(folder, under + e))]
+        names = sorted(os.path.relpath(p, folder) for p in paths)
         images = [cv2.imread(os.path.join(folder, n), cv2.IMREAD_GRAYSCALE) for n in names]
         k = None
         if args.with_k:
             m = np.loadtxt(os.path.join(DATA, scene, "K.txt"), comments="#")[:3, :3]
+            k = (m[0, 0], m[1, 1], m[0, 2] + .5, m[1, 2] + .5)
+        if scene.startswith("kitti"):
+            m = np.array(open(os.path.join(DATA, scene, "calib.txt")).readline().split()[1:], float).reshape(3, 4)
             k = (m[0, 0], m[1, 1], m[0, 2] + .5, m[1, 2] + .5)
         truth = truth_centres(scene)
         print(f"{scene}{' with K' if args.with_k else ''}: {len(names)} images, at most {args.max} features")

@@ -145,7 +145,8 @@ pub(crate) struct Cameras {
 #[derive(Debug, Args)]
 pub(crate) struct Pairs {
     /// Which photos to match: exhaustive (each with every other), sequential:N (N neighbours before and after, within a camera and
-    /// across cameras), sequential:N+ends (and the first N with the last N).
+    /// across cameras), sequential:N+ends (and the first N with the last N), sequential:N+loops:K (and, wherever the drive comes
+    /// by again, with the K that look most alike), similar:K (those alone, for photos in no order).
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Exhaustive)]
     pub(crate) pairs: PairSelection,
 }

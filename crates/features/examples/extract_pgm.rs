@@ -3,14 +3,14 @@
 //! the seconds per image. It is what `bench/sift.py` compares with other programs, without decoding.
 //!
 //! `cargo run --release -p tiepoint-features --example extract_pgm -- [--threads N] [--repeat N] [--max N]
-//! [--octave N] [--exact] [--within] FILE...`
+//! [--octave N] [--exact] [--dsp] [--within] FILE...`
 
 #![allow(clippy::print_stdout)] // What a program is for.
 
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tiepoint_features::{Features, GrayView, Limit, Options, Sift};
+use tiepoint_features::{DomainSizes, Features, GrayView, Limit, Options, Sift};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -49,6 +49,7 @@ fn main() -> Result<(), Failure> {
             "--max" => options.max_features = number()?,
             "--octave" => options.first_octave = number()? as i32,
             "--exact" => options.limit = Limit::Exact,
+            "--dsp" => options.domain_sizes = Some(DomainSizes::default()),
             "--within" => within = true,
             _ => paths.push(PathBuf::from(arg)),
         }

@@ -7,7 +7,7 @@
 //! half, and the vector is added to two rows of cells.
 
 use crate::gradient::{Gradient, Level, exp_minus};
-use crate::options::Normalization;
+use crate::options::{Normalization, Options};
 use crate::simd::{LANES, Simd};
 use crate::types::Descriptor;
 use std::f32::consts::TAU;
@@ -27,6 +27,8 @@ const CLAMP: f32 = 0.2;
 /// What a unit vector is scaled to, before it is rounded to bytes.
 const BYTE_SCALE: f32 = 512.0;
 
+/// Numbers of a descriptor.
+const NUMBERS: usize = CELLS * CELLS * BINS;
 const HISTOGRAM: usize = PADDED * PADDED * BINS;
 
 /// Samples that are added to a histogram each: as many do not wait for each other.
@@ -73,13 +75,31 @@ pub(crate) fn radius_of(sigma: f32) -> f32 {
 
 /// Measures a descriptor.
 #[inline(always)]
-pub(crate) fn describe<S: Simd>(level: &Level<'_>, frame: Frame, normalization: Normalization) -> Descriptor {
-    let padded = histogram::<S>(level, frame);
-    let mut numbers = [0.0; CELLS * CELLS * BINS];
+pub(crate) fn describe<S: Simd>(level: &Level<'_>, frame: Frame, options: &Options) -> Descriptor {
+    let numbers = match options.domain_sizes {
+        None => normalised(cells(&histogram::<S>(level, frame))),
+        Some(sizes) => {
+            let mut sum = [0.0; NUMBERS];
+            for size in sizes.sizes() {
+                let frame = Frame { sigma: size * frame.sigma, ..frame };
+                let numbers = normalised(cells(&histogram::<S>(level, frame)));
+                sum.iter_mut().zip(numbers).for_each(|(sum, n)| *sum += n);
+            }
+            divide_by_norm(&mut sum);
+            sum
+        }
+    };
+    to_bytes(numbers, options.normalization)
+}
+
+/// The histogram without its border.
+#[inline(always)]
+fn cells(padded: &[f32; HISTOGRAM]) -> [f32; NUMBERS] {
+    let mut numbers = [0.0; NUMBERS];
     for (i, row) in numbers.chunks_exact_mut(CELLS * BINS).enumerate() {
         row.copy_from_slice(&padded[((i + 1) * PADDED + 1) * BINS..][..CELLS * BINS]);
     }
-    to_bytes(numbers, normalization)
+    numbers
 }
 
 #[inline(always)]
@@ -238,20 +258,26 @@ fn window(centre: f32, low: f32, high: f32, size: usize) -> (usize, usize) {
     if last < first { (1, 1) } else { (first as usize, last as usize + 1) }
 }
 
+/// Of unit length, with no number much larger than the rest.
 #[inline(always)]
-fn to_bytes(mut numbers: [f32; CELLS * CELLS * BINS], normalization: Normalization) -> Descriptor {
+fn normalised(mut numbers: [f32; NUMBERS]) -> [f32; NUMBERS] {
     divide_by_norm(&mut numbers);
     for n in &mut numbers {
         *n = n.min(CLAMP);
     }
     divide_by_norm(&mut numbers);
+    numbers
+}
+
+#[inline(always)]
+fn to_bytes(mut numbers: [f32; NUMBERS], normalization: Normalization) -> Descriptor {
     if normalization == Normalization::RootL1 {
         let sum = sum_of(&numbers, |n| n).max(f32::MIN_POSITIVE);
         for n in &mut numbers {
             *n = (*n / sum).sqrt();
         }
     }
-    let mut bytes = [0; CELLS * CELLS * BINS];
+    let mut bytes = [0; NUMBERS];
     for (cell, out) in numbers.chunks_exact(BINS).zip(bytes.chunks_exact_mut(BINS)) {
         // Lowe's files, SiftGPU and COLMAP count directions the other way round.
         for (b, n) in cell.iter().enumerate() {
@@ -262,7 +288,7 @@ fn to_bytes(mut numbers: [f32; CELLS * CELLS * BINS], normalization: Normalizati
 }
 
 #[inline(always)]
-fn divide_by_norm(numbers: &mut [f32; CELLS * CELLS * BINS]) {
+fn divide_by_norm(numbers: &mut [f32; NUMBERS]) {
     let norm = sum_of(numbers, |n| n * n).sqrt().max(f32::MIN_POSITIVE);
     for n in numbers {
         *n /= norm;
@@ -271,7 +297,7 @@ fn divide_by_norm(numbers: &mut [f32; CELLS * CELLS * BINS]) {
 
 /// A sum in a fixed order of sixteen partial sums.
 #[inline(always)]
-fn sum_of(numbers: &[f32; CELLS * CELLS * BINS], f: impl Fn(f32) -> f32) -> f32 {
+fn sum_of(numbers: &[f32; NUMBERS], f: impl Fn(f32) -> f32) -> f32 {
     let mut sums = [0.0; LANES];
     for chunk in numbers.chunks_exact(LANES) {
         for (sum, &n) in sums.iter_mut().zip(chunk) {

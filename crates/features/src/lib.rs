@@ -21,7 +21,7 @@ mod types;
 mod view;
 
 pub use error::Error;
-pub use options::{Limit, Normalization, Options, Orientation};
+pub use options::{DomainSizes, Limit, Normalization, Options, Orientation};
 pub use sift::{Sift, extract};
 pub use types::{Descriptor, Features, Keypoint};
 pub use view::GrayView;

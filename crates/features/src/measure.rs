@@ -30,10 +30,10 @@ impl Default for Measured {
 }
 
 /// Rows above and below an extremum that its measurement reads.
-pub(crate) fn window_reach(extrema: &[Extremum]) -> usize {
+pub(crate) fn window_reach(extrema: &[Extremum], options: &Options) -> usize {
     let sigma = extrema.iter().fold(0.0f32, |a, e| a.max(e.sigma));
     // Samples have neighbours, and the nearest sample is half a sample away.
-    radius_of(sigma) as usize + 2
+    radius_of(sigma * options.largest_size().max(1.0)) as usize + 2
 }
 
 /// Measures extrema of an octave from the rows of its levels from `first_row` on.
@@ -81,7 +81,7 @@ impl Task for Measure<'_> {
             };
             for (&angle, out) in measured.directions.as_slice().iter().zip(&mut measured.descriptors) {
                 let frame = Frame { x: e.x, y: e.y, sigma: e.sigma, angle };
-                *out = describe::<S>(&level, frame, self.options.normalization);
+                *out = describe::<S>(&level, frame, self.options);
             }
             all.push(measured);
         }

@@ -205,7 +205,7 @@ impl Sift {
                 while let [first, ..] = rest {
                     let end = first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
                     let (group, others) = rest.split_at(rest.partition_point(|e| e.iy < end));
-                    let reach = window_reach(group);
+                    let reach = window_reach(group, &self.options);
                     let rows = first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
                     sweep_all(SweepAll {
                         plan,

@@ -7,7 +7,7 @@ use crate::measure::measure;
 use crate::octave::Plan;
 use crate::simd::Isa;
 use crate::source::Source;
-use crate::{Features, GrayView, Limit, Options, Orientation, Sift};
+use crate::{DomainSizes, Features, GrayView, Limit, Options, Orientation, Sift};
 use proptest::prelude::*;
 use std::num::NonZeroUsize;
 
@@ -56,8 +56,12 @@ fn every_instruction_set_gives_the_same_bits() {
     let options = Options { max_features: 100_000, ..Options::default() };
     let portable = extract_on(Isa::Portable, options, &view);
     assert!(portable.keypoints.len() > 300, "{}", portable.keypoints.len());
+    let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..options };
+    let portable_pooled = extract_on(Isa::Portable, pooled, &view);
+    assert!(portable_pooled.keypoints == portable.keypoints && portable_pooled != portable);
     for isa in Isa::available() {
         assert!(extract_on(isa, options, &view) == portable, "{isa:?}");
+        assert!(extract_on(isa, pooled, &view) == portable_pooled, "{isa:?}");
     }
 }
 
@@ -82,6 +86,13 @@ fn threads_and_reused_memory_do_not_change_anything() {
     let fresh = Sift::new(Options::default()).unwrap().extract(&small, None).unwrap();
     assert!(sift.extract(&small, None).unwrap() == fresh);
     assert!(!fresh.keypoints.is_empty());
+    // The largest windows of pooled descriptors reach far beyond the rows of a part.
+    let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..Options::default() };
+    let mut sift = Sift::new(pooled).unwrap();
+    let middling = GrayView { data: &image, width: 190, height: 140, stride: width };
+    let one = sift.extract(&middling, None).unwrap();
+    sift.max_level_bytes = 1 << 18;
+    assert!(sift.extract_parallel(&middling, None).unwrap() == one);
 }
 
 /// Levels and extrema of an octave by the sweep.
@@ -190,9 +201,11 @@ fn directions_and_descriptors_are_those_of_the_definition() {
         })
         .collect();
     let levels: Vec<&[f32]> = levels.iter().map(Vec::as_slice).collect();
-    let options = Options { max_orientations: 4, ..Options::default() };
-    let (mut several, mut compared) = (0, 0);
-    for isa in Isa::available() {
+    let (mut several, mut compared, mut pooled) = (0, 0, 0);
+    let pooling = DomainSizes { min: 0.25, max: 1.75, count: 3 };
+    for (isa, sizes) in Isa::available().into_iter().flat_map(|isa| [(isa, None), (isa, Some(pooling))]) {
+        let options = Options { max_orientations: 4, domain_sizes: sizes, ..Options::default() };
+        let sizes: &[f64] = if sizes.is_some() { &[0.25, 0.75, 1.25] } else { &[1.0] };
         let all = measure(&found, &plan, &levels, 0, &options, isa, NonZeroUsize::MIN);
         for (e, measured) in found.iter().zip(&all) {
             let (at, sigma) = ((f64::from(e.x), f64::from(e.y)), f64::from(e.sigma));
@@ -210,15 +223,16 @@ fn directions_and_descriptors_are_those_of_the_definition() {
             several += usize::from(angles.len() > 1);
             for ((&angle, descriptor), plain) in angles.iter().zip(&measured.descriptors).zip(&directions) {
                 assert!((f64::from(angle) - plain.0).abs() < ANGLE_TOLERANCE, "{angle} {plain:?}");
-                let expected = plain_descriptor(plane, at, sigma, f64::from(angle));
+                let expected = plain_descriptor(plane, at, sigma, f64::from(angle), sizes);
                 for (&byte, expected) in descriptor.iter().zip(expected) {
                     assert!((f64::from(byte) - expected).abs() < BYTE_TOLERANCE, "{byte} {expected}");
                 }
                 compared += 1;
+                pooled += usize::from(sizes.len() > 1);
             }
         }
     }
-    assert!(compared > 100 && several > 10, "{compared} {several}");
+    assert!(pooled > 100 && compared == 2 * pooled && several > 10, "{compared} {pooled} {several}");
 }
 
 /// A Gaussian blob at a known place and scale, in pixels of our convention.

@@ -1,6 +1,6 @@
 //! Images that nobody would take: nothing panics, and what cannot be done is said.
 
-use tiepoint_features::{Error, GrayView, Options, Sift, extract};
+use tiepoint_features::{DomainSizes, Error, GrayView, Options, Sift, extract};
 
 #[test]
 fn degenerate_images_have_no_features() {
@@ -36,6 +36,9 @@ fn options_out_of_range_are_errors() {
         Options { max_orientations: 0, ..default },
         Options { peak_threshold: f32::NAN, ..default },
         Options { edge_threshold: 0.5, ..default },
+        Options { domain_sizes: Some(DomainSizes { min: f32::NAN, ..Default::default() }), ..default },
+        Options { domain_sizes: Some(DomainSizes { max: 0.1, ..Default::default() }), ..default },
+        Options { domain_sizes: Some(DomainSizes { count: 0, ..Default::default() }), ..default },
     ] {
         assert!(matches!(Sift::new(wrong).err(), Some(Error::Option { .. })), "{wrong:?}");
     }

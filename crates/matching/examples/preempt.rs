@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let leading: Vec<Vec<Vec<Descriptor>>> =
         images.iter().map(|image| LEADING.map(|n| largest(image, n)).into()).collect();
     let prepared: Vec<Prepared> = images.iter().map(|image| Prepared::from_features(image, 512)).collect();
-    let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open };
+    let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open, loops: 0 };
     let options = Options::default();
     let hasty = Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
     for (i, j) in selection.pairs(&[Sequence::new((0..images.len() as u32).collect())]) {

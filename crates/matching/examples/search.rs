@@ -1,8 +1,7 @@
 //! Time and recall of every way to find nearest neighbours, as JSON lines: what `bench/matching.py` puts beside OpenCV.
 //!
 //! `cargo run --release -p tiepoint-matching --example search QUERIES POINTS [TRUTH_QUERIES]`, where the files hold 128
-//! bytes per descriptor and recall is taken over the first TRUTH_QUERIES queries. One thread, CPU time where the system
-//! tells it, the best of several runs.
+//! bytes per descriptor and recall is taken over the first TRUTH_QUERIES queries. One thread, the best of several runs.
 
 #![expect(clippy::print_stdout, reason = "an example is a program")]
 
@@ -63,12 +62,9 @@ fn recall(found: &[Nearest], truth: &[Nearest]) -> f64 {
 
 fn shortest<T>(runs: usize, mut run: impl FnMut() -> T) -> (f64, T) {
     let timed = |run: &mut dyn FnMut() -> T| {
-        let (start, start_cpu) = (Instant::now(), cpu_seconds());
+        let start = Instant::now();
         let result = run();
-        (
-            cpu_seconds().zip(start_cpu).map_or(start.elapsed().as_secs_f64(), |(end, start)| end - start),
-            result,
-        )
+        (start.elapsed().as_secs_f64(), result)
     };
     let mut best = timed(&mut run);
     for _ in 1..runs {
@@ -78,12 +74,6 @@ fn shortest<T>(runs: usize, mut run: impl FnMut() -> T) -> (f64, T) {
         }
     }
     best
-}
-
-/// Time that this thread spent on a processor, which other programs do not stretch; Linux tells it.
-fn cpu_seconds() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
 }
 
 fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {

@@ -5,7 +5,8 @@
 pub enum Error {
     /// The pair selection is not one of the known words.
     #[error(
-        "unknown pair selection \"{0}\": use exhaustive, sequential:N or sequential:N+ends, for example sequential:20"
+        "unknown pair selection \"{0}\": use exhaustive, sequential:N, sequential:N+ends, sequential:N+loops:K or similar:K, for \
+         example sequential:20+loops:10"
     )]
     PairSelection(String),
     /// A sequence carries a list of times that does not fit its list of images.

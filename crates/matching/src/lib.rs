@@ -10,6 +10,8 @@ mod matches;
 mod options;
 mod pairs;
 mod prepared;
+mod random;
+mod retrieval;
 
 pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
 pub use error::Error;
@@ -20,3 +22,4 @@ pub use matches::{Match, Nearest};
 pub use options::{Method, Options, Preempt};
 pub use pairs::{Ends, Pair, PairSelection, Sequence, listed_pairs};
 pub use prepared::Prepared;
+pub use retrieval::{Bank, GlobalDescriptor, Similar, Vocabulary, VocabularyOptions};

@@ -11,7 +11,8 @@ use crate::error::Error;
 /// Two images to match, the lower index first.
 pub type Pair = (u32, u32);
 
-/// A way to select pairs, as users write it: `exhaustive`, `sequential:20`, `sequential:20+ends`.
+/// A way to select pairs, as users write it: `exhaustive`, `sequential:20`, `sequential:20+ends`, `sequential:20+loops:10`,
+/// `similar:30`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
     /// Every image with every other.
@@ -22,6 +23,14 @@ pub enum PairSelection {
         reach: u32,
         /// What else is matched.
         ends: Ends,
+        /// How many images that look most alike each image is matched with beside its neighbours; 0 for none. They are
+        /// found by what is in the images: [`Bank::pairs`](crate::Bank::pairs).
+        loops: u32,
+    },
+    /// Each image with those that look most alike, whatever the order.
+    Similar {
+        /// How many.
+        count: u32,
     },
 }
 
@@ -39,38 +48,62 @@ impl FromStr for PairSelection {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
+        let unknown = || Error::PairSelection(text.to_owned());
+        // Digits only: `parse` alone would take "+5".
+        let count = |digits: &str| match digits.parse() {
+            Ok(count) if count > 0 && digits.bytes().all(|c| c.is_ascii_digit()) => Ok(count),
+            _ => Err(unknown()),
+        };
         if text == "exhaustive" {
             return Ok(PairSelection::Exhaustive);
         }
-        let unknown = || Error::PairSelection(text.to_owned());
+        if let Some(digits) = text.strip_prefix("similar:") {
+            return Ok(PairSelection::Similar { count: count(digits)? });
+        }
         let rest = text.strip_prefix("sequential:").ok_or_else(unknown)?;
+        let (rest, loops) = match rest.split_once("+loops:") {
+            Some((rest, digits)) => (rest, count(digits)?),
+            None => (rest, 0),
+        };
         let (reach, ends) = match rest.strip_suffix("+ends") {
             Some(reach) => (reach, Ends::Closed),
             None => (rest, Ends::Open),
         };
-        // Digits only: `parse` alone would take "+5".
-        if !reach.bytes().all(|c| c.is_ascii_digit()) {
-            return Err(unknown());
-        }
-        match reach.parse() {
-            Ok(reach) if reach > 0 => Ok(PairSelection::Sequential { reach, ends }),
-            _ => Err(unknown()),
-        }
+        Ok(PairSelection::Sequential { reach: count(reach)?, ends, loops })
     }
 }
 
 impl fmt::Display for PairSelection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
+        match *self {
             PairSelection::Exhaustive => f.write_str("exhaustive"),
-            PairSelection::Sequential { reach, ends: Ends::Open } => write!(f, "sequential:{reach}"),
-            PairSelection::Sequential { reach, ends: Ends::Closed } => write!(f, "sequential:{reach}+ends"),
+            PairSelection::Sequential { reach, ends, loops } => {
+                write!(f, "sequential:{reach}")?;
+                if ends == Ends::Closed {
+                    f.write_str("+ends")?;
+                }
+                if loops > 0 {
+                    write!(f, "+loops:{loops}")?;
+                }
+                Ok(())
+            }
+            PairSelection::Similar { count } => write!(f, "similar:{count}"),
         }
     }
 }
 
 impl PairSelection {
-    /// The pairs among the images of these cameras.
+    /// How many images that look alike each is to be matched with beside the [`pairs`](Self::pairs) that order and time
+    /// alone give.
+    pub fn similar(self) -> u32 {
+        match self {
+            PairSelection::Exhaustive => 0,
+            PairSelection::Sequential { loops, .. } => loops,
+            PairSelection::Similar { count } => count,
+        }
+    }
+
+    /// The pairs among the images of these cameras, as far as order and time give them.
     pub fn pairs(self, cameras: &[Sequence]) -> Vec<Pair> {
         let mut pairs = Vec::new();
         match self {
@@ -81,7 +114,8 @@ impl PairSelection {
                     pairs.extend(images[k + 1..].iter().map(|&j| (i, j)));
                 }
             }
-            PairSelection::Sequential { reach, ends } => {
+            PairSelection::Similar { .. } => {}
+            PairSelection::Sequential { reach, ends, .. } => {
                 let reach = reach as usize;
                 for (from, to) in cameras.iter().flat_map(|from| cameras.iter().map(move |to| (from, to))) {
                     push_neighbours(&mut pairs, from, to, reach);
@@ -157,7 +191,8 @@ pub fn listed_pairs(list: &[Pair], images: u32) -> Result<Vec<Pair>, Error> {
     }
 }
 
-fn normalise(mut pairs: Vec<Pair>) -> Vec<Pair> {
+/// Sorted, the lower index first, each once.
+pub(crate) fn normalise(mut pairs: Vec<Pair>) -> Vec<Pair> {
     pairs.retain(|(i, j)| i != j);
     for (i, j) in &mut pairs {
         (*i, *j) = (*i.min(j), *i.max(j));

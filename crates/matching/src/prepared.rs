@@ -116,7 +116,7 @@ mod tests {
         for (i, descriptor) in descriptors.iter().enumerate() {
             let bytes: Vec<u8> = (0..GROUPS).flat_map(|g| prepared.word(i, g).to_le_bytes()).collect();
             assert_eq!(bytes, descriptor);
-            assert_eq!(prepared.sums[i], descriptor.iter().map(|&x| i32::from(x)).sum());
+            assert_eq!(prepared.sums[i], descriptor.iter().map(|&x| i32::from(x)).sum::<i32>());
         }
         prepared.grow_forest(&ForestOptions::default());
         let found = prepared.forest.unwrap().nearest(&descriptors, crate::Checks::Total(1000));

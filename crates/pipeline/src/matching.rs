@@ -10,7 +10,10 @@ use rayon::prelude::*;
 use tiepoint_io::database::Database;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
-use tiepoint_sfm::matching::{self, PairSelection, Prepared, Sequence, match_prepared};
+use tiepoint_sfm::matching::{
+    self, Bank, GlobalDescriptor, PairSelection, Prepared, Sequence, Vocabulary, VocabularyOptions,
+    match_prepared,
+};
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
@@ -22,6 +25,12 @@ use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, tell};
 const TILE: u32 = 128;
 /// Pairs written in one transaction: what an interruption loses.
 const PAIRS_PER_TRANSACTION: usize = 64;
+
+/// Images that the vocabulary is learnt from, evenly spread, and descriptors of each: about 400 for each word.
+const SAMPLE_IMAGES: usize = 256;
+const SAMPLE_DESCRIPTORS: usize = 200;
+/// Images in memory before they are made ready: for matching, or described as a whole.
+const IMAGES_READ_AT_ONCE: usize = 16;
 
 /// How to match.
 #[derive(Clone, Debug)]
@@ -88,7 +97,7 @@ pub fn match_images(
         database.clear_matches()?;
     }
     let (cameras, images) = (database.read_cameras()?, database.read_images()?);
-    let all = select_pairs(workspace, &images, options.pairs)?;
+    let all = select_pairs(workspace, &database, &images, options)?;
     let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
     let tiles = tiles(all.iter().copied().filter(|pair| !done.contains(pair)));
     let mut report = report(&database)?;
@@ -122,11 +131,13 @@ pub fn match_images(
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs among the images of each camera, in order of their names or, where all times are known, of their times.
+/// The pairs among the images of each camera, in order of their names or, where all times are known, of their times; and those that
+/// look alike.
 fn select_pairs(
     workspace: &Workspace,
+    database: &Database,
     images: &[Image],
-    pairs: PairSelection,
+    options: &MatchOptions,
 ) -> Result<Vec<ImagePair>, Error> {
     let path = workspace.timestamps();
     let times = if path.is_file() { timestamps::read(&path)? } else { BTreeMap::new() };
@@ -145,8 +156,35 @@ fn select_pairs(
         Sequence::with_times(ids, times_s)
     });
     let sequences: Vec<Sequence> = sequences.collect::<Result<_, _>>()?;
-    let pairs = pairs.pairs(&sequences);
+    let mut pairs = options.pairs.pairs(&sequences);
+    if options.pairs.similar() > 0 {
+        let bank = bank(database, images.len(), options.seed)?;
+        let similar = bank.pairs(options.pairs.similar() as usize, &pairs);
+        pairs.extend(similar);
+        pairs.sort_unstable();
+    }
     Ok(pairs.into_iter().filter_map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b))).collect())
+}
+
+/// What every image looks like as a whole, by a vocabulary that is learnt from some of them. Images are read a few at a time.
+fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
+    let mut sample = Vec::new();
+    for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
+        let descriptors = database.read_features(ImageId::from_index(image))?.descriptors;
+        let step = descriptors.len().div_ceil(SAMPLE_DESCRIPTORS).max(1);
+        sample.extend(descriptors.into_iter().step_by(step));
+    }
+    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
+    let mut bank = Bank::default();
+    let ids: Vec<ImageId> = (0..images).map(ImageId::from_index).collect();
+    for batch in ids.chunks(IMAGES_READ_AT_ONCE) {
+        let features = batch.iter().map(|&image| database.read_features(image));
+        let features = features.collect::<Result<Vec<_>, _>>()?;
+        let described: Vec<GlobalDescriptor> =
+            features.par_iter().map(|features| vocabulary.describe(&features.descriptors)).collect();
+        described.iter().for_each(|image| bank.push(image));
+    }
+    Ok(bank)
 }
 
 /// Groups pairs by the tile that they lie in.
@@ -166,15 +204,17 @@ fn load(
 ) -> Result<(), Error> {
     let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
     loaded.retain(|image, _| needed.contains(image));
-    let missing = needed.into_iter().filter(|image| !loaded.contains_key(image));
-    let read = missing.map(|image| Ok((image, database.read_features(image)?)));
-    let features = read.collect::<Result<Vec<_>, Error>>()?;
+    let missing: Vec<ImageId> = needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
     let prepare = |(image, features): (ImageId, tiepoint_io::features::Features)| {
         let keypoints = features.keypoints.iter().map(keypoint).collect();
         (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
     };
-    let ready: Vec<_> = features.into_par_iter().map(prepare).collect();
-    loaded.extend(ready);
+    // A few at a time, so that not all are in memory twice.
+    for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
+        let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
+        let features = read.collect::<Result<Vec<_>, Error>>()?;
+        loaded.extend(features.into_par_iter().map(prepare).collect::<Vec<_>>());
+    }
     Ok(())
 }
 
@@ -232,7 +272,41 @@ fn count(report: &mut MatchReport, matches: &[Match], two_view: &TwoView) {
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_io::features::{Descriptor, Features, Keypoint as Feature};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_sfm::scene::CameraId;
+
     use super::*;
+
+    #[test]
+    fn images_of_one_place_are_found_by_what_they_look_like() {
+        /// More than are read at once, and each place seen twice.
+        const PLACES: usize = 50;
+        const FEATURES: usize = 40;
+        let folder = tempfile::tempdir().unwrap();
+        let mut database = Database::create(&folder.path().join("database.db")).unwrap();
+        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[9.0, 9.0, 5.0, 5.0]).unwrap();
+        let camera = Camera { intrinsics, width: 10, height: 10, has_focal_prior: false };
+        database.write_cameras(&[camera]).unwrap();
+        let image = |k: usize| Image::new(format!("{k}.jpg"), CameraId(0), Vec::new());
+        database.write_images(&(0..2 * PLACES).map(image).collect::<Vec<_>>()).unwrap();
+        let seen = |image: usize| {
+            let mut place = Rng::stream(7, &[(image % PLACES) as u64]);
+            let mut noise = Rng::stream(8, &[image as u64]);
+            let mut descriptor =
+                || -> Descriptor { std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8) };
+            Features {
+                keypoints: vec![Feature { x: 1.0, y: 2.0, scale: 1.0, orientation: 0.0 }; FEATURES],
+                descriptors: (0..FEATURES).map(|_| descriptor()).collect(),
+            }
+        };
+        for k in 0..2 * PLACES {
+            database.write_features([(ImageId::from_index(k), &seen(k))]).unwrap();
+        }
+        let pairs = bank(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
+        let expected: Vec<(u32, u32)> = (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
+        assert_eq!(pairs, expected);
+    }
 
     #[test]
     fn tiles_hold_every_pair_once_and_few_images() {

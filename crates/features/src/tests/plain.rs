@@ -194,8 +194,8 @@ pub(crate) fn plain_directions(level: &Plane, (x, y): (f64, f64), sigma: f64) ->
     found
 }
 
-/// The descriptor before rounding, times 512, as RootSIFT.
-pub(crate) fn plain_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f64) -> [f64; 128] {
+/// The descriptor of unit length, its numbers clamped.
+fn plain_unit_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f64) -> [f64; 128] {
     let mut cells = [0.0; 128];
     let side = 3.0 * sigma;
     let reach = (SQRT_2 * side * 2.5 + 0.5).floor();
@@ -226,6 +226,24 @@ pub(crate) fn plain_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, an
     let norm = |c: &[f64; 128]| c.iter().map(|v| v * v).sum::<f64>().sqrt();
     let n = norm(&cells);
     let clamped = cells.map(|v| (v / n).min(0.2));
-    let sum: f64 = clamped.iter().sum();
-    clamped.map(|v| (v / sum).sqrt() * 512.0)
+    let n = norm(&clamped);
+    clamped.map(|v| v / n)
+}
+
+/// The descriptor before rounding, times 512, as RootSIFT: the mean of those in windows of these sizes.
+pub(crate) fn plain_descriptor(
+    level: &Plane,
+    at: (f64, f64),
+    sigma: f64,
+    angle: f64,
+    sizes: &[f64],
+) -> [f64; 128] {
+    let mut pooled = [0.0; 128];
+    for size in sizes {
+        for (sum, v) in pooled.iter_mut().zip(plain_unit_descriptor(level, at, size * sigma, angle)) {
+            *sum += v;
+        }
+    }
+    let sum: f64 = pooled.iter().sum();
+    pooled.map(|v| (v / sum).sqrt() * 512.0)
 }

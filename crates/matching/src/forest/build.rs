@@ -5,8 +5,8 @@
 
 use rayon::prelude::*;
 
-use super::random::SplitMix64;
 use super::{Forest, ForestOptions, Row};
+use crate::random::SplitMix64;
 
 /// Points from which mean and variance are estimated; FLANN's SAMPLE_MEAN, counted as it does.
 const SAMPLE: usize = 101;

@@ -6,7 +6,6 @@
 //! byte products is only above some tens of thousands of features in an image.
 
 mod build;
-mod random;
 mod search;
 
 use tiepoint_features::Descriptor;

@@ -1,12 +1,20 @@
 use super::*;
 
 fn sequential(reach: u32) -> PairSelection {
-    PairSelection::Sequential { reach, ends: Ends::Open }
+    PairSelection::Sequential { reach, ends: Ends::Open, loops: 0 }
 }
 
 #[test]
 fn reads_what_it_writes() {
-    for text in ["exhaustive", "sequential:1", "sequential:20", "sequential:20+ends"] {
+    for text in [
+        "exhaustive",
+        "sequential:1",
+        "sequential:20",
+        "sequential:20+ends",
+        "sequential:20+loops:10",
+        "sequential:3+ends+loops:1",
+        "similar:30",
+    ] {
         assert_eq!(text.parse::<PairSelection>().unwrap().to_string(), text);
     }
     for text in [
@@ -19,6 +27,12 @@ fn reads_what_it_writes() {
         "sequential:+3",
         "sequential:3+",
         "sequential:3+loop",
+        "sequential:3+loops",
+        "sequential:3+loops:",
+        "sequential:3+loops:0",
+        "sequential:3+loops:2+ends",
+        "similar:0",
+        "similar",
         "sequential:99999999999",
         "Exhaustive",
     ] {
@@ -95,7 +109,7 @@ fn nearest_in_time() {
 
 #[test]
 fn ends_are_closed() {
-    let selection = PairSelection::Sequential { reach: 2, ends: Ends::Closed };
+    let selection = PairSelection::Sequential { reach: 2, ends: Ends::Closed, loops: 0 };
     let cameras = [Sequence::new((0..10).collect()), Sequence::new((10..20).collect())];
     let mut expected = sequential(2).pairs(&cameras);
     for first in [0, 1, 10, 11] {

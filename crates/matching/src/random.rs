@@ -3,11 +3,11 @@
 const GAMMA: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// A stream of random numbers.
-pub(super) struct SplitMix64(u64);
+pub(crate) struct SplitMix64(u64);
 
 impl SplitMix64 {
     /// The stream of one task: its index chooses it, not the thread that runs it.
-    pub(super) fn new(seed: u64, task: u64) -> Self {
+    pub(crate) fn new(seed: u64, task: u64) -> Self {
         SplitMix64(mix(seed).wrapping_add(mix(task.wrapping_add(GAMMA))))
     }
 
@@ -17,12 +17,12 @@ impl SplitMix64 {
     }
 
     /// A number below `end`, which is not 0; its bias is below `end / 2^64`.
-    pub(super) fn below(&mut self, end: usize) -> usize {
+    pub(crate) fn below(&mut self, end: usize) -> usize {
         ((u128::from(self.next()) * end as u128) >> 64) as usize
     }
 
     /// Fisher and Yates.
-    pub(super) fn shuffle(&mut self, list: &mut [u32]) {
+    pub(crate) fn shuffle(&mut self, list: &mut [u32]) {
         for end in (2..=list.len()).rev() {
             list.swap(end - 1, self.below(end));
         }

@@ -1,0 +1,224 @@
+//! Loop candidates on rendered drives: how many of the true ones are found, and how long a query takes.
+//!
+//! `cargo run --release -p tiepoint-pipeline --example loops -- [SEED] [MOUNTING] [EFFECTS] [RATE_HZ]`
+//!
+//! Two cameras drive around a block and half of it again. Two images overlap by the smaller of two shares: how many of the
+//! surface points that one sees (pixels of a grid; sky and moving things left out) the other sees as well, nothing standing
+//! in between. True loop pairs are those that overlap by 30 % or more and are not neighbours in time, that is, more than 20
+//! images apart; a revisit is one that lies more than half a round apart. An image often has dozens of true partners, so what
+//! can be found among ten is counted against what could be: 10, or as many as there are. Some true pairs see the same from
+//! such different sides that no feature of one is found in the other; so pairs with 15 right matches are counted as well.
+
+#![allow(clippy::print_stdout)] // What a program is for.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use tiepoint_io::features::{Descriptor, Features, GrayView, Options, Sift};
+use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_sfm::matching::{self, Bank, Prepared, Vocabulary, VocabularyOptions, match_prepared};
+use tiepoint_synth::image::DynamicImage;
+use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, Mounting, RouteKind};
+
+/// The goal of the measurement: overlap, rank and the size of the bank.
+const MIN_OVERLAP: f64 = 0.3;
+const TOP: usize = 10;
+const BANK: usize = 4000;
+/// As `--pairs sequential:20` takes care of.
+const REACH: usize = 20;
+const LENGTH_M: f64 = 200.0;
+/// Grid of pixels whose surfaces are looked up.
+const GRID: [u32; 2] = [12, 9];
+/// Images whose centres are further apart see too little in common.
+const FAR_M: f64 = 60.0;
+/// Matches that connect a pair: as many as its verification asks for, and how near to the truth each is.
+const MIN_MATCHES: usize = 15;
+const MAX_ERROR_PX: f64 = 4.0;
+/// A point is seen if what the pixel sees is this near to it, absolutely and relative to its distance.
+const SAME_M: f64 = 0.05;
+const SAME_SHARE: f64 = 0.02;
+
+struct View<'a> {
+    camera: usize,
+    frame: usize,
+    exposure: &'a Exposure,
+    /// Surface points on the grid.
+    points: Vec<Vector3<f64>>,
+    centre: Vector3<f64>,
+    features: Features,
+    prepared: Prepared,
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let argument = |at: usize, default: &str| arguments.get(at).map_or(default.to_owned(), String::clone);
+    let mounting: Mounting = argument(1, "front").parse()?;
+    let drive = Drive::new(&DriveOptions {
+        seed: argument(0, "1").parse()?,
+        route: RouteKind::Loop,
+        length_m: LENGTH_M,
+        mounts: Mount::stereo(mounting, 0.5).to_vec(),
+        motion: Motion { overlap_m: 0.5 * LENGTH_M, ..Motion::default() },
+        effects: argument(2, "all").parse()?,
+        rate_hz: argument(3, "5").parse()?,
+        ..DriveOptions::default()
+    })?;
+    let views = views(&drive)?;
+    let overlaps: Vec<Vec<f64>> = (0..views.len())
+        .into_par_iter()
+        .map(|a| views.iter().map(|b| overlap(&drive, &views[a], b)).collect())
+        .collect();
+    let is_true = |a: usize, b: usize| overlaps[a][b].min(overlaps[b][a]) >= MIN_OVERLAP;
+    let connected: Vec<Vec<bool>> = (0..views.len())
+        .into_par_iter()
+        .map(|a| (0..views.len()).map(|b| is_true(a, b) && connects(&drive, &views[a], &views[b])).collect())
+        .collect();
+
+    // As the pipeline does: about 400 descriptors for each word.
+    let sample: Vec<Descriptor> = views
+        .iter()
+        .step_by(views.len().div_ceil(256))
+        .flat_map(|view| {
+            view.features
+                .descriptors
+                .iter()
+                .step_by(view.features.descriptors.len().div_ceil(200).max(1))
+                .copied()
+        })
+        .collect();
+    let start = Instant::now();
+    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions::default());
+    let learn_s = start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    let described: Vec<_> =
+        views.iter().map(|view| vocabulary.describe(&view.features.descriptors)).collect();
+    let describe_ms = 1e3 * start.elapsed().as_secs_f64() / views.len() as f64;
+    let bank: Bank = described.iter().cloned().collect();
+    let full: Bank = described.iter().cycle().take(BANK).cloned().collect();
+
+    let half_round = views.iter().map(|view| view.frame).max().unwrap_or(0) / 3;
+    let [mut all, mut revisits, mut connectable] = [Tally::default(), Tally::default(), Tally::default()];
+    let mut query_ms = f64::INFINITY;
+    for (a, view) in views.iter().enumerate() {
+        let apart = |b: usize| views[b].frame.abs_diff(view.frame);
+        let count = |tally: &mut Tally, min_apart: usize, is_true: &dyn Fn(usize) -> bool| {
+            let found = bank.most_similar(&described[a], TOP, |b| apart(b as usize) > min_apart);
+            let found: Vec<usize> = found.iter().map(|similar| similar.image as usize).collect();
+            let is_true = |b: usize| is_true(b) && apart(b) > min_apart;
+            tally.add(&found, (0..views.len()).filter(|&b| is_true(b)).count(), is_true);
+        };
+        count(&mut all, REACH, &|b| is_true(a, b));
+        count(&mut revisits, half_round, &|b| is_true(a, b));
+        count(&mut connectable, REACH, &|b| connected[a][b]);
+        let start = Instant::now();
+        let whole = vocabulary.describe(&view.features.descriptors);
+        full.most_similar(&whole, TOP, |b| b as usize != a);
+        query_ms = query_ms.min(1e3 * start.elapsed().as_secs_f64());
+    }
+    let start = Instant::now();
+    let pairs = full.pairs(TOP, &[]).len();
+    let all_s = start.elapsed().as_secs_f64();
+    println!(
+        "{} images; all true pairs: {all}; revisits: {revisits}; connectable: {connectable}",
+        views.len()
+    );
+    println!(
+        "vocabulary of {} descriptors {learn_s:.2} s; description {describe_ms:.2} ms an image; a query with description \
+         {query_ms:.2} ms among {BANK}; all {BANK} with each other {all_s:.2} s ({pairs} pairs)",
+        sample.len()
+    );
+    Ok(())
+}
+
+/// Hits among the first ten.
+#[derive(Default)]
+struct Tally {
+    queries: usize,
+    first: usize,
+    hits: usize,
+    possible: usize,
+}
+
+impl Tally {
+    fn add(&mut self, found: &[usize], true_ones: usize, is_true: impl Fn(usize) -> bool) {
+        if true_ones > 0 {
+            self.queries += 1;
+            self.first += usize::from(found.first().is_some_and(|&b| is_true(b)));
+            self.hits += found.iter().filter(|&&b| is_true(b)).count();
+            self.possible += true_ones.min(TOP);
+        }
+    }
+}
+
+impl std::fmt::Display for Tally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+        write!(
+            f,
+            "{} queries, {:.4} found among {TOP}, the first is right in {:.4}",
+            self.queries,
+            share(self.hits, self.possible),
+            share(self.first, self.queries)
+        )
+    }
+}
+
+fn views(drive: &Drive) -> Result<Vec<View<'_>>, Box<dyn std::error::Error>> {
+    let renderers: Vec<_> = (0..drive.cameras().len()).map(|camera| drive.renderer(camera)).collect();
+    let exposures: Vec<(usize, usize, &Exposure)> = drive
+        .cameras()
+        .iter()
+        .enumerate()
+        .flat_map(|(camera, c)| c.exposures.iter().enumerate().map(move |(frame, e)| (camera, frame, e)))
+        .collect();
+    let view = |&(camera, frame, exposure): &(usize, usize, _)| {
+        let grey = DynamicImage::from(drive.render(camera, exposure, &renderers[camera])).to_luma8();
+        let view = GrayView::new(grey.as_raw(), grey.width() as usize, grey.height() as usize);
+        let features = Sift::new(Options::default())?.extract(&view, None)?;
+        let pixel = |k: u32, cells: u32, size: u32| (f64::from(k) + 0.5) * f64::from(size) / f64::from(cells);
+        let pixels = (0..GRID[0] * GRID[1]).map(|k| {
+            Vector2::new(
+                pixel(k % GRID[0], GRID[0], grey.width()),
+                pixel(k / GRID[0], GRID[1], grey.height()),
+            )
+        });
+        let surfaces = pixels.filter_map(|pixel| drive.surface_at(camera, exposure.time_s, &pixel));
+        let points = surfaces.filter(|surface| !surface.is_moving).map(|surface| surface.point_in_world);
+        let centre = drive.cam_from_world(camera, exposure.time_s).inverse().translation;
+        let prepared = Prepared::new(&features.descriptors);
+        Ok(View { camera, frame, exposure, points: points.collect(), centre, features, prepared })
+    };
+    let views: Result<Vec<_>, tiepoint_io::features::Error> = exposures.par_iter().map(view).collect();
+    Ok(views?)
+}
+
+/// The share of what `a` sees that `b` sees.
+fn overlap(drive: &Drive, a: &View<'_>, b: &View<'_>) -> f64 {
+    if a.frame.abs_diff(b.frame) <= REACH || (a.centre - b.centre).norm() > FAR_M || a.points.is_empty() {
+        return 0.0;
+    }
+    let size = &drive.cameras()[b.camera];
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let is_seen = |point: &&Vector3<f64>| {
+        let Some(pixel) = drive.project(b.camera, b.exposure.time_s, point) else { return false };
+        if !(0.0..width).contains(&pixel.x) || !(0.0..height).contains(&pixel.y) {
+            return false;
+        }
+        let Some(surface) = drive.surface_at(b.camera, b.exposure.time_s, &pixel) else { return false };
+        (surface.point_in_world - **point).norm() < SAME_M + SAME_SHARE * (b.centre - **point).norm()
+    };
+    a.points.iter().filter(is_seen).count() as f64 / a.points.len() as f64
+}
+
+/// Whether enough features of `a` are matched where `b` truly sees them.
+fn connects(drive: &Drive, a: &View<'_>, b: &View<'_>) -> bool {
+    let matches = match_prepared(&a.prepared, &b.prepared, &matching::Options::default());
+    let is_right = |m: &&matching::Match| {
+        let (p, q) = (a.features.keypoints[m.a as usize], b.features.keypoints[m.b as usize]);
+        let pixel = Vector2::new(f64::from(p.x), f64::from(p.y));
+        let surface = drive.surface_at(a.camera, a.exposure.time_s, &pixel);
+        let seen = surface.and_then(|s| drive.project(b.camera, b.exposure.time_s, &s.point_in_world));
+        seen.is_some_and(|seen| (seen - Vector2::new(f64::from(q.x), f64::from(q.y))).norm() < MAX_ERROR_PX)
+    };
+    matches.iter().filter(is_right).count() >= MIN_MATCHES
+}
