@@ -75,6 +75,9 @@ const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 /// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a rigid rig costs them 6 %. Clocks
 /// that disagree by as much as matters cost them far more.
 const HELD_OUT_TOLERANCE: f64 = 0.08;
+/// Cameras are held when their relative poses end within this many standard deviations of the mounting. Where clocks disagree or a mount
+/// gives, they do not follow, and the firmest deviations at which they did are kept.
+const MAX_LEFT: f64 = 3.0;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
@@ -103,7 +106,9 @@ pub(crate) fn hold_to_mountings(
     let found = spread(context, model);
     let mut sigmas =
         (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
+    let off = model.clone();
     let mut best: Option<(Reconstruction, Vec<Mounting>, f64)> = None;
+    let mut is_firm = false;
     for step in 0..MAX_STEPS {
         let hold = Hold::Soft { sigma_translation: sigmas.0, sigma_rotation_rad: sigmas.1 };
         let mut candidate = model.clone();
@@ -114,14 +119,18 @@ pub(crate) fn hold_to_mountings(
         if !is_asked_for && error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px {
             break;
         }
-        *model = candidate.clone();
-        best = Some((candidate, mountings, error_px));
+        let left = spread(context, &candidate);
+        let is_held = left.0 <= MAX_LEFT * sigmas.0 && left.1 <= MAX_LEFT * sigmas.1;
+        if is_held || is_asked_for {
+            best = Some((candidate.clone(), mountings, error_px));
+            is_firm = sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
+        }
+        *model = candidate;
         if sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1 {
             break;
         }
         sigmas = ((sigmas.0 / TIGHTEN).max(SIGMA_FLOOR.0), (sigmas.1 / TIGHTEN).max(SIGMA_FLOOR.1));
     }
-    let is_firm = sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
     if (term == RigTerm::Hard || term == RigTerm::Auto && is_firm)
         && let Some((soft, _, error_soft_px)) = &best
     {
@@ -135,8 +144,9 @@ pub(crate) fn hold_to_mountings(
         }
     }
     let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
-    if let Some((chosen, held, error)) = best {
-        (*model, mountings, error_px) = (chosen, held, error);
+    match best {
+        Some((chosen, held, error)) => (*model, mountings, error_px) = (chosen, held, error),
+        None => *model = off,
     }
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     for point in points {
