@@ -78,11 +78,7 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             let loss = self.losses.get(index);
             let squared_norm = residual.norm_squared();
             *cost = half_rho(loss, squared_norm);
-            // Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
-            let weight = match loss {
-                Loss::Trivial => 1.0,
-                _ => loss.evaluate(squared_norm)[1].sqrt(),
-            };
+            let weight = sqrt_weight(loss, squared_norm);
             F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
             for r in 0..R {
                 rows[r * stride + total] = weight * residual[r];
@@ -107,10 +103,7 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             let loss = self.losses.get(index);
             let squared_norm = residual.norm_squared();
             *cost = half_rho(loss, squared_norm);
-            let weight = match loss {
-                Loss::Trivial => 1.0,
-                _ => loss.evaluate(squared_norm)[1].sqrt(),
-            };
+            let weight = sqrt_weight(loss, squared_norm);
             F::Vars::write_own::<R, I>(&jacobians, weight, rows, dof + 1);
             for r in 0..R {
                 rows[r * (dof + 1) + dof] = weight * residual[r];
@@ -203,6 +196,15 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]);
     /// The first factor that is not finite: its number, what, and the value.
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
+}
+
+/// Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it. This is √ρ'.
+#[inline(always)]
+fn sqrt_weight(loss: &Loss, squared_norm: f64) -> f64 {
+    match loss {
+        Loss::Trivial => 1.0,
+        _ => loss.evaluate(squared_norm)[1].sqrt(),
+    }
 }
 
 #[inline(always)]

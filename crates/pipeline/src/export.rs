@@ -16,6 +16,7 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
 use crate::records::Records;
+use crate::workspace::STAGES;
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,10 +146,11 @@ fn for_each_photo(
     model: &Reconstruction,
     work: impl Fn(&Image, &Path) -> Result<(), Error> + Sync,
 ) -> Result<(), Error> {
-    if !from.join("stages.json").is_file() {
+    let stages = from.join(STAGES);
+    if !stages.is_file() {
         return Err(Error::NoPhotos { path: from.to_owned() });
     }
-    let inputs = Records::read(&from.join("stages.json"))?.inputs;
+    let inputs = Records::read(&stages)?.inputs;
     let folder = ImageFolder::open(&inputs, None)?;
     let by_name: BTreeMap<&str, usize> =
         folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();

@@ -99,7 +99,7 @@ impl RigReport {
     pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History) -> Option<Self> {
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
-            rigs.iter().map(|rig| (rig, relative_poses(model, rig))).collect();
+            rigs.iter().map(|rig| (rig, relative_poses(model, &rig.pairs))).collect();
         let cameras: Vec<RigCameraReport> =
             series.iter().filter_map(|(rig, poses)| camera(model, rig, poses)).collect();
         let mode = match term {

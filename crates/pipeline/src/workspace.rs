@@ -16,7 +16,7 @@ pub struct Workspace {
 }
 
 const LOCK: &str = ".lock";
-const STAGES: &str = "stages.json";
+pub(crate) const STAGES: &str = "stages.json";
 const REPORT: &str = "report.json";
 const DATABASE: &str = "database.db";
 const SPARSE: &str = "sparse";

@@ -2,7 +2,8 @@
 //!
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
 //! leaving columns out: the pose of one image and the coordinate of a second image's translation that moves most with the
-//! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take part; afterwards each is moved to where the adjusted poses see it.
+//! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take
+//! part; afterwards each is moved to where the adjusted poses see it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
@@ -108,6 +109,11 @@ pub fn adjust(
     bundle.write_back(model);
     retriangulate_held_out(model);
     Ok(summary)
+}
+
+/// For adjustments that nobody watches.
+pub(crate) fn keep_going(_: &IterationRecord) -> ControlFlow<()> {
+    ControlFlow::Continue(())
 }
 
 /// A problem and which of its variables is what.
@@ -278,6 +284,9 @@ impl Bundle {
         links: &[BaselineLink],
         moves: &dyn Fn(ImageId) -> bool,
     ) -> Result<(), Error> {
+        if links.is_empty() {
+            return Ok(());
+        }
         let mut keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
         for link in links {
             let images = link.images();
@@ -306,6 +315,9 @@ impl Bundle {
         mountings: &[Mounting],
         rigid: &BTreeMap<ImageId, (usize, ImageId)>,
     ) -> Result<(), Error> {
+        if mountings.is_empty() {
+            return Ok(());
+        }
         let keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
         for (index, mounting) in mountings.iter().enumerate() {
             let key = self.problem.keep(mounting.right_from_left, Order::Shared);

@@ -1,5 +1,8 @@
+use std::ops::ControlFlow;
+
 use tiepoint_scene::ImageId;
 
+use crate::Error;
 use crate::mounting::Hold;
 
 /// What the mapper tells while it works.
@@ -54,4 +57,12 @@ pub enum Event {
         /// The same as it is now.
         error_px: f64,
     },
+}
+
+/// Tells an event; an error where the answer is to stop.
+pub(crate) fn tell(watch: &mut dyn FnMut(&Event) -> ControlFlow<()>, event: &Event) -> Result<(), Error> {
+    match watch(event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    }
 }

@@ -76,14 +76,15 @@ pub fn estimate_focal_lengths(graph: &CorrespondenceGraph, model: &mut Reconstru
         model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
     let mut found = vec![false; unknown.len()];
     let rounds = if unknown.len() > 1 { NUM_ROUNDS } else { 1 };
+    let pairs: Vec<(Vec<Pair>, bool)> =
+        unknown.iter().map(|&camera| pairs_of(graph, model, camera)).collect();
     for round in 0..rounds {
-        for (index, &camera) in unknown.iter().enumerate() {
-            let (pairs, is_alone) = pairs_of(graph, model, camera);
+        for (index, (&camera, (pairs, is_alone))) in unknown.iter().zip(&pairs).enumerate() {
             // What depends on this camera alone is settled by the first round.
-            if round > 0 && is_alone {
+            if round > 0 && *is_alone {
                 continue;
             }
-            if let Some(focal_px) = best_focal_px(model, camera, &pairs) {
+            if let Some(focal_px) = best_focal_px(model, camera, pairs) {
                 found[index] = true;
                 let camera = model.camera_mut(camera);
                 camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
@@ -199,7 +200,8 @@ fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Op
     is_determined.then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
 }
 
-fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
+/// The same with another focal length, in both directions.
+pub(crate) fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
     let mut changed = *intrinsics;
     for &param in intrinsics.kind().focal_indices() {
         changed.params_mut()[param] = focal_px;

@@ -9,14 +9,15 @@ use std::ops::ControlFlow;
 use tiepoint_geometry::{Loss, Rigid3, Rng};
 use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, PointId, Reconstruction};
 
-use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
+use crate::event::tell;
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
-use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors};
+use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors, with_focal};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
 use crate::mounting::{Context, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
-use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
+use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::visibility::{Visibility, visibility};
 use crate::{Error, Event};
 
@@ -192,9 +193,7 @@ fn choose_focal_lengths(
         for &id in &unknown {
             let camera = changed.camera_mut(id);
             let focal_px = relative * f64::from(camera.width.max(camera.height));
-            for &param in camera.intrinsics.kind().focal_indices() {
-                camera.intrinsics.params_mut()[param] = focal_px;
-            }
+            camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
         }
         changed
     };
@@ -202,6 +201,9 @@ fn choose_focal_lengths(
     let mut best = (MIN_TRIAL_GAIN * guess, scene.clone());
     for relative in FOCAL_HYPOTHESES {
         let candidate = with(scene, relative);
+        if unknown.iter().all(|&id| candidate.camera(id) == scene.camera(id)) {
+            continue; // The guess, which has been tried.
+        }
         let score = explained(&candidate);
         if score > best.0 {
             best = (score, candidate);
@@ -482,10 +484,7 @@ impl<'a> Mapper<'a> {
     ) -> Result<(), Error> {
         let mut before = (self.model.num_observations(), f64::INFINITY);
         for _ in 0..rounds {
-            retriangulate(self.graph, &mut self.model, &self.options.tracks);
-            let points: Vec<PointId> = self.model.tracks().map(|(point, _)| point).collect();
-            complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
-            merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
+            recreate_tracks(self.graph, &mut self.model, &self.options.tracks);
             let links = self.links();
             let after = self.adjust_globally(&links, function_tolerance, max_iterations, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
@@ -572,16 +571,5 @@ impl<'a> Mapper<'a> {
             num_points: self.model.num_tracks(),
         };
         tell(watch, &event)
-    }
-}
-
-fn keep_going(_: &tiepoint_ba::IterationRecord) -> ControlFlow<()> {
-    ControlFlow::Continue(())
-}
-
-fn tell(watch: &mut dyn FnMut(&Event) -> ControlFlow<()>, event: &Event) -> Result<(), Error> {
-    match watch(event) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Cancelled),
     }
 }

@@ -50,7 +50,7 @@ pub fn initial_pairs(
 }
 
 /// The relative pose that the verification found, or the one that its fundamental matrix means for the present intrinsics.
-fn relative_pose(model: &Reconstruction, pair: &ImagePair, two_view: &TwoView) -> Option<Rigid3> {
+pub(crate) fn relative_pose(model: &Reconstruction, pair: &ImagePair, two_view: &TwoView) -> Option<Rigid3> {
     if let Some(pose) = two_view.cam2_from_cam1 {
         return Some(pose);
     }

@@ -10,18 +10,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use tiepoint_geometry::{Rigid3, epipolar, so3};
+use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::{RelativePose, robust_average};
 use tiepoint_scene::{
-    CorrespondenceGraph, Frame, ImageId, ImagePair, Observation, PointId, Reconstruction, Rig, RigId,
-    RigSensor,
+    CorrespondenceGraph, Frame, ImageId, ImagePair, Observation, Reconstruction, Rig, RigId, RigSensor,
 };
 
-use crate::adjust::{AdjustOptions, Scope, adjust};
+use crate::adjust::{AdjustOptions, Scope, adjust, keep_going};
+use crate::event::tell;
 use crate::filter::{FilterOptions, filter_all_points};
 use crate::hold_out::hold_out_tracks;
+use crate::initial_pair::relative_pose;
 use crate::rig_pairs::{RigPair, RigPairs, relative_poses};
-use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate};
+use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::triangulation::{Sight, nearest_to_rays};
 use crate::{Error, Event, RigTerm};
 
@@ -148,12 +149,7 @@ pub(crate) fn hold_to_mountings(
         Some((chosen, held, error)) => (*model, mountings, error_px) = (chosen, held, error),
         None => *model = off,
     }
-    let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-    for point in points {
-        if let Some(track) = model.track_mut(point) {
-            track.is_held_out = false;
-        }
-    }
+    hold_out_tracks(model, 0.0, context.seed);
     context.refine(model, &mountings, 1.0)?;
     make_frames(model, &mountings);
     let held: BTreeSet<RigPair> = mountings.iter().flat_map(|m| m.pairs.iter().copied()).collect();
@@ -171,14 +167,10 @@ impl Context<'_> {
     /// Adjusts, re-creates tracks between the poses that came out, and adjusts again.
     fn refine(&self, model: &mut Reconstruction, mountings: &[Mounting], widened: f64) -> Result<(), Error> {
         let options = AdjustOptions { mountings, max_iterations: ITERATIONS, ..self.adjust };
-        let mut keep_going = |_: &tiepoint_ba::IterationRecord| ControlFlow::Continue(());
         adjust(model, &Scope::Global, &options, &mut keep_going)?;
         let tracks =
             TrackOptions { max_merge_error_px: widened * self.tracks.max_merge_error_px, ..*self.tracks };
-        retriangulate(self.graph, model, &tracks);
-        let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-        complete_tracks(self.graph, model, &points, &tracks);
-        merge_tracks(self.graph, model, &points, &tracks);
+        recreate_tracks(self.graph, model, &tracks);
         adjust(model, &Scope::Global, &options, &mut keep_going)?;
         filter_all_points(model, self.filter);
         Ok(())
@@ -188,7 +180,7 @@ impl Context<'_> {
     fn mountings(&self, model: &Reconstruction, hold: Hold) -> Vec<Mounting> {
         let mounting = |rig: &RigPairs| -> Option<Mounting> {
             let (pairs, poses): (Vec<RigPair>, Vec<RelativePose>) =
-                relative_poses(model, rig).into_iter().unzip();
+                relative_poses(model, &rig.pairs).into_iter().unzip();
             let average = robust_average(&poses)?;
             let (spread_t, spread_r) = spread_of(&poses, &average);
             let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
@@ -211,19 +203,7 @@ impl Context<'_> {
             if two_view.matches.len() < MIN_OWN_MATCHES {
                 return None;
             }
-            let ray = |image: ImageId, keypoint: u32| {
-                let pixel = model.image(image).keypoints[keypoint as usize].pixel;
-                model.camera_of(image).intrinsics.unproject(&pixel)
-            };
-            let (rays1, rays2): (Vec<_>, Vec<_>) =
-                two_view.matches.iter().filter_map(|m| Some((ray(key.a, m.a)?, ray(key.b, m.b)?))).unzip();
-            let calibration = |image| model.camera_of(image).intrinsics.calibration_matrix();
-            let essential = epipolar::essential_from_fundamental(
-                &two_view.fundamental?,
-                &calibration(key.a),
-                &calibration(key.b),
-            );
-            let (b_from_a, _) = epipolar::pose_from_essential(&essential, &rays1, &rays2)?;
+            let b_from_a = relative_pose(model, &key, two_view)?;
             let right_from_left = if key.a == pair.left { b_from_a } else { b_from_a.inverse() };
             Some(RelativePose::between(&Rigid3::identity(), &right_from_left))
         };
@@ -260,7 +240,8 @@ fn spread_of(poses: &[RelativePose], average: &RelativePose) -> (f64, f64) {
 fn spread(context: &Context, model: &Reconstruction) -> (f64, f64) {
     let mut widest = (0.0_f64, 0.0_f64);
     for rig in context.rigs {
-        let poses: Vec<RelativePose> = relative_poses(model, rig).into_iter().map(|(_, pose)| pose).collect();
+        let poses: Vec<RelativePose> =
+            relative_poses(model, &rig.pairs).into_iter().map(|(_, pose)| pose).collect();
         let Some(average) = robust_average(&poses) else { continue };
         let (t, r) = spread_of(&poses, &average);
         widest = (widest.0.max(t), widest.1.max(r));
@@ -272,14 +253,8 @@ fn spread(context: &Context, model: &Reconstruction) -> (f64, f64) {
 fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
     for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
         // After an adjustment all pairs have one relative pose, before it their average serves.
-        let poses: Vec<RelativePose> = mounting
-            .pairs
-            .iter()
-            .filter_map(|pair| {
-                let pose = |image| model.image(image).cam_from_world();
-                Some(RelativePose::between(pose(pair.left)?, pose(pair.right)?))
-            })
-            .collect();
+        let poses: Vec<RelativePose> =
+            relative_poses(model, &mounting.pairs).into_iter().map(|(_, pose)| pose).collect();
         let Some(average) = robust_average(&poses) else { continue };
         for pair in &mounting.pairs {
             let Some(left) = model.image(pair.left).cam_from_world().copied() else { continue };
@@ -342,11 +317,4 @@ fn held_out_error_px(model: &Reconstruction, tracks: &[Vec<Observation>]) -> f64
         }
     }
     (sum / count.max(1) as f64).sqrt()
-}
-
-fn tell(watch: &mut dyn FnMut(&Event) -> ControlFlow<()>, event: &Event) -> Result<(), Error> {
-    match watch(event) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Cancelled),
-    }
 }

@@ -114,9 +114,9 @@ fn by_name(scene: &Reconstruction, lefts: &[ImageId], rights: &[ImageId]) -> Vec
 }
 
 /// The relative poses of the pairs of which both images have a pose, in order of time.
-pub fn relative_poses(model: &Reconstruction, rig: &RigPairs) -> Vec<(RigPair, RelativePose)> {
+pub fn relative_poses(model: &Reconstruction, pairs: &[RigPair]) -> Vec<(RigPair, RelativePose)> {
     let pose = |image| model.image(image).cam_from_world();
-    rig.pairs
+    pairs
         .iter()
         .filter_map(|pair| Some((*pair, RelativePose::between(pose(pair.left)?, pose(pair.right)?))))
         .collect()
@@ -142,7 +142,7 @@ fn links(
     let mut links = Vec::new();
     for rig in rigs {
         let (pairs, poses): (Vec<RigPair>, Vec<RelativePose>) =
-            relative_poses(model, rig).into_iter().unzip();
+            relative_poses(model, &rig.pairs).into_iter().unzip();
         let Some(&near) = poses.first() else { continue };
         let weights = weights(&poses, rig.pairs.len());
         links.extend(pairs.windows(2).zip(weights).map(|(w, weight)| BaselineLink {

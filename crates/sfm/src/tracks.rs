@@ -126,6 +126,18 @@ pub fn retriangulate(
     images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
 }
 
+/// [`retriangulate`], [`complete_tracks`] and [`merge_tracks`] of everything, one after the other.
+pub(crate) fn recreate_tracks(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    options: &TrackOptions,
+) {
+    retriangulate(graph, model, options);
+    let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
+    complete_tracks(graph, model, &points, options);
+    merge_tracks(graph, model, &points, options);
+}
+
 /// Adds to each of `points` the keypoints that are connected to its track by correspondences, see no point yet and fit.
 pub fn complete_tracks(
     graph: &CorrespondenceGraph,

@@ -119,7 +119,8 @@ fn the_papers_term_lessens_the_spread_of_the_baseline() {
         let scatter = |rig| {
             let model = run(&truth, &calibrated(rig));
             let rigs = rig_pairs(&model);
-            let poses: Vec<_> = relative_poses(&model, &rigs[0]).into_iter().map(|(_, pose)| pose).collect();
+            let poses: Vec<_> =
+                relative_poses(&model, &rigs[0].pairs).into_iter().map(|(_, pose)| pose).collect();
             let spread = spread(&poses).expect("ten moments");
             (spread.rms_translation / spread.mean_baseline, spread.rms_rotation_rad)
         };
@@ -147,7 +148,7 @@ fn one_mounting_is_found_and_held() {
         let model = models.remove(0);
         model.validate().expect("a sound model");
         let poses: Vec<_> =
-            relative_poses(&model, &rig_pairs(&model)[0]).into_iter().map(|(_, pose)| pose).collect();
+            relative_poses(&model, &rig_pairs(&model)[0].pairs).into_iter().map(|(_, pose)| pose).collect();
         let found = spread(&poses).expect("ten moments");
         let relative = found.rms_translation / found.mean_baseline;
         spreads.push(relative);
