@@ -1,10 +1,20 @@
 //! The pose of one more image, from its keypoints that match keypoints which see points.
+//!
+//! Where texture repeats, wrong matches agree on a wrong pose, and may be more than the right ones: windows of a facade look alike from
+//! places that differ by their distance. What gives such a pose away are correspondences that it lacks (Zach, Irschara & Bischof 2008): an
+//! image there would have to see nearly all that the images around it see.
 
 use std::collections::BTreeSet;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{RansacOptions, estimate};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
+use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
+
+/// A second pose is looked at when what the first one leaves has this share of its inliers.
+const MIN_RIVAL_SHARE: f64 = 0.3;
+/// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk & Schmid 2005).
+const SAME_ANGLE_RAD: f64 = 0.175;
+const SAME_DISTANCE: f64 = 1.25;
 
 /// What counts as registered.
 #[derive(Clone, Copy, Debug)]
@@ -43,16 +53,57 @@ pub fn register_image(
     let points: Vec<Vector3<f64>> =
         candidates.iter().filter_map(|(_, point)| model.track(*point)).map(|track| track.xyz).collect();
     let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
-    let report = estimate::absolute_pose(&pixels, &points, &model.camera_of(image).intrinsics, &ransac)?;
+    let intrinsics = &model.camera_of(image).intrinsics;
+    let mut report = estimate::absolute_pose(&pixels, &points, intrinsics, &ransac)?;
     let share = report.num_inliers as f64 / candidates.len() as f64;
     if report.num_inliers < options.min_num_inliers || share < options.min_inlier_share {
         return None;
+    }
+    // What the best pose leaves may agree on another one.
+    let others: Vec<usize> = (0..candidates.len()).filter(|&i| !report.inliers[i]).collect();
+    let least = options.min_num_inliers.max((MIN_RIVAL_SHARE * report.num_inliers as f64) as usize);
+    if others.len() >= least {
+        let (pixels, points): (Vec<_>, Vec<_>) = others.iter().map(|&i| (pixels[i], points[i])).unzip();
+        let rival = estimate::absolute_pose(&pixels, &points, intrinsics, &ransac);
+        if let Some(rival) = rival.filter(|rival| rival.num_inliers >= least) {
+            let found = |report: &Report<Rigid3>| {
+                report.num_inliers as f64 / num_expected(model, image, &report.model).max(1) as f64
+            };
+            if found(&rival) > found(&report) {
+                let mut inliers = vec![false; candidates.len()];
+                others.iter().zip(&rival.inliers).for_each(|(&i, inlier)| inliers[i] = *inlier);
+                report = Report { inliers, ..rival };
+            }
+        }
     }
     model.register(image, report.model);
     for ((keypoint, point), _) in candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier) {
         model.add_observation(*point, Observation { image, keypoint: *keypoint });
     }
     Some(report.num_inliers)
+}
+
+/// How many points an image with this pose ought to see: those that project into it and that some image sees from nearly the same
+/// direction and distance.
+fn num_expected(model: &Reconstruction, image: ImageId, cam_from_world: &Rigid3) -> usize {
+    let camera = model.camera_of(image);
+    let centre = cam_from_world.origin_in_a();
+    let is_expected = |track: &Track| {
+        let is_inside = camera
+            .intrinsics
+            .project(&(*cam_from_world * track.xyz))
+            .is_some_and(|pixel| camera.contains(&pixel));
+        let ray = track.xyz - centre;
+        let looks_alike = |observation: &Observation| {
+            model.image(observation.image).cam_from_world().is_some_and(|pose| {
+                let seen = track.xyz - pose.origin_in_a();
+                let ratio = ray.norm() / seen.norm();
+                ray.angle(&seen) < SAME_ANGLE_RAD && ratio.max(1.0 / ratio) < SAME_DISTANCE
+            })
+        };
+        is_inside && track.observations.iter().any(looks_alike)
+    };
+    model.tracks().filter(|(_, track)| is_expected(track)).count()
 }
 
 /// Keypoints with the points that their correspondences see; a keypoint may have several.
@@ -68,4 +119,85 @@ fn candidates(graph: &CorrespondenceGraph, model: &Reconstruction, image: ImageI
         candidates.extend(points.into_iter().map(|point| (keypoint, point)));
     }
     candidates
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
+    use tiepoint_scene::{
+        Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation, Reconstruction,
+        Track, TwoView, TwoViewKind,
+    };
+
+    use super::{RegisterOptions, register_image};
+
+    /// Points of the place where the image is, how many of them are matched, and the same of the place that looks alike.
+    const TRUE_PLACE: (usize, usize) = (150, 60);
+    const ALIKE_PLACE: (usize, usize) = (400, 80);
+    /// Between the two places, in metres; and how far the found pose may be from the true one without any noise.
+    const APART_M: f64 = 100.0;
+    const TOLERANCE_M: f64 = 1e-3;
+
+    /// Two walls that look alike, each seen by one image, and an image between whose keypoints are half of one and half of the other.
+    #[test]
+    fn a_pose_that_lacks_correspondences_loses_against_one_with_fewer_inliers() {
+        let intrinsics = Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
+        let mut model = Reconstruction::default();
+        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let centres = [Vector3::zeros(), Vector3::new(APART_M, 0.0, 0.0), Vector3::new(0.3, 0.0, 0.1)];
+        let poses = centres.map(|centre| Rigid3 { translation: -centre, ..Rigid3::identity() });
+        let mut rng = Rng::stream(5, &[]);
+        let mut keypoints: [Vec<Keypoint>; 3] = Default::default();
+        let mut walls: Vec<(Vector3<f64>, usize)> = Vec::new();
+        let mut matches: [Vec<Match>; 2] = Default::default();
+        let see = |pose: &Rigid3, point: &Vector3<f64>| -> Option<Vector2<f64>> {
+            let pixel = intrinsics.project(&(*pose * *point))?;
+            (pixel.x > 0.0 && pixel.x < 640.0 && pixel.y > 0.0 && pixel.y < 480.0).then_some(pixel)
+        };
+        for (place, (num_points, num_matched)) in [TRUE_PLACE, ALIKE_PLACE].into_iter().enumerate() {
+            while keypoints[place].len() < num_points {
+                let [x, y, z] = [0; 3].map(|_| rng.uniform());
+                let offset = Vector3::new(6.0 * x - 3.0, 4.0 * y - 2.0, 5.0 + 4.0 * z);
+                let (point, as_if) = (centres[place] + offset, offset);
+                let (Some(seen), Some(again)) = (see(&poses[place], &point), see(&poses[2], &as_if)) else {
+                    continue;
+                };
+                walls.push((point, place));
+                if keypoints[place].len() < num_matched {
+                    let (a, b) = (keypoints[place].len() as u32, keypoints[2].len() as u32);
+                    matches[place].push(Match { a, b });
+                    keypoints[2].push(Keypoint { pixel: again, scale_px: 1.0 });
+                }
+                keypoints[place].push(Keypoint { pixel: seen, scale_px: 1.0 });
+            }
+        }
+        let counts: Vec<usize> = keypoints.iter().map(Vec::len).collect();
+        let images: Vec<ImageId> = keypoints
+            .into_iter()
+            .enumerate()
+            .map(|(index, keypoints)| model.add_image(Image::new(index.to_string(), camera, keypoints)))
+            .collect();
+        for place in 0..2 {
+            model.register(images[place], poses[place]);
+        }
+        let mut seen = [0; 2];
+        for (xyz, place) in walls {
+            let observation = Observation { image: images[place], keypoint: seen[place] };
+            seen[place] += 1;
+            model.add_track(Track::new(xyz, vec![observation]));
+        }
+        let two_views = matches.into_iter().enumerate().filter_map(|(place, matches)| {
+            Some((
+                ImagePair::new(images[place], images[2])?,
+                TwoView { kind: TwoViewKind::Calibrated, matches, ..TwoView::default() },
+            ))
+        });
+        let graph = CorrespondenceGraph::new(&counts, two_views);
+        let num_inliers =
+            register_image(&graph, &mut model, images[2], &RegisterOptions::default(), 1).unwrap();
+        assert_eq!(num_inliers, TRUE_PLACE.1);
+        let found = model.image(images[2]).cam_from_world().unwrap().origin_in_a();
+        assert!((found - centres[2]).norm() < TOLERANCE_M, "{found}");
+    }
 }
