@@ -21,6 +21,8 @@ use crate::progress::Progress;
 const BASELINE_M: f64 = 0.5;
 /// A scan a second shows everything beside the way.
 pub(crate) const SCAN_EVERY_TURNS: usize = 10;
+/// Images at once, for each thread; each takes some 25 bytes a pixel.
+const AT_ONCE: usize = 3;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
 
@@ -109,8 +111,8 @@ pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Re
     let mut done = 0;
     for (index, camera) in drive.cameras().iter().enumerate() {
         let renderer = drive.renderer(index);
-        // Several at a time: files are encoded by one thread each.
-        for exposures in camera.exposures.chunks(rayon::current_num_threads()) {
+        // Several at a time: files are encoded by one thread each, while others render.
+        for exposures in camera.exposures.chunks(AT_ONCE * rayon::current_num_threads()) {
             for exposure in exposures {
                 progress.rendering(&exposure.name, done, total);
                 done += 1;

@@ -33,14 +33,26 @@ pub(crate) fn smoothstep(x: f32) -> f32 {
 }
 
 /// `x.floor()` for numbers that fit 32 bits: processors without SSE 4.1 would call a function for it.
+#[inline(always)]
 pub(crate) fn floor(x: f64) -> i32 {
-    let truncated = x as i32;
-    truncated - i32::from(x < f64::from(truncated))
+    whole(x).0
 }
 
+/// The whole number below `x`, twice: added to a number so large that its last bit counts ones, `x` is rounded, and the result is among
+/// the last bits of the sum. A cast would look for numbers that do not fit.
+#[inline(always)]
+fn whole(x: f64) -> (i32, f64) {
+    const LARGE: f64 = 1.5 * (1u64 << 52) as f64;
+    let sum = x + LARGE;
+    let (bits, rounded) = (sum.to_bits() as i32, sum - LARGE);
+    let excess = i32::from(rounded > x);
+    (bits - excess, rounded - f64::from(excess))
+}
+
+#[inline(always)]
 fn lattice(x: f64) -> (i32, f32) {
-    let whole = floor(x);
-    (whole, (x - f64::from(whole)) as f32)
+    let (whole, below) = whole(x);
+    (whole, (x - below) as f32)
 }
 
 /// A footprint longer than this many times its width is split along its length, into at most so many parts.
@@ -73,25 +85,38 @@ impl Footprint {
         self.length + self.width
     }
 
-    /// Mean of a function of (offset, width, width along each axis) over the parts of the footprint: as many as its shape asks
-    /// for, but none finer than `fineness`.
+    /// Into how many parts along its length it is divided: as many as its shape asks for, but none finer than `fineness`. And the width
+    /// of a part.
+    fn divide(&self, fineness: f64) -> (usize, f64) {
+        let undivided = (SPLIT * self.width).max(fineness);
+        if self.length <= undivided {
+            return (1, self.length.max(self.width));
+        }
+        let parts = (self.length / undivided).min(MAX_PARTS).ceil();
+        (parts as usize, (self.length / parts).max(self.width))
+    }
+
+    /// Where the middle of a part lies along the length, −½ to ½.
+    fn middle(part: usize, parts: usize) -> f64 {
+        (part as f64 + 0.5) / parts as f64 - 0.5
+    }
+
+    /// Mean of a function of (offset, width, width along each axis) over the parts of the footprint.
     #[inline(always)]
     pub(crate) fn mean<const N: usize>(
         &self,
         fineness: f64,
         f: impl Fn([f64; 2], f64, [f64; 2]) -> [f32; N],
     ) -> [f32; N] {
-        let ratio = self.length / (SPLIT * self.width).max(fineness);
-        if ratio <= 1.0 {
+        let (parts, width) = self.divide(fineness);
+        if parts == 1 {
             let axes = [0, 1].map(|axis| self.long[axis].abs() + self.short[axis]);
-            return f([0.0; 2], self.length.max(self.width), axes);
+            return f([0.0; 2], width, axes);
         }
-        let parts = ratio.min(MAX_PARTS).ceil();
-        let width = (self.length / parts).max(self.width);
-        let axes = [0, 1].map(|axis| self.long[axis].abs() / parts + self.short[axis]);
+        let axes = [0, 1].map(|axis| self.long[axis].abs() / parts as f64 + self.short[axis]);
         let mut sum = [0.0f32; N];
-        for part in 0..parts as usize {
-            let along = (part as f64 + 0.5) / parts - 0.5;
+        for part in 0..parts {
+            let along = Self::middle(part, parts);
             let value = f(self.long.map(|step| step * along), width, axes);
             sum = std::array::from_fn(|k| sum[k] + value[k]);
         }
@@ -100,6 +125,7 @@ impl Footprint {
 }
 
 /// One octave: random values at lattice points, interpolated smoothly; in −1..1.
+#[inline(always)]
 fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
     let ((ix, fx), (iy, fy)) = (lattice(x), lattice(y));
     let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
@@ -117,6 +143,9 @@ fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
     (bottom + sy * (top - bottom)) * (2.0 / (1u32 << 24) as f32) - 1.0
 }
 
+/// Size of an octave's blobs relative to the one before.
+const LACUNARITY: f64 = 0.43;
+
 /// Several octaves, from blobs of `coarsest` size downwards; an octave is gone before its blobs are as small as the footprint.
 pub(crate) struct Fractal {
     pub(crate) coarsest: f64,
@@ -128,24 +157,27 @@ pub(crate) struct Fractal {
 impl Fractal {
     /// About −1..1. Coarse octaves look at the middle of a long footprint only: they do not change along it.
     pub(crate) fn at(&self, [u, v]: [f64; 2], footprint: &Footprint, seed: u32) -> f32 {
-        let (mut sum, mut amplitude, mut size) = (0.0, 1.0, self.coarsest);
+        let (mut sum, mut amplitude, mut size, mut inverse) = (0.0, 1.0, self.coarsest, 1.0 / self.coarsest);
         for octave in 0..self.octaves {
             if size <= footprint.width {
                 break;
             }
-            let inverse = 1.0 / size;
-            let [value] = footprint.mean(size / 3.0, |offset, width, _| {
+            let (parts, width) = footprint.divide(size * (1.0 / 3.0));
+            if size > width {
                 // Full above three footprints, nothing at one.
-                let fade = smoothstep(((size / width - 1.0) * 0.5) as f32);
-                if fade <= 0.0 {
-                    return [MEAN];
+                let fade =
+                    if size >= 3.0 * width { 1.0 } else { smoothstep(((size / width - 1.0) * 0.5) as f32) };
+                let mut value = 0.0;
+                for part in 0..parts {
+                    let along = if parts == 1 { 0.0 } else { Footprint::middle(part, parts) };
+                    let [x, y] = [u + footprint.long[0] * along, v + footprint.long[1] * along];
+                    value += value_noise(x * inverse, y * inverse, seed.wrapping_add(octave));
                 }
-                let (x, y) = ((u + offset[0]) * inverse, (v + offset[1]) * inverse);
-                [fade * value_noise(x, y, seed.wrapping_add(octave))]
-            });
-            sum += amplitude * value;
+                sum += amplitude * fade / parts as f32 * value;
+            }
             amplitude *= self.persistence;
-            size *= 0.43;
+            size *= LACUNARITY;
+            inverse *= 1.0 / LACUNARITY;
         }
         sum
     }
@@ -204,15 +236,17 @@ pub(crate) fn spots([u, v]: [f64; 2], footprint: &Footprint, size: f64, share: f
     if footprint.width > size {
         return MEAN;
     }
+    let inverse = 1.0 / size;
     // The edge of a large spot may be a little softer than a long footprint would make it.
-    let [mean] = footprint.mean(size / 10.0, |offset, width, _| {
-        [spot([u + offset[0], v + offset[1]], width, size, share, seed)]
+    let [mean] = footprint.mean(size * 0.1, |offset, width, _| {
+        [spot([(u + offset[0]) * inverse, (v + offset[1]) * inverse], width * inverse, share, seed)]
     });
     mean
 }
 
-fn spot([u, v]: [f64; 2], width: f64, size: f64, share: f32, seed: u32) -> f32 {
-    let ((ix, fx), (iy, fy)) = (lattice(u / size), lattice(v / size));
+/// In a lattice of unit cells.
+fn spot([u, v]: [f64; 2], width: f64, share: f32, seed: u32) -> f32 {
+    let ((ix, fx), (iy, fy)) = (lattice(u), lattice(v));
     let bits = hash(ix, iy, seed);
     if unsigned(bits) > share {
         return MEAN;
@@ -221,7 +255,7 @@ fn spot([u, v]: [f64; 2], width: f64, size: f64, share: f32, seed: u32) -> f32 {
     let radius = 0.12 + 0.2 * (more & 0xFF) as f32 / 255.0;
     let place = |bits: u32| radius + (1.0 - 2.0 * radius) * (bits & 0xFF) as f32 / 255.0;
     let (dx, dy) = (fx - place(more >> 8), fy - place(more >> 16));
-    let edge = (width / size) as f32;
+    let edge = width as f32;
     let stretch = 0.6 + 0.8 * (more >> 24) as f32 / 255.0;
     let inside =
         (radius - (dx * dx + dy * dy * stretch * stretch).sqrt() / stretch.max(1.0)) / edge.max(1e-4) + 0.5;
@@ -245,6 +279,14 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn floor_is_floor(x in -2e9..2e9, near in -9i32..9) {
+            prop_assert_eq!(floor(x), x.floor() as i32);
+            for at in [f64::from(near), f64::from(near) + 0.5, f64::from(near).next_down(), f64::from(near).next_up()] {
+                prop_assert_eq!(floor(at), at.floor() as i32);
+            }
+        }
+
         #[test]
         fn lines_and_intervals_are_means(x in -5.0..5.0, width in 0.01..3.0, line in 0.05..0.6) {
             let exact = lines(x, width, 0.7, line);

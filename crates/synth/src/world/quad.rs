@@ -2,6 +2,8 @@
 
 use tiepoint_geometry::nalgebra::Vector3;
 
+use super::noise::floor;
+
 /// A straight way to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
@@ -106,20 +108,20 @@ pub(crate) enum Part {
 impl Relief {
     /// The opening at a place of the wall: its cell and its edges (left, bottom, right, top) in the wall's coordinates.
     fn opening(&self, [u, v]: [f64; 2]) -> Option<([i32; 2], [f64; 4])> {
-        let column = ((u - self.margin_m) / self.cell_m[0]).floor();
-        if column < 0.0 || column >= f64::from(self.columns) {
+        let column = floor((u - self.margin_m) / self.cell_m[0]);
+        if !(0..self.columns).contains(&column) {
             return None;
         }
-        let left = self.margin_m + column * self.cell_m[0];
-        let (floor, bottom, opening) = if v < self.ground_m {
+        let left = self.margin_m + f64::from(column) * self.cell_m[0];
+        let (storey, bottom, opening) = if v < self.ground_m {
             (0, 0.0, &self.ground_opening_m)
         } else {
-            let floor = ((v - self.ground_m) / self.cell_m[1]).floor();
-            (floor as i32 + 1, self.ground_m + floor * self.cell_m[1], &self.opening_m)
+            let storey = floor((v - self.ground_m) / self.cell_m[1]);
+            (storey + 1, self.ground_m + f64::from(storey) * self.cell_m[1], &self.opening_m)
         };
         let edges = [left + opening[0], bottom + opening[1], left + opening[2], bottom + opening[3]];
-        let is_inside = floor <= self.floors && edges[0] < u && u < edges[2] && edges[1] < v && v < edges[3];
-        is_inside.then_some(([column as i32, floor], edges))
+        let is_inside = storey <= self.floors && edges[0] < u && u < edges[2] && edges[1] < v && v < edges[3];
+        is_inside.then_some(([column, storey], edges))
     }
 
     /// Follows a ray that met the wall at `uv` into an opening, if one is there: how much further it goes, relative to the

@@ -18,7 +18,6 @@ fn round(width: f64) -> Footprint {
 pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [f32; 3] {
     let direction = direction.normalize();
     let elevation = direction.z.clamp(-1.0, 1.0).asin();
-    let azimuth = direction.y.atan2(direction.x);
     let up = elevation.max(0.0) as f32 / std::f32::consts::FRAC_PI_2;
     let mut color = mix(HORIZON, ZENITH, up.sqrt());
     if elevation > 0.03 {
@@ -32,7 +31,8 @@ pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [
         return color;
     }
     // A closed line of hills: noise on a circle, so that it meets itself.
-    let circle = [8.0 * azimuth.cos(), 8.0 * azimuth.sin()];
+    let level = direction.xy().norm().max(f64::MIN_POSITIVE);
+    let circle = [direction.x, direction.y].map(|along| 8.0 * along / level);
     let ridge = 0.035
         + 0.025
             * f64::from(Fractal { coarsest: 2.0, octaves: 5, persistence: 0.5 }.at(
@@ -41,6 +41,10 @@ pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [
                 seed ^ 77,
             ));
     let below = ((ridge - elevation) / width_rad.max(1e-6) + 0.5).clamp(0.0, 1.0) as f32;
+    if below == 0.0 {
+        return color;
+    }
+    let azimuth = direction.y.atan2(direction.x);
     let woods = Fractal { coarsest: 0.02, octaves: 3, persistence: 0.8 }.at(
         [azimuth, elevation],
         &round(width_rad),
