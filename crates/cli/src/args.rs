@@ -10,7 +10,7 @@ use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_pipeline::{Calibration, ExportFormat, Stage, Truth};
+use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
@@ -109,18 +109,26 @@ pub(crate) struct Map {
 
 #[derive(Debug, Args)]
 pub(crate) struct Input {
-    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several.
+    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several; each video is one camera (this needs the
+    /// program ffmpeg).
     #[arg(required = true, value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
     /// Where to work and to leave the results; also a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
+    /// Of a video, one frame of so many is taken, the sharpest; frames that show nothing new, at a stop, are left out.
+    #[arg(long, value_name = "N", default_value_t = default_every())]
+    pub(crate) every: NonZeroUsize,
     /// When the photos were taken: CSV with the header `image,seconds`. By default from their names or EXIF.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) timestamps: Option<PathBuf>,
     /// Where nothing is to be detected: a folder with a mask for each photo, black being out (left/1.jpg.png for left/1.jpg).
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
+}
+
+fn default_every() -> NonZeroUsize {
+    NonZeroUsize::new(DEFAULT_EVERY).unwrap_or(NonZeroUsize::MIN)
 }
 
 #[derive(Debug, Args)]

@@ -55,6 +55,13 @@ impl Progress {
         match *event {
             Event::StageBegan { stage, total, done } => self.begin(stage.name(), total, done),
             Event::StageKept { .. } => {}
+            Event::FrameKept { image, read } => {
+                if self.bar.is_hidden() || self.bar.length().is_some() {
+                    self.bar = ProgressBar::new_spinner();
+                }
+                self.bar.set_message(format!("{image}: {read} frames read"));
+                self.bar.tick();
+            }
             Event::ImageSkipped { why, .. } => {
                 self.say(&format!("skipped {why}"));
                 self.bar.inc(1);

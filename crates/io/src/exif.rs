@@ -103,7 +103,7 @@ impl Exif {
 }
 
 /// `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, as if there were no time zones.
-fn seconds_of_date(date: &str) -> Option<f64> {
+pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
     let mut numbers = date.trim().split([':', ' ', '-', 'T']).map(|word| word.parse::<i64>().ok());
     let mut next = || numbers.next().flatten();
     let (year, month, day) = (next()?, next()?, next()?);

@@ -1,4 +1,4 @@
-//! Where images come from: folders (and, one day, videos).
+//! Where images come from: folders. (The pictures of videos are put into one by whoever reads them.)
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -23,6 +23,7 @@ mod text;
 pub mod timestamps;
 pub mod trajectory;
 pub mod undistort;
+pub mod video;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};

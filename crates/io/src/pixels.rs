@@ -109,7 +109,7 @@ fn no_image(path: &Path) -> Error {
     Error::content(path, "is no JPEG, PNG or TIFF image")
 }
 
-fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
+pub(crate) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
     let pixels = u64::from(width) * u64::from(height);
     if pixels == 0 || pixels > MAX_PIXELS {
         return Err(Error::content(path, format!("{width} × {height} pixels are out of range")));

@@ -82,6 +82,29 @@ pub enum Error {
         /// Photos that could be read.
         usable: usize,
     },
+    /// Photos beside videos.
+    #[error("{photos} holds photos and {video} is a video: give folders of photos or videos, not both")]
+    MixedInput {
+        /// An input that is no video and holds none.
+        photos: PathBuf,
+        /// A video.
+        video: PathBuf,
+    },
+    /// Two videos would be one camera.
+    #[error("two videos are called {name}: rename one, each is a camera of its own")]
+    TwoVideosOfOneName {
+        /// Name without folder and ending.
+        name: String,
+    },
+    /// The frames in the workspace are not those of these videos.
+    #[error(
+        "{path} holds the frames of other videos, or another choice of them: give --redo features to take them anew, or choose another \
+         workspace"
+    )]
+    OtherFrames {
+        /// The folder of the frames.
+        path: PathBuf,
+    },
     /// One camera has one size.
     #[error(
         "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} is {other_size}: put them into one folder \

@@ -20,6 +20,13 @@ pub enum Event<'a> {
         /// Which.
         stage: Stage,
     },
+    /// A frame of a video was put into the workspace.
+    FrameKept {
+        /// Its name.
+        image: &'a str,
+        /// Frames of this camera that were read so far.
+        read: usize,
+    },
     /// A photo cannot be used; the others are.
     ImageSkipped {
         /// Its name.

@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use tiepoint_io::{ImageFolder, ImageSource};
@@ -33,6 +33,15 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
     let bytes = std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
+}
+
+/// Of files of any size, in this order, whatever their names.
+pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
+    let mut all = blake3::Hasher::new();
+    for path in paths {
+        all.update(&of_file(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
+    }
+    Ok(all.finalize().to_hex().to_string())
 }
 
 fn of_file(path: &Path) -> io::Result<[u8; 32]> {

@@ -21,6 +21,7 @@ mod rig_over_time;
 mod rig_report;
 mod stage;
 mod surface;
+mod video;
 mod view;
 mod workspace;
 
@@ -50,6 +51,7 @@ pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
+pub use video::{DEFAULT_EVERY, Opened, open_input};
 pub use view::{Exhibit, TableRow, report_html, view};
 pub use workspace::Workspace;
 

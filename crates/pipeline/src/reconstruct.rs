@@ -3,17 +3,19 @@ use std::path::{Path, PathBuf};
 use tiepoint_sfm::MapperOptions;
 
 use crate::{
-    Error, FeatureOptions, MatchOptions, Photos, Report, Stage, Watch, Workspace, extract_features, map,
-    match_images,
+    DEFAULT_EVERY, Error, FeatureOptions, MatchOptions, Opened, Report, Stage, Watch, extract_features, map,
+    match_images, open_input,
 };
 
 /// How to reconstruct.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// First stage.
     pub features: FeatureOptions,
     /// Where nothing is to be detected: a folder with a mask for each image, 0 being out.
     pub masks: Option<PathBuf>,
+    /// Of videos, one frame of so many is taken, the sharpest.
+    pub every: usize,
     /// Second stage.
     pub matching: MatchOptions,
     /// Third stage.
@@ -22,16 +24,32 @@ pub struct Options {
     pub redo: Option<Stage>,
 }
 
-/// Photos in, a COLMAP project out: all stages, going on where an earlier run stopped.
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            features: FeatureOptions::default(),
+            masks: None,
+            every: DEFAULT_EVERY,
+            matching: MatchOptions::default(),
+            mapper: MapperOptions::default(),
+            redo: None,
+        }
+    }
+}
+
+/// Photos or videos in, a COLMAP project out: all stages, going on where an earlier run stopped.
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,
     options: &Options,
     watch: Watch,
 ) -> Result<Report, Error> {
-    let photos = Photos::open(inputs, options.masks.as_deref())?;
-    let mut workspace = Workspace::create(workspace)?;
-    extract_features(&photos, &mut workspace, &options.features, options.redo, watch)?;
+    let (masks, every) = (options.masks.as_deref(), options.every);
+    let Opened { mut workspace, photos, timestamps } =
+        open_input(inputs, masks, workspace, every, options.redo, watch)?;
+    let mut features = options.features.clone();
+    features.timestamps = features.timestamps.or(timestamps);
+    extract_features(&photos, &mut workspace, &features, options.redo, watch)?;
     match_images(&mut workspace, &options.matching, options.redo, watch)?;
     map(&mut workspace, &options.mapper, options.redo, watch)?;
     workspace.report()

@@ -2,8 +2,8 @@
 
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
-    FeatureOptions, MatchOptions, Options, Photos, Stage, Workspace, extract_features, map as map_workspace,
-    match_images as match_workspace, reconstruct as reconstruct_all,
+    FeatureOptions, MatchOptions, Opened, Options, Stage, Workspace, extract_features, map as map_workspace,
+    match_images as match_workspace, open_input, reconstruct as reconstruct_all,
 };
 
 use super::Failure;
@@ -16,6 +16,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
     let options = Options {
         features: feature_options(&args.input, &args.cameras)?,
         masks: args.input.masks.clone(),
+        every: args.input.every.get(),
         matching: match_options(&args.pairs, &args.seed),
         mapper: mapper_options(&args.mapping, &args.seed),
         redo: args.redo,
@@ -31,10 +32,12 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
 
 pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
     let redo = own_stage(args.redo, Stage::Features)?;
-    let options = feature_options(&args.input, &args.cameras)?;
-    let photos = Photos::open(&args.input.inputs, args.input.masks.as_deref())?;
-    let mut workspace = Workspace::create(&args.input.output)?;
+    let mut options = feature_options(&args.input, &args.cameras)?;
     let mut progress = Progress::new(output);
+    let Input { inputs, output: root, masks, every, .. } = &args.input;
+    let Opened { photos, mut workspace, timestamps } =
+        open_input(inputs, masks.as_deref(), root, every.get(), redo, &mut |event| progress.watch(event))?;
+    options.timestamps = options.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     tell(&workspace, output)

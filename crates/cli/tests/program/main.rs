@@ -6,6 +6,7 @@ mod bad_input;
 mod drive;
 mod photos;
 mod results;
+mod video;
 
 use std::ffi::OsStr;
 use std::path::Path;

@@ -1,0 +1,150 @@
+#!/usr/bin/env python3
+"""Drives whose ends split, and healthy ones: `--rig off`, `paper`, `soft` and `auto` on the same matches, over several seeds.
+
+  pip install numpy pycolmap==4.2.1
+  cargo build --release
+  python bench/split.py --seeds 1,2,3,4,5
+
+A healthy drive is a rendered loop around a block with a bit of street twice, as it comes. A split one is the same drive, after its first
+images of the right camera have lost their matches to the start and kept those to the end, where the vehicle is again, and all others have lost
+theirs between start and end: those images then stand at the end of the drift while their partners stand at its beginning, as in section
+4.3 of Huang, Elhashash & Qin 2022. Matches are taken out of the database; features, pairs and everything else stay. ATE is that of
+drift.py; the gap is the error of the relative position of the split pairs, the median over them, in metres. Prints a table in Markdown; raw
+numbers go to bench/results/split-*.json.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import shutil
+import sqlite3
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from colmap import ROOT, umeyama
+from drift import MODELS, run, truth_of
+
+# Images of the right camera that are split off, and how far apart in time (in seconds) images of the start and the end lie at least.
+NUM_SPLIT = 8
+MIN_APART_S = 20.0
+# COLMAP's: pair_id = id1 * MAX_IMAGES + id2, id1 < id2.
+MAX_IMAGES = 2147483647
+
+
+def split(database, stamps):
+    """Takes matches out of a database; returns the names of the images that were split off."""
+    first = sorted(name for name in stamps if name.startswith("right/"))[:NUM_SPLIT]
+    connection = sqlite3.connect(database)
+    names = dict(connection.execute("SELECT image_id, name FROM images"))
+    kept, dropped = 0, []
+    for (pair,) in connection.execute("SELECT pair_id FROM two_view_geometries WHERE rows > 0"):
+        a, b = names[pair // MAX_IMAGES], names[pair % MAX_IMAGES]
+        spans = abs(stamps[a] - stamps[b]) > MIN_APART_S
+        if (a in first) == (b in first):
+            drop = spans
+        else:
+            drop = not spans
+        dropped += [(pair,)] if drop else []
+        kept += (a in first) != (b in first) and spans
+    for table in ("two_view_geometries", "matches"):
+        connection.executemany(f"DELETE FROM {table} WHERE pair_id = ?", dropped)
+    connection.commit()
+    connection.close()
+    return first, kept
+
+
+def measure(model, centres, poses, first):
+    """ATE and the gap, in metres of the truth."""
+    images = {image.name: image for image in model.images.values() if image.has_pose}
+    names = sorted(images)
+    found = np.array([images[name].projection_center() for name in names])
+    truth = np.array([centres[name] for name in names])
+    scale, rotation, translation = umeyama(found, truth)
+    aligned = dict(zip(names, scale * found @ rotation.T + translation))
+    errors = [np.linalg.norm(aligned[name] - centres[name]) for name in names]
+    gaps = []
+    for name in first:
+        left = name.replace("right/", "left/")
+        if name in aligned and left in aligned:
+            gaps.append(np.linalg.norm((aligned[name] - aligned[left]) - (centres[name] - centres[left])))
+    return {"registered": len(names), "images": len(centres), "ate_m": float(np.sqrt(np.mean(np.square(errors)))),
+            "gap_m": float(np.median(gaps)) if gaps else None}  # fmt: skip
+
+
+def run_drive(seed, arguments, work):
+    drive, log, program = work / "drive", work / "log", arguments.program
+    rendered = run([program, "synth", "-o", drive, "--effects", arguments.effects, "--route", "loop", "--length", arguments.length,
+         "--rate", arguments.rate, "--size", arguments.size, "--seed", seed, "--json"], log)  # fmt: skip
+    centres, stamps = truth_of(drive)
+    made = work / "made"
+    model = ["--camera-model", MODELS.get(arguments.effects, "SIMPLE_RADIAL")]
+    prior = ["--focal-prior", json.loads(rendered)["cameras"][0]["focal_px"]]
+    base = [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, *model, *prior]
+    rows = {}
+    run([*base, "-o", made, "--rig", "off", "--json"], log)
+    for kind in ("healthy", "split"):
+        first = sorted(name for name in stamps if name.startswith("right/"))[:NUM_SPLIT]
+        if kind == "split":
+            first, kept = split(made / "database.db", stamps)
+            print(f"seed {seed}: {kept} pairs hold the split images at the end", file=sys.stderr)
+        for rig in arguments.rigs:
+            workspace = work / f"{kind}-{rig}"
+            shutil.copytree(made, workspace)
+            seconds = json.loads(run([*base, "-o", workspace, "--rig", rig, "--redo", "map", "--json"], log))["stages"]["map"]["seconds"]
+            row = measure(pycolmap.Reconstruction(workspace / "sparse/0"), centres, None, first)
+            rows.setdefault(kind, {})[rig] = {**row, "seconds": seconds}
+            shutil.rmtree(workspace)
+    return rows
+
+
+def main():
+    words = lambda text: text.split(",")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=words, default=["1", "2", "3", "4", "5"])
+    parser.add_argument("--rigs", type=words, default=["off", "paper", "soft", "auto"])
+    parser.add_argument("--effects", default="all")
+    parser.add_argument("--length", type=float, default=200.0)
+    parser.add_argument("--rate", type=float, default=4.0)
+    parser.add_argument("--size", default="640x480")
+    parser.add_argument("--pairs", default="sequential:6+ends")
+    parser.add_argument("--program", type=Path)
+    parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
+    arguments = parser.parse_args()
+    if arguments.program is None:
+        arguments.program = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
+    if not arguments.program.exists():
+        sys.exit(f"{arguments.program} is not there: cargo build --release")
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    results = []
+    print("| seed | drive | " + " | ".join(f"`{rig}`" for rig in arguments.rigs) + " |")
+    print("|---" * (len(arguments.rigs) + 2) + "|")
+    for seed in arguments.seeds:
+        with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
+            rows = run_drive(int(seed), arguments, Path(folder))
+        results.append({"seed": int(seed), **rows})
+        for kind, row in rows.items():
+            cell = lambda r: f"{r['ate_m']:.3f} / {r['gap_m']:.3f}" if r["gap_m"] is not None else f"{r['ate_m']:.3f} / -"
+            missing = lambda r: f" ({r['images'] - r['registered']} missing)" if r["registered"] < r["images"] else ""
+            print(f"| {seed} | {kind} | " + " | ".join(cell(row[rig]) + missing(row[rig]) for rig in arguments.rigs) + " |", flush=True)
+    for kind in ("healthy", "split"):
+        cells = []
+        for rig in arguments.rigs:
+            ate = [result[kind][rig]["ate_m"] for result in results]
+            gap = [result[kind][rig]["gap_m"] for result in results if result[kind][rig]["gap_m"] is not None]
+            cells.append(f"{statistics.median(ate):.3f} / {statistics.median(gap) if gap else float('nan'):.3f}")
+        print(f"| median | {kind} | " + " | ".join(cells) + " |")
+    folder = ROOT / "bench/results"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"split-{datetime.datetime.now().strftime('%Y%m%d-%H%M%S')}.json"
+    settings = {key: str(value) for key, value in vars(arguments).items()}
+    path.write_text(json.dumps({"settings": settings, "drives": results}, indent=1))
+    print(f"\n{path.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()
