@@ -46,6 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             confidence: RansacOptions::default().confidence,
             min_iterations: next(words)?,
             max_iterations: next(words)?,
+            min_inlier_share: 0.0,
             seed: next(words)?,
         };
         let (count, repetitions): (usize, usize) = (next(words)?, next(words)?);

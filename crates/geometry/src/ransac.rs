@@ -37,13 +37,23 @@ pub struct RansacOptions {
     pub min_iterations: usize,
     /// Most samples.
     pub max_iterations: usize,
+    /// Models that fewer than this share of the data agree with are of no use: no more samples are drawn than find a better one
+    /// with the asked confidence, and none that is far from this share is optimised.
+    pub min_inlier_share: f64,
     /// Where the random numbers start.
     pub seed: u64,
 }
 
 impl Default for RansacOptions {
     fn default() -> Self {
-        Self { max_error: 4.0, confidence: 0.9999, min_iterations: 100, max_iterations: 10_000, seed: 0 }
+        Self {
+            max_error: 4.0,
+            confidence: 0.9999,
+            min_iterations: 100,
+            max_iterations: 10_000,
+            min_inlier_share: 0.0,
+            seed: 0,
+        }
     }
 }
 
@@ -92,18 +102,21 @@ const POLISHES: usize = 2;
 /// be a little better, but wrong data within the threshold make it the worse choice (tried with `bench/geometry.py`).
 const CAUCHY_PER_MEDIAN: f64 = 1.4826;
 
-/// The model with the best MSAC score; `None` where no sample gave a model with at least `SAMPLE_SIZE` inliers.
+/// The model with the best MSAC score; `None` where no sample gave a model with at least `SAMPLE_SIZE` inliers and the least share
+/// of them that the options ask for.
 pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Report<E::Model>> {
     let num_data = estimator.num_data();
     if num_data < E::SAMPLE_SIZE {
         return None;
     }
     let mut sampler = Sampler::new(num_data, E::SAMPLE_SIZE, options);
-    let mut scorer = Scorer::new(estimator, options.max_error);
+    let mut scorer = Scorer::new(estimator, options);
     let mut models = Vec::new();
     let mut best: Option<Scored<E::Model>> = None;
     let mut best_minimal_score = f64::INFINITY;
-    let mut needed = options.max_iterations;
+    let most =
+        needed_iterations(options.min_inlier_share, E::SAMPLE_SIZE, options).min(options.max_iterations);
+    let mut needed = most;
     let mut iterations = 0;
     while iterations < needed.max(options.min_iterations).min(options.max_iterations) {
         let Some(sample) = sampler.next_sample() else { break };
@@ -117,18 +130,24 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
             if best.as_ref().is_none_or(|best| candidate.score < best.score) {
                 let squared = scorer.squared_residuals(&candidate.model);
                 let num_inliers = below(&squared, options.max_error * options.max_error).len();
-                needed = needed_iterations(num_inliers as f64 / num_data as f64, E::SAMPLE_SIZE, options);
+                needed = needed_iterations(num_inliers as f64 / num_data as f64, E::SAMPLE_SIZE, options)
+                    .min(most);
                 best = Some(candidate);
             }
         }
     }
-    let model = scorer.shake(best?, &mut sampler.rng);
+    let best = best?;
+    if !scorer.is_promising(scorer.near(&best.model).len()) {
+        return None;
+    }
+    let model = scorer.shake(best, &mut sampler.rng);
     let model = scorer.polish(model.model);
     let squared = scorer.squared_residuals(&model);
     let inliers: Vec<bool> = squared.iter().map(|&s| s < options.max_error * options.max_error).collect();
     let num_inliers = inliers.iter().filter(|inlier| **inlier).count();
     let score = truncated_sum(&squared, options.max_error * options.max_error);
-    (num_inliers >= E::SAMPLE_SIZE).then_some(Report { model, inliers, num_inliers, score, iterations })
+    let enough = (options.min_inlier_share * num_data as f64).max(E::SAMPLE_SIZE as f64);
+    (num_inliers as f64 >= enough).then_some(Report { model, inliers, num_inliers, score, iterations })
 }
 
 struct Scored<M> {
@@ -139,13 +158,26 @@ struct Scored<M> {
 struct Scorer<'a, E> {
     estimator: &'a E,
     max_error: f64,
+    min_inlier_share: f64,
     loss: Loss,
     squared: [f64; CHUNK],
 }
 
 impl<'a, E: Estimator> Scorer<'a, E> {
-    fn new(estimator: &'a E, max_error: f64) -> Self {
-        Self { estimator, max_error, loss: Loss::Truncated(max_error), squared: [0.0; CHUNK] }
+    fn new(estimator: &'a E, options: &RansacOptions) -> Self {
+        let RansacOptions { max_error, min_inlier_share, .. } = *options;
+        let loss = Loss::Truncated(max_error);
+        Self { estimator, max_error, min_inlier_share, loss, squared: [0.0; CHUNK] }
+    }
+
+    /// The data that are inliers of a model or not far from it.
+    fn near(&self, model: &E::Model) -> Vec<usize> {
+        below(&self.squared_residuals(model), (OPTIMISATION_REACH * self.max_error).powi(2))
+    }
+
+    /// Whether a model with so many data near it may come to have as many inliers as it must.
+    fn is_promising(&self, near: usize) -> bool {
+        near as f64 >= self.min_inlier_share * self.estimator.num_data() as f64
     }
 
     /// The MSAC score, if it is below `bound`.
@@ -172,9 +204,8 @@ impl<'a, E: Estimator> Scorer<'a, E> {
     /// Least truncated loss near a minimal model: over data a little beyond the threshold too, so that inliers that the noise of
     /// the sample hides come in.
     fn optimise(&mut self, minimal: Scored<E::Model>) -> Scored<E::Model> {
-        let reach = (OPTIMISATION_REACH * self.max_error).powi(2);
-        let near = below(&self.squared_residuals(&minimal.model), reach);
-        if near.len() <= E::SAMPLE_SIZE {
+        let near = self.near(&minimal.model);
+        if near.len() <= E::SAMPLE_SIZE || !self.is_promising(near.len()) {
             return minimal;
         }
         let refined = self.estimator.refine(&minimal.model, &near, self.loss);

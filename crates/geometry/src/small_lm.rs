@@ -25,7 +25,7 @@ pub(crate) struct Normal<const N: usize> {
 }
 
 impl<const N: usize> Normal<N> {
-    fn new(loss: Loss) -> Self {
+    pub(crate) fn new(loss: Loss) -> Self {
         Self { hessian: SMatrix::zeros(), gradient: SVector::zeros(), cost: 0.0, loss }
     }
 
@@ -41,6 +41,34 @@ impl<const N: usize> Normal<N> {
                 self.hessian[(row, column)] += weighted.dot(&jacobian.column(row));
             }
         }
+    }
+
+    /// Under which residuals count.
+    pub(crate) fn loss(&self) -> Loss {
+        self.loss
+    }
+
+    /// JᵀJ and Jᵀr of many residuals, weighted by the loss, and half the sum of their ρ.
+    pub(crate) fn add_sums(&mut self, hessian: &SMatrix<f64, N, N>, gradient: &SVector<f64, N>, cost: f64) {
+        self.hessian += hessian;
+        self.gradient += gradient;
+        self.cost += cost;
+    }
+
+    /// The largest relative difference of the cost, of the gradient and of the upper triangle of JᵀJ.
+    #[cfg(test)]
+    pub(crate) fn relative_difference(&self, other: &Self) -> f64 {
+        let cost = (self.cost - other.cost).abs() / other.cost;
+        let gradient = (self.gradient - other.gradient).norm() / other.gradient.norm();
+        let upper = |normal: &Self| normal.hessian.upper_triangle();
+        let hessian = (upper(self) - upper(other)).norm() / upper(other).norm();
+        cost.max(gradient).max(hessian)
+    }
+
+    /// Whether some residual was not defined.
+    #[cfg(test)]
+    pub(crate) fn is_refused(&self) -> bool {
+        self.cost == f64::INFINITY
     }
 
     /// By how much the undamped quadratic model falls.

@@ -17,6 +17,7 @@ const OPTIONS: RansacOptions = RansacOptions {
     confidence: 0.9999,
     min_iterations: 100,
     max_iterations: 10_000,
+    min_inlier_share: 0.0,
     seed: 7,
 };
 
@@ -298,8 +299,14 @@ fn line(inliers: usize, outliers: usize) -> Line {
     Line(good.into_iter().chain((0..outliers).map(|i| [i as f64, 1e3 + (i * i) as f64])).collect())
 }
 
-const LINE_OPTIONS: RansacOptions =
-    RansacOptions { max_error: 0.05, confidence: 0.9999, min_iterations: 1, max_iterations: 10_000, seed: 0 };
+const LINE_OPTIONS: RansacOptions = RansacOptions {
+    max_error: 0.05,
+    confidence: 0.9999,
+    min_iterations: 1,
+    max_iterations: 10_000,
+    min_inlier_share: 0.0,
+    seed: 0,
+};
 
 #[test]
 fn stops_when_confident() {
@@ -317,6 +324,15 @@ fn tries_every_sample_once_where_these_are_few() {
     let options = RansacOptions { min_iterations: 100, ..LINE_OPTIONS };
     let report = ransac(&line(3, 7), &options).expect("a line");
     assert_eq!((report.iterations, report.num_inliers), (45, 3));
+}
+
+#[test]
+fn too_few_inliers_are_no_model() {
+    let options = |min_inlier_share| RansacOptions { min_inlier_share, ..LINE_OPTIONS };
+    let free = ransac(&line(100, 100), &LINE_OPTIONS).expect("a line");
+    let asked = ransac(&line(100, 100), &options(0.5)).expect("a line");
+    assert_eq!(asked.inliers, free.inliers);
+    assert_eq!(ransac(&line(100, 100), &options(0.51)), None);
 }
 
 #[test]

@@ -20,13 +20,27 @@ const TERMS: usize = 48;
 pub(crate) struct Acceptance {
     /// Coefficients of the threshold as a polynomial in `u` without constant term, times 1024²; `None`: no ratio test.
     ratio: Option<[f64; TERMS]>,
+    /// Shares of the second distance between which the threshold lies, wherever that is.
+    between: [f64; 2],
     max_distance: f64,
 }
 
+/// Keeps what is decided by the shares alone off the threshold by more than rounding.
+const CLEAR: f64 = 1e-9;
+
 impl Acceptance {
     pub(crate) fn new(options: &Options) -> Self {
+        let ratio = options.max_ratio.map(|r| ratio_series(r.max(0.0)));
+        // sin²(r asin s) / s² grows from r² at s = 0 to its value at s² = ½ for r ≤ 1.
+        let between = match (&ratio, options.max_ratio) {
+            (Some(series), Some(r)) if r > 0.0 && r <= 1.0 => {
+                [r * r * (1.0 - CLEAR), 2.0 * threshold(series, 0.5) / DIAMETER_SQUARED * (1.0 + CLEAR)]
+            }
+            _ => [0.0, f64::INFINITY],
+        };
         Acceptance {
-            ratio: options.max_ratio.map(|r| ratio_series(r.max(0.0))),
+            ratio,
+            between,
             max_distance: match options.max_angle_rad {
                 Some(angle) if angle >= std::f64::consts::PI => f64::INFINITY,
                 // A negative or undefined angle is below every distance.
@@ -45,9 +59,16 @@ impl Acceptance {
         }
         let Some(series) = &self.ratio else { return true };
         let u = (f64::from(nearest.second) / DIAMETER_SQUARED).min(0.5);
-        let threshold = u * series.iter().rev().fold(0.0, |sum, c| sum * u + c);
-        f64::from(nearest.distance) < threshold
+        let (distance, second) = (f64::from(nearest.distance), DIAMETER_SQUARED * u);
+        if distance < self.between[0] * second {
+            return true;
+        }
+        distance <= self.between[1] * second && distance < threshold(series, u)
     }
+}
+
+fn threshold(series: &[f64; TERMS], u: f64) -> f64 {
+    u * series.iter().rev().fold(0.0, |sum, c| sum * u + c)
 }
 
 /// Coefficients of `1024² sin²(r asin √u)` for `u¹, u², …`.

@@ -12,6 +12,8 @@ mod pairs;
 mod prepared;
 mod random;
 mod retrieval;
+mod screen;
+mod screened;
 
 pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
 pub use error::Error;

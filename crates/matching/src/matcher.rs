@@ -4,12 +4,13 @@ use rayon::prelude::*;
 use tiepoint_features::Descriptor;
 
 use crate::accept::Acceptance;
-use crate::brute::{NearestBothWays, nearest};
+use crate::brute::{Isa, NearestBothWays, nearest};
 use crate::forest::ForestOptions;
 use crate::matches::Match;
 use crate::options::{Method, Options};
 use crate::pairs::Pair;
 use crate::prepared::Prepared;
+use crate::screened::match_screened;
 
 /// Matches the descriptors of two images; ascending in `a`. For images that are matched more than once, prepare them and
 /// use [`match_prepared`].
@@ -38,9 +39,15 @@ pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Matc
                 of_b: forest_a.nearest_of(forest_b, checks),
             }
         }
-        _ => nearest(a, b),
+        _ => return match_by_brute_force(a, b, options),
     };
     select(&found, options)
+}
+
+/// By comparing all with all, or by what gives the same matches sooner.
+fn match_by_brute_force(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
+    let screened = if options.mutual { match_screened(Isa::best(), a, b, options) } else { None };
+    screened.unwrap_or_else(|| select(&nearest(a, b), options))
 }
 
 /// Matches many pairs of images, in parallel over pairs; one list for each pair, in the same order. Every index in

@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Rotation3, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::{
     MAX_LM_ITERATIONS,
-    sampson::{Pair, Pairs},
+    sampson::{Chosen, Pair, Pairs},
 };
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{Normal, Problem, minimize};
@@ -71,7 +71,7 @@ impl Estimator for Fundamental {
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
         let start = Factors::of(model)?;
-        let problem = SampsonFundamental { data: self, inliers: data };
+        let problem = SampsonFundamental { pairs: self.pairs.choose(data), px_per_unit: self.px_per_unit };
         Some(minimize(&problem, &start, loss, MAX_LM_ITERATIONS).matrix())
     }
 }
@@ -111,13 +111,13 @@ impl Factors {
     }
 }
 
-struct SampsonFundamental<'a> {
-    data: &'a Fundamental,
-    inliers: &'a [usize],
+struct SampsonFundamental {
+    pairs: Chosen,
+    px_per_unit: f64,
 }
 
 /// Both rotations on the left, and σ.
-impl Problem<7> for SampsonFundamental<'_> {
+impl Problem<7> for SampsonFundamental {
     type Value = Factors;
 
     fn plus(&self, value: &Factors, delta: &SVector<f64, 7>) -> Factors {
@@ -134,11 +134,6 @@ impl Problem<7> for SampsonFundamental<'_> {
         let d_sigma = (value.u * Vector3::y()) * (value.v * Vector3::y()).transpose();
         let directions: [Matrix3<f64>; 7] =
             [axes[0] * f, axes[1] * f, axes[2] * f, -f * axes[0], -f * axes[1], -f * axes[2], d_sigma];
-        for &i in self.inliers {
-            let Some((error, derivative)) = self.data.pairs[i].error_with_derivative(&f) else { continue };
-            let jacobian = SMatrix::<f64, 1, 7>::from_fn(|_, k| derivative.dot(&directions[k]));
-            let px_per_unit = self.data.px_per_unit;
-            normal.add(&SVector::<f64, 1>::new(error * px_per_unit), &(jacobian * px_per_unit));
-        }
+        self.pairs.linearize(&f, self.px_per_unit, &directions, normal);
     }
 }

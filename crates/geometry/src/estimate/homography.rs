@@ -5,7 +5,9 @@ use std::ops::Range;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
 
 use super::MAX_LM_ITERATIONS;
+use super::weigh::weigh;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
+use crate::simd::{LANES, Lanes, blocks_of, pack, store};
 use crate::small_lm::{Normal, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, solvers};
@@ -22,19 +24,19 @@ pub fn homography(
     let apply = |m: &Matrix3<f64>, points: &[Vector2<f64>]| -> Vec<Vector2<f64>> {
         points[..count].iter().map(|p| (m * p.push(1.0)).xy()).collect()
     };
-    let estimator = Homography {
-        points1: apply(&to_unit1, points1),
-        points2: apply(&to_unit2, points2),
-        px_per_unit: 1.0 / to_unit2.m11,
-    };
+    let (points1, points2) = (apply(&to_unit1, points1), apply(&to_unit2, points2));
+    let pairs: Vec<[f64; 4]> = points1.iter().zip(&points2).map(|(p, q)| [p.x, p.y, q.x, q.y]).collect();
+    let estimator = Homography { blocks: pack(&pairs, |pair| *pair), pairs, px_per_unit: 1.0 / to_unit2.m11 };
     let px_from_unit2 = to_unit2.try_inverse()?;
     let report = ransac(&estimator, options)?;
     Some(report.map(|h| (px_from_unit2 * h * to_unit1).normalize()))
 }
 
 struct Homography {
-    points1: Vec<Vector2<f64>>,
-    points2: Vec<Vector2<f64>>,
+    /// x and y in the first image, then in the second.
+    pairs: Vec<[f64; 4]>,
+    /// The same for vectors.
+    blocks: Vec<[Lanes; 4]>,
     px_per_unit: f64,
 }
 
@@ -43,22 +45,17 @@ impl Estimator for Homography {
     const SAMPLE_SIZE: usize = 4;
 
     fn num_data(&self) -> usize {
-        self.points1.len()
+        self.pairs.len()
     }
 
     fn models(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
-        let points1: [Vector2<f64>; 4] = std::array::from_fn(|i| self.points1[sample[i]]);
-        let points2: [Vector2<f64>; 4] = std::array::from_fn(|i| self.points2[sample[i]]);
+        let pairs: [[f64; 4]; 4] = std::array::from_fn(|i| self.pairs[sample[i]]);
+        let [points1, points2] = [0, 2].map(|at| pairs.map(|pair| Vector2::new(pair[at], pair[at + 1])));
         models.extend(solvers::homography_4pt(&points1, &points2));
     }
 
     fn squared_residuals(&self, model: &Matrix3<f64>, range: Range<usize>, squared: &mut [f64]) {
-        let points = self.points1[range.clone()].iter().zip(&self.points2[range]);
-        for (squared, (x1, x2)) in squared.iter_mut().zip(points) {
-            let y = model * x1.push(1.0);
-            let error2 = ((y.xy() / y.z - x2) * self.px_per_unit).norm_squared();
-            *squared = if y.z > 0.0 { error2 } else { f64::INFINITY };
-        }
+        squared_errors(&self.blocks, model, self.px_per_unit * self.px_per_unit, range, squared);
     }
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
@@ -67,17 +64,23 @@ impl Estimator for Homography {
         if model.m33 <= 0.0 || !start.iter().all(|v| v.is_finite()) {
             return None;
         }
-        Some(minimize(&Transfer { data: self, inliers: data }, &start, loss, MAX_LM_ITERATIONS))
+        let problem = Transfer {
+            blocks: pack(data, |&i| self.pairs[i]),
+            len: data.len(),
+            px_per_unit: self.px_per_unit,
+        };
+        Some(minimize(&problem, &start, loss, MAX_LM_ITERATIONS))
     }
 }
 
-struct Transfer<'a> {
-    data: &'a Homography,
-    inliers: &'a [usize],
+struct Transfer {
+    blocks: Vec<[Lanes; 4]>,
+    len: usize,
+    px_per_unit: f64,
 }
 
 /// The entries row by row, without the corner, which stays one.
-impl Problem<8> for Transfer<'_> {
+impl Problem<8> for Transfer {
     type Value = Matrix3<f64>;
 
     fn plus(&self, value: &Matrix3<f64>, delta: &SVector<f64, 8>) -> Matrix3<f64> {
@@ -87,21 +90,204 @@ impl Problem<8> for Transfer<'_> {
     }
 
     fn linearize(&self, value: &Matrix3<f64>, normal: &mut Normal<8>) {
-        for &i in self.inliers {
-            let [x, y] = self.data.points1[i].into();
-            let image = value * self.data.points1[i].push(1.0);
-            if image.z <= 0.0 {
-                normal.refuse();
-                continue;
+        let mut lanes = [[0.0; LANES]; SUMS];
+        sum_up(&self.blocks, self.len, value, self.px_per_unit, normal.loss(), &mut lanes);
+        let [cost, products @ .., g0, g1, g2, g3, g4, g5, g6, g7] =
+            lanes.map(|lanes| lanes.iter().sum::<f64>());
+        let [aa @ .., b0, b1, b2, c0, c1, c2, d0, d1, d2, e0, e1, e2, f0, f1, f2] = products;
+        let [a0, a1, a2, a3, a4, a5] = aa;
+        // The rows of u and of v have the same derivative by their own three entries, and nothing in common.
+        #[rustfmt::skip]
+        let hessian = SMatrix::<f64, 8, 8>::from_row_slice(&[
+            a0, a1, a3, 0., 0., 0., b0, c0,
+            a1, a2, a4, 0., 0., 0., b1, c1,
+            a3, a4, a5, 0., 0., 0., b2, c2,
+            0., 0., 0., a0, a1, a3, d0, e0,
+            0., 0., 0., a1, a2, a4, d1, e1,
+            0., 0., 0., a3, a4, a5, d2, e2,
+            b0, b1, b2, d0, d1, d2, f0, f1,
+            c0, c1, c2, e0, e1, e2, f1, f2,
+        ]);
+        normal.add_sums(&hessian, &SVector::from([g0, g1, g2, g3, g4, g5, g6, g7]), cost);
+    }
+}
+
+/// The cost, 21 different products of derivatives, and eight of them with the residual.
+const SUMS: usize = 1 + 21 + 8;
+
+dispatch! {
+    /// Squared distances in image 2, eight at a time; infinite behind the camera.
+    fn squared_errors(
+        blocks: &[[Lanes; 4]],
+        h: &Matrix3<f64>,
+        factor: f64,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
+        for index in blocks_of(&range) {
+            let [x1, y1, x2, y2] = &blocks[index];
+            let mut lanes = [0.0; LANES];
+            for l in 0..LANES {
+                let z = h.m31 * x1[l] + h.m32 * y1[l] + h.m33;
+                let u = (h.m11 * x1[l] + h.m12 * y1[l] + h.m13) / z - x2[l];
+                let v = (h.m21 * x1[l] + h.m22 * y1[l] + h.m23) / z - y2[l];
+                lanes[l] = if z > 0.0 { (u * u + v * v) * factor } else { f64::INFINITY };
             }
-            let (w, px_per_unit) = (1.0 / image.z, self.data.px_per_unit);
-            let [u, v] = [image.x * w, image.y * w];
-            #[rustfmt::skip]
-            let jacobian = SMatrix::<f64, 2, 8>::from_row_slice(&[
-                x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y,
-                0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y,
-            ]) * (w * px_per_unit);
-            normal.add(&((Vector2::new(u, v) - self.data.points2[i]) * px_per_unit), &jacobian);
+            store(&lanes, index, &range, squared);
         }
+    }
+}
+
+dispatch! {
+    /// Sums over pairs: half of ρ, products of derivatives (among the entries of one row; of a row with the last row's first two,
+    /// for u by both and for v by both; among the last row's), and of residuals with derivatives. A pair behind the camera makes
+    /// the cost infinite.
+    fn sum_up(
+        blocks: &[[Lanes; 4]],
+        len: usize,
+        h: &Matrix3<f64>,
+        px_per_unit: f64,
+        loss: Loss,
+        sums: &mut [Lanes; SUMS],
+    ) {
+        let [mut du, mut dv] = [[[0.0; LANES]; 5]; 2];
+        let [mut wu, mut wv] = [[[0.0; LANES]; 5]; 2];
+        let [mut ru, mut rv, mut squared, mut rho, mut weight] = [[0.0; LANES]; 5];
+        for (index, block) in blocks.iter().enumerate() {
+            let [x1, y1, x2, y2] = block;
+            let counted = LANES.min(len - index * LANES);
+            for l in 0..LANES {
+                let counts = index * LANES + l < len;
+                let z = h.m31 * x1[l] + h.m32 * y1[l] + h.m33;
+                let u = (h.m11 * x1[l] + h.m12 * y1[l] + h.m13) / z;
+                let v = (h.m21 * x1[l] + h.m22 * y1[l] + h.m23) / z;
+                let scale = if counts { px_per_unit } else { 0.0 };
+                let w = scale / z;
+                ru[l] = (u - x2[l]) * scale;
+                rv[l] = (v - y2[l]) * scale;
+                let s = ru[l] * ru[l] + rv[l] * rv[l];
+                squared[l] = if z > 0.0 { s } else { f64::INFINITY };
+                // By the row's own entries, and by the first two of the last row.
+                du[0][l] = x1[l] * w;
+                du[1][l] = y1[l] * w;
+                du[2][l] = w;
+                du[3][l] = -u * x1[l] * w;
+                du[4][l] = -u * y1[l] * w;
+                dv[3][l] = -v * x1[l] * w;
+                dv[4][l] = -v * y1[l] * w;
+            }
+            weigh(loss, &squared, counted, &mut rho, &mut weight);
+            [dv[0], dv[1], dv[2]] = [du[0], du[1], du[2]];
+            for k in 0..5 {
+                for l in 0..LANES {
+                    wu[k][l] = weight[l] * du[k][l];
+                    wv[k][l] = weight[l] * dv[k][l];
+                }
+            }
+            for l in 0..LANES {
+                let behind = if squared[l] < f64::INFINITY { 0.0 } else { f64::INFINITY };
+                sums[0][l] += 0.5 * rho[l] + behind;
+            }
+            for k in 0..3 {
+                for j in 0..k + 1 {
+                    for l in 0..LANES {
+                        sums[1 + k * (k + 1) / 2 + j][l] += wu[k][l] * du[j][l];
+                    }
+                }
+                for l in 0..LANES {
+                    sums[7 + k][l] += wu[k][l] * du[3][l];
+                    sums[10 + k][l] += wu[k][l] * du[4][l];
+                    sums[13 + k][l] += wv[k][l] * dv[3][l];
+                    sums[16 + k][l] += wv[k][l] * dv[4][l];
+                    sums[22 + k][l] += wu[k][l] * ru[l];
+                    sums[25 + k][l] += wv[k][l] * rv[l];
+                }
+            }
+            for l in 0..LANES {
+                sums[19][l] += wu[3][l] * du[3][l] + wv[3][l] * dv[3][l];
+                sums[20][l] += wu[3][l] * du[4][l] + wv[3][l] * dv[4][l];
+                sums[21][l] += wu[4][l] * du[4][l] + wv[4][l] * dv[4][l];
+                sums[28][l] += wu[3][l] * ru[l] + wv[3][l] * rv[l];
+                sums[29][l] += wu[4][l] * ru[l] + wv[4][l] * rv[l];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Rng;
+
+    /// Sums of 37 products, in another order.
+    const ROUNDING: f64 = 1e-10;
+    const PAIRS: usize = 37;
+
+    fn estimator() -> Homography {
+        let mut rng = Rng::stream(1, &[]);
+        let pairs: Vec<[f64; 4]> =
+            (0..PAIRS).map(|_| std::array::from_fn(|_| 2.0 * rng.uniform() - 1.0)).collect();
+        Homography { blocks: pack(&pairs, |pair| *pair), pairs, px_per_unit: 300.0 }
+    }
+
+    /// One residual with its derivative by the first eight entries, row by row: the slow twin.
+    fn residual(pair: &[f64; 4], h: &Matrix3<f64>, px_per_unit: f64) -> (Vector2<f64>, SMatrix<f64, 2, 8>) {
+        let [x, y, ..] = *pair;
+        let image = h * Vector2::new(x, y).push(1.0);
+        let (u, v) = (image.x / image.z, image.y / image.z);
+        #[rustfmt::skip]
+        let jacobian = SMatrix::<f64, 2, 8>::from_row_slice(&[
+            x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y,
+            0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y,
+        ]) * (px_per_unit / image.z);
+        ((Vector2::new(u - pair[2], v - pair[3])) * px_per_unit, jacobian)
+    }
+
+    #[test]
+    fn eight_at_a_time_is_one_at_a_time() {
+        let estimator = estimator();
+        let h = Matrix3::new(0.9, 0.1, 0.2, -0.2, 1.1, 0.1, 0.3, -0.2, 1.0);
+        for range in [0..37, 0..8, 5..6, 7..31, 36..37, 12..12] {
+            let mut squared = vec![f64::NAN; range.len()];
+            estimator.squared_residuals(&h, range.clone(), &mut squared);
+            for (squared, pair) in squared.iter().zip(&estimator.pairs[range]) {
+                let expected = residual(pair, &h, 300.0).0.norm_squared();
+                assert!((squared - expected).abs() <= ROUNDING * expected, "{squared} {expected}");
+            }
+        }
+        let everything: Vec<usize> = (0..PAIRS).collect();
+        for chosen in [everything, (0..PAIRS).step_by(3).collect(), vec![36]] {
+            for loss in [Loss::Trivial, Loss::Truncated(150.0), Loss::Cauchy(100.0)] {
+                let (mut fast, mut slow) = (Normal::new(loss), Normal::new(loss));
+                let transfer = Transfer {
+                    blocks: pack(&chosen, |&i| estimator.pairs[i]),
+                    len: chosen.len(),
+                    px_per_unit: 300.0,
+                };
+                transfer.linearize(&h, &mut fast);
+                for &i in &chosen {
+                    let (error, jacobian) = residual(&estimator.pairs[i], &h, 300.0);
+                    slow.add(&error, &jacobian);
+                }
+                assert!(fast.relative_difference(&slow) < ROUNDING);
+            }
+        }
+    }
+
+    #[test]
+    fn points_behind_the_camera_are_infinitely_far() {
+        let estimator = estimator();
+        // Negative depth left of x = −0.5.
+        let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.5);
+        let mut squared = vec![f64::NAN; PAIRS];
+        estimator.squared_residuals(&h, 0..PAIRS, &mut squared);
+        assert!(estimator.pairs.iter().any(|pair| pair[0] < -0.5));
+        for (squared, pair) in squared.iter().zip(&estimator.pairs) {
+            assert_eq!(*squared == f64::INFINITY, pair[0] <= -0.5);
+        }
+        let transfer = Transfer { blocks: estimator.blocks.clone(), len: PAIRS, px_per_unit: 300.0 };
+        let mut normal = Normal::new(Loss::Truncated(4.0));
+        transfer.linearize(&h, &mut normal);
+        assert!(normal.is_refused());
     }
 }

@@ -9,6 +9,7 @@ mod relative_pose;
 mod sampson;
 mod similarity;
 mod triangulation;
+mod weigh;
 
 pub use absolute_pose::{absolute_pose, refine_absolute_pose};
 pub use absolute_pose_focal::absolute_pose_focal;

@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::{
     MAX_LM_ITERATIONS,
-    sampson::{Pair, Pairs},
+    sampson::{Chosen, Pair, Pairs},
 };
 use crate::epipolar::{essential_from_pose, poses_of_exact_essential, rays_meet_in_front};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
@@ -82,14 +82,11 @@ impl Estimator for RelativePose {
     }
 
     fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
-        Some(minimize(&SampsonPose { pairs: &self.pairs, inliers: data }, model, loss, MAX_LM_ITERATIONS))
+        Some(minimize(&SampsonPose(self.pairs.choose(data)), model, loss, MAX_LM_ITERATIONS))
     }
 }
 
-struct SampsonPose<'a> {
-    pairs: &'a Pairs,
-    inliers: &'a [usize],
-}
+struct SampsonPose(Chosen);
 
 /// Two unit vectors that are orthogonal to `direction` and to each other.
 fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
@@ -100,7 +97,7 @@ fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
 }
 
 /// Rotation on the left, and the direction of the translation in its tangent plane.
-impl Problem<5> for SampsonPose<'_> {
+impl Problem<5> for SampsonPose {
     type Value = Rigid3;
 
     fn plus(&self, value: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
@@ -121,10 +118,6 @@ impl Problem<5> for SampsonPose<'_> {
             so3::hat(&a) * rotation,
             so3::hat(&b) * rotation,
         ];
-        for &i in self.inliers {
-            let Some((error, derivative)) = self.pairs[i].error_with_derivative(&essential) else { continue };
-            let jacobian = SMatrix::<f64, 1, 5>::from_fn(|_, k| derivative.dot(&directions[k]));
-            normal.add(&SVector::<f64, 1>::new(error), &jacobian);
-        }
+        self.0.linearize(&essential, 1.0, &directions, normal);
     }
 }

@@ -5,10 +5,12 @@
 
 use std::ops::{Index, Range};
 
-use nalgebra::{Matrix3, Matrix3x2, Matrix3x4, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix3x2, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
 
+use super::weigh::weigh;
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::{CameraModel, Intrinsics, Rigid3};
+use crate::small_lm::Normal;
+use crate::{CameraModel, Intrinsics, Loss, Rigid3};
 
 /// Correspondences, and the same packed for vectors.
 pub(super) struct Pairs {
@@ -19,12 +21,13 @@ pub(super) struct Pairs {
 
 impl Pairs {
     pub(super) fn new(pairs: Vec<Pair>) -> Self {
-        let blocks = pack(&pairs, |Pair { y1, y2, d1, d2 }| {
-            let parts = [y1.as_slice(), y2.as_slice(), d1.as_slice(), d2.as_slice()];
-            let mut numbers = parts.into_iter().flatten().copied();
-            std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
-        });
+        let blocks = pack(&pairs, Pair::numbers);
         Self { pairs, blocks }
+    }
+
+    /// Some of the pairs, packed.
+    pub(super) fn choose(&self, indices: &[usize]) -> Chosen {
+        Chosen { blocks: pack(indices, |&i| self.pairs[i].numbers()), len: indices.len() }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -52,6 +55,131 @@ impl Pairs {
         squared: &mut [f64],
     ) {
         squared_errors_in_front(&self.blocks, &pose.to_matrix(), parallel_sin2, range, squared);
+    }
+}
+
+/// Some pairs, packed for [`Chosen::linearize`].
+pub(super) struct Chosen {
+    blocks: Vec<[Lanes; 18]>,
+    len: usize,
+}
+
+/// The entries of a matrix, the products of two of them, and the cost.
+const SUMS: usize = 9 + 45 + 1;
+
+impl Chosen {
+    /// Adds the errors under `m`, times `factor`, with their derivatives along `directions` of `m`.
+    ///
+    /// The errors' derivatives by the nine entries are summed up first, JᵀJ and Jᵀr, eight pairs at a time; the directions are
+    /// the same for all pairs and come in at the end.
+    pub(super) fn linearize<const N: usize>(
+        &self,
+        m: &Matrix3<f64>,
+        factor: f64,
+        directions: &[Matrix3<f64>; N],
+        normal: &mut Normal<N>,
+    ) {
+        let mut lanes = [[0.0; LANES]; SUMS];
+        sum_up(&self.blocks, self.len, m, factor, normal.loss(), &mut lanes);
+        let sums = lanes.map(|lanes| lanes.iter().sum::<f64>());
+        let [gradient @ .., cost] = &sums;
+        let (gradient, products) = gradient.split_at(9);
+        let hessian = SMatrix::<f64, 9, 9>::from_fn(|i, j| {
+            let (row, column) = (i.max(j), i.min(j));
+            products[row * (row + 1) / 2 + column]
+        });
+        let basis = SMatrix::<f64, 9, N>::from_fn(|entry, k| directions[k][(entry / 3, entry % 3)]);
+        normal.add_sums(
+            &(basis.transpose() * hessian * basis),
+            &(basis.transpose() * SVector::<f64, 9>::from_column_slice(gradient)),
+            *cost,
+        );
+    }
+}
+
+dispatch! {
+    /// Sums over pairs of [`Pair::error_with_derivative`]: weighted derivative times error, the products of the weighted derivative
+    /// with itself (lower triangle by rows), and half of ρ. Pairs without a derivative count nothing.
+    fn sum_up(
+        blocks: &[[Lanes; 18]],
+        len: usize,
+        m: &Matrix3<f64>,
+        factor: f64,
+        loss: Loss,
+        sums: &mut [Lanes; SUMS],
+    ) {
+        let [mut derivative, mut weighted] = [[[0.0; LANES]; 9]; 2];
+        let [mut error, mut squared, mut rho, mut weight] = [[0.0; LANES]; 4];
+        for (index, block) in blocks.iter().enumerate() {
+            let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = block;
+            let [.., j20, j21, j22, j23, j24, j25] = block;
+            for l in 0..LANES {
+                let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
+                let line2 = [
+                    dot([m.m11, m.m12, m.m13], y1),
+                    dot([m.m21, m.m22, m.m23], y1),
+                    dot([m.m31, m.m32, m.m33], y1),
+                ];
+                let line1 = [
+                    dot([m.m11, m.m21, m.m31], y2),
+                    dot([m.m12, m.m22, m.m32], y2),
+                    dot([m.m13, m.m23, m.m33], y2),
+                ];
+                let product = dot(y2, line2);
+                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
+                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
+                let c = dot([j20[l], j21[l], j22[l]], line2);
+                let d = dot([j23[l], j24[l], j25[l]], line2);
+                let norm2 = (a * a + b * b) + (c * c + d * d);
+                let inverse = factor / norm2.sqrt();
+                let ratio = product / norm2;
+                // The derivative of half the squared norm by the lines, times product / norm²; then by the entries.
+                let by_line1 = [
+                    (j1[0][l] * a + j1[3][l] * b) * ratio,
+                    (j1[1][l] * a + j1[4][l] * b) * ratio,
+                    (j1[2][l] * a + j1[5][l] * b) * ratio,
+                ];
+                let by_line2 = [
+                    (j20[l] * c + j23[l] * d) * ratio,
+                    (j21[l] * c + j24[l] * d) * ratio,
+                    (j22[l] * c + j25[l] * d) * ratio,
+                ];
+                // Padding, and pairs at both epipoles.
+                let counts = (index * LANES + l < len) & (inverse < f64::INFINITY);
+                error[l] = if counts { product * inverse } else { 0.0 };
+                for (k, lanes) in derivative.iter_mut().enumerate() {
+                    let (row, column) = (k / 3, k % 3);
+                    let by_lines = by_line2[row] * y1[column] + y2[row] * by_line1[column];
+                    let entry = (y2[row] * y1[column] - by_lines) * inverse;
+                    lanes[l] = if counts { entry } else { 0.0 };
+                }
+            }
+            let counted = LANES.min(len - index * LANES);
+            for l in 0..LANES {
+                squared[l] = error[l] * error[l];
+            }
+            weigh(loss, &squared, counted, &mut rho, &mut weight);
+            for k in 0..9 {
+                for l in 0..LANES {
+                    weighted[k][l] = weight[l] * derivative[k][l];
+                }
+            }
+            let [by_entry @ .., cost] = &mut *sums;
+            let (gradient, products) = by_entry.split_at_mut(9);
+            for k in 0..9 {
+                for l in 0..LANES {
+                    gradient[k][l] += weighted[k][l] * error[l];
+                }
+                for j in 0..k + 1 {
+                    for l in 0..LANES {
+                        products[k * (k + 1) / 2 + j][l] += weighted[k][l] * derivative[j][l];
+                    }
+                }
+            }
+            for l in 0..LANES {
+                cost[l] += 0.5 * rho[l];
+            }
+        }
     }
 }
 
@@ -191,8 +319,20 @@ impl Pair {
         product * product / (self.d2.tr_mul(&line2).norm_squared() + self.d1.tr_mul(&line1).norm_squared())
     }
 
-    /// The error, with sign, and its derivative by the entries of `m`.
-    pub(super) fn error_with_derivative(&self, m: &Matrix3<f64>) -> Option<(f64, Matrix3<f64>)> {
+    /// y₁, y₂, J₁, J₂.
+    fn numbers(&self) -> [f64; 18] {
+        let Self { y1, y2, d1, d2 } = self;
+        let mut numbers = [0.0; 18];
+        numbers[..3].copy_from_slice(y1.as_slice());
+        numbers[3..6].copy_from_slice(y2.as_slice());
+        numbers[6..12].copy_from_slice(d1.as_slice());
+        numbers[12..].copy_from_slice(d2.as_slice());
+        numbers
+    }
+
+    /// The error, with sign, and its derivative by the entries of `m`: the slow twin of [`Chosen::linearize`].
+    #[cfg(test)]
+    fn error_with_derivative(&self, m: &Matrix3<f64>) -> Option<(f64, Matrix3<f64>)> {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
         let product = self.y2.dot(&line2);
         let (g2, g1) = (self.d2.tr_mul(&line2), self.d1.tr_mul(&line1));
@@ -245,6 +385,31 @@ mod tests {
             for (squared, pair) in squared.iter().zip(&pairs[range]) {
                 let expected = 2.0 * pair.squared_error(&m);
                 assert!((squared - expected).abs() <= 1e-12 * expected, "{squared} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn sums_of_eight_at_a_time_are_those_of_one_at_a_time() {
+        /// Sums of 37 products, in another order.
+        const ROUNDING: f64 = 1e-10;
+        let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
+        let m = Matrix3::from_fn(|i, j| (1 + i + 3 * j) as f64 * if i == j { -1.0 } else { 0.5 });
+        let directions: [Matrix3<f64>; 4] =
+            std::array::from_fn(|k| Matrix3::from_fn(|i, j| (k * i) as f64 - (j * j) as f64 + 0.5));
+        let packed = Pairs::new(pairs.clone());
+        let everything: Vec<usize> = (0..pairs.len()).collect();
+        let some: Vec<usize> = (0..pairs.len()).step_by(3).collect();
+        for chosen in [everything, some, vec![36]] {
+            for loss in [Loss::Trivial, Loss::Truncated(150.0), Loss::Cauchy(100.0)] {
+                let (mut fast, mut slow) = (Normal::new(loss), Normal::new(loss));
+                packed.choose(&chosen).linearize(&m, 2.0, &directions, &mut fast);
+                for &i in &chosen {
+                    let (error, derivative) = pairs[i].error_with_derivative(&m).unwrap();
+                    let jacobian = SMatrix::<f64, 1, 4>::from_fn(|_, k| 2.0 * derivative.dot(&directions[k]));
+                    slow.add(&SVector::<f64, 1>::new(2.0 * error), &jacobian);
+                }
+                assert!(fast.relative_difference(&slow) < ROUNDING);
             }
         }
     }

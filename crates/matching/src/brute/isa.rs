@@ -2,10 +2,12 @@
 
 use std::fmt;
 
-use super::NearestBothWays;
-use super::kernel::sweep;
+use tiepoint_features::Descriptor;
+
+use super::kernel::{RowLanes, Totals, sweep};
 use super::lanes::Portable;
-use crate::prepared::Prepared;
+use crate::guided::squared_distance;
+use crate::prepared::{Packed, Vectors};
 
 /// An instruction set that this machine has; values for others cannot be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +41,8 @@ impl Kind {
         match self {
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512Vnni => {
-                is_x86_feature_detected!("avx512f")
+                is_x86_feature_detected!("avx2")
+                    && is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512bw")
                     && is_x86_feature_detected!("avx512vl")
                     && is_x86_feature_detected!("avx512vnni")
@@ -77,19 +80,35 @@ impl Isa {
         }
     }
 
-    pub(super) fn nearest(self, a: &Prepared, b: &Prepared) -> NearestBothWays {
+    /// Squared Euclidean distance, exact.
+    pub(crate) fn squared_distance(self, a: &Descriptor, b: &Descriptor) -> u32 {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: an `Isa` is made only where the processor has the features it stands for, and all of these have AVX2.
+            Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe { super::x86::squared_distance(a, b) },
+            Kind::Portable => squared_distance(a, b),
+        }
+    }
+
+    /// Compares all with all: what each row has found goes to `finish_row`, in order; what the columns have found comes back.
+    pub(super) fn sweep<const G: usize>(
+        self,
+        a: &impl Vectors<G>,
+        b: &Packed<G>,
+        finish_row: impl FnMut(usize, RowLanes<'_>),
+    ) -> Totals {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::Avx512Vnni => unsafe { super::x86::sweep_avx512_vnni(a, b) },
+            Kind::Avx512Vnni => unsafe { super::x86::sweep_avx512_vnni(a, b, finish_row) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::AvxVnni => unsafe { super::x86::sweep_avx_vnni(a, b) },
+            Kind::AvxVnni => unsafe { super::x86::sweep_avx_vnni(a, b, finish_row) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::Avx2 => unsafe { super::x86::sweep_avx2(a, b) },
+            Kind::Avx2 => unsafe { super::x86::sweep_avx2(a, b, finish_row) },
             // SAFETY: needs no particular processor.
-            Kind::Portable => unsafe { sweep::<Portable, 4, 4>(a, b) },
+            Kind::Portable => unsafe { sweep::<Portable, 4, 4, G>(a, b, finish_row) },
         }
     }
 }

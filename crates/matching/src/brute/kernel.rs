@@ -14,10 +14,9 @@
 //! Order of the loops: a block of rows (its operands and its keys fit into the first-level cache), then all column tiles,
 //! which stream from the second-level cache; a tile's operands stay in the first level while all rows pass by.
 
-use super::NearestBothWays;
 use super::lanes::Lanes;
 use crate::matches::Nearest;
-use crate::prepared::{GROUPS, PANEL, Prepared, TILE};
+use crate::prepared::{PANEL, Packed, TILE, Vectors};
 
 /// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number fits into a key.
 const ROWS: usize = 192;
@@ -63,10 +62,40 @@ impl Keys {
 }
 
 /// The two largest values so far and the index of the largest, where the keys' own indices no longer suffice.
-struct Totals {
-    first: Vec<i32>,
-    index: Vec<i32>,
-    second: Vec<i32>,
+pub(super) struct Totals {
+    pub(super) first: Vec<i32>,
+    pub(super) index: Vec<i32>,
+    pub(super) second: Vec<i32>,
+}
+
+/// What a row has found: the columns that fall to a lane compete with each other only.
+pub(crate) struct RowLanes<'a> {
+    first: &'a [i32],
+    index: &'a [i32],
+    second: &'a [i32],
+    square: i32,
+}
+
+impl RowLanes<'_> {
+    /// For each lane its nearest column, with the squared distances of that and of the second nearest.
+    pub(crate) fn nearest(&self) -> impl Iterator<Item = Nearest> {
+        let lanes = (0..).zip(self.first).zip(self.index).zip(self.second);
+        lanes.map(|(((lane, first), index), second)| Nearest {
+            index: (index + lane) as u32,
+            distance: distance_of(self.square, *first),
+            second: distance_of(self.square, *second),
+        })
+    }
+
+    /// All lanes brought together.
+    pub(super) fn whole(&self) -> Nearest {
+        let mut whole = Nearest::NONE;
+        for lane in self.nearest() {
+            whole.offer(lane.index, lane.distance);
+            whole.second = whole.second.min(lane.second);
+        }
+        if whole.distance == u32::MAX { Nearest::NONE } else { whole }
+    }
 }
 
 impl Totals {
@@ -103,49 +132,51 @@ fn value_of(key: i32) -> i32 {
 }
 
 /// `constant − value`, the squared distance, or the mark for "none" if the value is not a real one.
-fn distance_of(constant: i32, value: i32) -> u32 {
+pub(super) fn distance_of(constant: i32, value: i32) -> u32 {
     if value < LOWEST_VALUE { u32::MAX } else { (constant - value) as u32 }
 }
 
-/// Both directions, in tiles of `R` rows by `C` vectors of columns.
+/// Both directions, in tiles of `R` rows by `C` vectors of columns. What each row has found goes to `finish_row`, in order; what the
+/// columns have found comes back.
 ///
 /// # Safety
 /// The processor has `L`'s instruction set.
 #[inline(always)]
-pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize>(
-    a: &Prepared,
-    b: &Prepared,
-) -> NearestBothWays {
+pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: usize>(
+    a: &impl Vectors<G>,
+    b: &Packed<G>,
+    mut finish_row: impl FnMut(usize, RowLanes<'_>),
+) -> Totals {
     const { assert!(ROWS.is_multiple_of(R) && ROWS <= INDICES && INDICES.is_multiple_of(C)) };
     const { assert!((C * L::LANES).is_multiple_of(PANEL) && TILE.is_multiple_of(C * L::LANES / PANEL)) };
     let tile = C * L::LANES;
     let tiles = b.len.div_ceil(tile);
-    let mut row_operands = Buffer::new(ROWS * L::STEPS, 0);
+    let steps = G * L::STEPS;
+    let mut row_operands = Buffer::new(ROWS * steps, 0);
     let mut row_constants = [0; ROWS];
     let mut row_keys = Keys::new(ROWS * L::LANES);
-    let mut widened = Buffer::new(tile * L::STEPS, 0);
+    let mut widened = Buffer::new(tile * steps, 0);
     let mut column_constants = Buffer::new(tile, 0);
     let mut column_keys = Keys::new(tile);
     let mut column_totals = Totals::new(tiles * tile);
-    let mut of_a = Vec::with_capacity(a.len);
 
-    for block in (0..a.len).step_by(ROWS) {
-        let rows = ROWS.min(a.len - block);
+    for block in (0..a.len()).step_by(ROWS) {
+        let rows = ROWS.min(a.len() - block);
         let groups = rows.div_ceil(R);
         let mut row_totals = Totals::new(ROWS * L::LANES);
         // SAFETY: the processor has the instruction set; buffers have the sizes that the functions name.
-        unsafe { pack_rows::<L, R>(a, block, groups, row_operands.words(), &mut row_constants) };
+        unsafe { pack_rows::<L, R, G>(a, block, groups, row_operands.words(), &mut row_constants) };
         // Column vectors since the row keys were last merged.
         let mut counted = 0;
         for t in 0..tiles {
             let panels = &b.panels[t * tile / PANEL..(t + 1) * tile / PANEL];
-            fill_column_constants::<L>(b, t * tile, counted, &mut column_constants.words()[..tile]);
+            fill_column_constants::<L, G>(b, t * tile, counted, &mut column_constants.words()[..tile]);
             // SAFETY: as above.
             unsafe {
                 let columns = L::columns(panels, widened.words());
                 for group in 0..groups {
-                    multiply_and_rank::<L, R, C>(
-                        row_operands.words()[group * R * L::STEPS..].as_ptr(),
+                    multiply_and_rank::<L, R, C, G>(
+                        row_operands.words()[group * R * steps..].as_ptr(),
                         &row_constants[group * R..],
                         [row_keys.first.words(), row_keys.second.words()]
                             .map(|k| k[group * R * L::LANES..].as_mut_ptr()),
@@ -163,44 +194,49 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize>(
                 counted = 0;
             }
         }
-        of_a.extend(
-            (0..rows)
-                .map(|row| nearest_of_row(&row_totals, row * L::LANES, L::LANES, a.squares[block + row])),
-        );
+        for row in 0..rows {
+            let lanes = row * L::LANES..(row + 1) * L::LANES;
+            let Totals { first, index, second } = &row_totals;
+            let (first, index, second) = (&first[lanes.clone()], &index[lanes.clone()], &second[lanes]);
+            finish_row(block + row, RowLanes { first, index, second, square: a.square(block + row) });
+        }
     }
-    let of_b = (0..b.len)
+    column_totals
+}
+
+/// The nearest neighbours of the columns.
+pub(super) fn nearest_of_columns<const G: usize>(b: &Packed<G>, totals: &Totals) -> Vec<Nearest> {
+    (0..b.len)
         .map(|column| {
             let constant = b.squares[column] - 256 * b.sums[column];
-            let distance = distance_of(constant, column_totals.first[column]);
-            let index = if distance == u32::MAX { u32::MAX } else { column_totals.index[column] as u32 };
-            Nearest { index, distance, second: distance_of(constant, column_totals.second[column]) }
+            let distance = distance_of(constant, totals.first[column]);
+            let index = if distance == u32::MAX { u32::MAX } else { totals.index[column] as u32 };
+            Nearest { index, distance, second: distance_of(constant, totals.second[column]) }
         })
-        .collect();
-    NearestBothWays { of_a, of_b }
+        .collect()
 }
 
 /// Packs `groups` groups of `R` rows as `[group][step][row]`, and their constants: 256 |a|² plus the row's number, which
 /// is what columns take from the product.
 #[inline(always)]
-unsafe fn pack_rows<L: Lanes, const R: usize>(
-    a: &Prepared,
+unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
+    a: &impl Vectors<G>,
     block: usize,
     groups: usize,
     operands: &mut [i32],
     constants: &mut [i32; ROWS],
 ) {
     for (row, constant) in constants.iter_mut().enumerate().take(groups * R) {
-        let at = row / R * R * L::STEPS + row % R;
-        let per_group = L::STEPS / GROUPS;
-        let exists = block + row < a.len;
-        for group in 0..GROUPS {
+        let at = row / R * R * G * L::STEPS + row % R;
+        let exists = block + row < a.len();
+        for group in 0..G {
             // SAFETY: the caller vouches for the instruction set.
             let words = if exists { unsafe { L::row_words(a.word(block + row, group)) } } else { [0; 2] };
-            for (part, word) in words.iter().take(per_group).enumerate() {
-                operands[at + (group * per_group + part) * R] = *word;
+            for (part, word) in words.iter().take(L::STEPS).enumerate() {
+                operands[at + (group * L::STEPS + part) * R] = *word;
             }
         }
-        let base = if exists { a.squares[block + row] << INDEX_BITS } else { PADDING };
+        let base = if exists { a.square(block + row) << INDEX_BITS } else { PADDING };
         *constant = base + row as i32;
     }
 }
@@ -208,7 +244,12 @@ unsafe fn pack_rows<L: Lanes, const R: usize>(
 /// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus the number of the
 /// column's vector.
 #[inline(always)]
-fn fill_column_constants<L: Lanes>(b: &Prepared, at: usize, counted: usize, constants: &mut [i32]) {
+fn fill_column_constants<L: Lanes, const G: usize>(
+    b: &Packed<G>,
+    at: usize,
+    counted: usize,
+    constants: &mut [i32],
+) {
     let squares = b.squares.get(at..).unwrap_or_default();
     let sums = b.sums.get(at..).unwrap_or_default();
     constants.fill(PADDING);
@@ -228,7 +269,7 @@ fn fill_column_constants<L: Lanes>(b: &Prepared, at: usize, counted: usize, cons
 /// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C` vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]`
 /// each, `column_constants` and `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
 #[inline(always)]
-unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
+unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize, const G: usize>(
     rows: *const i32,
     row_constants: &[i32],
     row_keys: [*mut i32; 2],
@@ -239,11 +280,11 @@ unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
     // SAFETY: as the caller vouches.
     unsafe {
         let mut dot = [[L::splat(0); C]; R];
-        for step in 0..L::STEPS {
+        for step in 0..G * L::STEPS {
             let mut column = [L::splat(0); C];
             for (c, column) in column.iter_mut().enumerate() {
                 let (panel, lane) = (c * L::LANES / PANEL, c * L::LANES % PANEL);
-                *column = L::load(columns.add((panel * L::STEPS + step) * PANEL + lane));
+                *column = L::load(columns.add((panel * G * L::STEPS + step) * PANEL + lane));
             }
             for (r, dot) in dot.iter_mut().enumerate() {
                 let row = L::splat(*rows.add(step * R + r));
@@ -280,19 +321,4 @@ unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize>(
             L::store(column_keys[1].add(c * L::LANES), column_second[c]);
         }
     }
-}
-
-/// Brings the lanes of one row together.
-fn nearest_of_row(totals: &Totals, at: usize, lanes: usize, square: i32) -> Nearest {
-    let (mut first, mut index, mut second) = (i32::MIN, i32::MAX, i32::MIN);
-    for lane in 0..lanes {
-        let (value, lane_index) = (totals.first[at + lane], totals.index[at + lane] + lane as i32);
-        second = second.max(totals.second[at + lane]).max(value.min(first));
-        if value > first || (value == first && lane_index < index) {
-            (first, index) = (value, lane_index);
-        }
-    }
-    let distance = distance_of(square, first);
-    let index = if distance == u32::MAX { u32::MAX } else { index as u32 };
-    Nearest { index, distance, second: distance_of(square, second) }
 }

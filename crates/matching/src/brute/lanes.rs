@@ -14,15 +14,15 @@ pub(super) trait Lanes {
     type Vector: Copy;
     /// How many integers it holds: 4, 8 or 16.
     const LANES: usize;
-    /// Multiply-adds for one descriptor: 32 where one takes four bytes, 64 where it takes two 16-bit numbers.
+    /// Multiply-adds for a group of four bytes: one, or two where they take two 16-bit numbers.
     const STEPS: usize;
 
-    /// Row operands of the steps that one group of four bytes gives, of bytes taken as `byte − 128`; `STEPS / 32` of
+    /// Row operands of the steps that one group of four bytes gives, of bytes taken as `byte − 128`; `STEPS` of
     /// them are used.
     unsafe fn row_words(word: u32) -> [i32; 2];
     /// Column operands of some panels, `[panel][step][column]`: the panels themselves, or something made of them in
     /// `buffer`, which has room for it.
-    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32;
+    unsafe fn columns<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32;
 
     unsafe fn load(from: *const i32) -> Self::Vector;
     unsafe fn store(to: *mut i32, v: Self::Vector);
@@ -38,7 +38,7 @@ pub(super) trait Lanes {
 
 /// Splits every group of four bytes into two words of two 16-bit numbers: those at even and those at odd places.
 #[inline(always)]
-pub(super) fn widen(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+pub(super) fn widen<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32 {
     let groups = panels.iter().flat_map(|panel| &panel.0);
     for (group, words) in groups.zip(buffer.as_chunks_mut::<{ 2 * PANEL }>().0) {
         let (even, odd) = words.split_at_mut(PANEL);
@@ -74,14 +74,14 @@ fn zip(x: [i32; LANES], y: [i32; LANES], f: impl Fn(i32, i32) -> i32) -> [i32; L
 impl Lanes for Portable {
     type Vector = [i32; LANES];
     const LANES: usize = LANES;
-    const STEPS: usize = 64;
+    const STEPS: usize = 2;
 
     #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         widen_signed(word)
     }
     #[inline(always)]
-    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+    unsafe fn columns<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32 {
         widen(panels, buffer)
     }
     #[inline(always)]

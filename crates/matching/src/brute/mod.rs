@@ -15,10 +15,12 @@ mod lanes;
 mod x86;
 
 use crate::matches::Nearest;
-use crate::prepared::Prepared;
+use crate::prepared::{Packed, Prepared, Vectors};
 
 pub use isa::Isa;
 pub(crate) use isa::Kind;
+pub(crate) use kernel::RowLanes;
+use kernel::nearest_of_columns;
 
 /// The nearest neighbours of two images' descriptors in each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,5 +39,18 @@ pub fn nearest(a: &Prepared, b: &Prepared) -> NearestBothWays {
 
 /// As [`nearest`], on a given instruction set: for tests and measurements.
 pub fn nearest_on(isa: Isa, a: &Prepared, b: &Prepared) -> NearestBothWays {
-    isa.nearest(a, b)
+    let b = b.pack_all();
+    let mut of_a = Vec::with_capacity(a.len());
+    let of_b = compare(isa, a, &b, |_, row| of_a.push(row.whole()));
+    NearestBothWays { of_a, of_b }
+}
+
+/// Compares all with all: what each row has found goes to `finish_row`, in order; the nearest neighbours of the columns come back.
+pub(crate) fn compare<const G: usize>(
+    isa: Isa,
+    a: &impl Vectors<G>,
+    b: &Packed<G>,
+    finish_row: impl FnMut(usize, RowLanes<'_>),
+) -> Vec<Nearest> {
+    nearest_of_columns(b, &isa.sweep(a, b, finish_row))
 }

@@ -9,30 +9,59 @@
 
 use std::arch::x86_64::*;
 
-use super::NearestBothWays;
-use super::kernel::sweep;
+use tiepoint_features::Descriptor;
+
+use super::kernel::{RowLanes, Totals, sweep};
 use super::lanes::{Lanes, widen, widen_signed};
-use crate::prepared::{Panel, Prepared};
+use crate::prepared::{Packed, Panel, Vectors};
 
 /// Bit that turns a byte `x` into `x − 128` as a signed byte, in all four bytes of a word.
 const SIGN_BITS: u32 = 0x8080_8080;
 
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-pub(super) fn sweep_avx512_vnni(a: &Prepared, b: &Prepared) -> NearestBothWays {
+pub(super) fn sweep_avx512_vnni<const G: usize>(
+    a: &impl Vectors<G>,
+    b: &Packed<G>,
+    finish_row: impl FnMut(usize, RowLanes<'_>),
+) -> Totals {
     // SAFETY: the features that `Avx512Vnni` needs are enabled here.
-    unsafe { sweep::<Avx512Vnni, 6, 4>(a, b) }
+    unsafe { sweep::<Avx512Vnni, 6, 4, G>(a, b, finish_row) }
 }
 
 #[target_feature(enable = "avx2,avxvnni")]
-pub(super) fn sweep_avx_vnni(a: &Prepared, b: &Prepared) -> NearestBothWays {
+pub(super) fn sweep_avx_vnni<const G: usize>(
+    a: &impl Vectors<G>,
+    b: &Packed<G>,
+    finish_row: impl FnMut(usize, RowLanes<'_>),
+) -> Totals {
     // SAFETY: the features that `AvxVnni` needs are enabled here.
-    unsafe { sweep::<AvxVnni, 6, 2>(a, b) }
+    unsafe { sweep::<AvxVnni, 6, 2, G>(a, b, finish_row) }
 }
 
 #[target_feature(enable = "avx2")]
-pub(super) fn sweep_avx2(a: &Prepared, b: &Prepared) -> NearestBothWays {
+pub(super) fn sweep_avx2<const G: usize>(
+    a: &impl Vectors<G>,
+    b: &Packed<G>,
+    finish_row: impl FnMut(usize, RowLanes<'_>),
+) -> Totals {
     // SAFETY: the features that `Avx2` needs are enabled here.
-    unsafe { sweep::<Avx2, 6, 2>(a, b) }
+    unsafe { sweep::<Avx2, 6, 2, G>(a, b, finish_row) }
+}
+
+/// Squared Euclidean distance, exact.
+#[target_feature(enable = "avx2")]
+pub(super) fn squared_distance(a: &Descriptor, b: &Descriptor) -> u32 {
+    let mut sum = _mm256_setzero_si256();
+    for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
+        // SAFETY: both are 16 bytes long.
+        let [a, b] = [a, b].map(|x| unsafe { _mm_loadu_si128(x.as_ptr().cast()) });
+        let difference = _mm256_sub_epi16(_mm256_cvtepu8_epi16(a), _mm256_cvtepu8_epi16(b));
+        sum = _mm256_add_epi32(sum, _mm256_madd_epi16(difference, difference));
+    }
+    let mut lanes = [0_u32; 8];
+    // SAFETY: there is room for eight integers.
+    unsafe { _mm256_storeu_si256(lanes.as_mut_ptr().cast(), sum) };
+    lanes.iter().sum()
 }
 
 /// 16 lanes, four bytes a step.
@@ -45,14 +74,14 @@ struct Avx2;
 impl Lanes for Avx512Vnni {
     type Vector = __m512i;
     const LANES: usize = 16;
-    const STEPS: usize = 32;
+    const STEPS: usize = 1;
 
     #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         [(word ^ SIGN_BITS) as i32, 0]
     }
     #[inline(always)]
-    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+    unsafe fn columns<const G: usize>(panels: &[Panel<G>], _buffer: &mut [i32]) -> *const i32 {
         panels.as_ptr().cast()
     }
     #[inline(always)]
@@ -143,14 +172,14 @@ macro_rules! lanes_256 {
 
 impl Lanes for AvxVnni {
     lanes_256!();
-    const STEPS: usize = 32;
+    const STEPS: usize = 1;
 
     #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         [(word ^ SIGN_BITS) as i32, 0]
     }
     #[inline(always)]
-    unsafe fn columns(panels: &[Panel], _buffer: &mut [i32]) -> *const i32 {
+    unsafe fn columns<const G: usize>(panels: &[Panel<G>], _buffer: &mut [i32]) -> *const i32 {
         panels.as_ptr().cast()
     }
     #[inline(always)]
@@ -162,14 +191,14 @@ impl Lanes for AvxVnni {
 
 impl Lanes for Avx2 {
     lanes_256!();
-    const STEPS: usize = 64;
+    const STEPS: usize = 2;
 
     #[inline(always)]
     unsafe fn row_words(word: u32) -> [i32; 2] {
         widen_signed(word)
     }
     #[inline(always)]
-    unsafe fn columns(panels: &[Panel], buffer: &mut [i32]) -> *const i32 {
+    unsafe fn columns<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32 {
         widen(panels, buffer)
     }
     #[inline(always)]

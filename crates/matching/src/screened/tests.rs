@@ -1,0 +1,99 @@
+use tiepoint_features::Descriptor;
+
+use super::*;
+use crate::brute::nearest_on;
+use crate::matcher::select;
+use crate::random::SplitMix64;
+
+/// Something like SIFT: some edges, each spread over neighbouring places and directions; length 512.
+fn descriptor(random: &mut SplitMix64) -> Descriptor {
+    const EDGES: usize = 8;
+    let mut uniform = |end: f64| random.below(1000) as f64 / 1000.0 * end;
+    let edges: [[f64; 4]; EDGES] =
+        std::array::from_fn(|_| [uniform(4.0) - 0.5, uniform(4.0) - 0.5, uniform(8.0), uniform(1.0)]);
+    let share = |distance: f64| (1.0 - distance.abs() / 1.6).max(0.0);
+    let entry = |k: usize| {
+        let (row, column, direction) = ((k / 32) as f64, (k / 8 % 4) as f64, (k % 8) as f64);
+        let of_edge = |&[y, x, angle, weight]: &[f64; 4]| {
+            let turn = (direction - angle).rem_euclid(8.0);
+            weight * share(row - y) * share(column - x) * share(turn.min(8.0 - turn))
+        };
+        edges.iter().map(of_edge).sum::<f64>() + 0.01
+    };
+    normalised(&std::array::from_fn(entry))
+}
+
+fn normalised(entries: &[f64; 128]) -> Descriptor {
+    let norm = entries.iter().map(|x| x * x).sum::<f64>().sqrt();
+    entries.map(|x| (512.0 * x / norm).round().min(255.0) as u8)
+}
+
+/// `near` with noise.
+fn similar(near: &Descriptor, noise: usize, random: &mut SplitMix64) -> Descriptor {
+    normalised(&near.map(|x| f64::from(x) + random.below(noise + 1) as f64))
+}
+
+/// Half of the features of the second image are those of the first with more and more noise; some come twice, in either image.
+fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
+    let mut random = SplitMix64::new(seed, 0);
+    let mut a: Vec<Descriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
+    for k in (0..len[0]).step_by(9) {
+        a[k] = similar(&a[(k * 7 + 1) % len[0]], 5, &mut random);
+    }
+    let mut b: Vec<Descriptor> = (0..len[1])
+        .map(|k| match k % 2 {
+            0 => similar(&a[(k * 31) % len[0]], k % 100, &mut random),
+            _ => descriptor(&mut random),
+        })
+        .collect();
+    for k in (0..len[1]).step_by(11) {
+        b[k] = b[(k * 5 + 2) % len[1]];
+    }
+    [a, b]
+}
+
+/// Compared with all descriptors in full, on every instruction set; how many pairs of images went the short way.
+fn check(a: &[Descriptor], b: &[Descriptor], options: &Options) -> usize {
+    let (a, b) = (Prepared::new(a), Prepared::new(b));
+    let mut short = 0;
+    for isa in Isa::supported() {
+        let expected = select(&nearest_on(isa, &a, &b), options);
+        if let Some(found) = match_screened(isa, &a, &b, options) {
+            assert_eq!(found, expected, "{isa}");
+            short += 1;
+        }
+    }
+    short
+}
+
+#[test]
+fn the_short_way_gives_the_same_matches() {
+    for (seed, len) in [(1, [600, 700]), (2, [1000, 521]), (3, [523, 1999])] {
+        let [a, b] = images(len, seed);
+        for (max_ratio, max_angle_rad) in
+            [(Some(0.8), Some(0.7)), (Some(0.6), None), (Some(0.9), Some(0.4)), (None, Some(0.3))]
+        {
+            let options = Options { max_ratio, max_angle_rad, ..Options::default() };
+            let matches = check(&a, &b, &options);
+            assert!(matches > 0 || max_ratio != Some(0.8), "no instruction set went the short way");
+        }
+    }
+}
+
+#[test]
+fn descriptors_of_any_content_give_the_same_matches() {
+    let mut random = SplitMix64::new(9, 0);
+    for levels in [2, 3, 256] {
+        let mut image = |len: usize| -> Vec<Descriptor> {
+            (0..len)
+                .map(|_| std::array::from_fn(|_| (random.below(levels) * 255 / (levels - 1)) as u8))
+                .collect()
+        };
+        let (mut a, b) = (image(510), image(540));
+        a[..200].copy_from_slice(&b[100..300]);
+        check(&a, &b, &Options::default());
+    }
+    let same = vec![[7; 128]; 600];
+    check(&same, &same, &Options::default());
+    check(&same, &vec![[0; 128]; 600], &Options::default());
+}
