@@ -24,4 +24,4 @@ pub use relative_pose::RelativePose;
 pub use spread::{Spread, spread};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
-pub use trajectory::{Trajectory, interval_s};
+pub use trajectory::{Trajectory, interval_s, jitter_s};

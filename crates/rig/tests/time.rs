@@ -6,7 +6,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, Rng, so3};
 use tiepoint_rig::ba::Factor;
 use tiepoint_rig::ba::testing::check_jacobians;
-use tiepoint_rig::{Clock, Knots, Mounted, MountedInTime, Trajectory, find_offset};
+use tiepoint_rig::{Clock, Knots, Mounted, MountedInTime, Trajectory, find_offset, jitter_s};
 use tiepoint_synth::{Drive, DriveOptions, Effects};
 
 /// Numeric differentiation with steps of 1e-3 extrapolated once, on logarithms of numbers up to about 10.
@@ -51,8 +51,11 @@ const MOUNTED: Mounted = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 
 
 fn check(knots: [Rigid3; 4], mount: Rigid3, play: (Vector3<f64>, Vector3<f64>), time_s: f64) {
     let clock = Clock { offset_s: 0.3, drift: 0.01, pivot_s: 2.0 };
-    let factor = MountedInTime { mounted: MOUNTED, left_times_s: TIMES_S, right_time_s: time_s - 0.3 };
-    let left = all(&knots).at(clock.reference_time_s(factor.right_time_s));
+    let right_time_s = time_s - 0.3;
+    let left = all(&knots).at(clock.reference_time_s(right_time_s));
+    let doubts = [0.01, 0.1].map(|s| Rigid3::from_axis_angle(Vector3::x() * 0.5 * s, Vector3::z() * s));
+    let whitening = MountedInTime::whitening(&MOUNTED, &left, &mount, &doubts);
+    let factor = MountedInTime { mounted: MOUNTED, left_times_s: TIMES_S, right_time_s, whitening };
     let right_from_left = Rigid3::new(so3::exp(&play.0) * mount.rotation, mount.translation + play.1);
     let [a, b, c, d] = knots;
     let values = (a, b, c, d, right_from_left * left, mount, clock);
@@ -114,7 +117,12 @@ proptest! {
     /// At an instant at which there is a left image, both factors say the same.
     #[test]
     fn images_of_one_instant_are_the_special_case(k in knots(0.3), right in pose(), m in mount(vector(1.5)), which in 0usize..4) {
-        let factor = MountedInTime { mounted: MOUNTED, left_times_s: TIMES_S, right_time_s: TIMES_S[which] };
+        let factor = MountedInTime {
+            mounted: MOUNTED,
+            left_times_s: TIMES_S,
+            right_time_s: TIMES_S[which],
+            whitening: MountedInTime::whitening(&MOUNTED, &k[which], &m, &[]),
+        };
         let [a, b, c, d] = &k;
         let general = factor.residual((a, b, c, d, &right, &m, &Clock::default())).unwrap();
         let special = MOUNTED.residual((&k[which], &right, &m)).unwrap();
@@ -124,8 +132,8 @@ proptest! {
 
 /// Ten images a second of a car that goes around a block, with springs and an engine that shakes.
 fn drive(effects: &str, rate_hz: f64) -> Drive {
-    let effects: Effects = effects.parse().unwrap();
-    Drive::new(&DriveOptions { effects, rate_hz, ..DriveOptions::default() }).unwrap()
+    let effects: Effects = effects.parse().expect("known effects");
+    Drive::new(&DriveOptions { effects, rate_hz, ..DriveOptions::default() }).expect("a street of 200 m")
 }
 
 /// Root mean square error between the samples, of the cubic and of straight lines.
@@ -146,7 +154,7 @@ fn errors(drive: &Drive, rate_hz: f64) -> [(f64, f64); 2] {
             sum.0 += metres * metres / count as f64;
             sum.1 += radians * radians / count as f64;
         };
-        add(&mut cubic, &trajectory.at(middle_s).unwrap());
+        add(&mut cubic, &trajectory.at(middle_s).expect("no gaps"));
         add(&mut linear, &line);
     }
     [cubic, linear].map(|(m, r)| (m.sqrt(), r.sqrt().to_degrees()))
@@ -182,6 +190,46 @@ fn nothing_is_interpolated_where_images_are_missing() {
         assert_eq!(trajectory.knots_around(time_s), first, "{time_s}");
     }
     assert_eq!(Trajectory::new([at(0.0), at(1.0), at(2.0)]).at(1.0), None, "a cubic has four knots");
+}
+
+/// Whitened errors of the interpolated pose are no longer many standard deviations of a firm mounting; a 12 Hz vibration seen ten times a
+/// second is more than its neighbours tell.
+#[test]
+fn doubts_cover_what_interpolation_and_stamps_are_off() {
+    /// Of a camera's stamps, in seconds.
+    const JITTER_S: f64 = 0.002;
+    for (effects, rate_hz, most) in [("none", 10.0, 1.0), ("none", 2.5, 1.0), ("vibration", 10.0, 5.0)] {
+        let drive = drive(effects, rate_hz);
+        let mut rng = Rng::stream(5, &[]);
+        let at = |time_s: f64| drive.cam_from_world(0, time_s);
+        let count = (drive.trajectory().duration_s() * rate_hz) as usize;
+        let samples: Vec<(f64, Rigid3)> =
+            (0..count).map(|k| k as f64 / rate_hz).map(|t| (t + JITTER_S * rng.normal(), at(t))).collect();
+        let times: Vec<f64> = samples.iter().map(|(time_s, _)| *time_s).collect();
+        let jitter = jitter_s(&times);
+        assert!((jitter / JITTER_S - 1.0).abs() < 0.3, "{jitter} s");
+        let trajectory = Trajectory::new(samples);
+        let mount = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
+        let mounted = Mounted { sigma_translation: 0.0005, sigma_rotation_rad: 5e-5 };
+        let (mut raw, mut white) = (0.0, 0.0);
+        for pair in times.windows(2) {
+            let time_s = pair[0] + rng.uniform() * (pair[1] - pair[0]);
+            let Some(first) = trajectory.knots_around(time_s) else { continue };
+            let (left, truth) = (trajectory.knots(first).at(time_s), at(time_s));
+            let right = mount * truth;
+            let residual = mounted.residual((&left, &right, &mount)).expect("there is a baseline");
+            let doubts = trajectory.doubts(first, time_s, jitter);
+            let whitening = MountedInTime::whitening(&mounted, &left, &mount, &doubts);
+            raw += residual.norm_squared() / (6 * count) as f64;
+            white += (whitening * residual).norm_squared() / (6 * count) as f64;
+        }
+        eprintln!(
+            "{effects} at {rate_hz} Hz: {:.2} standard deviations, {:.2} whitened",
+            raw.sqrt(),
+            white.sqrt()
+        );
+        assert!(raw.sqrt() > 15.0 && white.sqrt() < most, "{effects} at {rate_hz} Hz: {raw} {white}");
+    }
 }
 
 /// Noise of poses as a reconstruction of pictures has it: metres and radians.
