@@ -138,19 +138,21 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
             else {
                 return Some(companion(Clock::default(), Timing::Together));
             };
+            let pivot_s = 0.5 * (rights.first()?.0 + rights.last()?.0);
+            // What has no pose tells nothing.
             let posed = |times: &[(f64, ImageId)]| -> Vec<(f64, Rigid3)> {
                 let pose = |id: ImageId| model.image(id).cam_from_world().copied();
                 times.iter().filter_map(|&(time_s, id)| Some((time_s, pose(id)?))).collect()
             };
-            let pivot_s = 0.5 * (rights.first()?.0 + rights.last()?.0);
+            let (lefts, rights) = (Trajectory::new(posed(&lefts)), posed(&rights));
             let clock = |offset_s| Clock { offset_s, drift: 0.0, pivot_s };
-            let Some(found) = find_offset(&Trajectory::new(posed(&lefts)), &posed(&rights)) else {
+            let Some(found) = find_offset(&lefts, &rights) else {
                 return Some(companion(clock(0.0), Timing::Together));
             };
             // What is not clearly better than no offset is none.
             let offset_s = if found.gain < MIN_GAIN { 0.0 } else { found.offset_s };
             let tolerance_s = (MAX_DEVIATIONS * found.sd_s).max(MIN_PHASE_S);
-            Some(match coinciding(&lefts, &rights, offset_s) {
+            Some(match coinciding(lefts.times_s(), &rights, offset_s) {
                 Some(exact_s) if (exact_s - found.offset_s).abs() <= tolerance_s => {
                     companion(clock(exact_s), Timing::Together)
                 }
@@ -161,10 +163,9 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
 }
 
 /// The offset nearest to the given one at which images of the two cameras coincide; `None` where they do not at any.
-fn coinciding(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)], offset_s: f64) -> Option<f64> {
-    let left_s: Vec<f64> = lefts.iter().map(|(time_s, _)| *time_s).collect();
-    let interval_s = interval_s(&left_s);
-    let phase = |&(time_s, _): &(f64, ImageId)| {
+fn coinciding(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option<f64> {
+    let interval_s = interval_s(left_s);
+    let phase = |&(time_s, _): &(f64, Rigid3)| {
         let time_s = time_s + offset_s;
         let after = left_s.partition_point(|left| *left < time_s);
         [after.checked_sub(1), Some(after)]
