@@ -155,8 +155,9 @@ pub(crate) struct Pairs {
 pub(crate) struct Mapping {
     /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
     /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
-    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Moments come from the times of the photos.
-    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_term)]
+    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Times of the photos may be on clocks that
+    /// disagree: they are found (paper: to half the time between two photos).
+    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
 }
 

@@ -119,11 +119,16 @@ pub struct Companion {
 /// An offset is moved away from what the stamps say only if the images say so this much more likely (natural logarithm); far more
 /// than chance asks for, since errors of neighbours in a model go together.
 const MIN_GAIN: f64 = 10.0;
+/// Where the motion tells an offset no better than this, in seconds, and does not contradict the stamps, they are believed: small biases of
+/// lenses bend a drive at one speed more than its keypoints' noise lets the adjustment think.
+const MAX_MOTION_SD_S: f64 = 0.002;
 /// Cameras are triggered together when an offset at which nine in ten of their images coincide (to this share of the interval) is
-/// this near to the one found: so many standard deviations of it, for the same reason, or so many seconds.
+/// this near to the one found: so many standard deviations of it, for the same reason, but no more than this share of the interval; or so
+/// many seconds.
 const MAX_JITTER: f64 = 0.02;
 const COINCIDING: f64 = 0.9;
 const MAX_DEVIATIONS: f64 = 6.0;
+const MAX_PHASE: f64 = 0.1;
 const MIN_PHASE_S: f64 = 0.001;
 
 /// Every camera that rides with the first one, as far as times, names or motion tell.
@@ -150,11 +155,16 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
                 return Some(companion(clock(0.0), Timing::Together));
             };
             // What is not clearly better than no offset is none.
-            let offset_s = if found.gain < MIN_GAIN { 0.0 } else { found.offset_s };
-            let tolerance_s = (MAX_DEVIATIONS * found.sd_s).max(MIN_PHASE_S);
+            let agrees = found.gain < MIN_GAIN;
+            let offset_s = if agrees { 0.0 } else { found.offset_s };
+            let tolerance_s = (MAX_DEVIATIONS * found.sd_s).min(MAX_PHASE * lefts.interval_s());
+            let is_near = |exact_s: f64| {
+                (exact_s - offset_s).abs() <= MIN_PHASE_S || (exact_s - found.offset_s).abs() <= tolerance_s
+            };
             Some(match coinciding(lefts.times_s(), &rights, offset_s) {
-                Some(exact_s) if (exact_s - found.offset_s).abs() <= tolerance_s => {
-                    companion(clock(exact_s), Timing::Together)
+                Some(exact_s) if is_near(exact_s) => companion(clock(exact_s), Timing::Together),
+                _ if agrees && found.sd_s > MAX_MOTION_SD_S => {
+                    companion(clock(offset_s), Timing::NotObservable)
                 }
                 _ => companion(clock(offset_s), Timing::Free),
             })

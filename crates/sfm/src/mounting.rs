@@ -129,6 +129,9 @@ pub(crate) fn hold_to_mountings(
     term: RigTerm,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<(), Error> {
+    if companions(model).iter().all(|companion| companion.moments(model).is_empty()) {
+        return Ok(());
+    }
     hold_out_tracks(model, HELD_OUT_SHARE, context.seed);
     let held_out = held_out(model);
     context.refine(model, &mut [], 1.0)?;

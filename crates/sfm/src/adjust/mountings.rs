@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, Key, Order};
-use tiepoint_geometry::nalgebra::SMatrix;
+use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
 use tiepoint_geometry::{Loss, Rigid3};
 use tiepoint_rig::{Clock, Mounted, MountedInTime};
-use tiepoint_scene::{ImageId, Reconstruction};
+use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
 
 use super::{AdjustOptions, Bundle, Scope};
 use crate::companion::{Left, Timing};
@@ -25,6 +25,7 @@ pub(crate) fn mounting_covariances(
     options: &AdjustOptions,
     mountings: &[Mounting],
 ) -> Result<Vec<Option<MountingCovariance>>, Error> {
+    let model = &without_points_at_infinity(model);
     let noise = relative_noise(model);
     let scaled: Vec<Mounting> =
         mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();
@@ -39,6 +40,35 @@ pub(crate) fn mounting_covariances(
         Some(covariance)
     };
     Ok(bundle.mountings.iter().map(of).collect())
+}
+
+/// A point whose depth its rays tell this much worse than its direction (as a ratio of information) is at infinity: the undamped system
+/// is singular for it.
+const MIN_DEPTH_INFORMATION: f64 = 1e-8;
+
+/// With such points set aside; they move nothing but rotations, which all others move too.
+fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
+    let is_far = |track: &Track| {
+        let mut information = Matrix3::zeros();
+        for pose in track.observations.iter().filter_map(|o| model.image(o.image).cam_from_world()) {
+            let ray = track.xyz - pose.origin_in_a();
+            let direction = ray.normalize();
+            information += (Matrix3::identity() - direction * direction.transpose()) / ray.norm_squared();
+        }
+        let eigenvalues = information.symmetric_eigenvalues();
+        // Not a number is nowhere.
+        let is_near = eigenvalues.min() > MIN_DEPTH_INFORMATION * eigenvalues.max();
+        !is_near
+    };
+    let far: Vec<PointId> =
+        model.tracks().filter(|(_, track)| is_far(track)).map(|(point, _)| point).collect();
+    let mut near = model.clone();
+    for point in far {
+        if let Some(track) = near.track_mut(point) {
+            track.is_held_out = true;
+        }
+    }
+    near
 }
 
 /// Rotation (radians), translation (units of the model), offset (seconds), drift.
