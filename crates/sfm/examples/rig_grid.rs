@@ -3,6 +3,8 @@
 //! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for `auto` how far the clock and the calibration
 //! are off; a cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
 
+#![allow(clippy::print_stdout, reason = "an example shows its result")]
+
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::Vector3;
