@@ -48,8 +48,8 @@ pub(crate) enum Command {
     View(View),
     /// Renders the drive of two cameras along a street, with the truth beside it.
     Synth(Synth),
-    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without and with the constraint
-    /// between its two cameras, compares both with the truth.
+    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without a constraint between
+    /// its two cameras, with the paper's and with one mounting, compares all with the truth.
     Demo(Demo),
 }
 
@@ -163,8 +163,9 @@ pub(crate) struct Pairs {
 pub(crate) struct Mapping {
     /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
     /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
-    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Moments come from the times of the photos.
-    #[arg(long, value_name = "MODE", default_value = "off", value_parser = rig_term)]
+    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Times of the photos may be on clocks that
+    /// disagree: they are found (paper: to half the time between two photos).
+    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
 }
 
@@ -227,7 +228,7 @@ pub(crate) struct Export {
     /// A workspace, or a folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
     /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
-    /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud).
+    /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud), kalibr (the rig with its clocks, as camchain.yaml).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::{CloudEvaluation, ErrorStatistics, PoseEvaluation, Report};
+use tiepoint_pipeline::{CloudEvaluation, ErrorStatistics, PoseEvaluation, Report, RigCamera};
 
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
@@ -60,6 +60,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             }
             if let Some(mounting) = &rig.mounting {
                 line(format_args!("          {}: {}", mounting.chosen, mounting.why));
+                for camera in mounting.rig.iter().flat_map(|rig| &rig.cameras) {
+                    line(format_args!("          {}", mounted(camera)));
+                }
                 for [left, right] in mounting.bad_pairs.iter().take(MAX_NAMES) {
                     line(format_args!(
                         "          not held: {left} and {right} do not agree with the mounting"
@@ -86,6 +89,29 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     }
     line(format_args!("in {}", workspace.display()));
     text
+}
+
+/// The calibration of a camera and its clock, in a line.
+fn mounted(camera: &RigCamera) -> String {
+    let RigCamera { name, centre_in_rig: [x, y, z], rotation_wxyz, clock, .. } = camera;
+    let angle_deg = 2.0 * rotation_wxyz[0].abs().min(1.0).acos().to_degrees();
+    let spread = match (camera.translation_sd, camera.rotation_sd_deg) {
+        (Some(t), Some(r)) => format!("\u{b1} {t:.4}, turned by {angle_deg:.3}\u{b0} \u{b1} {r:.4}\u{b0}"),
+        _ => format!("turned by {angle_deg:.3}\u{b0}, not determined by the images"),
+    };
+    let offset_ms = 1e3 * clock.offset_s;
+    let time = match (clock.timing.as_str(), clock.offset_sd_s) {
+        ("free", Some(sd_s)) => format!(
+            "clock {offset_ms:+.2} \u{b1} {:.2} ms, {:+.0} \u{b1} {:.0} ppm",
+            1e3 * sd_s,
+            clock.drift_ppm,
+            clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
+        ),
+        ("not observable", _) => format!("clock not observable, held at {offset_ms:+.2} ms"),
+        _ => format!("images at the same instants, clock {offset_ms:+.2} ms"),
+    };
+    let frames = if camera.hold == "hard" { "" } else { ", not rigid frames" };
+    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {spread}; {time}{frames}")
 }
 
 fn names(all: &[String]) -> String {

@@ -59,6 +59,12 @@ pub enum Error {
         /// What is missing.
         stage: Stage,
     },
+    /// No rig was found, or none was looked for.
+    #[error("{path} is not there: map two or more cameras with --rig soft, hard or auto first")]
+    NoRig {
+        /// The file.
+        path: PathBuf,
+    },
     /// The stage was made from something else, or in another way.
     #[error(
         "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or choose another workspace",

@@ -15,6 +15,7 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
+use crate::kalibr;
 use crate::records::Records;
 use crate::workspace::STAGES;
 
@@ -35,10 +36,12 @@ pub enum ExportFormat {
     OpenMvs,
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
+    /// The rig with its clocks, as Kalibr's `camchain.yaml`.
+    Kalibr,
 }
 
 /// Formats by name.
-const FORMATS: [(&str, ExportFormat); 7] = [
+const FORMATS: [(&str, ExportFormat); 8] = [
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
     ("colmap-text", ExportFormat::ColmapText),
@@ -46,6 +49,7 @@ const FORMATS: [(&str, ExportFormat); 7] = [
     ("tum", ExportFormat::Tum),
     ("kitti", ExportFormat::Kitti),
     ("bal", ExportFormat::Bal),
+    ("kalibr", ExportFormat::Kalibr),
 ];
 
 impl FromStr for ExportFormat {
@@ -82,6 +86,11 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
         }
         ExportFormat::OpenMvs => export_openmvs(from, &model, to)?,
         ExportFormat::Nerfstudio => export_nerfstudio(from, &model, to)?,
+        ExportFormat::Kalibr => {
+            let (text, cameras) = kalibr::camchain(&model, &folder.join("../../rig.json"))?;
+            std::fs::write(to, text).map_err(|cause| Error::Output { path: to.to_owned(), cause })?;
+            (poses, points) = (cameras, 0);
+        }
         ExportFormat::Ply => {
             ply::write(to, &ply::points(&model))?;
             poses = 0;

@@ -10,6 +10,7 @@ mod event;
 mod export;
 mod features;
 mod fingerprint;
+mod kalibr;
 mod mapping;
 mod matching;
 mod ordered;
@@ -17,6 +18,7 @@ mod photos;
 mod reconstruct;
 mod records;
 mod report;
+mod rig_file;
 mod rig_over_time;
 mod rig_report;
 mod stage;
@@ -44,6 +46,7 @@ pub use reconstruct::{Options, reconstruct};
 pub use report::{
     CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
 };
+pub use rig_file::{RigCamera, RigClock, RigFile};
 pub use rig_over_time::{RigEvaluation, evaluate_rig};
 pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport};
 pub use stage::Stage;

@@ -14,7 +14,8 @@ use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, Verify
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
-use crate::records::{Progress, Recipe};
+use crate::records::{Progress, Recipe, write_json};
+use crate::rig_file::RigFile;
 use crate::rig_report::{Held, History};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
@@ -43,17 +44,21 @@ pub fn map(
         let required = VerifyOptions::default().min_num_inliers;
         return Err(no_overlap(workspace, required)?);
     }
-    if options.rig != RigTerm::Off {
-        require_moments(workspace, &scene)?;
+    match options.rig {
+        RigTerm::Off | RigTerm::Auto => {}
+        term => require_moments(workspace, &scene, term)?,
     }
     let name = |id| scene.image(id).name.as_str();
     let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
+    let mut cameras = Vec::new();
     let mut models = sfm::map(&graph, &scene, &options, &mut |event| {
         match event {
             sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
             sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::MountedCamera(camera) => cameras.push((**camera).clone()),
             sfm::Event::Mounted { hold, error_off_px, error_px, .. } => {
-                held.push(Held { hold: *hold, error_off_px: *error_off_px, error_px: *error_px });
+                let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
+                held.push(Held { hold, error_off_px, error_px, cameras: std::mem::take(&mut cameras) });
             }
             _ => {}
         }
@@ -68,6 +73,7 @@ pub fn map(
     let report = |(path, model): (String, &Reconstruction)| {
         ModelReport::new(path, model, RigReport::new(options.rig, model, &history))
     };
+    write_rig(workspace, models.first(), &history)?;
     let reports = paths.into_iter().zip(&models).map(report).collect();
     let seconds = start.elapsed().as_secs_f64();
     workspace.update_report(|all| {
@@ -118,13 +124,19 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
             Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
         }
         // These are for the report.
-        sfm::Event::BadPair { .. } | sfm::Event::Mounted { .. } => return None,
+        sfm::Event::BadPair { .. } | sfm::Event::MountedCamera(_) | sfm::Event::Mounted { .. } => {
+            return None;
+        }
     })
 }
 
-/// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing.
-fn require_moments(workspace: &Workspace, scene: &Reconstruction) -> Result<(), Error> {
-    if rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
+/// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing. With times on
+/// clocks of their own, images need no partner.
+fn require_moments(workspace: &Workspace, scene: &Reconstruction, term: RigTerm) -> Result<(), Error> {
+    let has_times = term != RigTerm::Paper
+        && scene.cameras().count() > 1
+        && scene.images().all(|(_, i)| i.time_s.is_some());
+    if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }
     let cameras = scene.cameras().count();
@@ -149,6 +161,19 @@ fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<
         ply::write(&workspace.points(), &ply::points(largest))?;
     }
     Ok((0..models.len()).map(|index| format!("sparse/{index}")).collect())
+}
+
+/// `rig.json` of the largest model; gone where no camera is held to another.
+fn write_rig(workspace: &Workspace, model: Option<&Reconstruction>, history: &History) -> Result<(), Error> {
+    let path = workspace.rig();
+    let held = history.held.first();
+    match model.zip(held).and_then(|(model, held)| RigFile::new(model, &held.cameras)) {
+        Some(rig) => write_json(&path, &rig),
+        None => match fs::remove_file(&path) {
+            Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => Err(Error::Output { path, cause }),
+            _ => Ok(()),
+        },
+    }
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), Error> {

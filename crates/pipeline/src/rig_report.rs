@@ -1,10 +1,11 @@
 //! What the report says about cameras that ride together.
 
 use serde::{Deserialize, Serialize};
-use tiepoint_sfm::rig::{RelativePose, paper, spread};
-use tiepoint_sfm::scene::{ImageId, Reconstruction};
-use tiepoint_sfm::{Hold, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
+use tiepoint_sfm::rig::{RelativePose, Spread, paper, spread};
+use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
+use tiepoint_sfm::{Hold, MountedCamera, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
 
+use crate::rig_file::RigFile;
 use crate::rig_over_time::folder_of;
 
 /// Two or more cameras that took images at the same moments.
@@ -37,6 +38,8 @@ pub struct MountingReport {
     pub held_out_error_px: f64,
     /// Images of one moment that agree with the mounting neither in the model nor by their own matches.
     pub bad_pairs: Vec<[String; 2]>,
+    /// The calibration with the clocks, as in `rig.json`.
+    pub rig: Option<RigFile>,
 }
 
 /// What the mapper told of mountings.
@@ -44,6 +47,7 @@ pub(crate) struct Held {
     pub(crate) hold: Option<Hold>,
     pub(crate) error_off_px: f64,
     pub(crate) error_px: f64,
+    pub(crate) cameras: Vec<MountedCamera>,
 }
 
 /// What the mapper told, of all models.
@@ -59,9 +63,9 @@ pub(crate) struct History {
 pub struct RigCameraReport {
     /// Their folders.
     pub names: [String; 2],
-    /// N_t: moments at which both took an image.
+    /// N_t: moments at which both took an image, or at which the first camera's place is known where the other took one.
     pub pairs: usize,
-    /// N_p: those with both poses.
+    /// N_p: those with both poses; of cameras that are held to a mounting, those at which they are.
     pub reconstructed_pairs: usize,
     /// Distance of the two, in units of the model.
     pub median_baseline: f64,
@@ -100,8 +104,17 @@ impl RigReport {
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
             rigs.iter().map(|rig| (rig, relative_poses(model, &rig.pairs))).collect();
-        let cameras: Vec<RigCameraReport> =
-            series.iter().filter_map(|(rig, poses)| camera(model, rig, poses)).collect();
+        let mounted = history.held.first().map_or(&[][..], |held| &held.cameras);
+        let mut cameras: Vec<RigCameraReport> =
+            mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
+        // Where clocks are not known, images nearest in time count as of one moment.
+        let is_left = |rig: &RigPairs| mounted.iter().all(|mounted| mounted.right != rig.right);
+        cameras.extend(
+            series
+                .iter()
+                .filter(|(rig, _)| is_left(rig))
+                .filter_map(|(rig, poses)| camera(model, rig, poses)),
+        );
         let mode = match term {
             RigTerm::Off => "off",
             RigTerm::Paper => "paper",
@@ -124,22 +137,37 @@ fn camera(
     poses: &[(RigPair, RelativePose)],
 ) -> Option<RigCameraReport> {
     let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
-    let spread = spread(&relative)?;
-    Some(RigCameraReport {
-        names: [rig.left, rig.right].map(|camera| folder_of(model, camera)),
-        pairs: rig.pairs.len(),
-        reconstructed_pairs: poses.len(),
+    Some(camera_report(model, [rig.left, rig.right], rig.pairs.len(), &spread(&relative)?))
+}
+
+/// With its clock: the moments at which it is held.
+fn mounted_camera(model: &Reconstruction, mounted: &MountedCamera) -> Option<RigCameraReport> {
+    let cameras = [mounted.left, mounted.right];
+    Some(camera_report(model, cameras, mounted.num_moments, &mounted.spread?))
+}
+
+fn camera_report(
+    model: &Reconstruction,
+    cameras: [CameraId; 2],
+    pairs: usize,
+    spread: &Spread,
+) -> RigCameraReport {
+    RigCameraReport {
+        names: cameras.map(|camera| folder_of(model, camera)),
+        pairs,
+        reconstructed_pairs: spread.count,
         median_baseline: spread.median_baseline,
         relative_baseline_sd: spread.sd_baseline / spread.mean_baseline,
         relative_translation_rms: spread.rms_translation / spread.mean_baseline,
         rotation_rms_deg: spread.rms_rotation_rad.to_degrees(),
         second_over_first_half: spread.second_over_first_half,
-    })
+    }
 }
 
 /// Of the largest model, to which the mapper came first.
 fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> Option<MountingReport> {
-    let Held { hold, error_off_px, error_px } = *history.held.first()?;
+    let Held { hold, error_off_px, error_px, cameras } = history.held.first()?;
+    let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
     let name = |image| model.image(image).name.clone();
     let (chosen, sigmas) = match hold {
         None => ("off", None),
@@ -170,6 +198,7 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> 
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
         bad_pairs: history.bad_pairs.iter().map(|&(left, right)| [name(left), name(right)]).collect(),
+        rig: RigFile::new(model, cameras),
     })
 }
 

@@ -99,6 +99,11 @@ impl Workspace {
         self.root.join("points.ply")
     }
 
+    /// The calibration of the cameras that ride together, and their clocks; there only where they were held to mountings.
+    pub fn rig(&self) -> PathBuf {
+        self.root.join("rig.json")
+    }
+
     /// When each image was taken.
     pub fn timestamps(&self) -> PathBuf {
         self.root.join("timestamps.csv")

@@ -5,6 +5,8 @@
 //! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take
 //! part; afterwards each is moved to where the adjusted poses see it.
 
+mod mountings;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
@@ -12,13 +14,16 @@ use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
-use tiepoint_rig::{Baseline, Mounted};
+use tiepoint_rig::{Baseline, Clock};
 use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstruction};
 
 use crate::focal::FocalPrior;
-use crate::mounting::{Hold, Mounting};
+use crate::mounting::Mounting;
 use crate::rig_pairs::BaselineLink;
 use crate::{Error, keypoint_sigma_px, triangulation};
+pub use mountings::MountingCovariance;
+pub(crate) use mountings::mounting_covariances;
+use mountings::rigid_pairs;
 
 /// Which intrinsics an adjustment may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,8 +60,6 @@ pub struct AdjustOptions<'a> {
     pub focal_priors: &'a [FocalPrior],
     /// Where cameras ride together: relative poses that should be equal.
     pub links: &'a [BaselineLink],
-    /// Where cameras ride together: mountings that they are held to. For adjustments of everything.
-    pub mountings: &'a [Mounting],
     /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate of the second one's
     /// translation. By default the first and the one farthest from it.
     pub gauge: Option<ImagePair>,
@@ -75,7 +78,6 @@ impl Default for AdjustOptions<'_> {
             distortion_sigma: 0.2,
             focal_priors: &[],
             links: &[],
-            mountings: &[],
             gauge: None,
             max_iterations: 50,
             function_tolerance: 1e-6,
@@ -99,7 +101,18 @@ pub fn adjust(
     options: &AdjustOptions,
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
-    let mut bundle = Bundle::new(model, scope, options)?;
+    adjust_mounted(model, scope, options, &mut [], watch)
+}
+
+/// Adjusts everything with cameras held to mountings, which are adjusted with it: calibration and clock.
+pub(crate) fn adjust_mounted(
+    model: &mut Reconstruction,
+    scope: &Scope,
+    options: &AdjustOptions,
+    mountings: &mut [Mounting],
+    watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+) -> Result<Summary, Error> {
+    let mut bundle = Bundle::new(model, scope, options, mountings)?;
     let solver_options = Options {
         max_iterations: options.max_iterations,
         function_tolerance: options.function_tolerance,
@@ -107,6 +120,12 @@ pub fn adjust(
     };
     let summary = Solver::new(&bundle.problem, &solver_options)?.solve(&mut bundle.problem, watch)?;
     bundle.write_back(model);
+    for (mounting, (mount, clock)) in mountings.iter_mut().zip(&bundle.mountings) {
+        mounting.right_from_left = bundle.problem.get(*mount);
+        if let Some(clock) = clock {
+            mounting.clock = bundle.problem.get(*clock);
+        }
+    }
     retriangulate_held_out(model);
     Ok(summary)
 }
@@ -124,6 +143,8 @@ struct Bundle {
     /// Images that are held rigidly to another: the mounting, and the other's pose.
     held: Vec<(ImageId, Key<Rigid3>, Key<Rigid3>)>,
     points: Vec<(PointId, Key<Vector3<f64>>)>,
+    /// Calibration and clock of each mounting.
+    mountings: Vec<(Key<Rigid3>, Option<Key<Clock>>)>,
 }
 
 /// Where the pose of an image stands.
@@ -138,7 +159,12 @@ enum Place {
 type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
 
 impl Bundle {
-    fn new(model: &Reconstruction, scope: &Scope, options: &AdjustOptions) -> Result<Self, Error> {
+    fn new(
+        model: &Reconstruction,
+        scope: &Scope,
+        options: &AdjustOptions,
+        mountings: &[Mounting],
+    ) -> Result<Self, Error> {
         let moves = |image: ImageId| match scope {
             Scope::Global => true,
             Scope::Local(images) => images.contains(&image),
@@ -149,6 +175,7 @@ impl Bundle {
             poses: Vec::new(),
             held: Vec::new(),
             points: Vec::new(),
+            mountings: Vec::new(),
         };
         let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
@@ -178,7 +205,7 @@ impl Bundle {
                 observations: num_observations,
             });
         }
-        let rigid = rigid_pairs(options.mountings, &posed);
+        let rigid = rigid_pairs(mountings, &posed);
         for (order, &image) in posed.iter().enumerate() {
             if rigid.contains_key(&image) {
                 continue;
@@ -192,7 +219,7 @@ impl Bundle {
         }
         bundle.hold_gauge(model, options.gauge, &moves)?;
         bundle.add_links(model, options.links, &moves)?;
-        bundle.add_mountings(options.mountings, &rigid)?;
+        bundle.add_mountings(model, mountings, &rigid)?;
         for (id, camera) in model.cameras() {
             let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
             let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));
@@ -309,36 +336,6 @@ impl Bundle {
         Ok(())
     }
 
-    /// Adds the mountings as variables, soft ones with a term for each moment.
-    fn add_mountings(
-        &mut self,
-        mountings: &[Mounting],
-        rigid: &BTreeMap<ImageId, (usize, ImageId)>,
-    ) -> Result<(), Error> {
-        if mountings.is_empty() {
-            return Ok(());
-        }
-        let keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
-        for (index, mounting) in mountings.iter().enumerate() {
-            let key = self.problem.keep(mounting.right_from_left, Order::Shared);
-            for pair in &mounting.pairs {
-                let Some(&left) = keys.get(&pair.left) else { continue };
-                match mounting.hold {
-                    Hold::Rigid if rigid.get(&pair.right) == Some(&(index, pair.left)) => {
-                        self.held.push((pair.right, key, left));
-                    }
-                    Hold::Rigid => {}
-                    Hold::Soft { sigma_translation, sigma_rotation_rad } => {
-                        let Some(&right) = keys.get(&pair.right) else { continue };
-                        let factor = Mounted { sigma_translation, sigma_rotation_rad };
-                        self.problem.add((left, right, key), factor, Loss::Trivial)?;
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
     fn write_back(&self, model: &mut Reconstruction) {
         for (camera, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
@@ -355,19 +352,6 @@ impl Bundle {
             }
         }
     }
-}
-
-/// Images that take their pose from another's: by which mounting, and whose.
-fn rigid_pairs(mountings: &[Mounting], posed: &[ImageId]) -> BTreeMap<ImageId, (usize, ImageId)> {
-    let mut rigid = BTreeMap::new();
-    for (index, mounting) in mountings.iter().enumerate().filter(|(_, m)| m.hold == Hold::Rigid) {
-        for pair in &mounting.pairs {
-            if posed.binary_search(&pair.left).is_ok() && posed.binary_search(&pair.right).is_ok() {
-                rigid.insert(pair.right, (index, pair.left));
-            }
-        }
-    }
-    rigid
 }
 
 /// Indices of the parameters that stay.

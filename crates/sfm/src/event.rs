@@ -1,12 +1,16 @@
 use std::ops::ControlFlow;
 
-use tiepoint_scene::ImageId;
+use tiepoint_geometry::Rigid3;
+use tiepoint_rig::{Clock, Spread};
+use tiepoint_scene::{CameraId, ImageId};
 
 use crate::Error;
+use crate::adjust::MountingCovariance;
+use crate::companion::Timing;
 use crate::mounting::Hold;
 
 /// What the mapper tells while it works.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// A model was begun.
     Initialised {
@@ -46,6 +50,8 @@ pub enum Event {
         /// Of the other one.
         right: ImageId,
     },
+    /// The calibration of a camera that is held to the first one.
+    MountedCamera(Box<MountedCamera>),
     /// A finished model was held to the mountings of its cameras.
     Mounted {
         /// How firmly in the end; `None` where it would have explained held-out tracks worse.
@@ -57,6 +63,29 @@ pub enum Event {
         /// The same as it is now.
         error_px: f64,
     },
+}
+
+/// What came out for a camera that rides with the first one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MountedCamera {
+    /// The first camera.
+    pub left: CameraId,
+    /// The other one.
+    pub right: CameraId,
+    /// The calibration, in units of the model.
+    pub right_from_left: Rigid3,
+    /// The other one's clock.
+    pub clock: Clock,
+    /// How well that is known.
+    pub timing: Timing,
+    /// Of calibration and clock; `None` where something is not determined.
+    pub covariance: Option<MountingCovariance>,
+    /// How firmly it is held.
+    pub hold: Hold,
+    /// Moments at which the two could be compared.
+    pub num_moments: usize,
+    /// Of the relative poses at the moments that are held.
+    pub spread: Option<Spread>,
 }
 
 /// Tells an event; an error where the answer is to stop.

@@ -124,8 +124,8 @@ pub fn map(
     }
     let focal_priors = focal_priors(&scene, &found);
     let rigs = match options.rig {
-        RigTerm::Off => Vec::new(),
-        _ => rig_pairs(&scene),
+        RigTerm::Paper => rig_pairs(&scene),
+        _ => Vec::new(),
     };
     let mut models: Vec<Reconstruction> = Vec::new();
     let mut taken: BTreeSet<ImageId> = BTreeSet::new();
@@ -275,11 +275,10 @@ impl<'a> Mapper<'a> {
                 let links = final_links(&self.model, self.rigs);
                 self.adjust_globally(&links, 1e-8, 100, watch)?;
             }
-            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto if !self.rigs.is_empty() => {
+            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => {
                 let mut model = self.model.clone();
                 let context = Context {
                     graph: self.graph,
-                    rigs: self.rigs,
                     tracks: &self.options.tracks,
                     filter: &self.options.filter,
                     adjust: self.adjust_options(&[], 1e-8, 100),
@@ -288,7 +287,7 @@ impl<'a> Mapper<'a> {
                 hold_to_mountings(&context, &mut model, self.options.rig, watch)?;
                 self.model = model;
             }
-            _ => {}
+            RigTerm::Off => {}
         }
         Ok(())
     }

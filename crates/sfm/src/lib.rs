@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod adjust;
+mod companion;
 mod error;
 mod event;
 mod filter;
@@ -17,9 +18,10 @@ mod triangulation;
 mod verify;
 mod visibility;
 
-pub use adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+pub use adjust::{AdjustOptions, MountingCovariance, RefineIntrinsics, Scope, adjust};
+pub use companion::{Companion, Left, Moment, Timing, companions};
 pub use error::Error;
-pub use event::Event;
+pub use event::{Event, MountedCamera};
 pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};

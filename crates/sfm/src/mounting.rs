@@ -1,38 +1,50 @@
 //! Cameras held to the mounting that they share, found from the model itself: `--rig soft`, `hard` and `auto`.
 //!
-//! A model without any such term comes first. Then, per camera beside the first: (i) the mounting is the robust average of the
-//! relative poses, and pairs far from it are gated: where the pair's own two-view geometry agrees with the mounting, the model is wrong
-//! there (a split) and the pair takes part, else the pair is wrong and does not; (ii) the term is added, quadratic, and everything
-//! adjusted (a robust loss lets go of what it should bring together: on KITTI 01 it springs back); (iii) tracks are re-created, completed and merged across the cameras, which is what keeps a closed split
-//! closed; (iv) the standard deviations are tightened threefold, down to a floor, for as long as tracks that took no part are
-//! explained no worse. How much the mounting gives, and how far the clocks disagree, is thereby found and not assumed.
+//! A model without any such term comes first, and the clocks of its cameras from how it has them move ([`crate::companions`]). Then, per
+//! camera beside the first: (i) the mounting is the robust average of the relative poses, the first camera's being interpolated at the
+//! times of the other's images, and images far from it are gated: where two images' own two-view geometry agrees with the mounting, the
+//! model is wrong there (a split) and the image takes part, else the image is wrong and does not; (ii) the term is added, quadratic, and
+//! everything adjusted, clocks with it (a robust loss lets go of what it should bring together: on KITTI 01 it springs back); (iii) tracks
+//! are re-created, completed and merged across the cameras, which is what keeps a closed split closed; (iv) the standard deviations are
+//! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse. How much the mounting gives is
+//! thereby found and not assumed. A clock of which the images tell too little stays at what its stamps say, and everything is done again.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
+use tiepoint_ba::Factor;
 use tiepoint_geometry::{Rigid3, so3};
-use tiepoint_rig::{RelativePose, robust_average};
+use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
 use tiepoint_scene::{
-    CorrespondenceGraph, Frame, ImageId, ImagePair, Observation, Reconstruction, Rig, RigId, RigSensor,
+    CameraId, CorrespondenceGraph, Frame, ImageId, ImagePair, Observation, Reconstruction, Rig, RigId,
+    RigSensor,
 };
 
-use crate::adjust::{AdjustOptions, Scope, adjust, keep_going};
-use crate::event::tell;
+use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
+use crate::companion::{Companion, Left, Moment, Timing, companions};
+use crate::event::{MountedCamera, tell};
 use crate::filter::{FilterOptions, filter_all_points};
 use crate::hold_out::hold_out_tracks;
 use crate::initial_pair::relative_pose;
-use crate::rig_pairs::{RigPair, RigPairs, relative_poses};
 use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::triangulation::{Sight, nearest_to_rays};
 use crate::{Error, Event, RigTerm};
 
-/// Cameras that share a mounting, and how firmly it holds them.
+/// A camera's mounting beside the first one, and how firmly it holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mounting {
-    /// Moments of the two cameras.
-    pub pairs: Vec<RigPair>,
+    /// The first camera.
+    pub left: CameraId,
+    /// The other one.
+    pub right: CameraId,
+    /// Where the two are held to each other.
+    pub moments: Vec<Moment>,
     /// The calibration to begin with; it is adjusted.
     pub right_from_left: Rigid3,
+    /// The other camera's clock; it is adjusted where it is free.
+    pub clock: Clock,
+    /// Whether it is.
+    pub timing: Timing,
     /// How firmly.
     pub hold: Hold,
 }
@@ -49,6 +61,22 @@ pub enum Hold {
     },
     /// Exactly: the right camera's pose is the left one's, moved by the calibration.
     Rigid,
+}
+
+impl Hold {
+    fn soft(sigmas: (f64, f64)) -> Self {
+        Self::Soft { sigma_translation: sigmas.0, sigma_rotation_rad: sigmas.1 }
+    }
+
+    /// With standard deviations that many times as large.
+    pub(crate) fn scaled(self, factor: f64) -> Self {
+        match self {
+            Self::Soft { sigma_translation, sigma_rotation_rad } => {
+                Self::soft((factor * sigma_translation, factor * sigma_rotation_rad))
+            }
+            Self::Rigid => Self::Rigid,
+        }
+    }
 }
 
 /// Least standard deviations. Ten times less than any mounting gives: small biases of the lenses, seen by all tracks, bend a drive
@@ -79,6 +107,8 @@ const HELD_OUT_TOLERANCE: f64 = 0.08;
 /// Cameras are held when their relative poses end within this many standard deviations of the mounting. Where clocks disagree or a mount
 /// gives, they do not follow, and the firmest deviations at which they did are kept.
 const MAX_LEFT: f64 = 3.0;
+/// Where an offset's standard deviation is larger than this, its value would be an accident of the lenses.
+const MAX_CLOCK_SD_S: f64 = 0.02;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
@@ -86,7 +116,6 @@ const ITERATIONS: usize = 50;
 /// What the steps need of the mapper.
 pub(crate) struct Context<'a> {
     pub(crate) graph: &'a CorrespondenceGraph,
-    pub(crate) rigs: &'a [RigPairs],
     pub(crate) tracks: &'a TrackOptions,
     pub(crate) filter: &'a FilterOptions,
     pub(crate) adjust: AdjustOptions<'a>,
@@ -100,121 +129,270 @@ pub(crate) fn hold_to_mountings(
     term: RigTerm,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<(), Error> {
+    if companions(model).iter().all(|companion| companion.moments(model).is_empty()) {
+        return Ok(());
+    }
     hold_out_tracks(model, HELD_OUT_SHARE, context.seed);
     let held_out = held_out(model);
-    context.refine(model, &[], 1.0)?;
+    context.refine(model, &mut [], 1.0)?;
     let error_off_px = held_out_error_px(model, &held_out);
-    let found = spread(context, model);
-    let mut sigmas =
-        (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
+    let mut companions = companions(model);
     let off = model.clone();
-    let mut best: Option<(Reconstruction, Vec<Mounting>, f64)> = None;
-    let mut is_firm = false;
-    for step in 0..MAX_STEPS {
-        let hold = Hold::Soft { sigma_translation: sigmas.0, sigma_rotation_rad: sigmas.1 };
-        let mut candidate = model.clone();
-        let mountings = context.mountings(&candidate, hold);
-        context.refine(&mut candidate, &mountings, if step == 0 { WIDENED } else { 1.0 })?;
-        let error_px = held_out_error_px(&candidate, &held_out);
-        let is_asked_for = term != RigTerm::Auto && step == 0;
-        if !is_asked_for && error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px {
+    let (mut best, mut is_firm) = (None, false);
+    // Once more when a clock turns out not to be observable.
+    for _ in 0..2 {
+        *model = off.clone();
+        (best, is_firm) = context.tighten(model, &mut companions, term, &held_out, error_off_px)?;
+        let Some(Held { mountings, .. }) = &best else { break };
+        if !context.give_up_clocks(model, mountings, &mut companions)? {
             break;
         }
-        let left = spread(context, &candidate);
-        let is_held = left.0 <= MAX_LEFT * sigmas.0 && left.1 <= MAX_LEFT * sigmas.1;
-        if is_held || is_asked_for {
-            best = Some((candidate.clone(), mountings, error_px));
-            is_firm = sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
-        }
-        *model = candidate;
-        if sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1 {
-            break;
-        }
-        sigmas = ((sigmas.0 / TIGHTEN).max(SIGMA_FLOOR.0), (sigmas.1 / TIGHTEN).max(SIGMA_FLOOR.1));
     }
-    if (term == RigTerm::Hard || term == RigTerm::Auto && is_firm)
-        && let Some((soft, _, error_soft_px)) = &best
-    {
-        let mut candidate = soft.clone();
-        let mountings = context.mountings(&candidate, Hold::Rigid);
+    let is_wanted = term == RigTerm::Hard || term == RigTerm::Auto && is_firm;
+    if let Some(soft) = best.as_ref().filter(|soft| is_wanted && soft.is_anything_together()) {
+        let mut candidate = soft.model.clone();
+        let mut mountings = context.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas);
         make_rigid(&mut candidate, &mountings);
-        context.refine(&mut candidate, &mountings, 1.0)?;
+        context.refine(&mut candidate, &mut mountings, 1.0)?;
         let error_px = held_out_error_px(&candidate, &held_out);
-        if term == RigTerm::Hard || error_px <= *error_soft_px {
-            best = Some((candidate, mountings, error_px));
+        if term == RigTerm::Hard || error_px <= soft.error_px {
+            best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
         }
     }
     let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
     match best {
-        Some((chosen, held, error)) => (*model, mountings, error_px) = (chosen, held, error),
+        Some(held) => (*model, mountings, error_px) = (held.model, held.mountings, held.error_px),
         None => *model = off,
     }
     hold_out_tracks(model, 0.0, context.seed);
-    context.refine(model, &mountings, 1.0)?;
+    context.refine(model, &mut mountings, 1.0)?;
     make_frames(model, &mountings);
-    let held: BTreeSet<RigPair> = mountings.iter().flat_map(|m| m.pairs.iter().copied()).collect();
-    for pair in context.rigs.iter().flat_map(|rig| &rig.pairs) {
-        let has_poses = [pair.left, pair.right].iter().all(|id| model.image(*id).cam_from_world().is_some());
-        if !mountings.is_empty() && has_poses && !held.contains(pair) {
-            tell(watch, &Event::BadPair { left: pair.left, right: pair.right })?;
+    for (mounting, covariance) in
+        mountings.iter().zip(mounting_covariances(model, &context.adjust, &mountings)?)
+    {
+        let held: BTreeSet<ImageId> = mounting.moments.iter().map(|moment| moment.right).collect();
+        let all = mounting.companion().moments(model);
+        for moment in all.iter().filter(|moment| !held.contains(&moment.right)) {
+            let left = moment.nearest_left(&mounting.clock);
+            tell(watch, &Event::BadPair { left, right: moment.right })?;
         }
+        let poses: Vec<RelativePose> =
+            relative_poses(model, &mounting.moments, &mounting.clock).into_iter().map(|(_, p)| p).collect();
+        let camera = MountedCamera {
+            left: mounting.left,
+            right: mounting.right,
+            right_from_left: mounting.right_from_left,
+            clock: mounting.clock,
+            timing: mounting.timing,
+            covariance,
+            hold: mounting.hold,
+            num_moments: all.len(),
+            spread: spread(&poses),
+        };
+        tell(watch, &Event::MountedCamera(Box::new(camera)))?;
     }
+    let num_pairs = mountings.iter().map(|mounting| mounting.moments.len()).sum();
     let hold = mountings.first().map(|mounting| mounting.hold);
-    tell(watch, &Event::Mounted { hold, num_pairs: held.len(), error_off_px, error_px })
+    tell(watch, &Event::Mounted { hold, num_pairs, error_off_px, error_px })
+}
+
+/// A model whose cameras are held.
+struct Held {
+    model: Reconstruction,
+    mountings: Vec<Mounting>,
+    error_px: f64,
+    sigmas: (f64, f64),
+}
+
+impl Held {
+    fn is_anything_together(&self) -> bool {
+        self.mountings.iter().any(|mounting| mounting.timing == Timing::Together)
+    }
+}
+
+impl Mounting {
+    /// Whether the cameras follow: half of the moments are within a few standard deviations.
+    fn is_held(&self, model: &Reconstruction) -> bool {
+        let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return true };
+        let mounted = Mounted { sigma_translation, sigma_rotation_rad };
+        let residual = |moment: &Moment| {
+            let left = moment.left_from_world(model, &self.clock)?;
+            let right = model.image(moment.right).cam_from_world()?;
+            let residual = mounted.residual((&left, right, &self.right_from_left))?;
+            Some(moment.whitening(&mounted, &left, &self.right_from_left) * residual)
+        };
+        let (mut ts, mut rs): (Vec<f64>, Vec<f64>) = self
+            .moments
+            .iter()
+            .filter_map(residual)
+            .map(|r| (r.fixed_rows::<3>(0).norm(), r.fixed_rows::<3>(3).norm()))
+            .unzip();
+        [&mut ts, &mut rs].into_iter().all(|norms| median(norms) <= MAX_LEFT * MEDIAN_OF_THREE)
+    }
+
+    fn companion(&self) -> Companion {
+        Companion { left: self.left, right: self.right, clock: self.clock, timing: self.timing }
+    }
 }
 
 impl Context<'_> {
+    /// Soft mountings, tighter from step to step, and whether the floor was reached. `model` and the companions' clocks are left where the
+    /// last accepted step had them.
+    fn tighten(
+        &self,
+        model: &mut Reconstruction,
+        companions: &mut [Companion],
+        term: RigTerm,
+        held_out: &[Vec<Observation>],
+        error_off_px: f64,
+    ) -> Result<(Option<Held>, bool), Error> {
+        let found = widest_spread(model, companions);
+        let mut sigmas =
+            (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
+        let is_floor = |sigmas: (f64, f64)| sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
+        let (mut best, mut is_firm) = (None, false);
+        for step in 0..MAX_STEPS {
+            let mut candidate = model.clone();
+            let mut mountings = self.mountings(&candidate, companions, Hold::soft(sigmas), sigmas);
+            self.refine(&mut candidate, &mut mountings, if step == 0 { WIDENED } else { 1.0 })?;
+            let error_px = held_out_error_px(&candidate, held_out);
+            let is_asked_for = term != RigTerm::Auto && step == 0;
+            if !is_asked_for && error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px {
+                break;
+            }
+            for mounting in &mountings {
+                companions
+                    .iter_mut()
+                    .filter(|companion| companion.right == mounting.right)
+                    .for_each(|companion| companion.clock = mounting.clock);
+            }
+            let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
+            if is_held || is_asked_for {
+                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
+                is_firm = is_floor(sigmas);
+            }
+            *model = candidate;
+            if is_floor(sigmas) {
+                break;
+            }
+            sigmas = ((sigmas.0 / TIGHTEN).max(SIGMA_FLOOR.0), (sigmas.1 / TIGHTEN).max(SIGMA_FLOOR.1));
+        }
+        Ok((best, is_firm))
+    }
+
+    /// Puts clocks of which the images tell too little back to what their stamps say. Returns whether there were any.
+    fn give_up_clocks(
+        &self,
+        model: &Reconstruction,
+        mountings: &[Mounting],
+        companions: &mut [Companion],
+    ) -> Result<bool, Error> {
+        let covariances = mounting_covariances(model, &self.adjust, mountings)?;
+        let mut is_any = false;
+        for (mounting, covariance) in mountings.iter().zip(covariances) {
+            let sd_s = covariance.map_or(f64::INFINITY, |covariance| covariance[(6, 6)].sqrt());
+            for companion in companions.iter_mut().filter(|c| c.right == mounting.right) {
+                if companion.timing == Timing::Free && sd_s.is_nan() | (sd_s > MAX_CLOCK_SD_S) {
+                    companion.timing = Timing::NotObservable;
+                    companion.clock = Clock { offset_s: 0.0, drift: 0.0, ..companion.clock };
+                    is_any = true;
+                }
+            }
+        }
+        Ok(is_any)
+    }
+
     /// Adjusts, re-creates tracks between the poses that came out, and adjusts again.
-    fn refine(&self, model: &mut Reconstruction, mountings: &[Mounting], widened: f64) -> Result<(), Error> {
-        let options = AdjustOptions { mountings, max_iterations: ITERATIONS, ..self.adjust };
-        adjust(model, &Scope::Global, &options, &mut keep_going)?;
+    fn refine(
+        &self,
+        model: &mut Reconstruction,
+        mountings: &mut [Mounting],
+        widened: f64,
+    ) -> Result<(), Error> {
+        let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
+        adjust_mounted(model, &Scope::Global, &options, mountings, &mut keep_going)?;
         let tracks =
             TrackOptions { max_merge_error_px: widened * self.tracks.max_merge_error_px, ..*self.tracks };
         recreate_tracks(self.graph, model, &tracks);
-        adjust(model, &Scope::Global, &options, &mut keep_going)?;
+        adjust_mounted(model, &Scope::Global, &options, mountings, &mut keep_going)?;
         filter_all_points(model, self.filter);
         Ok(())
     }
 
-    /// The mountings as the model has them now, with the pairs that are to be held to them.
-    fn mountings(&self, model: &Reconstruction, hold: Hold) -> Vec<Mounting> {
-        let mounting = |rig: &RigPairs| -> Option<Mounting> {
-            let (pairs, poses): (Vec<RigPair>, Vec<RelativePose>) =
-                relative_poses(model, &rig.pairs).into_iter().unzip();
+    /// The mountings as the model has them now, with the moments that are to be held to them. Images of different instants are held softly
+    /// at best, with the given standard deviations.
+    fn mountings(
+        &self,
+        model: &Reconstruction,
+        companions: &[Companion],
+        hold: Hold,
+        sigmas: (f64, f64),
+    ) -> Vec<Mounting> {
+        let mounting = |companion: &Companion| -> Option<Mounting> {
+            let Companion { left, right, clock, timing } = *companion;
+            let (moments, poses): (Vec<Moment>, Vec<RelativePose>) =
+                relative_poses(model, &companion.moments(model), &clock).into_iter().unzip();
             let average = robust_average(&poses)?;
             let (spread_t, spread_r) = spread_of(&poses, &average);
             let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
-            let is_sound = |(pair, pose): &(&RigPair, &RelativePose)| {
+            let is_sound = |(moment, pose): &(&Moment, &RelativePose)| {
                 let (t, r) = deviation(pose, &average);
-                (t <= gate.0 && r <= gate.1) || self.agrees_itself(model, pair, &average)
+                (t <= gate.0 && r <= gate.1) || self.agrees_itself(model, moment, &clock, &average)
             };
-            let pairs: Vec<RigPair> =
-                pairs.iter().zip(&poses).filter(is_sound).map(|(pair, _)| *pair).collect();
-            (pairs.len() >= 2).then(|| Mounting { pairs, right_from_left: average.right_from_left(), hold })
+            let moments: Vec<Moment> =
+                moments.iter().zip(&poses).filter(is_sound).map(|(moment, _)| *moment).collect();
+            let hold = if timing == Timing::Together { hold } else { Hold::soft(sigmas) };
+            let right_from_left = average.right_from_left();
+            (moments.len() >= 2).then_some(Mounting {
+                left,
+                right,
+                moments,
+                right_from_left,
+                clock,
+                timing,
+                hold,
+            })
         };
-        self.rigs.iter().filter_map(mounting).collect()
+        companions.iter().filter_map(mounting).collect()
     }
 
-    /// Whether the matches of a pair alone agree with the mounting.
-    fn agrees_itself(&self, model: &Reconstruction, pair: &RigPair, average: &RelativePose) -> bool {
-        let own = || -> Option<RelativePose> {
-            let key = ImagePair::new(pair.left, pair.right)?;
+    /// Whether the matches of an image with the first camera's nearest one alone agree with the mounting. What the first camera moved
+    /// between that one and the moment itself is taken from the model.
+    fn agrees_itself(
+        &self,
+        model: &Reconstruction,
+        moment: &Moment,
+        clock: &Clock,
+        average: &RelativePose,
+    ) -> bool {
+        let near = moment.nearest_left(clock);
+        let own = || -> Option<(RelativePose, RelativePose)> {
+            let key = ImagePair::new(near, moment.right)?;
             let two_view = self.graph.pairs().get(&key)?;
             if two_view.matches.len() < MIN_OWN_MATCHES {
                 return None;
             }
             let b_from_a = relative_pose(model, &key, two_view)?;
-            let right_from_left = if key.a == pair.left { b_from_a } else { b_from_a.inverse() };
-            Some(RelativePose::between(&Rigid3::identity(), &right_from_left))
+            let right_from_near = if key.a == near { b_from_a } else { b_from_a.inverse() };
+            let near_from_world = model.image(near).cam_from_world()?;
+            let left_from_near = moment.left_from_world(model, clock)? * near_from_world.inverse();
+            let expected = average.right_from_left() * left_from_near;
+            let from_near = |pose: &Rigid3| RelativePose::between(&Rigid3::identity(), pose);
+            Some((from_near(&right_from_near), from_near(&expected)))
         };
-        own().is_some_and(|own| {
-            let (own_t, t) = (own.translation.normalize(), average.translation.normalize());
-            let rotation = so3::exp(&own.axis_angle).angle_to(&so3::exp(&average.axis_angle));
+        own().is_some_and(|(own, expected)| {
+            let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
+            let rotation = so3::exp(&own.axis_angle).angle_to(&so3::exp(&expected.axis_angle));
             rotation < MAX_OWN_ROTATION_RAD
                 && own_t.cross(&t).norm() < MAX_OWN_DIRECTION_RAD
                 && own_t.dot(&t) > 0.0
         })
     }
+}
+
+/// The relative poses at some moments.
+fn relative_poses(model: &Reconstruction, moments: &[Moment], clock: &Clock) -> Vec<(Moment, RelativePose)> {
+    moments.iter().filter_map(|moment| Some((*moment, moment.relative_pose(model, clock)?))).collect()
 }
 
 /// Distance of the centre in baselines, and angle.
@@ -228,20 +406,26 @@ fn deviation(pose: &RelativePose, average: &RelativePose) -> (f64, f64) {
 
 /// Medians of the deviations as standard deviations of a component.
 fn spread_of(poses: &[RelativePose], average: &RelativePose) -> (f64, f64) {
-    // The median length of a vector of three unit normals.
-    const MEDIAN_OF_THREE: f64 = 1.538;
     let (mut ts, mut rs): (Vec<f64>, Vec<f64>) = poses.iter().map(|pose| deviation(pose, average)).unzip();
-    ts.sort_by(f64::total_cmp);
-    rs.sort_by(f64::total_cmp);
-    (ts[ts.len() / 2] / MEDIAN_OF_THREE, rs[rs.len() / 2] / MEDIAN_OF_THREE)
+    (median(&mut ts) / MEDIAN_OF_THREE, median(&mut rs) / MEDIAN_OF_THREE)
+}
+
+/// The median length of a vector of three unit normals.
+const MEDIAN_OF_THREE: f64 = 1.538;
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The widest spread of any camera, as standard deviations of components.
-fn spread(context: &Context, model: &Reconstruction) -> (f64, f64) {
+fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64) {
     let mut widest = (0.0_f64, 0.0_f64);
-    for rig in context.rigs {
-        let poses: Vec<RelativePose> =
-            relative_poses(model, &rig.pairs).into_iter().map(|(_, pose)| pose).collect();
+    for companion in companions {
+        let poses: Vec<RelativePose> = relative_poses(model, &companion.moments(model), &companion.clock)
+            .into_iter()
+            .map(|(_, p)| p)
+            .collect();
         let Some(average) = robust_average(&poses) else { continue };
         let (t, r) = spread_of(&poses, &average);
         widest = (widest.0.max(t), widest.1.max(r));
@@ -252,13 +436,13 @@ fn spread(context: &Context, model: &Reconstruction) -> (f64, f64) {
 /// Moves the right cameras to where rigid mountings have them.
 fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
     for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
-        // After an adjustment all pairs have one relative pose, before it their average serves.
+        // After an adjustment all moments have one relative pose, before it their average serves.
         let poses: Vec<RelativePose> =
-            relative_poses(model, &mounting.pairs).into_iter().map(|(_, pose)| pose).collect();
+            relative_poses(model, &mounting.moments, &mounting.clock).into_iter().map(|(_, p)| p).collect();
         let Some(average) = robust_average(&poses) else { continue };
-        for pair in &mounting.pairs {
-            let Some(left) = model.image(pair.left).cam_from_world().copied() else { continue };
-            model.register(pair.right, average.right_from_left() * left);
+        for moment in &mounting.moments {
+            let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
+            model.register(moment.right, average.right_from_left() * left);
         }
     }
 }
@@ -269,17 +453,19 @@ fn make_frames(model: &mut Reconstruction, mountings: &[Mounting]) {
     let mut images: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
     for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
         let pose = |image| model.image(image).cam_from_world().copied();
-        let both = mounting.pairs.iter().filter_map(|pair| Some((pair, pose(pair.left)?, pose(pair.right)?)));
-        for (pair, left, right) in both {
-            let camera = model.image(pair.right).camera;
+        let both = mounting.moments.iter().filter_map(|moment| match moment.left {
+            Left::At(left) => Some((left, moment.right, pose(left)?, pose(moment.right)?)),
+            Left::Between { .. } => None,
+        });
+        for (left, right, left_from_world, right_from_world) in both {
             if sensors.is_empty() {
-                let reference = model.image(pair.left).camera;
-                sensors.push(RigSensor { camera: reference, cam_from_rig: Some(Rigid3::identity()) });
+                sensors.push(RigSensor { camera: mounting.left, cam_from_rig: Some(Rigid3::identity()) });
             }
-            if sensors.iter().all(|sensor| sensor.camera != camera) {
-                sensors.push(RigSensor { camera, cam_from_rig: Some(right * left.inverse()) });
+            if sensors.iter().all(|sensor| sensor.camera != mounting.right) {
+                let cam_from_rig = Some(right_from_world * left_from_world.inverse());
+                sensors.push(RigSensor { camera: mounting.right, cam_from_rig });
             }
-            images.entry(pair.left).or_insert_with(|| vec![pair.left]).push(pair.right);
+            images.entry(left).or_insert_with(|| vec![left]).push(right);
         }
     }
     if sensors.len() < 2 {

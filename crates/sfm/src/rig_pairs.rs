@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use tiepoint_rig::{RelativePose, paper};
+use tiepoint_rig::{RelativePose, interval_s, paper};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 /// Two images of one moment.
@@ -50,10 +50,7 @@ impl BaselineLink {
 
 /// Pairs the images of every camera with those of the first one. Cameras without a pair are left out.
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
-    let mut images: BTreeMap<CameraId, Vec<ImageId>> = BTreeMap::new();
-    for (id, image) in scene.images() {
-        images.entry(image.camera).or_default().push(id);
-    }
+    let images = images_of_cameras(scene);
     let mut cameras = images.iter();
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
     cameras
@@ -68,8 +65,17 @@ pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
         .collect()
 }
 
+/// The images of each camera.
+pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Vec<ImageId>> {
+    let mut images: BTreeMap<CameraId, Vec<ImageId>> = BTreeMap::new();
+    for (id, image) in scene.images() {
+        images.entry(image.camera).or_default().push(id);
+    }
+    images
+}
+
 /// Times of the images, in order; `None` unless all have one.
-fn moments(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, ImageId)>> {
+pub(crate) fn moments(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, ImageId)>> {
     let mut moments: Vec<(f64, ImageId)> =
         images.iter().map(|&id| Some((scene.image(id).time_s?, id))).collect::<Option<_>>()?;
     moments.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -77,8 +83,11 @@ fn moments(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, Image
 }
 
 /// Pairs of images that are each other's nearest in time, by less than half a typical interval.
-fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
-    let max_difference_s = 0.5 * interval_s(lefts).max(interval_s(rights));
+pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
+    let interval = |moments: &[(f64, ImageId)]| {
+        interval_s(&moments.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
+    };
+    let max_difference_s = 0.5 * interval(lefts).max(interval(rights));
     let nearest = |time_s: f64, others: &[(f64, ImageId)]| -> usize {
         let after = others.partition_point(|other| other.0 < time_s);
         let distance =
@@ -95,14 +104,7 @@ fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> 
     pairs
 }
 
-/// Median time between two images of a camera.
-fn interval_s(moments: &[(f64, ImageId)]) -> f64 {
-    let mut intervals: Vec<f64> = moments.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    intervals.sort_by(f64::total_cmp);
-    intervals.get(intervals.len() / 2).copied().unwrap_or(f64::INFINITY)
-}
-
-fn by_name(scene: &Reconstruction, lefts: &[ImageId], rights: &[ImageId]) -> Vec<RigPair> {
+pub(crate) fn by_name(scene: &Reconstruction, lefts: &[ImageId], rights: &[ImageId]) -> Vec<RigPair> {
     let file = |id: ImageId| scene.image(id).name.rsplit('/').next().unwrap_or_default();
     let rights: BTreeMap<&str, ImageId> = rights.iter().map(|&id| (file(id), id)).collect();
     let mut pairs: Vec<(&str, RigPair)> = lefts

@@ -141,7 +141,7 @@ fn one_mounting_is_found_and_held() {
         let mut told = Vec::new();
         let options = calibrated(rig);
         let mut models = map(&truth.graph, &truth.scene, &options, &mut |event| {
-            told.push(*event);
+            told.push(event.clone());
             ControlFlow::Continue(())
         })
         .expect("the scene is easy");

@@ -1,5 +1,5 @@
-//! `demo`: the drive of `synth`, through `reconstruct` without and with the constraint between its cameras, and both against the
-//! truth.
+//! `demo`: the drive of `synth`, through `reconstruct` without a constraint between its cameras, with the paper's, and with one mounting and its clock, and
+//! all against the truth.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -12,9 +12,9 @@ use tiepoint_pipeline::io::colmap::read_model;
 use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Exhibit, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigEvaluation,
-    SurfaceEvaluation, TableRow, Truth, TruthFormat, Workspace, evaluate_cloud, evaluate_poses, evaluate_rig,
-    evaluate_surface, model_folder, reconstruct, report_html,
+    CloudEvaluation, Exhibit, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigCamera,
+    RigEvaluation, SurfaceEvaluation, TableRow, Truth, TruthFormat, Workspace, evaluate_cloud,
+    evaluate_poses, evaluate_rig, evaluate_surface, model_folder, reconstruct, report_html,
 };
 use tiepoint_synth::{Drive, Effects, LidarOptions, Mounting, RouteKind, reference_cloud};
 
@@ -41,6 +41,8 @@ struct Outcome {
     drive: Rendered,
     /// Of this run; what was kept took none of it.
     seconds: f64,
+    /// What turns the right camera's times into the left one's, in the middle of the drive.
+    true_offset_s: f64,
     runs: Vec<Run>,
     /// The table, the clouds and the plots, side by side.
     page: PathBuf,
@@ -98,7 +100,7 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
         })
     };
     let mut runs = Vec::new();
-    for (rig, term) in [("off", RigTerm::Off), ("paper", RigTerm::Paper)] {
+    for (rig, term) in [("off", RigTerm::Off), ("paper", RigTerm::Paper), ("auto", RigTerm::Auto)] {
         let workspace = args.output.join(rig);
         if let Some(first) = runs.first().map(|run: &Run| &run.workspace) {
             // Features and matches are the same.
@@ -112,7 +114,8 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     }
     drop(progress);
     let (page, seconds) = (args.output.join("report.html"), start.elapsed().as_secs_f64());
-    let outcome = Outcome { drive: rendered, seconds, runs, page };
+    let true_offset_s = true_offset_s(&drive);
+    let outcome = Outcome { drive: rendered, seconds, true_offset_s, runs, page };
     outcome.write_page()?;
     output.result(&outcome, || outcome.describe(&synth));
     Ok(())
@@ -158,6 +161,20 @@ fn size_ratio(report: &Report, model: &Reconstruction, drive: &Drive, metres_per
     Some((first.0 - second.0).norm() / ((first.1 - second.1).norm() * metres_per_unit))
 }
 
+fn true_offset_s(drive: &Drive) -> f64 {
+    let Some(camera) = drive.cameras().last() else { return 0.0 };
+    let (first, last) = (camera.exposures.first(), camera.exposures.last());
+    let middle = first.zip(last).map_or(0.0, |(first, last)| 0.5 * (first.stamp_s + last.stamp_s));
+    camera.clock.time_s(middle) - middle
+}
+
+impl Run {
+    /// The right camera's calibration and clock, where they were found.
+    fn mounted(&self) -> Option<&RigCamera> {
+        self.report.models.first()?.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first()
+    }
+}
+
 impl Outcome {
     fn write_page(&self) -> Result<(), Failure> {
         let names: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
@@ -177,6 +194,7 @@ impl Outcome {
         std::fs::write(&self.page, page).map_err(cannot)
     }
 
+    /// Lengths and times beside the truth.
     fn table(&self) -> Vec<TableRow> {
         let mut rows: Vec<TableRow> = Vec::new();
         let mut row = |what: &str, value: &dyn Fn(&Run) -> Option<String>| {
@@ -202,6 +220,16 @@ impl Outcome {
         row("relative rotation, spread", &|run| {
             Some(format!("{:.4}°", run.baseline.as_ref()?.rotation_rms_deg))
         });
+        row("mounting's baseline", &|run| {
+            let [x, y, z] = run.mounted()?.centre_in_rig;
+            Some(format!("{:.4} m", run.poses.scale * (x * x + y * y + z * z).sqrt()))
+        });
+        row("right camera's clock, offset", &|run| {
+            let clock = &run.mounted()?.clock;
+            Some(format!("{:.2} ± {:.2} ms", 1e3 * clock.offset_s, 1e3 * clock.offset_sd_s?))
+        });
+        let true_ms = 1e3 * self.true_offset_s;
+        row("  true", &|run| run.mounted().map(|_| format!("{true_ms:.2} ms")));
         row("surface distance to 30 m, median", &|run| {
             Some(format!("{:.4} m", run.surface.as_ref()?.near.as_ref()?.median))
         });

@@ -98,8 +98,9 @@ fn the_demo_reconstructs_what_it_rendered() {
     let dir = dir.path();
     let line = format!("demo -o {{}}/demo --frames {FRAMES} --size 320x240");
     let outcome = tiepoint_in(dir, &format!("{line} --json")).done().json();
-    let [off, paper] = [0, 1].map(|index| &outcome["runs"][index]);
-    assert_eq!((&off["rig"], &paper["rig"]), (&"off".into(), &"paper".into()));
+    let [off, paper, auto] = [0, 1, 2].map(|index| &outcome["runs"][index]);
+    assert_eq!([&off["rig"], &paper["rig"], &auto["rig"]], ["off", "paper", "auto"]);
+    assert_eq!(auto["report"]["models"][0]["registered"], 2 * FRAMES, "{auto}");
     for run in [off, paper] {
         let model = &run["report"]["models"][0];
         assert_eq!(model["registered"], 2 * FRAMES, "{model}");
@@ -135,7 +136,7 @@ fn the_demo_reconstructs_what_it_rendered() {
         assert!(text.contains(part), "no {part} in {text}");
     }
     let events = tiepoint_in(dir, &format!("{line} --json")).done().events();
-    assert_eq!(events.iter().filter(|event| event["event"] == "stage_kept").count(), 6);
+    assert_eq!(events.iter().filter(|event| event["event"] == "stage_kept").count(), 9);
     // The commands that it names are the same work.
     let synth = text.lines().find_map(|line| line.trim().strip_prefix("tiepoint synth")).unwrap();
     tiepoint_in(dir, &format!("synth{synth}")).done();

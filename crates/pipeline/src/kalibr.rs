@@ -1,0 +1,132 @@
+//! The rig as Kalibr writes it: `camchain.yaml`, with the clocks.
+//!
+//! `T_cn_cnm1` takes a point of the camera before to this one. Kalibr has no clocks between cameras; `timeshift_cam0` is named after its
+//! `timeshift_cam_imu`: time of cam0 = time of this camera + timeshift. Its pixels count from the centre of the first one, ours from its
+//! corner.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use tiepoint_sfm::geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+
+use crate::rig_over_time::folder_of;
+use crate::{Error, RigCamera, RigFile};
+
+/// Pixels of ours less those of Kalibr.
+const CORNER_PX: f64 = 0.5;
+
+/// The text, and how many cameras it has.
+pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, usize), Error> {
+    let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
+    let file: RigFile = serde_json::from_slice(&text)
+        .map_err(|error| Error::Broken { path: rig.to_owned(), what: error.to_string() })?;
+    let find = |name: &str| -> Result<(CameraId, &Camera), Error> {
+        let camera = model.cameras().find(|(id, _)| folder_of(model, *id) == name);
+        camera
+            .ok_or_else(|| Error::Broken { path: rig.to_owned(), what: format!("there is no camera {name}") })
+    };
+    let mut yaml = String::new();
+    let mut before = Rigid3::identity();
+    let all = std::iter::once((file.reference.as_str(), None));
+    for (index, (name, camera)) in
+        all.chain(file.cameras.iter().map(|c| (c.name.as_str(), Some(c)))).enumerate()
+    {
+        let (_, lens) = find(name)?;
+        let pose = camera.map_or_else(Rigid3::identity, cam_from_rig);
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            yaml,
+            "cam{index}:\n  rostopic: /{name}\n  resolution: [{}, {}]",
+            lens.width, lens.height
+        );
+        yaml += &lens_lines(&lens.intrinsics);
+        if let Some(camera) = camera {
+            let _ = write!(yaml, "{}", mount_lines(&(pose * before.inverse()), camera));
+        }
+        before = pose;
+    }
+    Ok((yaml, file.cameras.len() + 1))
+}
+
+fn cam_from_rig(camera: &RigCamera) -> Rigid3 {
+    let [w, x, y, z] = camera.rotation_wxyz;
+    Rigid3::new(UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)), Vector3::from(camera.translation))
+}
+
+fn mount_lines(pose: &Rigid3, camera: &RigCamera) -> String {
+    let mut matrix = Matrix4::identity();
+    matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&pose.to_matrix());
+    let mut text = String::from("  T_cn_cnm1:\n");
+    for row in matrix.row_iter() {
+        let numbers: Vec<String> = row.iter().map(f64::to_string).collect();
+        let _ = writeln!(text, "  - [{}]", numbers.join(", "));
+    }
+    let _ = writeln!(text, "  timeshift_cam0: {}", camera.clock.offset_s);
+    text
+}
+
+fn lens_lines(intrinsics: &Intrinsics) -> String {
+    let p = intrinsics.params();
+    let (model, distortion) = match intrinsics.kind() {
+        CameraModelKind::SimplePinhole | CameraModelKind::Pinhole => ("radtan", vec![0.0; 4]),
+        CameraModelKind::SimpleRadial => ("radtan", vec![p[3], 0.0, 0.0, 0.0]),
+        CameraModelKind::Radial => ("radtan", vec![p[3], p[4], 0.0, 0.0]),
+        CameraModelKind::Opencv => ("radtan", p[4..8].to_vec()),
+        CameraModelKind::OpencvFisheye => ("equidistant", p[4..8].to_vec()),
+    };
+    let focal = intrinsics.kind().focal_indices();
+    let (fx, fy) = (p[focal[0]], p[focal[focal.len() - 1]]);
+    let centre = intrinsics.principal_point();
+    let distortion: Vec<String> = distortion.iter().map(f64::to_string).collect();
+    format!(
+        "  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {}, {}]\n  distortion_model: {model}\n  distortion_coeffs: [{}]\n",
+        centre.x - CORNER_PX,
+        centre.y - CORNER_PX,
+        distortion.join(", "),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::RigClock;
+    use tiepoint_sfm::scene::Image;
+
+    #[test]
+    fn a_chain_has_lenses_mountings_and_clocks() {
+        let mut model = Reconstruction::default();
+        let names = ["left", "right", "rear"];
+        for name in names {
+            let intrinsics =
+                Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
+            let camera =
+                model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+            model.add_image(Image::new(format!("{name}/0.png"), camera, Vec::new()));
+        }
+        let camera = |name: &str, x: f64, offset_s: f64| RigCamera {
+            name: name.to_owned(),
+            rotation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            translation: [x, 0.0, 0.0],
+            clock: RigClock { offset_s, ..RigClock::default() },
+            ..RigCamera::default()
+        };
+        let rig = RigFile {
+            reference: "left".to_owned(),
+            cameras: vec![camera("right", -0.5, 0.25), camera("rear", -0.5, -1.0)],
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("rig.json");
+        assert!(matches!(camchain(&model, &path), Err(Error::NoRig { .. })));
+        std::fs::write(&path, serde_json::to_vec(&rig).unwrap()).unwrap();
+        let (text, count) = camchain(&model, &path).unwrap();
+        assert_eq!(count, 3);
+        let first = "cam0:\n  rostopic: /left\n  resolution: [640, 480]\n  camera_model: pinhole\n  intrinsics: [500, 500, 320, 240]\n  \
+                     distortion_model: radtan\n  distortion_coeffs: [-0.1, 0, 0, 0]\ncam1:\n";
+        assert!(text.starts_with(first), "{text}");
+        assert!(text.contains("  T_cn_cnm1:\n  - [1, 0, 0, -0.5]\n"), "{text}");
+        // From the one before, not from the first.
+        assert!(text.ends_with("  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n  timeshift_cam0: -1\n"), "{text}");
+    }
+}

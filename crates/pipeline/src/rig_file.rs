@@ -1,0 +1,111 @@
+//! `rig.json`: the calibration that was found, with its uncertainty, and the clocks.
+
+use serde::{Deserialize, Serialize};
+use tiepoint_sfm::scene::Reconstruction;
+use tiepoint_sfm::{Hold, MountedCamera, Timing};
+
+use crate::rig_over_time::folder_of;
+
+/// The rig of a model: its frame is that of the first camera.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigFile {
+    /// The folder of the first camera, whose clock the others' are related to.
+    pub reference: String,
+    /// The others.
+    pub cameras: Vec<RigCamera>,
+}
+
+/// A camera beside the first one.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigCamera {
+    /// Its folder.
+    pub name: String,
+    /// Rotation of `cam_from_rig`: a Hamilton quaternion, w first.
+    pub rotation_wxyz: [f64; 4],
+    /// Translation of `cam_from_rig`, in units of the model.
+    pub translation: [f64; 3],
+    /// Its centre in the rig, in units of the model.
+    pub centre_in_rig: [f64; 3],
+    /// soft or hard: whether its poses are rigid frames with the first camera's.
+    pub hold: String,
+    /// What turns its times into the first camera's.
+    pub clock: RigClock,
+    /// Joint covariance of rotation (radians, R ← Exp(δ) R), translation, offset (seconds) and drift, rows in this order; zeros where
+    /// something is held, none where it is not determined. The size of the model is held, not part of it.
+    pub covariance: Option<Vec<Vec<f64>>>,
+    /// Largest standard deviation of the rotation about any axis.
+    pub rotation_sd_deg: Option<f64>,
+    /// Largest standard deviation of the translation in any direction.
+    pub translation_sd: Option<f64>,
+}
+
+/// Time of the first camera = time + offset + drift (time − pivot).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigClock {
+    /// together: the cameras take their images at the same instants, which fixes the offset; free: found from the images; not observable:
+    /// the images tell too little, and the offset is what the time stamps say.
+    pub timing: String,
+    /// Offset at the pivot.
+    pub offset_s: f64,
+    /// Its standard deviation, where it was found.
+    pub offset_sd_s: Option<f64>,
+    /// Drift, in parts per million.
+    pub drift_ppm: f64,
+    /// Its standard deviation, where it was found.
+    pub drift_sd_ppm: Option<f64>,
+    /// The middle of this camera's images, on its own clock.
+    pub pivot_s: f64,
+}
+
+impl RigFile {
+    /// `None` without a camera that is held to the first one.
+    pub(crate) fn new(model: &Reconstruction, cameras: &[MountedCamera]) -> Option<Self> {
+        let reference = folder_of(model, cameras.first()?.left);
+        Some(Self {
+            reference,
+            cameras: cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
+        })
+    }
+}
+
+impl RigCamera {
+    fn new(model: &Reconstruction, camera: &MountedCamera) -> Self {
+        let (pose, clock) = (&camera.right_from_left, &camera.clock);
+        let q = &pose.rotation;
+        let sd = |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
+        let widest = |first: usize| {
+            let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
+            Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
+        };
+        let is_free = camera.timing == Timing::Free;
+        Self {
+            name: folder_of(model, camera.right),
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+            translation: pose.translation.into(),
+            centre_in_rig: pose.origin_in_a().into(),
+            hold: match camera.hold {
+                Hold::Soft { .. } => "soft",
+                Hold::Rigid => "hard",
+            }
+            .to_owned(),
+            clock: RigClock {
+                timing: match camera.timing {
+                    Timing::Together => "together",
+                    Timing::Free => "free",
+                    Timing::NotObservable => "not observable",
+                }
+                .to_owned(),
+                offset_s: clock.offset_s,
+                offset_sd_s: sd(6).filter(|_| is_free),
+                drift_ppm: 1e6 * clock.drift,
+                drift_sd_ppm: sd(7).filter(|_| is_free).map(|sd| 1e6 * sd),
+                pivot_s: clock.pivot_s,
+            },
+            covariance: camera
+                .covariance
+                .map(|covariance| covariance.row_iter().map(|row| row.iter().copied().collect()).collect()),
+            rotation_sd_deg: widest(0).map(f64::to_degrees),
+            translation_sd: widest(3),
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! The offset of a camera's clock, from how the two cameras move: the one at which their relative pose is most constant.
+//!
+//! For an offset d, the relative pose p_i(d) of each image i of the second camera is taken against the first one's trajectory,
+//! interpolated. Both coordinates and rotations of p_i scatter with unknown deviations about an unknown mounting, so what is minimised
+//! is the mean of ln(1 + |c_i − c|²/σ_c²) + ln(1 + |r_i − r|²/σ_r²), the negative logarithm of Cauchy's likelihood, over d and
+//! the centres c and r. The σ are the smallest medians that any offset reaches; a median itself would not do for the cost,
+//! since most of a drive goes straight on at one speed and tells nothing. Neither would a spread relative to the baseline, which
+//! grows with a wrong offset.
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::{Rigid3, so3};
+
+use crate::{RelativePose, Trajectory};
+
+/// Clocks that show the same hour are set by hand: to better than this, in seconds.
+const MAX_OFFSET_S: f64 = 1.5;
+/// They show the same hour when so much of the shorter drive is common to both.
+const MIN_OVERLAP: f64 = 0.5;
+/// Steps of the search within an interval between images.
+const STEPS_PER_INTERVAL: f64 = 8.0;
+/// Images that are looked at while searching.
+const MAX_IMAGES: usize = 250;
+/// An offset is considered when so many of the images that any offset leaves take part, and at least so many in number.
+const MIN_SHARE: f64 = 0.6;
+const MIN_IMAGES: usize = 6;
+/// Scales of Cauchy's loss, in medians.
+const LOSS_SCALE: f64 = 1.5;
+const REWEIGHTINGS: usize = 8;
+/// Rounds of the golden section, from two steps down to a ten-thousandth of one.
+const ROUNDS: usize = 24;
+
+/// An offset that was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundOffset {
+    /// What to add to the second camera's times to get the first one's, in seconds.
+    pub offset_s: f64,
+    /// By how much the logarithm of the likelihood is better than with `offset_s` 0, were the images independent; infinite where the
+    /// clocks as they are leave too few images.
+    pub gain: f64,
+    /// Standard deviation from the curvature of the likelihood, were the images independent.
+    pub sd_s: f64,
+}
+
+/// Searches the offset: within 1.5 s where the clocks nearly agree, anywhere where the two drives hardly overlap on them. `None` where
+/// too few images can be compared.
+pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOffset> {
+    let (first, last) = (*left.times_s().first()?, *left.times_s().last()?);
+    let (right_first, right_last) = (right.first()?.0, right.last()?.0);
+    let shorter_s = (last - first).min(right_last - right_first);
+    let overlap_s = last.min(right_last) - first.max(right_first);
+    let (from_s, to_s) = if overlap_s > MIN_OVERLAP * shorter_s {
+        (-MAX_OFFSET_S, MAX_OFFSET_S)
+    } else {
+        (first - right_last + 0.5 * shorter_s, last - right_first - 0.5 * shorter_s)
+    };
+    let step_s = left.interval_s() / STEPS_PER_INTERVAL;
+    if !(step_s > 0.0 && step_s.is_finite()) {
+        return None;
+    }
+    let every = right.len().div_ceil(MAX_IMAGES);
+    let right: Vec<(f64, Rigid3)> = right.iter().step_by(every).copied().collect();
+    // Multiples of the step, so that clocks that agree are among them.
+    let indices = (from_s / step_s).ceil() as i64..=(to_s / step_s).floor() as i64;
+    let spreads: Vec<(f64, Samples)> = indices
+        .map(|index| index as f64 * step_s)
+        .map(|offset_s| (offset_s, Samples::at(left, &right, offset_s)))
+        .collect();
+    let most = spreads.iter().map(|(_, samples)| samples.len()).max()?;
+    let fewest = ((MIN_SHARE * most as f64) as usize).max(MIN_IMAGES);
+    let is_enough = |samples: &Samples| samples.len() >= fewest;
+    let scales = spreads
+        .iter()
+        .filter(|(_, samples)| is_enough(samples))
+        .map(|(_, samples)| samples.medians())
+        .reduce(|a, b| (a.0.min(b.0), a.1.min(b.1)))?;
+    let scales = (LOSS_SCALE * scales.0.max(TINY), LOSS_SCALE * scales.1.max(TINY));
+    let cost = |offset_s: f64| {
+        let samples = Samples::at(left, &right, offset_s);
+        if is_enough(&samples) { samples.cost(scales) } else { f64::INFINITY }
+    };
+    let grid = spreads
+        .iter()
+        .filter(|(_, samples)| is_enough(samples))
+        .map(|(offset_s, samples)| (samples.cost(scales), *offset_s));
+    let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let offset_s = golden_section(&cost, coarse_s - step_s, coarse_s + step_s);
+    let (best, count) = (cost(offset_s), right.len() as f64);
+    // Curvature over a tenth of a step, where the loss is smooth.
+    let h = 0.1 * step_s;
+    let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
+    let sd_s = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { f64::INFINITY };
+    Some(FoundOffset { offset_s, gain: count * (cost(0.0) - best), sd_s })
+}
+
+/// Spreads below this are rounding.
+const TINY: f64 = 1e-12;
+
+/// The relative poses at one offset.
+struct Samples {
+    centres: Vec<Vector3<f64>>,
+    /// Rotations, as tangents at one of them.
+    turns: Vec<Vector3<f64>>,
+}
+
+impl Samples {
+    fn at(left: &Trajectory, right: &[(f64, Rigid3)], offset_s: f64) -> Self {
+        let relative = |(time_s, pose): &(f64, Rigid3)| {
+            left.at(time_s + offset_s).map(|left| RelativePose::between(&left, pose))
+        };
+        let poses: Vec<RelativePose> = right.iter().filter_map(relative).collect();
+        let back = poses.get(poses.len() / 2).map(|middle| so3::exp(&middle.axis_angle).inverse());
+        let turn = |pose: &RelativePose| Some(so3::log(&(so3::exp(&pose.axis_angle) * back?)));
+        Self {
+            centres: poses.iter().map(|pose| pose.translation).collect(),
+            turns: poses.iter().filter_map(turn).collect(),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.centres.len()
+    }
+
+    fn medians(&self) -> (f64, f64) {
+        (median_distance(&self.centres), median_distance(&self.turns))
+    }
+
+    fn cost(&self, scales: (f64, f64)) -> f64 {
+        cauchy(&self.centres, scales.0) + cauchy(&self.turns, scales.1)
+    }
+}
+
+/// Of the values from their median.
+fn median_distance(values: &[Vector3<f64>]) -> f64 {
+    let centre = componentwise_median(values);
+    median(values.iter().map(|value| (value - centre).norm()).collect())
+}
+
+/// The mean loss about the centre that makes it least.
+fn cauchy(values: &[Vector3<f64>], scale: f64) -> f64 {
+    let relative =
+        |value: &Vector3<f64>, centre: &Vector3<f64>| (value - centre).norm_squared() / (scale * scale);
+    let mut centre = componentwise_median(values);
+    for _ in 0..REWEIGHTINGS {
+        let weights: Vec<f64> = values.iter().map(|value| 1.0 / (1.0 + relative(value, &centre))).collect();
+        let sum: Vector3<f64> = values.iter().zip(&weights).map(|(value, weight)| value * *weight).sum();
+        centre = sum / weights.iter().sum::<f64>();
+    }
+    values.iter().map(|value| relative(value, &centre).ln_1p()).sum::<f64>() / values.len() as f64
+}
+
+fn componentwise_median(values: &[Vector3<f64>]) -> Vector3<f64> {
+    Vector3::from_fn(|row, _| median(values.iter().map(|value| value[row]).collect()))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
+}
+
+/// Where a function with one minimum between two places has it.
+fn golden_section(cost: &dyn Fn(f64) -> f64, mut from: f64, mut to: f64) -> f64 {
+    const RATIO: f64 = 0.618_033_988_749_895;
+    let (mut low, mut high) = (to - RATIO * (to - from), from + RATIO * (to - from));
+    let (mut cost_low, mut cost_high) = (cost(low), cost(high));
+    for _ in 0..ROUNDS {
+        if cost_low <= cost_high {
+            (to, high, cost_high) = (high, low, cost_low);
+            low = to - RATIO * (to - from);
+            cost_low = cost(low);
+        } else {
+            (from, low, cost_low) = (low, high, cost_high);
+            high = from + RATIO * (to - from);
+            cost_high = cost(high);
+        }
+    }
+    0.5 * (from + to)
+}

@@ -1,0 +1,92 @@
+//! Where a camera was between its images: a cubic on SE(3) through four poses at any times.
+//!
+//! With the poses P_k = `cam_from_world` at times t_k and Lagrange's polynomials ℓ_k of those times,
+//! P(t) = Exp(Σ ℓ_k(t) η_k) P_1, η_k = Log(P_k P_1⁻¹): Lagrange's cubic in the tangent space at the second pose. It passes
+//! through all four, and a motion of constant twist (straight on, or around a bend) is reproduced exactly, since then η_k = (t_k − t_1) ξ
+//! and Σ ℓ_k(t) (t_k − t_1) = t − t_1.
+//!
+//! With left perturbations ε = (δ, ρ) of poses, dη_k = 𝒥⁻¹(η_k) ε_k − 𝒥⁻¹(−η_k) ε_1 and
+//! dP(t) = 𝒥(ζ) Σ ℓ_k dη_k + Ad(Exp ζ) ε_1, ζ = Σ ℓ_k η_k; dP/dt = 𝒥(ζ) Σ ℓ_k' η_k. The tangents (δ, τ) of CONVENTIONS.md have
+//! ρ = τ + [t]ₓ δ, t being the pose's translation.
+
+use tiepoint_geometry::nalgebra::Matrix3;
+use tiepoint_geometry::{Rigid3, so3};
+
+use crate::se3::{self, Matrix6, Twist};
+
+/// Four poses (`cam_from_world`) with their times, in order: what lies between them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Knots<'a> {
+    /// The poses.
+    pub poses: [&'a Rigid3; 4],
+    /// When, in seconds; no two the same.
+    pub times_s: [f64; 4],
+}
+
+/// A pose with its derivatives by the tangents (rotation, translation) of the four knots and by time.
+pub(crate) struct LinearPose {
+    pub(crate) pose: Rigid3,
+    pub(crate) d_knots: [Matrix6; 4],
+    pub(crate) d_time: Twist,
+}
+
+/// The knot at which the tangent space is.
+const BASE: usize = 1;
+
+impl Knots<'_> {
+    /// The pose at a time, which should be between those of the knots.
+    pub fn at(&self, time_s: f64) -> Rigid3 {
+        let weights = self.weights(time_s).0;
+        let twists = self.twists();
+        let zeta: Twist = (0..4).map(|k| twists[k] * weights[k]).sum();
+        se3::exp(&zeta) * *self.poses[BASE]
+    }
+
+    pub(crate) fn linearize(&self, time_s: f64) -> LinearPose {
+        let (weights, slopes) = self.weights(time_s);
+        let twists = self.twists();
+        let zeta: Twist = (0..4).map(|k| twists[k] * weights[k]).sum();
+        let slope: Twist = (0..4).map(|k| twists[k] * slopes[k]).sum();
+        let motion = se3::exp(&zeta);
+        let pose = motion * *self.poses[BASE];
+        let jacobian = se3::left_jacobian(&zeta);
+        let identity = Matrix3::identity();
+        // From left perturbations to tangents, and back.
+        let to_tangent = se3::blocks(&identity, &-so3::hat(&pose.translation), &identity);
+        let from_tangent =
+            |k: usize| se3::blocks(&identity, &so3::hat(&self.poses[k].translation), &identity);
+        let mut d_base = se3::adjoint(&motion);
+        let mut d_knots = [Matrix6::zeros(); 4];
+        for k in (0..4).filter(|&k| k != BASE) {
+            let by_knot = jacobian * se3::left_jacobian_inverse(&twists[k]) * weights[k];
+            d_base -= jacobian * se3::left_jacobian_inverse(&-twists[k]) * weights[k];
+            d_knots[k] = to_tangent * by_knot * from_tangent(k);
+        }
+        d_knots[BASE] = to_tangent * d_base * from_tangent(BASE);
+        LinearPose { pose, d_knots, d_time: to_tangent * (jacobian * slope) }
+    }
+
+    /// η_k.
+    fn twists(&self) -> [Twist; 4] {
+        let world_from_base = self.poses[BASE].inverse();
+        std::array::from_fn(|k| match k {
+            BASE => Twist::zeros(),
+            _ => se3::log(&(*self.poses[k] * world_from_base)),
+        })
+    }
+
+    /// ℓ_k and ℓ_k' at a time.
+    fn weights(&self, time_s: f64) -> ([f64; 4], [f64; 4]) {
+        let t = &self.times_s;
+        let (mut weights, mut slopes) = ([1.0; 4], [0.0; 4]);
+        for k in 0..4 {
+            for other in (0..4).filter(|&other| other != k) {
+                // The product rule, factor by factor.
+                let (factor, slope) = ((time_s - t[other]) / (t[k] - t[other]), 1.0 / (t[k] - t[other]));
+                slopes[k] = slopes[k] * factor + weights[k] * slope;
+                weights[k] *= factor;
+            }
+        }
+        (weights, slopes)
+    }
+}

@@ -1,0 +1,149 @@
+//! What `--rig` does under each effect, on scenes of features: `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES`.
+//!
+//! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for `auto` how far the clock and the calibration
+//! are off; a cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
+
+#![allow(clippy::print_stdout, reason = "an example shows its result")]
+
+use std::ops::ControlFlow;
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::solvers::umeyama;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_sfm::{Event, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, map};
+use tiepoint_synth::{
+    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
+};
+
+const RATE_HZ: f64 = 5.0;
+
+/// A cell of the grid: its name, what is not ideal, and how many right images in a hundred have another one's time.
+type Cell = (&'static str, Effects, usize);
+
+fn cells() -> Vec<Cell> {
+    let preset = |names: &str| names.parse::<Effects>().expect("known effects");
+    let clocks = |offset_s: f64, jitter_s: f64| ClockEffects {
+        offset_s,
+        drift_ppm: 40.0,
+        jitter_s,
+        phase: 1.0,
+        late_start_s: 0.5,
+        drop_fraction: 0.02,
+        rate_spread: 0.01,
+    };
+    let with = |effects: Effects, offset_s: f64, jitter_s: f64| Effects {
+        clocks: clocks(offset_s, jitter_s),
+        ..effects
+    };
+    let none = Effects::default();
+    vec![
+        ("triggered together", none, 0),
+        ("triggered, vibration", preset("vibration"), 0),
+        ("triggered, 10 % wrong", none, 10),
+        ("triggered, 20 % wrong", none, 20),
+        ("clocks to 0.3 s", with(none, 0.3, 0.0), 0),
+        ("clocks to 1 s", with(none, 1.0, 0.0005), 0),
+        ("clocks, jitter 5 ms", with(none, 0.3, 0.005), 0),
+        ("clocks, vibration", with(preset("vibration"), 0.3, 0.0005), 0),
+        ("clocks, 20 % wrong", with(none, 0.3, 0.0005), 20),
+        ("clocks, misaligned", with(preset("mounting"), 0.3, 0.0005), 0),
+    ]
+}
+
+struct Scene {
+    drive: Drive,
+    graph: CorrespondenceGraph,
+    truth: Reconstruction,
+    blank: Reconstruction,
+}
+
+fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene {
+    let options = DriveOptions { seed, rate_hz: RATE_HZ, effects: *effects, ..DriveOptions::default() };
+    let mut drive = Drive::new(&options).expect("a street of 200 m");
+    drive.keep_first(frames);
+    let features = FeatureOptions { seed, observations: 600 * frames, ..FeatureOptions::default() };
+    let scene = FeatureScene::new(&drive, &features).expect("sound options");
+    let found = scene.matches(&MatchOptions { window: Some(6), ..MatchOptions::default() });
+    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+    let graph = CorrespondenceGraph::new(
+        &counts,
+        found.into_iter().map(|f| (f.pair, f.two_view)).collect::<Vec<_>>(),
+    );
+    let mut blank = scene.without_poses();
+    // Right images swap their times with others from elsewhere.
+    let rights: Vec<ImageId> =
+        blank.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
+    let wrong = rights.len() * wrong_percent / 100 / 2;
+    for k in 0..wrong {
+        let (a, b) =
+            (rights[k * rights.len() / (2 * wrong)], rights[(k + wrong) * rights.len() / (2 * wrong)]);
+        let times = [a, b].map(|id| blank.image(id).time_s);
+        blank.set_time(a, times[1]);
+        blank.set_time(b, times[0]);
+    }
+    Scene { drive, graph, truth: scene.truth().clone(), blank }
+}
+
+/// ATE in metres, the model's scale, and the right camera.
+fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<(f64, f64, Option<MountedCamera>)> {
+    let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
+    let mut camera = None;
+    let models = map(&scene.graph, &scene.blank, &options, &mut |event| {
+        if let Event::MountedCamera(found) = event {
+            camera.get_or_insert_with(|| (**found).clone());
+        }
+        ControlFlow::Continue(())
+    });
+    let model = models.ok()?.into_iter().next()?;
+    let (found, truth): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
+        .registered()
+        .filter_map(|(id, _, pose)| {
+            Some((pose.origin_in_a(), scene.truth.image(id).cam_from_world()?.origin_in_a()))
+        })
+        .unzip();
+    let truth_from_model = umeyama(&found, &truth, true)?;
+    let sum: f64 = found.iter().zip(&truth).map(|(f, t)| (truth_from_model * *f - t).norm_squared()).sum();
+    Some(((sum / found.len() as f64).sqrt(), truth_from_model.scale, camera))
+}
+
+fn main() {
+    let mut arguments =
+        std::env::args().skip(1).map(|word| word.parse::<u64>().expect("SEEDS and FRAMES are numbers"));
+    let (seeds, frames) = (arguments.next().unwrap_or(3), arguments.next().unwrap_or(45) as usize);
+    println!(
+        "{:24} {:>8} {:>8} {:>8}   clock (ms ± sd), turn (°), place (mm): of auto, per seed",
+        "", "off", "soft", "auto"
+    );
+    for cell in cells() {
+        let mut ates: [Vec<f64>; 3] = Default::default();
+        let mut notes = String::new();
+        for seed in 1..=seeds {
+            let scene = scene(seed, &cell, frames);
+            for (ates, rig) in ates.iter_mut().zip([RigTerm::Off, RigTerm::Soft, RigTerm::Auto]) {
+                let Some((ate, scale, camera)) = run(&scene, seed, rig) else { continue };
+                ates.push(100.0 * ate);
+                if rig != RigTerm::Auto {
+                    continue;
+                }
+                let Some(camera) = camera else {
+                    notes += "  off";
+                    continue;
+                };
+                let (true_mount, clock) = (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
+                let pivot_s = camera.clock.pivot_s;
+                let offset_s = camera.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+                let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
+                let turn = camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
+                let place = (camera.right_from_left.translation * scale - true_mount.translation).norm();
+                let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
+                notes +=
+                    &format!("  {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};", camera.timing);
+            }
+        }
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let [off, soft, auto] = [0, 1, 2].map(|k| mean(&ates[k]));
+        let sd = mean(&ates[0].iter().map(|ate| (ate - off).powi(2)).collect::<Vec<_>>()).sqrt();
+        let verdict = if auto <= 1.05 * off + 2.0 * sd { "" } else { "  BAD" };
+        println!("{:24} {off:8.3} {soft:8.3} {auto:8.3} {notes}{verdict}", cell.0);
+    }
+}

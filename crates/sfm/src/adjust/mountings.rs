@@ -1,0 +1,179 @@
+//! Mountings in an adjustment: as variables with their clocks, as terms or as rigid poses, and how well they are determined.
+
+use std::collections::BTreeMap;
+
+use tiepoint_ba::factors::Prior;
+use tiepoint_ba::{AnyKey, Key, Order};
+use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
+use tiepoint_geometry::{Loss, Rigid3};
+use tiepoint_rig::{Clock, Mounted, MountedInTime};
+use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
+
+use super::{AdjustOptions, Bundle, Scope};
+use crate::companion::{Left, Timing};
+use crate::mounting::{Hold, Mounting};
+use crate::{Error, keypoint_sigma_px};
+
+/// What is believed of a clock's offset beside what was found by motion, and of its drift (quartz: tens of parts per million).
+const CLOCK_SIGMA_S: f64 = 1.0;
+const DRIFT_SIGMA: f64 = 5e-5;
+
+/// The covariance of each mounting's calibration (rotation, translation) and clock (offset, drift), zero where they do not move; `None`
+/// where something is not determined. The noise of the keypoints is what the model leaves, and σ of the mountings what they say.
+pub(crate) fn mounting_covariances(
+    model: &Reconstruction,
+    options: &AdjustOptions,
+    mountings: &[Mounting],
+) -> Result<Vec<Option<MountingCovariance>>, Error> {
+    let model = &without_points_at_infinity(model);
+    let noise = relative_noise(model);
+    let scaled: Vec<Mounting> =
+        mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();
+    let bundle = Bundle::new(model, &Scope::Global, options, &scaled)?;
+    let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
+        let mut keys: Vec<AnyKey> = vec![(*mount).into()];
+        keys.extend(clock.map(AnyKey::from));
+        let found = bundle.problem.covariance(&keys).ok()?;
+        let size = found.matrix().nrows();
+        let mut covariance = MountingCovariance::zeros();
+        covariance.view_mut((0, 0), (size, size)).copy_from(&(found.matrix() * (noise * noise)));
+        Some(covariance)
+    };
+    Ok(bundle.mountings.iter().map(of).collect())
+}
+
+/// A point whose depth its rays tell this much worse than its direction (as a ratio of information) is at infinity: the undamped system
+/// is singular for it.
+const MIN_DEPTH_INFORMATION: f64 = 1e-8;
+
+/// With such points set aside; they move nothing but rotations, which all others move too.
+fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
+    let is_far = |track: &Track| {
+        let mut information = Matrix3::zeros();
+        for pose in track.observations.iter().filter_map(|o| model.image(o.image).cam_from_world()) {
+            let ray = track.xyz - pose.origin_in_a();
+            let direction = ray.normalize();
+            information += (Matrix3::identity() - direction * direction.transpose()) / ray.norm_squared();
+        }
+        let eigenvalues = information.symmetric_eigenvalues();
+        // Not a number is nowhere.
+        let is_near = eigenvalues.min() > MIN_DEPTH_INFORMATION * eigenvalues.max();
+        !is_near
+    };
+    let far: Vec<PointId> =
+        model.tracks().filter(|(_, track)| is_far(track)).map(|(point, _)| point).collect();
+    let mut near = model.clone();
+    for point in far {
+        if let Some(track) = near.track_mut(point) {
+            track.is_held_out = true;
+        }
+    }
+    near
+}
+
+/// Rotation (radians), translation (units of the model), offset (seconds), drift.
+pub type MountingCovariance = SMatrix<f64, 8, 8>;
+
+/// Standard deviation of the keypoints, as a multiple of what was expected: from the median error, and what the fit has taken away.
+fn relative_noise(model: &Reconstruction) -> f64 {
+    // Of a vector of two unit normals.
+    const MEDIAN_OF_TWO: f64 = 1.177;
+    let mut errors: Vec<f64> = Vec::new();
+    let mut num_points = 0;
+    for (_, track) in model.tracks().filter(|(_, track)| !track.is_held_out) {
+        num_points += 1;
+        errors.extend(track.observations.iter().filter_map(|o| {
+            let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
+            Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
+        }));
+    }
+    errors.sort_by(f64::total_cmp);
+    let (equations, unknowns) = (2 * errors.len(), 3 * num_points + 6 * model.num_registered());
+    let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
+    errors
+        .get(errors.len() / 2)
+        .map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt())
+        .max(f64::MIN_POSITIVE)
+}
+
+impl Bundle {
+    /// Adds the mountings as variables, soft ones with a term for each moment.
+    pub(super) fn add_mountings(
+        &mut self,
+        model: &Reconstruction,
+        mountings: &[Mounting],
+        rigid: &BTreeMap<ImageId, (usize, ImageId)>,
+    ) -> Result<(), Error> {
+        if mountings.is_empty() {
+            return Ok(());
+        }
+        let keys: BTreeMap<ImageId, Key<Rigid3>> = self.poses.iter().copied().collect();
+        let key = |image: &ImageId| keys.get(image).copied();
+        for (index, mounting) in mountings.iter().enumerate() {
+            let mount = self.problem.keep(mounting.right_from_left, Order::Shared);
+            let moves = mounting.moments.iter().any(|m| matches!(m.left, Left::Between { .. }));
+            let clock = moves.then(|| self.problem.keep(mounting.clock, Order::Shared));
+            if let Some(clock) = clock {
+                match mounting.timing {
+                    Timing::Free => {
+                        let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA];
+                        let stamps = Clock { drift: 0.0, ..mounting.clock };
+                        self.problem.add(clock, Prior::new(stamps, &sigmas)?, Loss::Trivial)?;
+                    }
+                    Timing::Together | Timing::NotObservable => self.problem.fix(clock),
+                }
+            }
+            self.mountings.push((mount, clock));
+            for moment in &mounting.moments {
+                let right = key(&moment.right);
+                match (mounting.hold, moment.left, clock) {
+                    (Hold::Rigid, Left::At(left), _) => {
+                        if let (Some(left), Some(&(by, _))) = (key(&left), rigid.get(&moment.right))
+                            && by == index
+                        {
+                            self.held.push((moment.right, mount, left));
+                        }
+                    }
+                    (Hold::Soft { sigma_translation, sigma_rotation_rad }, Left::At(left), _) => {
+                        let (Some(left), Some(right)) = (key(&left), right) else { continue };
+                        let factor = Mounted { sigma_translation, sigma_rotation_rad };
+                        self.problem.add((left, right, mount), factor, Loss::Trivial)?;
+                    }
+                    (
+                        Hold::Soft { sigma_translation, sigma_rotation_rad },
+                        Left::Between { images, times_s, right_time_s, .. },
+                        Some(clock),
+                    ) => {
+                        let [a, b, c, d] = images.each_ref().map(key);
+                        let (Some(a), Some(b), Some(c), Some(d), Some(right)) = (a, b, c, d, right) else {
+                            continue;
+                        };
+                        let mounted = Mounted { sigma_translation, sigma_rotation_rad };
+                        let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
+                        let whitening = moment.whitening(&mounted, &left, &mounting.right_from_left);
+                        let factor =
+                            MountedInTime { mounted, left_times_s: times_s, right_time_s, whitening };
+                        self.problem.add((a, b, c, d, right, mount, clock), factor, Loss::Trivial)?;
+                    }
+                    // Images of different instants are never rigid.
+                    (_, Left::Between { .. }, _) => {}
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Images that take their pose from another's: by which mounting, and whose.
+pub(super) fn rigid_pairs(mountings: &[Mounting], posed: &[ImageId]) -> BTreeMap<ImageId, (usize, ImageId)> {
+    let mut rigid = BTreeMap::new();
+    for (index, mounting) in mountings.iter().enumerate().filter(|(_, m)| m.hold == Hold::Rigid) {
+        for moment in &mounting.moments {
+            let Left::At(left) = moment.left else { continue };
+            if posed.binary_search(&left).is_ok() && posed.binary_search(&moment.right).is_ok() {
+                rigid.insert(moment.right, (index, left));
+            }
+        }
+    }
+    rigid
+}
