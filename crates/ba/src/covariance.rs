@@ -10,6 +10,7 @@ use crate::eliminate::CellStash;
 use crate::error::Error;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
+use crate::reduced::Eliminated;
 use crate::schur::SchurSystem;
 use crate::structure::NONE;
 use crate::summary::Times;
@@ -69,7 +70,8 @@ impl Problem {
             return Ok(Covariance { keys: Vec::new(), first, matrix: DMatrix::zeros(0, 0) });
         };
         // All of the system has to be solvable, wherever the trouble is.
-        system.reduced.factorise().map_err(|_| undetermined(first_key))?;
+        let rest = Eliminated { structure: &system.structure, memory: &system.memory };
+        system.reduced.factorise(rest).map_err(|_| undetermined(first_key))?;
         // Aᵀ, a column for each direction that was asked for; and the part that is the eliminated variables' own.
         let total = first[keys.len()];
         let mut a = DMatrix::zeros(columns, total);
@@ -103,7 +105,7 @@ impl Problem {
             }
         }
         let mut x = a.clone();
-        system.reduced.solve_columns(x.as_mut_slice());
+        system.reduced.solve_columns(rest, x.as_mut_slice());
         let matrix = a.transpose() * x + own;
         for (key, ends) in keys.iter().zip(first.windows(2)) {
             // Not a number is no variance either.

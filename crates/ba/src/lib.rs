@@ -7,6 +7,7 @@ mod eliminate;
 mod error;
 mod factor;
 pub mod factors;
+mod memory;
 mod options;
 mod problem;
 mod qr;

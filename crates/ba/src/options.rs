@@ -50,8 +50,11 @@ pub enum LinearSolver {
     /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not fit into 4 GiB, as
     /// [`Iterative`](Self::Iterative).
     Sparse,
-    /// Conjugate gradients on the sparse reduced system, preconditioned by its diagonal blocks.
+    /// Conjugate gradients on the reduced system, preconditioned by its diagonal blocks; where it has more numbers than the
+    /// observations, as [`Implicit`](Self::Implicit).
     Iterative,
+    /// The same without putting the reduced system together: memory grows with the observations alone.
+    Implicit,
 }
 
 impl Options {

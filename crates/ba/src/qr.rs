@@ -12,7 +12,7 @@ use crate::problem::Problem;
 use crate::run::Rows;
 use crate::structure::{Elimination, Structure};
 use crate::summary::Times;
-use crate::system::{Linearised, System};
+use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
 /// Where a column vanishes — an exponential underflows — nothing but damping holds its variable back. So it is damped by no less than
@@ -122,6 +122,21 @@ impl System for QrSystem {
         Linearised { cost, missing, gradient_max: if finite { largest } else { f64::INFINITY } }
     }
 
+    fn attempt(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Option<Attempt> {
+        let promise = self.step(values, trial, lambda, times)?;
+        let cost = self.trial_cost(problem, trial, times);
+        Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY) })
+    }
+}
+
+impl QrSystem {
     fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let columns = self.structure.columns;
@@ -155,13 +170,7 @@ impl System for QrSystem {
         promise.is_finite().then_some(promise)
     }
 
-    fn trial_cost(
-        &mut self,
-        problem: &Problem,
-        _: &Values,
-        trial: &mut Values,
-        times: &mut Times,
-    ) -> Option<f64> {
+    fn trial_cost(&mut self, problem: &Problem, trial: &Values, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let (mut cost, mut at) = (0.0, 0);
         for run in &problem.runs {

@@ -1,22 +1,29 @@
-//! Eliminated variables on their own, with the kept ones held: Gauss-Newton steps that cost little, for nothing but small
-//! blocks have to be solved, and that take out of the way what is not linear in these variables (Jeong, Nister, Steedly,
-//! Szeliski, Kweon 2012, "Pushing the envelope of modern methods for bundle adjustment", section 5.2: embedded point iterations).
-//! Each variable keeps a step only if it lowers the cost of its own factors, so that nothing gets worse.
+//! What a step costs, and eliminated variables on their own, with the kept ones held: Gauss-Newton steps that cost little, for
+//! nothing but small blocks have to be solved, and that take out of the way what is not linear in these variables (Jeong, Nister,
+//! Steedly, Szeliski, Kweon 2012, "Pushing the envelope of modern methods for bundle adjustment", section 5.2: embedded point
+//! iterations). Each variable keeps a step only if it lowers the cost of its own factors, so that nothing gets worse; and takes
+//! another only if that has paid.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays
+
+use std::ops::Range;
 
 use crate::eliminate::Sums;
 use crate::eliminate::damping;
 use crate::problem::Problem;
 use crate::run::Rows;
 use crate::schur::{SchurSystem, survives};
-use crate::structure::{Cell, Chunk, NO_OWN, Structure};
+use crate::structure::{Batch, Cell, Chunk, NO_OWN, Structure};
 use crate::variable::{FIXED, Values};
 
 /// λ of these steps: against singular blocks, not for caution.
 const LAMBDA: f64 = 1e-6;
+/// A variable goes on as long as a step lowers its cost by more than this part of the mean over all such variables.
+const WORTH_REFINING: f64 = 1e-2;
 
+/// Where a step leads, and from there.
 pub(crate) struct Refine {
-    chunks: Vec<Part>,
+    rounds: usize,
+    pub(crate) chunks: Vec<Part>,
     /// For each store, where the steps are, or [`FIXED`]; empty for stores without an eliminated variable.
     step_at: Vec<Vec<u32>>,
     /// Steps of the eliminated variables.
@@ -27,91 +34,165 @@ pub(crate) struct Refine {
 
 /// What one chunk works on.
 #[derive(Default)]
-struct Part {
+pub(crate) struct Part {
+    /// Of each factor, [`NO_COST`](crate::run::NO_COST) where it does not exist.
+    pub(crate) costs: Vec<f64>,
+    /// Their sum over the factors that count.
+    pub(crate) cost: f64,
+    /// Whether all factors exist that should.
+    pub(crate) alive: bool,
     rows: Vec<f64>,
-    costs: Vec<f64>,
+    next_costs: Vec<f64>,
+    /// Whether a cell's variable takes part in the next round.
+    active: Vec<bool>,
     /// Cells whose step is to be undone.
     worse: Vec<u32>,
 }
 
 impl Refine {
-    pub(crate) fn new(problem: &Problem, structure: &Structure, refinements: usize) -> Self {
-        if refinements == 0 {
-            let (chunks, step_at, steps, base) = Default::default();
-            return Self { chunks, step_at, steps, base };
+    pub(crate) fn new(problem: &Problem, structure: &Structure, rounds: usize) -> Self {
+        let part = |chunk: &Chunk| Part { costs: vec![0.0; chunk.factors.len()], ..Part::default() };
+        let mut this = Self {
+            rounds,
+            chunks: structure.chunks.iter().map(part).collect(),
+            step_at: Vec::new(),
+            steps: Vec::new(),
+            base: Values::default(),
+        };
+        if rounds > 0 {
+            this.make_room(problem, structure);
         }
-        let mut step_at: Vec<Vec<u32>> = structure.step_at.clone();
-        for at in step_at.iter_mut().flatten() {
+        this
+    }
+
+    /// For the rounds.
+    fn make_room(&mut self, problem: &Problem, structure: &Structure) {
+        self.step_at = structure.step_at.clone();
+        for at in self.step_at.iter_mut().flatten() {
             // Behind those of the kept ones.
             *at =
                 if *at == FIXED { FIXED } else { at.checked_sub(structure.kept_len as u32).unwrap_or(FIXED) };
         }
-        for at in &mut step_at {
+        for at in &mut self.step_at {
             if at.iter().all(|&at| at == FIXED) {
                 at.clear();
             }
         }
-        let part = |chunk: &Chunk| {
+        for (part, chunk) in self.chunks.iter_mut().zip(&structure.chunks) {
             let longest =
                 chunk.batches.iter().map(|batch| batch_len(problem, chunk, batch.stretches.clone()));
-            Part {
-                rows: vec![0.0; longest.max().unwrap_or(0)],
-                costs: vec![0.0; chunk.factors.len()],
-                worse: Vec::new(),
-            }
-        };
-        Self {
-            chunks: structure.chunks.iter().map(part).collect(),
-            steps: vec![0.0; structure.step_len - structure.kept_len],
-            base: problem.values.clone(),
-            step_at,
+            part.rows = vec![0.0; longest.max().unwrap_or(0)];
+            part.next_costs = vec![0.0; chunk.factors.len()];
+            part.active = vec![false; chunk.cells.len()];
         }
+        self.steps = vec![0.0; structure.step_len - structure.kept_len];
+        self.base = problem.values.clone();
     }
 
-    /// One step of each eliminated variable from `trial`, where the factors have these costs. `sums` knows which of them
-    /// count.
-    pub(crate) fn round(
+    /// The cost at `trial`. Of the factors of eliminated variables, the derivatives come along, and with them the steps of the
+    /// first round. `sums` knows which factors count.
+    pub(crate) fn evaluate(
+        &mut self,
+        problem: &Problem,
+        trial: &Values,
+        structure: &Structure,
+        sums: &[Sums],
+    ) {
+        let refine = self.rounds > 0;
+        let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
+        SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
+            if refine {
+                part.active.iter_mut().zip(&chunk.cells).for_each(|(active, cell)| *active = cell.dof > 0);
+                part.step(problem, trial, chunk, steps);
+                part.costs.copy_from_slice(&part.next_costs);
+            }
+            for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN) {
+                let range = stretch.start..stretch.end;
+                let run = &problem.runs[stretch.run as usize];
+                run.costs(trial, &chunk.factors[range.clone()], &mut part.costs[range]);
+            }
+            part.sum(&sums.costs);
+        });
+    }
+
+    /// The cost of all.
+    pub(crate) fn cost(&self) -> f64 {
+        self.chunks.iter().fold(0.0, |sum, part| sum + part.cost)
+    }
+
+    /// Takes the steps of the eliminated variables from `trial`, as long as they pay. [`Refine::evaluate`] has been there.
+    pub(crate) fn improve(
         &mut self,
         problem: &Problem,
         trial: &mut Values,
         structure: &Structure,
         sums: &[Sums],
-        costs: &mut [Vec<f64>],
     ) {
-        let mut tasks = Vec::with_capacity(self.chunks.len());
-        let mut rest = &mut self.steps[..];
-        for (part, chunk) in self.chunks.iter_mut().zip(&structure.chunks) {
-            let (steps, others) = rest.split_at_mut(chunk.steps.len());
-            tasks.push((part, steps));
+        let cells =
+            structure.chunks.iter().flat_map(|chunk| &chunk.cells).filter(|cell| cell.dof > 0).count();
+        for round in 0..self.rounds {
+            if round > 0 {
+                let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
+                let from: &Values = trial;
+                SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
+                    part.step(problem, from, chunk, steps);
+                });
+            }
+            let worth = WORTH_REFINING * self.cost() / cells.max(1) as f64;
+            for ((trial, base), at) in trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_at) {
+                if !at.is_empty() {
+                    std::mem::swap(trial, base);
+                    trial.plus_all(&**base, &self.steps, at);
+                }
+            }
+            let to: &Values = trial;
+            let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
+            SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, _, sums)| {
+                part.judge(problem, to, chunk, &sums.costs, worth);
+            });
+            for (part, chunk) in self.chunks.iter().zip(&structure.chunks) {
+                for &cell in &part.worse {
+                    let Cell { store, slot, .. } = chunk.cells[cell as usize];
+                    let (trial, base) =
+                        (&mut trial.stores[store as usize], &self.base.stores[store as usize]);
+                    trial.copy_one(&**base, slot as usize);
+                }
+            }
+            if !self.chunks.iter().any(|part| part.active.contains(&true)) {
+                break;
+            }
+        }
+    }
+
+    /// What each chunk needs.
+    fn tasks<'a>(
+        parts: &'a mut [Part],
+        steps: &'a mut [f64],
+        structure: &Structure,
+        sums: &'a [Sums],
+    ) -> Vec<(&'a mut Part, &'a mut [f64], &'a Sums)> {
+        let mut rest = steps;
+        let mut tasks = Vec::with_capacity(parts.len());
+        for ((part, chunk), sums) in parts.iter_mut().zip(&structure.chunks).zip(sums) {
+            let (steps, others) = rest.split_at_mut(chunk.steps.len().min(rest.len()));
+            tasks.push((part, steps, sums));
             rest = others;
         }
-        let from: &Values = trial;
-        SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps)| {
-            part.step(problem, from, chunk, steps)
-        });
-        for ((trial, base), at) in trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_at) {
-            if !at.is_empty() {
-                std::mem::swap(trial, base);
-                trial.plus_all(&**base, &self.steps, at);
-            }
-        }
-        let to: &Values = trial;
-        let mut tasks: Vec<_> = self.chunks.iter_mut().zip(sums).zip(costs).collect();
-        SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, ((part, sums), costs)| {
-            part.judge(problem, to, chunk, &sums.costs, costs);
-        });
-        for (part, chunk) in self.chunks.iter().zip(&structure.chunks) {
-            for &cell in &part.worse {
-                let Cell { store, slot, .. } = chunk.cells[cell as usize];
-                let (trial, base) = (&mut trial.stores[store as usize], &self.base.stores[store as usize]);
-                trial.copy_one(&**base, slot as usize);
-            }
+        tasks
+    }
+
+    /// Takes a cell out of the first round: its variable is not where [`Refine::evaluate`] found it.
+    pub(crate) fn leave_out(&mut self, chunk: usize, cell: usize, structure: &Structure) {
+        if let Some(active) = self.chunks[chunk].active.get_mut(cell) {
+            *active = false;
+            let Cell { step, dof, .. } = structure.chunks[chunk].cells[cell];
+            self.steps[step - structure.kept_len..][..dof as usize].fill(0.0);
         }
     }
 }
 
 /// How many numbers the rows of a batch have.
-fn batch_len(problem: &Problem, chunk: &Chunk, stretches: std::ops::Range<usize>) -> usize {
+fn batch_len(problem: &Problem, chunk: &Chunk, stretches: Range<usize>) -> usize {
     let own = chunk.stretches[stretches].iter().filter(|stretch| stretch.own != NO_OWN);
     own.map(|stretch| {
         let run = &problem.runs[stretch.run as usize];
@@ -120,71 +201,108 @@ fn batch_len(problem: &Problem, chunk: &Chunk, stretches: std::ops::Range<usize>
     .sum()
 }
 
+/// The next stretch of active cells of a batch.
+fn next_active(active: &[bool], cells: &mut Range<usize>) -> Option<Range<usize>> {
+    let start = cells.clone().find(|&cell| active[cell])?;
+    let end = (start..cells.end).find(|&cell| !active[cell]).unwrap_or(cells.end);
+    cells.start = end;
+    Some(start..end)
+}
+
+/// The factors of some cells of a batch, by stretch.
+fn stretches_of<'a>(
+    chunk: &'a Chunk,
+    batch: &Batch,
+    factors: &Range<usize>,
+) -> impl Iterator<Item = (u16, u8, Range<usize>)> + use<'a> {
+    let Range { start, end } = *factors;
+    (chunk.stretches[batch.stretches.clone()].iter())
+        .map(move |stretch| (stretch.run, stretch.own, stretch.start.max(start)..stretch.end.min(end)))
+        .filter(|(_, _, range)| !range.is_empty())
+}
+
 impl Part {
-    /// The steps of a chunk's variables.
+    /// Sums up the costs, and looks whether all factors exist that have `counted`.
+    pub(crate) fn sum(&mut self, counted: &[f64]) {
+        (self.cost, self.alive) = (0.0, true);
+        for (&before, &after) in counted.iter().zip(&self.costs) {
+            self.cost += if before.is_nan() { 0.0 } else { after };
+            self.alive &= survives(before, after);
+        }
+    }
+
+    /// The steps of a chunk's active variables, and zero for the others.
     fn step(&mut self, problem: &Problem, from: &Values, chunk: &Chunk, steps: &mut [f64]) {
-        let mut factor = 0;
+        steps.fill(0.0);
         for batch in &chunk.batches {
-            let mut at = 0;
-            for stretch in &chunk.stretches[batch.stretches.clone()] {
-                if stretch.own == NO_OWN {
-                    continue;
+            let mut rest = batch.cells.clone();
+            while let Some(cells) = next_active(&self.active, &mut rest) {
+                let factors = chunk.factors_of(cells.start).start..chunk.cells[cells.end - 1].end as usize;
+                let mut at = 0;
+                for (run, own, range) in stretches_of(chunk, batch, &factors) {
+                    let run = &problem.runs[run as usize];
+                    let len = range.len() * run.rows() * (run.dofs()[own as usize] + 1);
+                    let rows = Rows {
+                        rows: &mut self.rows[at..at + len],
+                        costs: &mut self.next_costs[range.clone()],
+                    };
+                    run.linearize_own(own, from, &chunk.factors[range], rows);
+                    at += len;
                 }
-                let run = &problem.runs[stretch.run as usize];
-                let range = stretch.start..stretch.end;
-                let len = range.len() * run.rows() * (run.dofs()[stretch.own as usize] + 1);
-                let rows = Rows { rows: &mut self.rows[at..at + len], costs: &mut self.costs[range.clone()] };
-                run.linearize_own(stretch.own, from, &chunk.factors[range], rows);
-                at += len;
-            }
-            let mut rows = &mut self.rows[..at];
-            for cell in &chunk.cells[batch.cells.clone()] {
-                let to = &mut steps[cell.step - chunk.steps.start..];
-                let count = match cell.dof {
-                    0 => 0,
-                    1 => step::<1>(chunk, cell, factor, rows, to),
-                    2 => step::<2>(chunk, cell, factor, rows, to),
-                    3 => step::<3>(chunk, cell, factor, rows, to),
-                    4 => step::<4>(chunk, cell, factor, rows, to),
-                    5 => step::<5>(chunk, cell, factor, rows, to),
-                    _ => step::<6>(chunk, cell, factor, rows, to),
-                };
-                rows = &mut rows[count..];
-                factor = cell.end as usize;
+                let mut rows = &mut self.rows[..at];
+                let mut factor = factors.start;
+                for cell in &chunk.cells[cells] {
+                    let to = &mut steps[cell.step - chunk.steps.start..];
+                    let count = match cell.dof {
+                        1 => step::<1>(chunk, cell, factor, rows, to),
+                        2 => step::<2>(chunk, cell, factor, rows, to),
+                        3 => step::<3>(chunk, cell, factor, rows, to),
+                        4 => step::<4>(chunk, cell, factor, rows, to),
+                        5 => step::<5>(chunk, cell, factor, rows, to),
+                        _ => step::<6>(chunk, cell, factor, rows, to),
+                    };
+                    rows = &mut rows[count..];
+                    factor = cell.end as usize;
+                }
             }
         }
     }
 
-    /// Takes over the costs of what has become better, and lists the cells that have not.
-    fn judge(&mut self, problem: &Problem, to: &Values, chunk: &Chunk, counted: &[f64], costs: &mut [f64]) {
+    /// Takes over the costs of what has become better, and lists the cells that have not. Those that gained less than `worth`
+    /// are done.
+    fn judge(&mut self, problem: &Problem, to: &Values, chunk: &Chunk, counted: &[f64], worth: f64) {
         self.worse.clear();
-        for stretch in chunk.stretches.iter().filter(|stretch| stretch.own != NO_OWN) {
-            let range = stretch.start..stretch.end;
-            let run = &problem.runs[stretch.run as usize];
-            run.costs(to, &chunk.factors[range.clone()], &mut self.costs[range]);
-        }
-        let mut start = 0;
-        for (index, cell) in chunk.cells.iter().enumerate() {
-            let range = start..cell.end as usize;
-            start = range.end;
-            if cell.dof == 0 {
-                continue;
-            }
-            let (mut old, mut new) = (0.0, 0.0);
-            let mut alive = true;
-            for i in range.clone() {
-                alive &= survives(counted[i], self.costs[i]);
-                if !counted[i].is_nan() {
-                    old += costs[i];
-                    new += self.costs[i];
+        for batch in &chunk.batches {
+            let mut rest = batch.cells.clone();
+            while let Some(cells) = next_active(&self.active, &mut rest) {
+                let mut start = chunk.factors_of(cells.start).start;
+                let factors = start..chunk.cells[cells.end - 1].end as usize;
+                for (run, _, range) in stretches_of(chunk, batch, &factors) {
+                    let run = &problem.runs[run as usize];
+                    run.costs(to, &chunk.factors[range.clone()], &mut self.next_costs[range]);
+                }
+                for cell in cells {
+                    let range = start..chunk.cells[cell].end as usize;
+                    start = range.end;
+                    let (mut old, mut new) = (0.0, 0.0);
+                    let mut alive = true;
+                    for i in range.clone() {
+                        alive &= survives(counted[i], self.next_costs[i]);
+                        if !counted[i].is_nan() {
+                            old += self.costs[i];
+                            new += self.next_costs[i];
+                        }
+                    }
+                    self.active[cell] = alive && old - new > worth;
+                    if alive && new < old {
+                        self.costs[range.clone()].copy_from_slice(&self.next_costs[range]);
+                    } else {
+                        self.worse.push(cell as u32);
+                    }
                 }
             }
-            if alive && new < old {
-                costs[range.clone()].copy_from_slice(&self.costs[range]);
-            } else {
-                self.worse.push(index as u32);
-            }
         }
+        self.sum(counted);
     }
 }
 
@@ -212,20 +330,24 @@ fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f6
     for i in 0..P {
         v[i][i] += damping(v[i][i], LAMBDA);
     }
+    // V = L D Lᵀ with ones on the diagonal of L: without square roots, which so short a loop hangs on. Meanwhile L⁻¹ g.
     let mut inverse = [0.0; P];
-    crate::eliminate::cholesky(&mut v, &mut inverse);
-    for i in 0..P {
-        for j in 0..i {
-            g[i] -= v[i][j] * g[j];
+    for j in 0..P {
+        inverse[j] = 1.0 / v[j][j];
+        for i in j + 1..P {
+            let l = v[i][j] * inverse[j];
+            for k in j + 1..=i {
+                v[i][k] -= l * v[k][j];
+            }
+            g[i] -= l * g[j];
         }
-        g[i] *= inverse[i];
     }
     for i in (0..P).rev() {
+        let mut sum = g[i];
         for j in i + 1..P {
-            g[i] -= v[j][i] * g[j];
+            sum += v[j][i] * to[j];
         }
-        g[i] *= inverse[i];
-        to[i] = -g[i];
+        to[i] = -sum * inverse[i];
     }
     at
 }

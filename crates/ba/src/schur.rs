@@ -6,13 +6,14 @@ use rayon::prelude::*;
 
 use crate::eliminate::Sums;
 use crate::error::Error;
+use crate::memory::Memory;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::{Columns, Conjugate, Dense, Factorisation, Reduced, Sparse};
+use crate::reduced::{Columns, Conjugate, Dense, Eliminated, Factorisation, Reduced, Sparse};
 use crate::refine::Refine;
-use crate::structure::{Chunk, Elimination, Structure};
+use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure};
 use crate::summary::Times;
-use crate::system::{Linearised, System};
+use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
 /// Up to so many columns a dense factorisation wins over a sparse one, whatever the fill.
@@ -27,19 +28,25 @@ pub(crate) struct SchurSystem {
     pub(crate) structure: Structure,
     pub(crate) sums: Vec<Sums>,
     /// Tiles and stashes of all chunks.
-    pub(crate) memory: Vec<f64>,
+    pub(crate) memory: Memory,
     pub(crate) reduced: Reduced,
     name: &'static str,
     /// Steps of all variables: kept ones by block, then eliminated ones by cell.
     step: Vec<f64>,
     block_at: Vec<usize>,
-    trial_costs: Vec<Vec<f64>>,
     refine: Refine,
-    refinements: usize,
 }
 
 impl SchurSystem {
     pub(crate) fn new(problem: &Problem, solver: LinearSolver, refinements: usize) -> Result<Self, Error> {
+        let shared = problem.num_factors() > FACTORS_PER_CHUNK;
+        Self::on_pool(shared, || Self::new_here(problem, solver, refinements))
+    }
+
+    fn new_here(problem: &Problem, solver: LinearSolver, refinements: usize) -> Result<Self, Error> {
+        if solver == LinearSolver::Implicit {
+            return Self::implicit(problem, refinements);
+        }
         let structure = Structure::new(problem, Elimination::Do)?;
         let dense = match solver {
             LinearSolver::Dense => true,
@@ -49,26 +56,53 @@ impl SchurSystem {
         let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0 {
             ("dense Cholesky", Box::new(Dense::new(&structure)))
         } else {
-            let columns = Columns::new(&structure)?;
+            let Ok(columns) = Columns::new(&structure) else {
+                return Self::implicit(problem, refinements);
+            };
             let direct = if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
             match direct {
                 Ok(sparse) => ("sparse Cholesky", Box::new(sparse)),
-                Err(columns) => ("conjugate gradients", Box::new(Conjugate::new(columns))),
+                // What a product has to read decides.
+                Err(columns) if columns.num_numbers() > structure.num_coupled() => {
+                    return Self::implicit(problem, refinements);
+                }
+                Err(columns) => ("conjugate gradients", Box::new(Conjugate::new(columns, false))),
             }
         };
+        Ok(Self::of(problem, structure, refinements, name, factorisation))
+    }
+
+    /// One that never puts the reduced system together.
+    fn implicit(problem: &Problem, refinements: usize) -> Result<Self, Error> {
+        let structure = Structure::new(problem, Elimination::Implicit)?;
+        let factorisation = Box::new(Conjugate::new(Columns::new(&structure)?, true));
+        Ok(Self::of(problem, structure, refinements, "implicit conjugate gradients", factorisation))
+    }
+
+    fn of(
+        problem: &Problem,
+        structure: Structure,
+        refinements: usize,
+        name: &'static str,
+        factorisation: Box<dyn Factorisation>,
+    ) -> Self {
         let reduced = Reduced::new(&structure, factorisation);
-        Ok(Self {
-            memory: vec![0.0; structure.memory_len],
+        Self {
+            memory: Memory::new(structure.memory_len),
             sums: structure.chunks.iter().map(Sums::new).collect(),
             refine: Refine::new(problem, &structure, refinements),
-            refinements,
-            trial_costs: structure.chunks.iter().map(|chunk| vec![0.0; chunk.factors.len()]).collect(),
             step: vec![0.0; structure.step_len],
             block_at: structure.blocks.iter().map(|block| block.at).collect(),
             reduced,
             structure,
             name,
-        })
+        }
+    }
+
+    /// Runs all of `work` on the thread pool if there is something to share out. Called from outside, each parallel stretch would
+    /// put the calling thread to sleep and wake it: some ten times a step, 50 µs each.
+    fn on_pool<R: Send>(shared: bool, work: impl FnOnce() -> R + Send) -> R {
+        if shared { rayon::scope(|_| work()) } else { work() }
     }
 
     /// Runs `work` on every chunk, in parallel if there are several.
@@ -84,52 +118,56 @@ impl SchurSystem {
         }
     }
 
-    /// The cost of the factors that exist where the system was linearised.
-    fn total(&self, costs: &[Vec<f64>]) -> f64 {
-        let mut total = 0.0;
-        for (sums, costs) in self.sums.iter().zip(costs) {
-            let mut chunk = 0.0;
-            for (before, after) in sums.costs.iter().zip(costs) {
-                chunk += if before.is_nan() { 0.0 } else { *after };
+    /// Shortens the steps of a chunk's variables that end the existence of factors. Gives whether that was enough.
+    fn rescue(&mut self, problem: &Problem, values: &Values, trial: &mut Values, chunk: usize) -> bool {
+        let Self { structure, sums, refine, step, .. } = self;
+        let counted = &sums[chunk].costs;
+        let mut alive = true;
+        for cell in 0..structure.chunks[chunk].cells.len() {
+            let factors = structure.chunks[chunk].factors_of(cell);
+            let costs = &mut refine.chunks[chunk].costs;
+            if factors.clone().all(|i| survives(counted[i], costs[i])) {
+                continue;
             }
-            total += chunk;
+            let this = &structure.chunks[chunk];
+            alive &= this.cells[cell].dof > 0
+                && shorten(problem, values, trial, this, cell, step, (counted, costs));
+            refine.leave_out(chunk, cell, structure);
         }
-        total
-    }
-
-    /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
-    fn shorten(
-        &self,
-        problem: &Problem,
-        values: &Values,
-        trial: &mut Values,
-        chunk: &Chunk,
-        cell: usize,
-        costs: (&[f64], &mut [f64]),
-    ) -> bool {
-        let factors = chunk.factors_of(cell);
-        let cell = &chunk.cells[cell];
-        let step = &self.step[cell.step..][..cell.dof as usize];
-        let (store, slot) = (cell.store as usize, cell.slot as usize);
-        for halving in 1..=HALVINGS {
-            let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
-            let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
-            trial.stores[store].plus_one(&*values.stores[store], slot, &shorter);
-            for i in factors.clone() {
-                let run = chunk.run_of(i);
-                let at = chunk.factors[i];
-                problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
-            }
-            if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {
-                return true;
-            }
-        }
-        false
+        refine.chunks[chunk].sum(counted);
+        alive
     }
 }
 
-/// The refinement of a step ends when a round lowers the cost by less than this part of it.
-const WORTH_REFINING: f64 = 1e-2;
+/// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
+fn shorten(
+    problem: &Problem,
+    values: &Values,
+    trial: &mut Values,
+    chunk: &Chunk,
+    cell: usize,
+    step: &[f64],
+    costs: (&[f64], &mut [f64]),
+) -> bool {
+    let factors = chunk.factors_of(cell);
+    let cell = &chunk.cells[cell];
+    let step = &step[cell.step..][..cell.dof as usize];
+    let (store, slot) = (cell.store as usize, cell.slot as usize);
+    for halving in 1..=HALVINGS {
+        let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
+        let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
+        trial.stores[store].plus_one(&*values.stores[store], slot, &shorter);
+        for i in factors.clone() {
+            let run = chunk.run_of(i);
+            let at = chunk.factors[i];
+            problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
+        }
+        if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {
+            return true;
+        }
+    }
+    false
+}
 
 /// Whether a factor that had the one cost still exists with the other.
 pub(crate) fn survives(before: f64, after: f64) -> bool {
@@ -166,6 +204,38 @@ impl System for SchurSystem {
         lambda: f64,
         times: &mut Times,
     ) -> Linearised {
+        Self::on_pool(self.shared(), || self.linearize_here(problem, values, lambda, times))
+    }
+
+    fn attempt(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Option<Attempt> {
+        Self::on_pool(self.shared(), || {
+            let promise = self.step(values, trial, lambda, times)?;
+            let cost = self.trial_cost(problem, values, trial, times);
+            Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY) })
+        })
+    }
+}
+
+impl SchurSystem {
+    /// Whether there is work for several threads.
+    fn shared(&self) -> bool {
+        self.structure.chunks.len() > 1
+    }
+
+    fn linearize_here(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Linearised {
         let begin = Instant::now();
         let structure = &self.structure;
         let mut tasks = Vec::with_capacity(structure.chunks.len());
@@ -185,13 +255,8 @@ impl System for SchurSystem {
         let mut linearised = Linearised { cost: 0.0, missing: 0, gradient_max: 0.0 };
         let mut finite = true;
         for sums in &self.sums {
-            for &cost in &sums.costs {
-                if cost.is_nan() {
-                    linearised.missing += 1;
-                } else {
-                    linearised.cost += cost;
-                }
-            }
+            linearised.missing += sums.missing;
+            linearised.cost += sums.cost;
             finite &= sums.gradient_max.is_finite();
             linearised.gradient_max = linearised.gradient_max.max(sums.gradient_max);
         }
@@ -205,11 +270,13 @@ impl System for SchurSystem {
         linearised
     }
 
+    /// Solves for the step from `values` and writes where it leads. Gives by how much the linear model says the cost will fall.
     fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let structure = &self.structure;
         let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);
-        let solved = self.reduced.solve(structure, kept);
+        let rest = Eliminated { structure, memory: &self.memory };
+        let solved = self.reduced.solve(rest, kept);
         times.solve += begin.elapsed();
         solved.ok()?;
         let begin = Instant::now();
@@ -220,8 +287,9 @@ impl System for SchurSystem {
             tasks.push((steps, [0.0; 2]));
             rest = others;
         }
+        let (memory, block_at) = (&self.memory, &self.block_at);
         Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
-            *promise = Sums::back_substitute(&self.memory, chunk, kept, &self.block_at, lambda, steps);
+            *promise = Sums::back_substitute(memory, chunk, kept, block_at, lambda, steps);
         });
         // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).
         let [mut g_step, mut damped] = [0.0; 2];
@@ -243,6 +311,7 @@ impl System for SchurSystem {
         promise.is_finite().then_some(promise)
     }
 
+    /// The cost at `trial`, refined; `None` where a factor that existed does not or is not finite.
     fn trial_cost(
         &mut self,
         problem: &Problem,
@@ -251,44 +320,20 @@ impl System for SchurSystem {
         times: &mut Times,
     ) -> Option<f64> {
         let begin = Instant::now();
-        let structure = &self.structure;
-        let mut trial_costs = std::mem::take(&mut self.trial_costs);
-        let shared: &Values = trial;
-        Self::for_chunks(&structure.chunks, &mut trial_costs, |chunk, costs| {
-            for stretch in &chunk.stretches {
-                let range = stretch.start..stretch.end;
-                let run = &problem.runs[stretch.run as usize];
-                run.costs(shared, &chunk.factors[range.clone()], &mut costs[range]);
-            }
-        });
+        let Self { structure, sums, refine, .. } = self;
+        refine.evaluate(problem, trial, structure, sums);
         let mut alive = true;
-        for ((chunk, sums), costs) in structure.chunks.iter().zip(&self.sums).zip(&mut trial_costs) {
-            if sums.costs.iter().zip(costs.iter()).all(|(&before, &after)| survives(before, after)) {
-                continue;
-            }
-            for cell in 0..chunk.cells.len() {
-                if chunk.factors_of(cell).all(|i| survives(sums.costs[i], costs[i])) {
-                    continue;
-                }
-                let pair = (&sums.costs[..], &mut costs[..]);
-                alive &= chunk.cells[cell].dof > 0 && self.shorten(problem, values, trial, chunk, cell, pair);
-            }
+        for chunk in 0..self.structure.chunks.len() {
+            alive &= self.refine.chunks[chunk].alive || self.rescue(problem, values, trial, chunk);
         }
-        let mut cost = self.total(&trial_costs);
         times.evaluate += begin.elapsed();
         let begin = Instant::now();
-        for _ in 0..self.refinements {
-            if !alive || !cost.is_finite() {
-                break;
-            }
-            self.refine.round(problem, trial, &self.structure, &self.sums, &mut trial_costs);
-            let before = std::mem::replace(&mut cost, self.total(&trial_costs));
-            if before - cost < WORTH_REFINING * cost {
-                break;
-            }
+        let Self { structure, sums, refine, .. } = self;
+        if alive && refine.cost().is_finite() {
+            refine.improve(problem, trial, structure, sums);
         }
-        self.trial_costs = trial_costs;
         times.refine += begin.elapsed();
+        let cost = refine.cost();
         (alive && cost.is_finite()).then_some(cost)
     }
 }

@@ -10,7 +10,7 @@ use crate::problem::Problem;
 use crate::qr::QrSystem;
 use crate::schur::SchurSystem;
 use crate::summary::{IterationRecord, Summary, Termination, Times};
-use crate::system::{Linearised, System};
+use crate::system::{Attempt, Linearised, System};
 use crate::variable::{Role, Values};
 
 /// Up to so many numbers in a dense Jacobian, with nothing to eliminate, it is factorised itself rather than squared.
@@ -70,7 +70,9 @@ impl Solver {
                 break Termination::MaxIterations;
             }
             let lambda = damping.lambda();
-            let attempt = self.attempt(problem, lambda, &mut times);
+            // A step that cannot be computed leads to infinite cost.
+            let attempt = self.system.attempt(problem, &problem.values, &mut self.trial, lambda, &mut times);
+            let attempt = attempt.unwrap_or(Attempt { promise: f64::INFINITY, cost: f64::INFINITY });
             if attempt.promise <= self.options.step_tolerance.powi(2) * now.cost {
                 break Termination::StepTolerance;
             }
@@ -162,23 +164,6 @@ impl Solver {
         *now = Linearised { cost: before.cost, ..again };
         false
     }
-
-    /// Solves for a step, writes where it leads to `trial`, and evaluates the cost there. A step that cannot be computed
-    /// leads to infinite cost.
-    fn attempt(&mut self, problem: &Problem, lambda: f64, times: &mut Times) -> Attempt {
-        let failed = Attempt { promise: f64::INFINITY, cost: f64::INFINITY };
-        let Some(promise) = self.system.step(&problem.values, &mut self.trial, lambda, times) else {
-            return failed;
-        };
-        let cost = self.system.trial_cost(problem, &problem.values, &mut self.trial, times);
-        Attempt { promise, cost: cost.unwrap_or(f64::INFINITY) }
-    }
-}
-
-struct Attempt {
-    /// By how much the linear model says the cost falls.
-    promise: f64,
-    cost: f64,
 }
 
 pub(crate) fn check_finite(problem: &Problem, at: &Linearised) -> Result<(), Error> {

@@ -21,16 +21,24 @@ pub(crate) trait System: Send {
     /// Linearises at `values`. (λ is needed where elimination is part of it.)
     fn linearize(&mut self, problem: &Problem, values: &Values, lambda: f64, times: &mut Times)
     -> Linearised;
-    /// Solves for the step from `values` and writes where it leads. Gives by how much the linear model says the cost will
-    /// fall; `None` when the system cannot be solved with this damping.
-    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64>;
-    /// The cost at `trial` of the factors that existed where the system was linearised; `None` when one of them does not exist
-    /// or is not finite there. May shorten the steps of single eliminated variables to keep their factors alive.
-    fn trial_cost(
+    /// Solves for the step from `values`, writes where it leads to `trial`, and evaluates the cost there of the factors that existed
+    /// where the system was linearised. May shorten the steps of single eliminated variables to keep their factors alive. `None`
+    /// when the system cannot be solved with this damping.
+    fn attempt(
         &mut self,
         problem: &Problem,
         values: &Values,
         trial: &mut Values,
+        lambda: f64,
         times: &mut Times,
-    ) -> Option<f64>;
+    ) -> Option<Attempt>;
+}
+
+/// Where a step leads.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Attempt {
+    /// By how much the linear model says the cost falls.
+    pub(crate) promise: f64,
+    /// Infinite where a factor is not finite, or does not exist that did.
+    pub(crate) cost: f64,
 }

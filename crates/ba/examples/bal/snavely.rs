@@ -4,9 +4,9 @@
 //! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along −z, and, as the definition has it,
 //! also sees what is behind it.
 
-use tiepoint_ba::nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2, Vector3};
+use tiepoint_ba::nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
 use tiepoint_ba::{Factor, Linear, Refs, Residual, RigidOf, Scalar};
-use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_geometry::Rigid3;
 
 /// A point was seen: variables (`cam_from_world`, (f, k₁, k₂), `point_in_world`).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,21 +27,38 @@ impl Factor<2> for Snavely {
         let rotated = rotation * point;
         let in_cam = rotated + cam_from_world.translation;
         let minus_inv_z = -1.0 / in_cam.z;
-        let p = in_cam.xy() * minus_inv_z;
+        let (u, v) = (in_cam.x * minus_inv_z, in_cam.y * minus_inv_z);
         let (f, k1, k2) = (lens[0], lens[1], lens[2]);
-        let s = p.norm_squared();
+        let s = u * u + v * v;
         let distortion = 1.0 + s * (k1 + k2 * s);
         let slope = 2.0 * (k1 + 2.0 * k2 * s);
-        let d_p = (Matrix2::identity() * distortion + p * p.transpose() * slope) * f;
-        let d_xy = d_p * minus_inv_z;
-        let d_z = d_xy * p;
-        let d_in_cam =
-            Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z]);
-        let mut d_pose = SMatrix::<f64, 2, 6>::zeros();
-        d_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-d_in_cam * so3::hat(&rotated)));
-        d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&d_in_cam);
-        let d_lens = Matrix2x3::from_columns(&[p * distortion, p * (f * s), p * (f * s * s)]);
-        Some((p * (f * distortion) - self.pixel, (d_pose, d_lens, d_in_cam * rotation)))
+        // The derivatives of both residuals by P, and by what P depends on.
+        let scale = f * minus_inv_z;
+        let (a, b, c) = (
+            scale * (distortion + slope * u * u),
+            scale * (slope * u * v),
+            scale * (distortion + slope * v * v),
+        );
+        let (x, y) = (Vector3::new(a, b, a * u + b * v), Vector3::new(b, c, b * u + c * v));
+        let (x_turn, y_turn) = (rotated.cross(&x), rotated.cross(&y));
+        let (x_point, y_point) = (rotation.tr_mul(&x), rotation.tr_mul(&y));
+        #[rustfmt::skip]
+        let d_pose = SMatrix::<f64, 2, 6>::new(
+            x_turn.x, x_turn.y, x_turn.z, x.x, x.y, x.z,
+            y_turn.x, y_turn.y, y_turn.z, y.x, y.y, y.z,
+        );
+        #[rustfmt::skip]
+        let d_lens = Matrix2x3::new(
+            distortion * u, f * s * u, f * s * s * u,
+            distortion * v, f * s * v, f * s * s * v,
+        );
+        #[rustfmt::skip]
+        let d_point = Matrix2x3::new(
+            x_point.x, x_point.y, x_point.z,
+            y_point.x, y_point.y, y_point.z,
+        );
+        let pixel = Vector2::new(u, v) * (f * distortion);
+        Some((pixel - self.pixel, (d_pose, d_lens, d_point)))
     }
 
     #[inline]

@@ -5,7 +5,7 @@ use super::kernel::{At, SLACK, stash_rows};
 use super::lanes::{Isa, Vector, WIDE};
 use super::product::{over_lanes, product};
 use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Local, Shape};
+use crate::structure::{Cell, Chunk, Elimination, Local, Shape, tile_index};
 
 /// Adds one cell, of which `own_block` has been called, to the sums.
 #[inline(always)]
@@ -64,15 +64,15 @@ pub(super) fn eliminate<const P: usize, I: Isa>(
         }
         let correction = &mut vectors[3 * b.at + b.padded..][..b.padded];
         over_lanes!(b.padded, correct::<I, P>(&head.y, &rows_b, correction));
+        if chunk.elimination == Elimination::Implicit {
+            continue;
+        }
         for (a, &at) in locals.iter().zip(pair.by_ref()) {
             let mut rows_a = [&[][..]; P];
             for k in 0..P {
-                rows_a[k] = &w[k * width + a.column..][..a.dof];
+                rows_a[k] = &w[k * width + a.column..][..a.padded];
             }
-            {
-                let tile = &mut tiles[at as usize..][..a.dof * b.padded];
-                product::<P, false, I>(&rows_a, &rows_b, b.padded, tile);
-            }
+            product::<I, P, false>(&rows_a, &rows_b, a.dof, b.dof, &mut tiles[at as usize..]);
             if a.at == b.at {
                 break;
             }
@@ -135,21 +135,22 @@ fn add_rows<const R: usize, const P: usize, I: Isa>(
             let (a, b) =
                 if (m, other.offset) <= (l, segment.offset) { (other, segment) } else { (segment, other) };
             let at = pairs[hi as usize * (hi as usize + 1) / 2 + lo as usize] as usize;
-            let padded = locals[hi as usize].padded;
-            let tile = &mut tiles[at + a.offset * padded..][..a.dof * padded];
-            let (mut rows_a, mut rows_b) = ([&[][..]; R], [&[][..]; R]);
-            for r in 0..R {
-                rows_a[r] = &rows[r][a.column..][..a.dof];
-                rows_b[r] = &rows[r][b.column..];
+            let (dof_a, dof_b) = (locals[lo as usize].dof, locals[hi as usize].dof);
+            let tile = &mut tiles[at..];
+            if a.whole && b.whole {
+                let (mut rows_a, mut rows_b) = ([&[][..]; R], [&[][..]; R]);
+                for r in 0..R {
+                    rows_a[r] = &rows[r][a.column..];
+                    rows_b[r] = &rows[r][b.column..];
+                }
+                product::<I, R, true>(&rows_a, &rows_b, dof_a, dof_b, tile);
+                continue;
             }
-            if b.whole {
-                product::<R, true, I>(&rows_a, &rows_b, padded, tile);
-            } else {
-                for (column, tile) in tile.chunks_exact_mut(padded).enumerate() {
+            for j in 0..a.dof {
+                for i in 0..b.dof {
+                    let to = &mut tile[tile_index(dof_a, dof_b, a.offset + j, b.offset + i)];
                     for r in 0..R {
-                        for (t, i) in tile[b.offset..][..b.dof].iter_mut().zip(&rows[r][b.column..]) {
-                            *t = I::mul_add_one(rows_a[r][column], *i, *t);
-                        }
+                        *to = I::mul_add_one(rows[r][a.column + j], rows[r][b.column + i], *to);
                     }
                 }
             }

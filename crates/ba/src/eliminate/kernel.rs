@@ -6,7 +6,7 @@
 use super::lanes::{Fused, Fused512};
 use super::lanes::{Isa, LANES, Portable, Vector, WIDE};
 use super::product::over_lanes;
-use super::{Room, cell, damping, single, stash_head};
+use super::{Path, Room, cell, damping, single, stash_head};
 use crate::structure::{Cell, Chunk, Local};
 
 /// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
@@ -29,19 +29,14 @@ pub(super) fn eliminate(
     lambda: f64,
     at: &mut At,
 ) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::is_x86_feature_detected as has;
-        if has!("avx512f") && has!("avx512vl") && has!("avx2") && has!("fma") {
-            // SAFETY: the features that the function is compiled for have just been found.
-            unsafe { eliminate_avx512(room, chunk, cells, lambda, at) };
-            return;
-        }
-        if has!("avx2") && has!("fma") {
-            // SAFETY: the features that the function is compiled for have just been found.
-            unsafe { eliminate_avx2(room, chunk, cells, lambda, at) };
-            return;
-        }
+    match super::path() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the features that the function is compiled for have been found.
+        Path::Fused512 => return unsafe { eliminate_avx512(room, chunk, cells, lambda, at) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Path::Fused => return unsafe { eliminate_avx2(room, chunk, cells, lambda, at) },
+        Path::Portable => {}
     }
     eliminate_on::<Portable>(room, chunk, cells, lambda, at);
 }
@@ -173,7 +168,7 @@ fn own_block<const P: usize, I: Isa>(
 
 /// The lower Cholesky factor of a damped, hence positive definite, matrix, in place; and the inverses of its diagonal.
 #[inline(always)]
-pub(crate) fn cholesky<const P: usize>(v: &mut [[f64; P]; P], inverse: &mut [f64; P]) {
+fn cholesky<const P: usize>(v: &mut [[f64; P]; P], inverse: &mut [f64; P]) {
     for j in 0..P {
         for k in 0..j {
             v[j][j] -= v[j][k] * v[j][k];
@@ -230,14 +225,24 @@ fn multiply_avx2(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
 }
 
 /// step += Y δ_c, where `kept` holds δ_c over the chunk's blocks, zero in the padding.
-pub(super) fn multiply(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
+pub(crate) fn multiply(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
     #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-        // SAFETY: the features that the function is compiled for have just been found.
+    if super::path() != Path::Portable {
+        // SAFETY: the features that the function is compiled for have been found.
         unsafe { multiply_avx2(y, locals, kept, step) };
         return;
     }
     multiply_on::<Portable>(y, locals, kept, step);
+}
+
+/// kept += Yᵀ u of one cell.
+pub(crate) fn multiply_transposed(y: &[f64], locals: &[Local], u: &[f64], kept: &mut [f64]) {
+    for local in locals {
+        let kept = &mut kept[local.at..][..local.dof];
+        for (row, u) in y[u.len() * local.dense..].chunks_exact(local.dof).zip(u) {
+            kept.iter_mut().zip(row).for_each(|(kept, y)| *kept += y * u);
+        }
+    }
 }
 
 /// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what comes next, which is therefore

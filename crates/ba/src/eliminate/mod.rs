@@ -20,10 +20,12 @@
 mod cell;
 mod kernel;
 mod lanes;
+mod path;
 mod product;
 mod single;
 
-pub(crate) use kernel::cholesky;
+pub(crate) use kernel::{multiply, multiply_transposed};
+pub(crate) use path::{Path, path};
 pub(crate) use single::ROWS as SINGLE_ROWS;
 
 use crate::problem::Problem;
@@ -60,6 +62,10 @@ pub(crate) struct Sums {
     w: Vec<f64>,
     /// Largest component of g_p.
     pub(crate) gradient_max: f64,
+    /// Sum of the costs of the factors that exist.
+    pub(crate) cost: f64,
+    /// How many do not.
+    pub(crate) missing: usize,
 }
 
 /// What the kernel works on.
@@ -81,7 +87,7 @@ impl Sums {
             costs: vec![0.0; chunk.factors.len()],
             rows: vec![0.0; chunk.rows_len + kernel::SLACK],
             w: vec![0.0; (MAX_ELIMINATED_DOF * widest).max(single::w_len(chunk))],
-            gradient_max: 0.0,
+            ..Self::default()
         }
     }
 
@@ -115,6 +121,11 @@ impl Sums {
             kernel::eliminate(&mut room, chunk, batch.cells.clone(), lambda, &mut done);
         }
         self.gradient_max = room.gradient_max;
+        (self.cost, self.missing) = (0.0, 0);
+        for &cost in &self.costs {
+            self.cost += if cost.is_nan() { 0.0 } else { cost };
+            self.missing += usize::from(cost.is_nan());
+        }
     }
 
     /// The step of each eliminated variable of the chunk, given that of the kept ones; and what the step promises: gᵀδ and

@@ -1,6 +1,11 @@
 //! Products of rows, the innermost loops: `tile ± aᵀb`.
+//!
+//! A tile of blocks a and b is stored by columns, one for each direction of a, of as many numbers as make whole vectors. Where b
+//! has one direction more than fit into wide vectors, such as the nine of a camera with its lens, that one has a row of its own
+//! behind the columns: one vector instead of one in each column. See [`tile_lanes`].
 
 use super::lanes::{Isa, LANES, Vector, WIDE};
+use crate::structure::{tile_lanes, tile_len};
 
 /// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as will do: from number i on, with
 /// vectors of type V.
@@ -20,41 +25,60 @@ macro_rules! over_lanes {
 
 pub(super) use over_lanes;
 
-/// tile ± aᵀb with `N` rows each, a tile being `dof(a)` columns of `padded` numbers.
-#[inline(always)]
-pub(super) fn product<const N: usize, const PLUS: bool, I: Isa>(
-    a: &[&[f64]; N],
-    b: &[&[f64]; N],
-    padded: usize,
-    tile: &mut [f64],
-) {
-    match padded / LANES {
-        1 => product_of::<N, 0, 1, PLUS, I>(a, b, padded, 0, tile),
-        2 => product_of::<N, 1, 0, PLUS, I>(a, b, padded, 0, tile),
-        3 => product_of::<N, 1, 1, PLUS, I>(a, b, padded, 0, tile),
-        4 => product_of::<N, 2, 0, PLUS, I>(a, b, padded, 0, tile),
-        _ => {
-            for lane in (0..padded).step_by(LANES) {
-                product_of::<N, 0, 1, PLUS, I>(a, b, padded, lane, tile);
+/// Calls `f::<.., L, S>(first, ..)` for columns of `lanes` numbers: from number `first` on, `L` wide and `S` narrow vectors.
+macro_rules! over_columns {
+    ($lanes:expr, $f:ident::<$($n:ident),*>($($argument:expr),*)) => {
+        match $lanes / LANES {
+            0 => {}
+            1 => $f::<$($n,)* 0, 1>(0, $($argument),*),
+            2 => $f::<$($n,)* 1, 0>(0, $($argument),*),
+            3 => $f::<$($n,)* 1, 1>(0, $($argument),*),
+            4 => $f::<$($n,)* 2, 0>(0, $($argument),*),
+            _ => {
+                for first in (0..$lanes).step_by(LANES) {
+                    $f::<$($n,)* 0, 1>(first, $($argument),*);
+                }
             }
         }
-    }
+    };
+}
+
+/// Splits a tile into its columns and the row behind them, which may be empty.
+#[inline(always)]
+fn split(tile: &mut [f64], a: usize, b: usize) -> (&mut [f64], &mut [f64]) {
+    let (columns, rest) = tile.split_at_mut(a * tile_lanes(b));
+    (columns, &mut rest[..tile_len(a, b) - a * tile_lanes(b)])
+}
+
+/// tile ± aᵀb with `N` rows each, of `dof_a` and `dof_b` numbers and some that do not matter.
+#[inline(always)]
+pub(super) fn product<I: Isa, const N: usize, const PLUS: bool>(
+    a: &[&[f64]; N],
+    b: &[&[f64]; N],
+    dof_a: usize,
+    dof_b: usize,
+    tile: &mut [f64],
+) {
+    let lanes = tile_lanes(dof_b);
+    let (columns, row) = split(tile, dof_a, dof_b);
+    over_columns!(lanes, product_of::<I, N, PLUS>(a, b, lanes, columns));
+    over_lanes!(row.len(), add_row::<I, N, PLUS>(a, b, dof_b - 1, row));
 }
 
 /// The same for `L` wide and `S` narrow vectors of each column, from number `first` on: those of b stay in registers.
 #[inline(always)]
-fn product_of<const N: usize, const L: usize, const S: usize, const PLUS: bool, I: Isa>(
+fn product_of<I: Isa, const N: usize, const PLUS: bool, const L: usize, const S: usize>(
+    first: usize,
     a: &[&[f64]; N],
     b: &[&[f64]; N],
-    padded: usize,
-    first: usize,
-    tile: &mut [f64],
+    lanes: usize,
+    columns: &mut [f64],
 ) {
     // Loops and not `from_fn`, here and above: closures are not compiled for the instruction set.
     let (mut wide, mut narrow) = ([[I::Wide::splat(0.0); L]; N], [[I::Narrow::splat(0.0); S]; N]);
     load_rows::<N, L, S, I>(b, first, &mut wide, &mut narrow);
     let a = *a;
-    for (j, column) in tile.chunks_exact_mut(padded).enumerate() {
+    for (j, column) in columns.chunks_exact_mut(lanes).enumerate() {
         let column = &mut column[first..][..L * WIDE + S * LANES];
         let (column, rest) = column.split_at_mut(L * WIDE);
         for l in 0..L {
@@ -83,40 +107,52 @@ fn add_column<const N: usize, const PLUS: bool, V: Vector, const L: usize>(
     sum.store(to);
 }
 
-/// tile + aᵀa − bᵀb, of which the lower triangle is meant.
+/// One vector of the row behind the columns: that of number `last` of b.
 #[inline(always)]
-pub(super) fn product_of_two<const N: usize, const M: usize, I: Isa>(
+fn add_row<V: Vector, const N: usize, const PLUS: bool>(
+    lane: usize,
+    a: &[&[f64]; N],
+    b: &[&[f64]; N],
+    last: usize,
+    row: &mut [f64],
+) {
+    let to = &mut row[lane..];
+    let mut sum = V::load(to);
+    for k in 0..N {
+        let (a, b) = (V::load(&a[k][lane..]), V::splat(b[k][last]));
+        sum = if PLUS { b.mul_add(a, sum) } else { b.neg_mul_add(a, sum) };
+    }
+    sum.store(to);
+}
+
+/// tile + aᵀa − bᵀb with rows of `dof` numbers, of which the lower triangle is meant.
+#[inline(always)]
+pub(super) fn product_of_two<I: Isa, const N: usize, const M: usize>(
     a: &[&[f64]; N],
     b: &[&[f64]; M],
-    padded: usize,
+    dof: usize,
     tile: &mut [f64],
 ) {
-    match padded / LANES {
-        1 => product_of_two_from::<N, M, 0, 1, I>(a, b, padded, 0, tile),
-        2 => product_of_two_from::<N, M, 1, 0, I>(a, b, padded, 0, tile),
-        3 => product_of_two_from::<N, M, 1, 1, I>(a, b, padded, 0, tile),
-        _ => {
-            for lane in (0..padded).step_by(LANES) {
-                product_of_two_from::<N, M, 0, 1, I>(a, b, padded, lane, tile);
-            }
-        }
-    }
+    let lanes = tile_lanes(dof);
+    let (columns, row) = split(tile, dof, dof);
+    over_columns!(lanes, product_of_two_of::<I, N, M>(a, b, lanes, columns));
+    over_lanes!(row.len(), add_row_of_two::<I, N, M>(a, b, dof - 1, row));
 }
 
 #[inline(always)]
-fn product_of_two_from<const N: usize, const M: usize, const L: usize, const S: usize, I: Isa>(
+fn product_of_two_of<I: Isa, const N: usize, const M: usize, const L: usize, const S: usize>(
+    first: usize,
     a: &[&[f64]; N],
     b: &[&[f64]; M],
-    padded: usize,
-    first: usize,
-    tile: &mut [f64],
+    lanes: usize,
+    columns: &mut [f64],
 ) {
     let (mut wide_a, mut narrow_a) = ([[I::Wide::splat(0.0); L]; N], [[I::Narrow::splat(0.0); S]; N]);
     let (mut wide_b, mut narrow_b) = ([[I::Wide::splat(0.0); L]; M], [[I::Narrow::splat(0.0); S]; M]);
     load_rows::<N, L, S, I>(a, first, &mut wide_a, &mut narrow_a);
     load_rows::<M, L, S, I>(b, first, &mut wide_b, &mut narrow_b);
     let (a, b) = (*a, *b);
-    for (j, column) in tile.chunks_exact_mut(padded).enumerate() {
+    for (j, column) in columns.chunks_exact_mut(lanes).enumerate() {
         let column = &mut column[first..][..L * WIDE + S * LANES];
         let (column, rest) = column.split_at_mut(L * WIDE);
         for l in 0..L {
@@ -128,6 +164,18 @@ fn product_of_two_from<const N: usize, const M: usize, const L: usize, const S: 
             add_column::<M, false, I::Narrow, S>(&b, j, &narrow_b, s, &mut rest[s * LANES..]);
         }
     }
+}
+
+#[inline(always)]
+fn add_row_of_two<V: Vector, const N: usize, const M: usize>(
+    lane: usize,
+    a: &[&[f64]; N],
+    b: &[&[f64]; M],
+    last: usize,
+    row: &mut [f64],
+) {
+    add_row::<V, N, true>(lane, a, a, last, row);
+    add_row::<V, M, false>(lane, b, b, last, row);
 }
 
 /// Whole vectors of each row, from number `first` on.
@@ -148,62 +196,67 @@ fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
     }
 }
 
-/// tile − aᵀb over all rows of `w`, of which a and b are columns: the sums stay in registers meanwhile.
-#[inline(always)]
-pub(super) fn subtract_product<I: Isa>(
-    w: &[f64],
-    width: usize,
-    a: usize,
-    b: usize,
-    padded: usize,
-    tile: &mut [f64],
-) {
-    match padded / LANES {
-        1 => subtract_columns::<0, 1, I>(w, width, a, b, padded, tile),
-        2 => subtract_columns::<1, 0, I>(w, width, a, b, padded, tile),
-        3 => subtract_columns::<1, 1, I>(w, width, a, b, padded, tile),
-        4 => subtract_columns::<2, 0, I>(w, width, a, b, padded, tile),
-        _ => {
-            for first in (0..padded).step_by(LANES) {
-                let tile = &mut tile[first..];
-                subtract_columns::<0, 1, I>(w, width, a, b + first, padded, tile);
-            }
-        }
-    }
+/// Columns of a matrix of rows of `width` numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Of {
+    /// The first of them.
+    pub(super) column: usize,
+    pub(super) dof: usize,
 }
 
-/// Columns that are summed up at once: their sums, `L` + `S` vectors each, should fit the registers.
+/// tile − aᵀb over all rows of `w`, of which a and b are columns: the sums stay in registers meanwhile.
 #[inline(always)]
-fn subtract_columns<const L: usize, const S: usize, I: Isa>(
+pub(super) fn subtract_product<I: Isa>(w: &[f64], width: usize, a: Of, b: Of, tile: &mut [f64]) {
+    let lanes = tile_lanes(b.dof);
+    let (columns, row) = split(tile, a.dof, b.dof);
+    over_columns!(lanes, subtract_columns::<I>(w, width, a.column, b.column, lanes, columns));
+    over_lanes!(row.len(), subtract_row::<I>(w, width, a.column, b.column + b.dof - 1, row));
+}
+
+/// One vector of the row behind the columns.
+#[inline(always)]
+fn subtract_row<V: Vector>(lane: usize, w: &[f64], width: usize, a: usize, last: usize, row: &mut [f64]) {
+    let to = &mut row[lane..];
+    let mut sum = V::load(to);
+    for row in w.chunks_exact(width) {
+        sum = V::splat(row[last]).neg_mul_add(V::load(&row[a + lane..]), sum);
+    }
+    sum.store(to);
+}
+
+/// As many columns at once as have their sums, `L` + `S` vectors each, in registers.
+#[inline(always)]
+fn subtract_columns<I: Isa, const L: usize, const S: usize>(
+    first: usize,
     w: &[f64],
     width: usize,
     a: usize,
     b: usize,
-    padded: usize,
-    tile: &mut [f64],
+    lanes: usize,
+    columns: &mut [f64],
 ) {
-    let (mut tile, mut a) = (tile, a);
+    let (mut columns, mut a, b) = (columns, a, b + first);
     if I::MANY_REGISTERS {
-        while tile.len() > 8 * padded {
-            let (these, rest) = tile.split_at_mut((9 * padded).min(tile.len()));
-            subtract_some::<9, L, S, I>(w, width, a, b, padded, these);
-            (tile, a) = (rest, a + 9);
+        while columns.len() > 8 * lanes {
+            let (these, rest) = columns.split_at_mut((9 * lanes).min(columns.len()));
+            subtract_some::<9, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+            (columns, a) = (rest, a + 9);
         }
-        while tile.len() > 5 * padded {
-            let (these, rest) = tile.split_at_mut((6 * padded).min(tile.len()));
-            subtract_some::<6, L, S, I>(w, width, a, b, padded, these);
-            (tile, a) = (rest, a + 6);
+        while columns.len() > 5 * lanes {
+            let (these, rest) = columns.split_at_mut((6 * lanes).min(columns.len()));
+            subtract_some::<6, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+            (columns, a) = (rest, a + 6);
         }
     }
-    while tile.len() > 2 * padded {
-        let (these, rest) = tile.split_at_mut((3 * padded).min(tile.len()));
-        subtract_some::<3, L, S, I>(w, width, a, b, padded, these);
-        (tile, a) = (rest, a + 3);
+    while columns.len() > 2 * lanes {
+        let (these, rest) = columns.split_at_mut((3 * lanes).min(columns.len()));
+        subtract_some::<3, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+        (columns, a) = (rest, a + 3);
     }
-    while !tile.is_empty() {
-        let (these, rest) = tile.split_at_mut(padded.min(tile.len()));
-        subtract_some::<1, L, S, I>(w, width, a, b, padded, these);
-        (tile, a) = (rest, a + 1);
+    while !columns.is_empty() {
+        let (these, rest) = columns.split_at_mut(lanes.min(columns.len()));
+        subtract_some::<1, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+        (columns, a) = (rest, a + 1);
     }
 }
 
@@ -213,16 +266,16 @@ fn subtract_some<const C: usize, const L: usize, const S: usize, I: Isa>(
     width: usize,
     a: usize,
     b: usize,
-    padded: usize,
-    tile: &mut [f64],
+    lanes: usize,
+    columns: &mut [f64],
 ) {
     let (mut wide, mut narrow) = ([[I::Wide::splat(0.0); L]; C], [[I::Narrow::splat(0.0); S]; C]);
     for c in 0..C {
         for l in 0..L {
-            wide[c][l] = I::Wide::load(&tile[c * padded + l * WIDE..]);
+            wide[c][l] = I::Wide::load(&columns[c * lanes + l * WIDE..]);
         }
         for s in 0..S {
-            narrow[c][s] = I::Narrow::load(&tile[c * padded + L * WIDE + s * LANES..]);
+            narrow[c][s] = I::Narrow::load(&columns[c * lanes + L * WIDE + s * LANES..]);
         }
     }
     for row in w.chunks_exact(width) {
@@ -245,10 +298,10 @@ fn subtract_some<const C: usize, const L: usize, const S: usize, I: Isa>(
     }
     for c in 0..C {
         for l in 0..L {
-            wide[c][l].store(&mut tile[c * padded + l * WIDE..]);
+            wide[c][l].store(&mut columns[c * lanes + l * WIDE..]);
         }
         for s in 0..S {
-            narrow[c][s].store(&mut tile[c * padded + L * WIDE + s * LANES..]);
+            narrow[c][s].store(&mut columns[c * lanes + L * WIDE + s * LANES..]);
         }
     }
 }

@@ -5,9 +5,9 @@
 
 use super::kernel::{At, SLACK, stash_rows};
 use super::lanes::{Isa, Vector, WIDE};
-use super::product::{over_lanes, product_of_two, subtract_product};
+use super::product::{Of, over_lanes, product, product_of_two, subtract_product};
 use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk};
+use crate::structure::{Cell, Chunk, Elimination, Local};
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
@@ -57,17 +57,23 @@ pub(super) fn eliminate<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, cells: &[Cel
             let w = &mut w[local.column..];
             over_lanes!(local.padded, add_block::<I>(&factor, &head, vectors, local.padded, w, width));
             let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
-            let tile = &mut tiles[at..][..local.dof * local.padded];
             let rows_w = [&w[..local.padded], &w[width..][..local.padded], &w[2 * width..][..local.padded]];
-            product_of_two::<ROWS, P, I>(&factor.rows, &rows_w, local.padded, tile);
+            if chunk.elimination == Elimination::Implicit {
+                product::<I, ROWS, true>(&factor.rows, &factor.rows, local.dof, local.dof, &mut tiles[at..]);
+            } else {
+                product_of_two::<I, ROWS, P>(&factor.rows, &rows_w, local.dof, &mut tiles[at..]);
+            }
         }
         stash_rows::<P, I>(w, width, locals, stashed);
     }
+    if chunk.elimination == Elimination::Implicit {
+        return;
+    }
     let mut first = 0;
     for (l, b) in locals.iter().enumerate() {
+        let of = |local: &Local| Of { column: local.column, dof: local.dof };
         for (a, &at) in locals[..l].iter().zip(&pairs[first..]) {
-            let tile = &mut tiles[at as usize..][..a.dof * b.padded];
-            subtract_product::<I>(w, width, a.column, b.column, b.padded, tile);
+            subtract_product::<I>(w, width, of(a), of(b), &mut tiles[at as usize..]);
         }
         first += l + 1;
     }

@@ -1,5 +1,5 @@
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
-use tiepoint_geometry::{Block, CameraModel, Rigid3, so3};
+use tiepoint_geometry::{Block, CameraModel, Rigid3};
 
 use crate::factor::{Factor, Linear, Refs};
 
@@ -26,11 +26,12 @@ impl<M: CameraModel> Reprojection<M> {
 /// Derivative of R p + t by the pose that holds R and t: Exp(δ) R p ≈ R p + δ × R p.
 #[inline(always)]
 fn d_pose(d_point: &Matrix2x3<f64>, rotated: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
-    let d_rotation = -d_point * so3::hat(rotated);
-    let mut d_pose = SMatrix::<f64, 2, 6>::zeros();
-    d_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&d_rotation);
-    d_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(d_point);
-    d_pose
+    let [x, y] = [0, 1].map(|r| Vector3::new(d_point[(r, 0)], d_point[(r, 1)], d_point[(r, 2)]));
+    // d · (δ × p) = δ · (p × d).
+    let (x_turn, y_turn) = (rotated.cross(&x), rotated.cross(&y));
+    let x = [x_turn.x, x_turn.y, x_turn.z, x.x, x.y, x.z];
+    let y = [y_turn.x, y_turn.y, y_turn.z, y.x, y.y, y.z];
+    SMatrix::from_fn(|r, c| if r == 0 { x[c] } else { y[c] })
 }
 
 #[inline(always)]

@@ -45,6 +45,13 @@ impl Columns {
     }
 }
 
+impl Columns {
+    /// How many numbers.
+    pub(crate) fn num_numbers(&self) -> usize {
+        self.row_of.len()
+    }
+}
+
 impl Layout for Columns {
     fn block_column(&self, a: usize) -> std::ops::Range<usize> {
         self.column_at[self.reduced[a]] as usize..self.column_at[self.reduced[a + 1]] as usize

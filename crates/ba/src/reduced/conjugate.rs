@@ -1,23 +1,25 @@
-//! Preconditioned conjugate gradients on the sparse reduced system, for what no direct factorisation has room for: nothing fills
-//! in. The preconditioner is the Cholesky factorisation of each block on the diagonal (Schur-Jacobi in Ceres' terms; Agarwal,
+//! Preconditioned conjugate gradients on the reduced system, for what no direct factorisation has room for: nothing fills in. The
+//! system is a sparse matrix, or never put together (see `implicit`). The preconditioner is the Cholesky factorisation of each block on the diagonal (Schur-Jacobi in Ceres' terms; Agarwal,
 //! Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 4).
 
 use super::columns::Columns;
-use super::{Factorisation, Layout, NotPositive};
+use super::{Eliminated, Factorisation, Layout, NotPositive};
 
 /// Damping grows where so many iterations were not enough: the step is then what they have found.
 const MAX_ITERATIONS: usize = 500;
 
 pub(crate) struct Conjugate {
     columns: Columns,
+    /// The columns are those of C.
+    implicit: bool,
     /// Cholesky factors of the blocks on the diagonal, row by row, one after the other.
     factors: Vec<f64>,
 }
 
 impl Conjugate {
-    pub(crate) fn new(columns: Columns) -> Self {
+    pub(crate) fn new(columns: Columns, implicit: bool) -> Self {
         let len = columns.reduced.windows(2).map(|ends| (ends[1] - ends[0]).pow(2)).sum();
-        Self { columns, factors: vec![0.0; len] }
+        Self { columns, implicit, factors: vec![0.0; len] }
     }
 
     /// Each block on the diagonal: its columns, and where its factor begins.
@@ -30,9 +32,12 @@ impl Conjugate {
         })
     }
 
-    /// y = S x, of which the lower triangle is given.
-    fn multiply(&self, numbers: &[f64], x: &[f64], y: &mut [f64]) {
+    /// y = S x, where `numbers` are the lower triangle of S, or of C.
+    fn multiply(&self, numbers: &[f64], rest: Eliminated<'_>, x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
+        if self.implicit {
+            rest.subtract_product(x, y);
+        }
         for (j, ends) in self.columns.column_at.windows(2).enumerate() {
             let range = ends[0] as usize..ends[1] as usize;
             let (numbers, rows) = (&numbers[range.clone()], &self.columns.row_of[range]);
@@ -87,16 +92,26 @@ impl Layout for Conjugate {
 }
 
 impl Factorisation for Conjugate {
-    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive> {
+    fn factorise(&mut self, numbers: &mut Vec<f64>, rest: Eliminated<'_>) -> Result<(), NotPositive> {
         let blocks: Vec<_> = self.blocks().collect();
-        for (a, (columns, at)) in blocks.into_iter().enumerate() {
+        for (a, (columns, at)) in blocks.iter().enumerate() {
             let (n, first) = (columns.len(), self.columns.block_column(a).start);
-            let l = &mut self.factors[at..at + n * n];
             for j in 0..n {
                 let column = &numbers[first + self.columns.tile_at(a, a, j)..][..n - j];
-                for (i, number) in (j..n).zip(column) {
+                (j..n).zip(column).for_each(|(i, number)| self.factors[at + i * n + j] = *number);
+            }
+        }
+        if self.implicit {
+            let first: Vec<usize> = blocks.iter().map(|block| block.1).collect();
+            rest.subtract_diagonal(&first, &mut self.factors);
+        }
+        for (columns, at) in blocks {
+            let n = columns.len();
+            let l = &mut self.factors[at..at + n * n];
+            for j in 0..n {
+                for i in j..n {
                     let sum: f64 = (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum();
-                    l[i * n + j] = number - sum;
+                    l[i * n + j] -= sum;
                 }
                 let pivot = l[j * n + j];
                 // Not a number is not positive either.
@@ -110,7 +125,7 @@ impl Factorisation for Conjugate {
         Ok(())
     }
 
-    fn solve(&mut self, numbers: &[f64], x: &mut [f64], accuracy: f64) {
+    fn solve(&mut self, numbers: &[f64], rest: Eliminated<'_>, x: &mut [f64], accuracy: f64) {
         let n = self.columns.len;
         let [mut r, mut z, mut p, mut s] = [(); 4].map(|()| vec![0.0; n]);
         for x in x.chunks_exact_mut(n.max(1)) {
@@ -121,7 +136,7 @@ impl Factorisation for Conjugate {
             let mut rz = dot(&r, &z);
             let goal = rz * accuracy * accuracy;
             for _ in 0..MAX_ITERATIONS {
-                self.multiply(numbers, &p, &mut s);
+                self.multiply(numbers, rest, &p, &mut s);
                 let curvature = dot(&p, &s);
                 // At the bottom, or where rounding has eaten the matrix' being positive. Not a number ends it, too.
                 if !(rz > goal && curvature > 0.0) {

@@ -5,7 +5,7 @@ use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{MatMut, MatRef, Par};
 
-use super::{Factorisation, Layout, NotPositive};
+use super::{Eliminated, Factorisation, Layout, NotPositive};
 use crate::structure::Structure;
 
 pub(crate) struct Dense {
@@ -34,7 +34,7 @@ impl Layout for Dense {
 }
 
 impl Factorisation for Dense {
-    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive> {
+    fn factorise(&mut self, numbers: &mut Vec<f64>, _: Eliminated<'_>) -> Result<(), NotPositive> {
         let matrix = MatMut::from_column_major_slice_mut(numbers, self.columns, self.columns);
         let stack = MemStack::new(&mut self.memory);
         match cholesky_in_place(matrix, Default::default(), Par::Seq, stack, Default::default()) {
@@ -43,7 +43,7 @@ impl Factorisation for Dense {
         }
     }
 
-    fn solve(&mut self, numbers: &[f64], x: &mut [f64], _: f64) {
+    fn solve(&mut self, numbers: &[f64], _: Eliminated<'_>, x: &mut [f64], _: f64) {
         if self.columns == 0 {
             return;
         }

@@ -1,20 +1,23 @@
-//! The reduced system over the kept variables: put together from the chunks' tiles, then factorised, dense or sparse.
+//! The reduced system over the kept variables: put together from the chunks' tiles, then factorised, dense or sparse, or solved
+//! iteratively, put together or not.
 //!
 //! Only the lower triangle is stored, by block columns, each one contiguous, so that columns can be filled in parallel.
 
 mod columns;
 mod conjugate;
 mod dense;
+mod implicit;
 mod sparse;
 
 use rayon::prelude::*;
 
 use crate::eliminate::{Sums, damping};
-use crate::structure::{Block, Structure, padded};
+use crate::structure::{Block, Structure, padded, tile_index, tile_lanes};
 
 pub(crate) use columns::Columns;
 pub(crate) use conjugate::Conjugate;
 pub(crate) use dense::Dense;
+pub(crate) use implicit::Eliminated;
 pub(crate) use sparse::Sparse;
 
 /// How far steps are solved for iteratively. A tenth of it hardly changes what a step achieves; ten times it does.
@@ -38,10 +41,10 @@ pub(crate) trait Layout: Sync {
 /// A way to solve the reduced system.
 pub(crate) trait Factorisation: Layout + Send {
     /// Factorises the lower triangle in `numbers`.
-    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive>;
+    fn factorise(&mut self, numbers: &mut Vec<f64>, rest: Eliminated<'_>) -> Result<(), NotPositive>;
     /// Solves for several right-hand sides, one after the other in `x`; where that is done step by step, until the residual has
     /// shrunk to this part of them.
-    fn solve(&mut self, numbers: &[f64], x: &mut [f64], accuracy: f64);
+    fn solve(&mut self, numbers: &[f64], rest: Eliminated<'_>, x: &mut [f64], accuracy: f64);
 }
 
 /// The reduced system.
@@ -140,15 +143,16 @@ impl Reduced {
     }
 
     /// Factorises and solves for the step of the kept variables, written over all blocks, fixed columns zero.
-    pub(crate) fn solve(&mut self, structure: &Structure, step: &mut [f64]) -> Result<(), NotPositive> {
-        self.factorise()?;
+    pub(crate) fn solve(&mut self, rest: Eliminated<'_>, step: &mut [f64]) -> Result<(), NotPositive> {
+        self.factorise(rest)?;
+        let structure = rest.structure;
         for block in &structure.blocks {
             for (column, i) in block.free_columns().enumerate() {
                 let at = block.at + i;
                 self.solution[block.reduced + column] = self.correction[at] - self.gradient[at];
             }
         }
-        self.factorisation.solve(&self.numbers, &mut self.solution, STEP_ACCURACY);
+        self.factorisation.solve(&self.numbers, rest, &mut self.solution, STEP_ACCURACY);
         for block in &structure.blocks {
             for (column, i) in block.free_columns().enumerate() {
                 step[block.at + i] = self.solution[block.reduced + column];
@@ -158,13 +162,13 @@ impl Reduced {
     }
 
     /// Factorises what was gathered.
-    pub(crate) fn factorise(&mut self) -> Result<(), NotPositive> {
-        self.factorisation.factorise(&mut self.numbers)
+    pub(crate) fn factorise(&mut self, rest: Eliminated<'_>) -> Result<(), NotPositive> {
+        self.factorisation.factorise(&mut self.numbers, rest)
     }
 
     /// Solves the factorised system for several right-hand sides over its columns.
-    pub(crate) fn solve_columns(&mut self, x: &mut [f64]) {
-        self.factorisation.solve(&self.numbers, x, ACCURACY);
+    pub(crate) fn solve_columns(&mut self, rest: Eliminated<'_>, x: &mut [f64]) {
+        self.factorisation.solve(&self.numbers, rest, x, ACCURACY);
     }
 }
 
@@ -179,18 +183,24 @@ fn add_tile(
     tile: &[f64],
     numbers: &mut [f64],
 ) {
-    let padded = padded(other.dof);
+    let at = |j: usize, i: usize| tile[tile_index(block.dof, other.dof, j, i)];
     for (column, j) in block.free_columns().enumerate() {
-        let tile = &tile[j * padded..][..other.dof];
         let skip = if diagonal { column } else { 0 };
         let to = &mut numbers[layout.tile_at(a, b, column)..][..other.num_free() - skip];
         if other.whole() {
-            for (to, from) in to.iter_mut().zip(&tile[skip..]) {
+            let lanes = tile_lanes(other.dof).min(other.dof);
+            let column = &tile[j * tile_lanes(other.dof)..][..lanes];
+            for (to, from) in to.iter_mut().zip(column.get(skip..).unwrap_or_default()) {
                 *to += from;
+            }
+            if lanes < other.dof
+                && let Some(to) = to.last_mut()
+            {
+                *to += at(j, lanes);
             }
         } else {
             for (to, i) in to.iter_mut().zip(other.free_columns().skip(skip)) {
-                *to += tile[i];
+                *to += at(j, i);
             }
         }
     }

@@ -13,7 +13,7 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par, Side};
 
 use super::columns::Columns;
-use super::{Factorisation, Layout, NotPositive};
+use super::{Eliminated, Factorisation, Layout, NotPositive};
 
 /// Above so many numbers in the factor, 4 GiB, the direct way is given up.
 const MAX_FACTOR: usize = 1 << 29;
@@ -66,7 +66,7 @@ impl Layout for Sparse {
 }
 
 impl Factorisation for Sparse {
-    fn factorise(&mut self, numbers: &mut Vec<f64>) -> Result<(), NotPositive> {
+    fn factorise(&mut self, numbers: &mut Vec<f64>, _: Eliminated<'_>) -> Result<(), NotPositive> {
         let pattern = SymbolicSparseColMatRef::new_checked(
             self.columns.len,
             self.columns.len,
@@ -91,7 +91,7 @@ impl Factorisation for Sparse {
         }
     }
 
-    fn solve(&mut self, _: &[f64], x: &mut [f64], _: f64) {
+    fn solve(&mut self, _: &[f64], _: Eliminated<'_>, x: &mut [f64], _: f64) {
         let factor = LltRef::new(&self.symbolic, &self.factor);
         let stack = MemStack::new(&mut self.memory);
         for x in x.chunks_exact_mut(self.columns.len.max(1)) {

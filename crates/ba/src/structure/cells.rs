@@ -22,9 +22,12 @@ pub(super) struct Entry {
 }
 
 /// A cell on its way into a chunk.
+#[derive(Clone, Copy)]
 pub(super) struct Draft {
-    pub(super) blocks: Range<usize>,
-    pub(super) entries: Range<usize>,
+    first_block: usize,
+    pub(super) num_blocks: u32,
+    first_entry: u32,
+    pub(super) num_entries: u32,
     pub(super) dof: u32,
     pub(super) store: u32,
     pub(super) slot: u32,
@@ -33,17 +36,17 @@ pub(super) struct Draft {
 impl Draft {
     /// About how long its linearisation and elimination takes, in units of a product of two blocks.
     pub(super) fn work(&self) -> usize {
-        let blocks = if self.dof == 0 { 0 } else { self.blocks.len() };
-        6 * self.entries.len() + blocks * (blocks + 1) / 2
+        let blocks = if self.dof == 0 { 0 } else { self.num_blocks as usize };
+        6 * self.num_entries as usize + blocks * (blocks + 1) / 2
     }
 }
 
 /// All cells on their way into chunks.
 pub(super) struct Cells {
-    pub(super) drafts: Vec<Draft>,
+    drafts: Vec<Draft>,
     pub(super) entries: Vec<Entry>,
     /// The sorted blocks of each cell.
-    pub(super) blocks: Vec<u32>,
+    blocks: Vec<u32>,
 }
 
 impl Cells {
@@ -87,8 +90,15 @@ impl Cells {
                 for &owner in owners {
                     let entries = start[owner as usize] as usize..start[owner as usize + 1] as usize;
                     let range = collect_blocks(problem, places, &cells.entries[entries.clone()], &mut blocks);
-                    let slot = owner - variables.first[store];
-                    drafts.push(Draft { blocks: range, entries, dof, store: store as u32, slot });
+                    drafts.push(Draft {
+                        first_block: range.start,
+                        num_blocks: range.len() as u32,
+                        first_entry: entries.start as u32,
+                        num_entries: entries.len() as u32,
+                        dof,
+                        store: store as u32,
+                        slot: owner - variables.first[store],
+                    });
                 }
                 (blocks, drafts)
             };
@@ -96,10 +106,8 @@ impl Cells {
             for (blocks, drafts) in parts {
                 let shift = cells.blocks.len();
                 cells.blocks.extend(blocks);
-                cells.drafts.extend(drafts.into_iter().map(|draft| {
-                    let blocks = draft.blocks.start + shift..draft.blocks.end + shift;
-                    Draft { blocks, ..draft }
-                }));
+                let moved = |draft: Draft| Draft { first_block: draft.first_block + shift, ..draft };
+                cells.drafts.extend(drafts.into_iter().map(moved));
             }
         }
         cells.draft_kept(problem, places, start[total] as usize..start[total + 1] as usize);
@@ -127,26 +135,43 @@ impl Cells {
             let same =
                 |other: &&(Range<usize>, Entry)| self.blocks[other.0.clone()] == self.blocks[blocks.clone()];
             let len = singles[at..].iter().take(FACTORS_PER_KEPT_CELL).take_while(same).count();
-            let entries = entries.start + at..entries.start + at + len;
-            self.drafts.push(Draft { blocks, entries, dof: 0, store: 0, slot: 0 });
+            self.drafts.push(Draft {
+                first_block: blocks.start,
+                num_blocks: blocks.len() as u32,
+                first_entry: (entries.start + at) as u32,
+                num_entries: len as u32,
+                dof: 0,
+                store: 0,
+                slot: 0,
+            });
             at += len;
         }
     }
 
+    /// The sorted blocks of a cell.
+    pub(super) fn blocks_of(&self, draft: &Draft) -> &[u32] {
+        &self.blocks[draft.first_block..][..draft.num_blocks as usize]
+    }
+
+    /// The factors of a cell.
+    pub(super) fn entries_of(&self, draft: &Draft) -> &[Entry] {
+        &self.entries[draft.first_entry as usize..][..draft.num_entries as usize]
+    }
+
     /// The cells sorted by their first blocks, those without a variable last. Only neighbours with equal patterns gain from
     /// the order; beyond three blocks it makes no difference.
-    pub(super) fn order(&self) -> Vec<u32> {
+    pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
         let mut keys: Vec<u128> = (0u128..)
             .zip(&self.drafts)
             .map(|(index, draft)| {
-                let blocks = &self.blocks[draft.blocks.clone()];
+                let blocks = self.blocks_of(draft);
                 // Block numbers are below 2³¹, for there are at most so many degrees of freedom.
                 let block = |i: usize| blocks.get(i).map_or(0, |&block| u128::from(block) + 1);
                 u128::from(draft.dof == 0) << 127 | block(0) << 95 | block(1) << 63 | block(2) << 32 | index
             })
             .collect();
         keys.par_sort_unstable();
-        keys.into_iter().map(|key| key as u32).collect()
+        keys.into_iter().map(|key| self.drafts[key as u32 as usize]).collect()
     }
 }
 

@@ -1,12 +1,14 @@
 //! The work of one task, ready to be walked through.
 
-use crate::eliminate::SINGLE_ROWS;
 use crate::error::Error;
 use crate::problem::Problem;
 
 use super::cells::{Cells, Draft};
+use super::place::Look;
 use super::shape::Shapes;
-use super::{Batch, Block, Cell, Chunk, Local, NONE, Pattern, Place, Segment, Stretch, Tile, padded};
+use super::{
+    Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Place, Stretch, Tile, padded, tile_len,
+};
 
 /// Rows of so many factors are linearised at once: 64 × 2 rows × 16 numbers are 16 KiB, half of a first-level cache.
 const FACTORS_PER_BATCH: usize = 64;
@@ -16,27 +18,27 @@ pub(super) struct Context<'a> {
     pub(super) problem: &'a Problem,
     pub(super) blocks: &'a [Block],
     pub(super) places: &'a [Vec<Place>],
+    pub(super) looks: &'a [Look],
     pub(super) cells: &'a Cells,
+    pub(super) elimination: Elimination,
 }
 
 /// Builds the chunk of some cells, whose steps begin at `first_step`.
-pub(super) fn build(context: &Context<'_>, order: &[u32], first_step: usize) -> Result<Chunk, Error> {
-    let drafts: Vec<&Draft> = order.iter().map(|&draft| &context.cells.drafts[draft as usize]).collect();
-    let mut chunk = Chunk { steps: first_step..first_step, ..Chunk::default() };
-    let pattern_of = find_patterns(context, &drafts, &mut chunk)?;
-    fill(context, &drafts, &pattern_of, &mut chunk)?;
+pub(super) fn build(context: &Context<'_>, drafts: &[Draft], first_step: usize) -> Result<Chunk, Error> {
+    let mut chunk = Chunk::new(context.elimination, first_step);
+    let pattern_of = find_patterns(context, drafts, &mut chunk)?;
+    fill(context, drafts, &pattern_of, &mut chunk)?;
     Ok(chunk)
 }
 
 /// Finds the chunk's blocks, patterns and tiles, and each cell's pattern.
-fn find_patterns(context: &Context<'_>, drafts: &[&Draft], chunk: &mut Chunk) -> Result<Vec<u32>, Error> {
-    let all = &context.cells.blocks;
+fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> Result<Vec<u32>, Error> {
     // Which of the chunk's blocks a block is; first only whether it is one.
     let mut local_of = vec![NONE; context.blocks.len()];
     let mut pattern_of = Vec::with_capacity(drafts.len());
     let mut patterns: Vec<&[u32]> = Vec::new();
     for draft in drafts {
-        let blocks = &all[draft.blocks.clone()];
+        let blocks = context.cells.blocks_of(draft);
         if patterns.last() != Some(&blocks) {
             if blocks.len() >= u16::MAX as usize {
                 let (count, limit) = (blocks.len(), u16::MAX as usize - 1);
@@ -52,6 +54,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[&Draft], chunk: &mut Chunk) ->
         chunk.blocks.push((block as u32, chunk.vector_len));
         chunk.vector_len += padded(context.blocks[block].dof);
     }
+    let direct = direct_pairs(context, drafts);
     let mut pairs = 0;
     // How often each of the chunk's blocks occurs in a pattern, later: where its occurrences begin.
     let mut start = vec![0; chunk.blocks.len() + 1];
@@ -91,7 +94,10 @@ fn find_patterns(context: &Context<'_>, drafts: &[&Draft], chunk: &mut Chunk) ->
         for &(pattern, i) in occurrences {
             for &block in &patterns[pattern as usize][i as usize..] {
                 let local = local_of[block as usize];
-                if tile_at[local as usize] == NONE {
+                let wanted = direct
+                    .as_ref()
+                    .is_none_or(|direct| block == a || direct.binary_search(&(a, block)).is_ok());
+                if wanted && tile_at[local as usize] == NONE {
                     tile_at[local as usize] = 0;
                     met.push(local);
                 }
@@ -102,7 +108,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[&Draft], chunk: &mut Chunk) ->
             let b = chunk.blocks[local as usize].0;
             tile_at[local as usize] = chunk.tiles_len as u32;
             chunk.tiles.push(Tile { a, b, at: chunk.tiles_len });
-            chunk.tiles_len += context.blocks[a as usize].dof * padded(context.blocks[b as usize].dof);
+            chunk.tiles_len += tile_len(context.blocks[a as usize].dof, context.blocks[b as usize].dof);
         }
         for &(pattern, i) in occurrences {
             let (blocks, first) = (patterns[pattern as usize], chunk.patterns[pattern as usize].pairs);
@@ -116,23 +122,37 @@ fn find_patterns(context: &Context<'_>, drafts: &[&Draft], chunk: &mut Chunk) ->
     Ok(pattern_of)
 }
 
+/// Where only these get tiles: the pairs of different blocks that some factor joins, sorted.
+fn direct_pairs(context: &Context<'_>, drafts: &[Draft]) -> Option<Vec<(u32, u32)>> {
+    if context.elimination != Elimination::Implicit {
+        return None;
+    }
+    let mut pairs = Vec::new();
+    for entry in drafts.iter().flat_map(|draft| context.cells.entries_of(draft)) {
+        let run = &context.problem.runs[entry.run as usize];
+        let block = |(&store, &slot): (&u16, &u32)| context.places[store as usize][slot as usize].block;
+        let blocks = || run.stores().iter().zip(run.slots(entry.factor as usize)).map(block);
+        for a in blocks().filter(|&a| a != NONE) {
+            pairs.extend(blocks().filter(|&b| b != NONE && a < b).map(|b| (a, b)));
+        }
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    Some(pairs)
+}
+
 /// Lists the chunk's cells and factors, and cuts them into batches.
-fn fill(
-    context: &Context<'_>,
-    drafts: &[&Draft],
-    pattern_of: &[u32],
-    chunk: &mut Chunk,
-) -> Result<(), Error> {
-    let count = drafts.iter().map(|draft| draft.entries.len()).sum();
+fn fill(context: &Context<'_>, drafts: &[Draft], pattern_of: &[u32], chunk: &mut Chunk) -> Result<(), Error> {
+    let count = drafts.iter().map(|draft| draft.num_entries as usize).sum();
     chunk.factors.reserve(count);
     chunk.shape_of.reserve(count);
     chunk.locals.reserve(count);
     chunk.cells.reserve(drafts.len());
-    let mut shapes = Shapes::new(context.problem, context.blocks, context.places);
+    let mut shapes = Shapes::new(context);
     let (mut batch, mut batch_start, mut rows) = (Batch { stretches: 0..0, cells: 0..0 }, 0, 0);
     for (c, (draft, &pattern)) in drafts.iter().zip(pattern_of).enumerate() {
-        let blocks = &context.cells.blocks[draft.blocks.clone()];
-        if chunk.factors.len() + draft.entries.len() > batch_start + FACTORS_PER_BATCH
+        let blocks = context.cells.blocks_of(draft);
+        if chunk.factors.len() + draft.num_entries as usize > batch_start + FACTORS_PER_BATCH
             && !batch.cells.is_empty()
         {
             chunk.batches.push(batch);
@@ -141,22 +161,19 @@ fn fill(
             chunk.rows_len = chunk.rows_len.max(rows);
             rows = 0;
         }
-        let mut single = draft.entries.len() == blocks.len();
-        for &entry in &context.cells.entries[draft.entries.clone()] {
-            let number = shapes.add(entry, draft, blocks, &mut chunk.locals)?;
-            let shape = &shapes.shapes[number as usize];
+        let mut single = draft.num_entries == draft.num_blocks;
+        for &entry in context.cells.entries_of(draft) {
+            let number = shapes.add(entry, blocks, &mut chunk.locals)?;
+            let facts = &shapes.facts[number as usize];
             let i = chunk.factors.len();
             chunk.factors.push(entry.factor);
             chunk.shape_of.push(number);
-            rows += shape.rows * shape.stride;
-            single &=
-                shape.rows == SINGLE_ROWS && matches!(shape.segments[..], [Segment { whole: true, .. }]);
-            match chunk.stretches[batch.stretches.clone()].last() {
-                Some(last) if (last.run, last.own) == (entry.run, shape.own) => {
-                    chunk.stretches[batch.stretches.end - 1].end = i + 1;
-                }
+            rows += facts.rows_len;
+            single &= facts.single;
+            match chunk.stretches[batch.stretches.clone()].last_mut() {
+                Some(last) if (last.run, last.own) == (entry.run, facts.own) => last.end = i + 1,
                 _ => {
-                    chunk.stretches.push(Stretch { run: entry.run, own: shape.own, start: i, end: i + 1 });
+                    chunk.stretches.push(Stretch { run: entry.run, own: facts.own, start: i, end: i + 1 });
                     batch.stretches.end += 1;
                 }
             }

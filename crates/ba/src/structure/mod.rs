@@ -25,7 +25,7 @@ use cells::{Cells, Draft};
 use place::{Placed, Variables};
 
 /// Enough work for a task: some 100 µs.
-const FACTORS_PER_CHUNK: usize = 4096;
+pub(crate) const FACTORS_PER_CHUNK: usize = 4096;
 /// More tasks than cores of any machine we know would only cost memory.
 const MAX_CHUNKS: usize = 64;
 /// "There is none."
@@ -37,6 +37,26 @@ pub(crate) const NO_OWN: u8 = u8::MAX;
 /// Numbers per row of storage: a multiple of the vector width that all instruction sets share.
 pub(crate) fn padded(dof: usize) -> usize {
     dof.next_multiple_of(4)
+}
+
+/// Numbers in a column of a tile whose rows belong to a block of so many directions. Where one direction is left over beside
+/// vectors of eight, it is not in the columns but has a row behind them.
+#[inline(always)]
+pub(crate) fn tile_lanes(dof: usize) -> usize {
+    if dof % 8 == 1 { dof - 1 } else { padded(dof) }
+}
+
+/// Numbers in a tile of blocks with so many directions.
+#[inline(always)]
+pub(crate) fn tile_len(a: usize, b: usize) -> usize {
+    a * tile_lanes(b) + if tile_lanes(b) < b { padded(a) } else { 0 }
+}
+
+/// Where in such a tile a number is.
+#[inline(always)]
+pub(crate) fn tile_index(a: usize, b: usize, column: usize, row: usize) -> usize {
+    let lanes = tile_lanes(b);
+    if row < lanes { column * lanes + row } else { a * lanes + column }
 }
 
 /// A stretch of columns of the reduced system.
@@ -70,6 +90,8 @@ impl Block {
 pub(crate) struct Place {
     pub(crate) block: u32,
     pub(crate) offset: u32,
+    /// Variables with the same number look the same to a factor's [`Shape`].
+    class: u32,
 }
 
 /// Columns of one block in a factor's rows.
@@ -155,7 +177,7 @@ pub(crate) struct Stretch {
     pub(crate) end: usize,
 }
 
-/// A product of two blocks, a ≤ b: `dof(a)` columns of `padded(dof(b))` numbers, beginning at `at`.
+/// A product of two blocks, a ≤ b: [`tile_len`] numbers, beginning at `at`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tile {
     pub(crate) a: u32,
@@ -171,8 +193,9 @@ pub(crate) struct Batch {
 }
 
 /// The work of one task.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Chunk {
+    pub(crate) elimination: Elimination,
     /// Number of each factor in its run.
     pub(crate) factors: Vec<u32>,
     /// Their shapes, as numbers in `shapes`.
@@ -185,6 +208,7 @@ pub(crate) struct Chunk {
     pub(crate) batches: Vec<Batch>,
     pub(crate) patterns: Vec<Pattern>,
     pub(crate) pattern_locals: Vec<Local>,
+    /// [`NONE`] where there is no tile.
     pub(crate) pair_tiles: Vec<u32>,
     /// The blocks that it touches, in order, and where their numbers begin in its vectors.
     pub(crate) blocks: Vec<(u32, usize)>,
@@ -201,6 +225,30 @@ pub(crate) struct Chunk {
 }
 
 impl Chunk {
+    fn new(elimination: Elimination, first_step: usize) -> Self {
+        Self {
+            elimination,
+            factors: Vec::new(),
+            shape_of: Vec::new(),
+            shapes: Vec::new(),
+            locals: Vec::new(),
+            cells: Vec::new(),
+            stretches: Vec::new(),
+            batches: Vec::new(),
+            patterns: Vec::new(),
+            pattern_locals: Vec::new(),
+            pair_tiles: Vec::new(),
+            blocks: Vec::new(),
+            vector_len: 0,
+            tiles: Vec::new(),
+            tiles_len: 0,
+            stash_len: 0,
+            memory: 0..0,
+            steps: first_step..first_step,
+            rows_len: 0,
+        }
+    }
+
     /// The factors of one of its cells.
     pub(crate) fn factors_of(&self, cell: usize) -> std::ops::Range<usize> {
         let start = cell.checked_sub(1).map_or(0, |previous| self.cells[previous].end);
@@ -229,11 +277,15 @@ pub(crate) struct Structure {
     pub(crate) places: Vec<Vec<Place>>,
 }
 
-/// Whether declared eliminations are done or ignored (for solvers that see the whole Jacobian).
+/// What becomes of the variables that are declared eliminated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Elimination {
-    Do,
+    /// Kept like the others, for solvers that see the whole Jacobian.
     Ignore,
+    /// Eliminated.
+    Do,
+    /// The same, and the reduced system is never put together: tiles are of C alone.
+    Implicit,
 }
 
 impl Structure {
@@ -241,29 +293,36 @@ impl Structure {
         check_sizes(problem)?;
         let variables = Variables::of(problem, elimination);
         let scan = place::scan(problem, &variables)?;
-        let Placed { blocks, places } = place::place(problem, &variables, &scan);
+        let Placed { blocks, places, looks } = place::place(problem, &variables, &scan);
         let cells = Cells::draft(problem, &variables, &scan, &places);
-        let order = cells.order();
+        let drafts = cells.sorted_drafts();
         let kept_len: usize = blocks.iter().map(|block| padded(block.dof)).sum();
         let mut step_len = kept_len;
-        let work: usize = cells.drafts.iter().map(Draft::work).sum();
+        let work: usize = drafts.iter().map(Draft::work).sum();
         let count = num_chunks(cells.entries.len());
         let mut parts = Vec::with_capacity(count);
-        let (mut rest, mut done) = (&order[..], 0);
+        let (mut rest, mut done) = (&drafts[..], 0);
         while !rest.is_empty() {
             // Each ends where its share of the work does, which evens out what the ones before got wrong.
             let end = (work * (parts.len() + 1)).div_ceil(count);
-            let len = rest.iter().take_while(|&&draft| {
-                let fits = done < end;
-                done += if fits { cells.drafts[draft as usize].work() } else { 0 };
-                fits
-            });
-            let (these, others) = rest.split_at(len.count());
+            let (begin, mut len) = (step_len, 0);
+            while let Some(draft) = rest.get(len).filter(|_| done < end) {
+                done += draft.work();
+                step_len += draft.dof as usize;
+                len += 1;
+            }
+            let (these, others) = rest.split_at(len);
             rest = others;
-            parts.push((these, step_len));
-            step_len += these.iter().map(|&draft| cells.drafts[draft as usize].dof as usize).sum::<usize>();
+            parts.push((these, begin));
         }
-        let context = chunk::Context { problem, blocks: &blocks, places: &places, cells: &cells };
+        let context = chunk::Context {
+            problem,
+            blocks: &blocks,
+            places: &places,
+            looks: &looks,
+            cells: &cells,
+            elimination,
+        };
         // Of several errors, the first in order.
         let chunks: Vec<Result<Chunk, Error>> = parts
             .into_par_iter()
@@ -292,6 +351,15 @@ impl Structure {
         }
         let columns = blocks.iter().map(Block::num_free).sum();
         Ok(Self { blocks, kept_len, columns, chunks, memory_len, step_at, step_len, places })
+    }
+
+    /// Numbers in all Y.
+    pub(crate) fn num_coupled(&self) -> usize {
+        let of_chunk = |chunk: &Chunk| -> usize {
+            let of_cell = |cell: &Cell| cell.dof as usize * chunk.patterns[cell.pattern as usize].dense;
+            chunk.cells.iter().map(of_cell).sum()
+        };
+        self.chunks.iter().map(of_chunk).sum()
     }
 
     /// All pairs of blocks that some tile joins, sorted.

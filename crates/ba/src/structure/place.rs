@@ -1,5 +1,7 @@
 //! Blocks of the reduced system and their order: each kept variable finds its place.
 
+use std::collections::BTreeMap;
+
 use crate::error::Error;
 use crate::problem::Problem;
 use crate::variable::{Meta, Order, Role};
@@ -30,7 +32,7 @@ impl Variables {
         for metas in &problem.metas {
             fates.extend(metas.iter().map(|meta| match meta.role {
                 _ if meta.free == 0 => Fate::Fixed,
-                Role::Eliminated if elimination == Elimination::Do => Fate::Eliminated,
+                Role::Eliminated if elimination != Elimination::Ignore => Fate::Eliminated,
                 _ => Fate::Kept,
             }));
             first.push(fates.len() as u32);
@@ -119,6 +121,20 @@ pub(super) fn scan(problem: &Problem, variables: &Variables) -> Result<Scan, Err
 pub(super) struct Placed {
     pub(super) blocks: Vec<Block>,
     pub(super) places: Vec<Vec<Place>>,
+    /// By [`Place::class`].
+    pub(super) looks: Vec<Look>,
+}
+
+/// What matters of a variable to the shape of its factors.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Look {
+    /// Which of its directions are free.
+    pub(super) free: u64,
+    pub(super) eliminated: bool,
+    /// First column in its block.
+    pub(super) offset: u32,
+    /// Columns of its block; 0 where it has none.
+    pub(super) block_dof: u32,
 }
 
 /// Decides blocks and their order. A chain of inseparable variables becomes one block; it stands where the earliest of them
@@ -155,14 +171,14 @@ pub(super) fn place(problem: &Problem, variables: &Variables, scan: &Scan) -> Pl
         chains.push((order, begin..members.len()));
     }
     chains.sort_by_key(|chain| chain.0);
-    let nowhere = Place { block: NONE, offset: 0 };
+    let nowhere = Place { block: NONE, offset: 0, class: 0 };
     let mut places: Vec<_> = problem.metas.iter().map(|metas| vec![nowhere; metas.len()]).collect();
     let (mut blocks, mut at, mut reduced) = (Vec::with_capacity(chains.len()), 0, 0);
     for (_, chain) in chains {
         let mut block = Block { dof: 0, at, free: 0, reduced };
         for &member in &members[chain] {
             let (store, slot, meta, dof) = of(member);
-            places[store][slot] = Place { block: blocks.len() as u32, offset: block.dof as u32 };
+            (places[store][slot].block, places[store][slot].offset) = (blocks.len() as u32, block.dof as u32);
             block.free |= meta.free << block.dof;
             block.dof += dof;
         }
@@ -170,7 +186,36 @@ pub(super) fn place(problem: &Problem, variables: &Variables, scan: &Scan) -> Pl
         reduced += block.num_free();
         blocks.push(block);
     }
-    Placed { blocks, places }
+    let looks = classify(problem, variables, &blocks, &mut places);
+    Placed { blocks, places, looks }
+}
+
+/// Numbers the different looks of variables.
+fn classify(
+    problem: &Problem,
+    variables: &Variables,
+    blocks: &[Block],
+    places: &mut [Vec<Place>],
+) -> Vec<Look> {
+    let (mut numbers, mut looks) = (BTreeMap::new(), Vec::<Look>::new());
+    let mut fates = variables.fates.iter();
+    for (metas, places) in problem.metas.iter().zip(places) {
+        let mut last = 0;
+        for ((meta, place), fate) in metas.iter().zip(places).zip(fates.by_ref()) {
+            let look = Look {
+                free: meta.free,
+                eliminated: *fate == Fate::Eliminated,
+                offset: place.offset,
+                block_dof: blocks.get(place.block as usize).map_or(0, |block| block.dof as u32),
+            };
+            if looks.get(last as usize) != Some(&look) {
+                last = *numbers.entry(look).or_insert(looks.len() as u32);
+                looks.extend((last as usize == looks.len()).then_some(look));
+            }
+            place.class = last;
+        }
+    }
+    looks
 }
 
 fn order_of(meta: Meta) -> Order {

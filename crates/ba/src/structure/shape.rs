@@ -1,94 +1,111 @@
 //! How the rows of a factor fall into blocks.
 
+use crate::eliminate::SINGLE_ROWS;
 use crate::error::Error;
-use crate::problem::Problem;
+use crate::run::AnyRun;
 
-use super::cells::{Draft, Entry};
-use super::{Block, NO_OWN, NONE, Place, Segment, Shape};
+use super::cells::Entry;
+use super::chunk::Context;
+use super::place::Look;
+use super::{NO_OWN, NONE, Place, Segment, Shape};
+
+/// Most variables of a factor.
+const MAX_VARIABLES: usize = 8;
 
 /// The few shapes that serve all factors of a chunk. Most factors are shaped as the one before, which a look at what matters of
 /// their variables tells.
 pub(super) struct Shapes<'a> {
-    pub(super) problem: &'a Problem,
-    pub(super) blocks: &'a [Block],
-    pub(super) places: &'a [Vec<Place>],
     pub(super) shapes: Vec<Shape>,
-    looks: Vec<Look>,
-    last_looks: Vec<Look>,
-    last_run: Option<u16>,
-    last: u16,
+    /// What is often asked of each shape.
+    pub(super) facts: Vec<Facts>,
+    runs: Vec<Variables<'a>>,
+    looks: &'a [Look],
+    last: Option<(Key, u16)>,
 }
 
-/// What matters of one of a factor's variables.
+/// What is often asked of a shape.
+pub(super) struct Facts {
+    /// Numbers in the rows.
+    pub(super) rows_len: usize,
+    pub(super) own: u8,
+    /// Whether a cell may be [`single`](super::Cell::single) with it.
+    pub(super) single: bool,
+    /// Which of the factor's variables the segments begin with.
+    begins: Vec<u8>,
+}
+
+/// The variables of a run's factors.
+struct Variables<'a> {
+    run: &'a dyn AnyRun,
+    slots: &'a [u32],
+    places: Vec<&'a [Place]>,
+}
+
+/// What a factor's shape follows from.
 #[derive(Clone, Copy, PartialEq)]
-struct Look {
-    free: u64,
-    offset: u32,
-    block_dof: u32,
-    own: bool,
-    /// It is in the block of the variable before.
-    same_block: bool,
+struct Key {
+    run: u16,
+    /// Bit i: variable i is in the block of the one before.
+    same_block: u8,
+    classes: [u32; MAX_VARIABLES],
 }
 
 impl<'a> Shapes<'a> {
-    pub(super) fn new(problem: &'a Problem, blocks: &'a [Block], places: &'a [Vec<Place>]) -> Self {
-        let (shapes, looks, last_looks) = (Vec::new(), Vec::new(), Vec::new());
-        Self { problem, blocks, places, shapes, looks, last_looks, last_run: None, last: 0 }
+    pub(super) fn new(context: &Context<'a>) -> Self {
+        let runs = context.problem.runs.iter().map(|run| Variables {
+            run: &**run,
+            slots: run.all_slots(),
+            places: run.stores().iter().map(|&store| &context.places[store as usize][..]).collect(),
+        });
+        let (shapes, facts) = (Vec::new(), Vec::new());
+        Self { shapes, facts, runs: runs.collect(), looks: context.looks, last: None }
     }
 
     /// The number of a factor's shape; and, for each of its segments, which of the cell's blocks it is, appended to `locals`.
     pub(super) fn add(
         &mut self,
         entry: Entry,
-        draft: &Draft,
         cell_blocks: &[u32],
         locals: &mut Vec<u16>,
     ) -> Result<u16, Error> {
-        let run = &self.problem.runs[entry.run as usize];
-        let slots = run.slots(entry.factor as usize);
-        self.looks.clear();
-        let mut last_block = NONE;
-        for (&store, &slot) in run.stores().iter().zip(slots) {
-            let place = self.places[store as usize][slot as usize];
-            let own = draft.dof > 0 && (u32::from(store), slot) == (draft.store, draft.slot);
-            self.looks.push(Look {
-                free: self.problem.metas[store as usize][slot as usize].free,
-                offset: place.offset,
-                block_dof: self.blocks.get(place.block as usize).map_or(0, |block| block.dof as u32),
-                own,
-                same_block: place.block == last_block,
-            });
-            last_block = place.block;
+        let Variables { slots, places, .. } = &self.runs[entry.run as usize];
+        let slots = &slots[entry.factor as usize * places.len()..][..places.len()];
+        let mut key = Key { run: entry.run, same_block: 0, classes: [0; MAX_VARIABLES] };
+        let (mut blocks, mut last_block) = ([NONE; MAX_VARIABLES], NONE);
+        for (i, (places, &slot)) in places.iter().zip(slots).enumerate() {
+            let place = &places[slot as usize];
+            key.classes[i] = place.class;
+            key.same_block |= u8::from(place.block == last_block) << i;
+            (blocks[i], last_block) = (place.block, place.block);
         }
-        if self.last_run != Some(entry.run) || self.looks != self.last_looks {
-            self.last = self.number(entry.run)?;
-            self.last_run = Some(entry.run);
-            std::mem::swap(&mut self.looks, &mut self.last_looks);
-        }
-        // Segments begin where their columns do.
-        let (mut segments, mut column) = (self.shapes[self.last as usize].segments.iter().peekable(), 0);
-        for ((&store, &slot), &dof) in run.stores().iter().zip(slots).zip(run.dofs()) {
-            if segments.next_if(|segment| segment.column == column).is_some() {
-                let block = self.places[store as usize][slot as usize].block;
-                let local = match cell_blocks.len() {
-                    // Few are found sooner one by one.
-                    0..=8 => cell_blocks.iter().position(|&other| other == block),
-                    _ => cell_blocks.binary_search(&block).ok(),
-                };
-                locals.push(local.expect("the cell lists all its factors' blocks") as u16);
+        let number = match self.last {
+            Some((last, number)) if last == key => number,
+            _ => {
+                let number = self.number(&key)?;
+                self.last = Some((key, number));
+                number
             }
-            column += dof;
+        };
+        for &variable in &self.facts[number as usize].begins {
+            let block = blocks[variable as usize];
+            let local = match cell_blocks.len() {
+                // Few are found sooner one by one.
+                0..=8 => cell_blocks.iter().position(|&other| other == block),
+                _ => cell_blocks.binary_search(&block).ok(),
+            };
+            locals.push(local.expect("the cell lists all its factors' blocks") as u16);
         }
-        Ok(self.last)
+        Ok(number)
     }
 
-    /// The shape of a factor that looks like `looks`, found or new.
-    fn number(&mut self, run_index: u16) -> Result<u16, Error> {
-        let run = &self.problem.runs[run_index as usize];
+    /// The shape that follows from `key`, found or new.
+    fn number(&mut self, key: &Key) -> Result<u16, Error> {
+        let run = self.runs[key.run as usize].run;
         let mut shape =
-            Shape { run: run_index, own: NO_OWN, rows: run.rows(), stride: run.stride(), ..Shape::default() };
-        let (mut column, mut last_placed) = (0, false);
-        for ((position, look), &dof) in (0u8..).zip(&self.looks).zip(run.dofs()) {
+            Shape { run: key.run, own: NO_OWN, rows: run.rows(), stride: run.stride(), ..Shape::default() };
+        let (mut column, mut last_placed, mut begins) = (0, false, Vec::new());
+        for ((position, &class), &dof) in (0u8..).zip(&key.classes).zip(run.dofs()) {
+            let look = &self.looks[class as usize];
             if look.free != 0 {
                 shape.held.extend((0..dof).filter(|i| look.free >> i & 1 == 0).map(|i| column + i));
             }
@@ -97,16 +114,19 @@ impl<'a> Shapes<'a> {
                 match shape.segments.last_mut() {
                     Some(last)
                         if last_placed
-                            && look.same_block
+                            && key.same_block >> position & 1 == 1
                             && last.column + last.dof == column
                             && last.offset + last.dof == offset =>
                     {
                         last.dof += dof;
                         last.whole = last.dof == block_dof;
                     }
-                    _ => shape.segments.push(Segment { column, dof, offset, whole: dof == block_dof }),
+                    _ => {
+                        shape.segments.push(Segment { column, dof, offset, whole: dof == block_dof });
+                        begins.push(position);
+                    }
                 }
-            } else if look.own {
+            } else if look.eliminated {
                 (shape.own, shape.eliminated) = (position, column);
             }
             last_placed = block_dof > 0;
@@ -120,6 +140,12 @@ impl<'a> Shapes<'a> {
         if count > limit {
             return Err(Error::TooLarge { what: "shapes of factors", count, limit });
         }
+        self.facts.push(Facts {
+            rows_len: shape.rows * shape.stride,
+            own: shape.own,
+            single: shape.rows == SINGLE_ROWS && matches!(shape.segments[..], [Segment { whole: true, .. }]),
+            begins,
+        });
         self.shapes.push(shape);
         Ok((count - 1) as u16)
     }

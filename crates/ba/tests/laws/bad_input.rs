@@ -12,8 +12,14 @@ use tiepoint_geometry::cameras::SimpleRadial;
 
 use crate::scene::{Intrinsics, NOISE_PX, PARAMS, Scene, solve};
 
-const SOLVERS: [LinearSolver; 4] =
-    [LinearSolver::Auto, LinearSolver::Qr, LinearSolver::Dense, LinearSolver::Sparse];
+const SOLVERS: [LinearSolver; 6] = [
+    LinearSolver::Auto,
+    LinearSolver::Qr,
+    LinearSolver::Dense,
+    LinearSolver::Sparse,
+    LinearSolver::Iterative,
+    LinearSolver::Implicit,
+];
 
 /// Some hundred operations in double precision.
 const ROUNDING: f64 = 1e-12;

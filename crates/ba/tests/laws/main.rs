@@ -10,6 +10,9 @@ mod file;
 mod jacobians;
 mod linear_solvers;
 mod nist;
+#[path = "../../examples/rig/stereo.rs"]
+mod rig;
 mod scene;
 #[path = "../../examples/bal/snavely.rs"]
 mod snavely;
+mod stereo;

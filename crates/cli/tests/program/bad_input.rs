@@ -152,6 +152,35 @@ fn stages_out_of_order() {
 }
 
 #[test]
+fn hostile_problems_of_bundle_adjustment() {
+    let dir = tempfile::tempdir().unwrap();
+    let numbers = "0 0 0 0 0 0 500 0 0\n".repeat(2) + "0 0 -5\n1 1 -6\n";
+    let seen = "2 2 4\n0 0 1 2\n0 1 3 4\n1 0 5 6\n1 1 7 8\n";
+    let good = seen.to_owned() + &numbers;
+    for (text, says) in [
+        ("", "line 1: the file ends"),
+        (&good[..40], "the file ends where a camera's rotation should be"),
+        (&good.replacen("500", "NaN", 1), "is NaN"),
+        (&good.replacen("-6", "1e400", 1), "line 9: a point is inf"),
+        (&good.replacen("-6", "1e300", 1), "number 1: residual is NaN at the initial values"),
+        (&good.replacen("1 1 7 8", "2 1 7 8", 1), "line 5: camera 2 sees point 1, but there are 2 cameras"),
+        (&good.replacen("1 1 7 8", "-1 1 7 8", 1), "line 5: a camera's index is `-1`"),
+        ("4000000000 4000000000 1\n0 0 1 2\n0 0 0\n", "line 4: the file ends"),
+        ("2 2 99999999999999\n0 0 1 2\n", "line 3: the file ends"),
+        ("2 2 99999999999999999999999\n", "line 1: the number of observations is `99999999999999999999999`"),
+        ("\0\u{1}\u{fffd}\n", "line 1: the number of cameras"),
+    ] {
+        fs::write(dir.path().join("bal.txt"), text).unwrap();
+        tiepoint_in(dir.path(), "adjust {}/bal.txt").failed(1, &[says]);
+    }
+    for nothing in ["0 0 0\n", "1 1 0\n0 0 0 0 0 0 500 0 0\n0 0 -5\n"] {
+        fs::write(dir.path().join("bal.txt"), nothing).unwrap();
+        let report = tiepoint_in(dir.path(), "adjust {}/bal.txt --json").done().json();
+        assert_eq!((&report["final_cost"], &report["iterations"]), (&0.0.into(), &0.into()), "{report}");
+    }
+}
+
+#[test]
 fn models_that_are_none() {
     let dir = tempfile::tempdir().unwrap();
     tiepoint_in(dir.path(), "adjust {}").failed(1, &["holds no COLMAP model"]);
