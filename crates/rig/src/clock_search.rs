@@ -18,6 +18,8 @@ const MAX_OFFSET_S: f64 = 1.5;
 const MIN_OVERLAP: f64 = 0.5;
 /// Steps of the search within an interval between images.
 const STEPS_PER_INTERVAL: f64 = 8.0;
+/// More offsets are not tried: clocks that share nothing, of drives that are too long for that, or photos that are no drive.
+const MAX_CANDIDATES: usize = 50_000;
 /// Images that are looked at while searching.
 const MAX_IMAGES: usize = 250;
 /// An offset is considered when so many of the images that any offset leaves take part, and at least so many in number.
@@ -61,27 +63,28 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOf
     let right: Vec<(f64, Rigid3)> = right.iter().step_by(every).copied().collect();
     // Multiples of the step, so that clocks that agree are among them.
     let indices = (from_s / step_s).ceil() as i64..=(to_s / step_s).floor() as i64;
-    let spreads: Vec<(f64, Samples)> = indices
-        .map(|index| index as f64 * step_s)
-        .map(|offset_s| (offset_s, Samples::at(left, &right, offset_s)))
+    if indices.clone().count() > MAX_CANDIDATES {
+        return None;
+    }
+    let offsets: Vec<f64> = indices.map(|index| index as f64 * step_s).collect();
+    let spreads: Vec<(usize, (f64, f64))> = offsets
+        .iter()
+        .map(|offset_s| Samples::at(left, &right, *offset_s))
+        .map(|samples| (samples.len(), samples.medians()))
         .collect();
-    let most = spreads.iter().map(|(_, samples)| samples.len()).max()?;
+    let most = spreads.iter().map(|(count, _)| *count).max()?;
     let fewest = ((MIN_SHARE * most as f64) as usize).max(MIN_IMAGES);
-    let is_enough = |samples: &Samples| samples.len() >= fewest;
     let scales = spreads
         .iter()
-        .filter(|(_, samples)| is_enough(samples))
-        .map(|(_, samples)| samples.medians())
+        .filter(|(count, _)| *count >= fewest)
+        .map(|(_, medians)| *medians)
         .reduce(|a, b| (a.0.min(b.0), a.1.min(b.1)))?;
     let scales = (LOSS_SCALE * scales.0.max(TINY), LOSS_SCALE * scales.1.max(TINY));
     let cost = |offset_s: f64| {
         let samples = Samples::at(left, &right, offset_s);
-        if is_enough(&samples) { samples.cost(scales) } else { f64::INFINITY }
+        if samples.len() >= fewest { samples.cost(scales) } else { f64::INFINITY }
     };
-    let grid = spreads
-        .iter()
-        .filter(|(_, samples)| is_enough(samples))
-        .map(|(offset_s, samples)| (samples.cost(scales), *offset_s));
+    let grid = offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s));
     let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let offset_s = golden_section(&cost, coarse_s - step_s, coarse_s + step_s);
     let (best, count) = (cost(offset_s), right.len() as f64);

@@ -9,26 +9,25 @@
 //! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse. How much the mounting gives is
 //! thereby found and not assumed. A clock of which the images tell too little stays at what its stamps say, and everything is done again.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod outcome;
+
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_ba::Factor;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
-use tiepoint_scene::{
-    CameraId, CorrespondenceGraph, Frame, ImageId, ImagePair, Observation, Reconstruction, Rig, RigId,
-    RigSensor,
-};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, Observation, Reconstruction};
 
 use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
-use crate::companion::{Companion, Left, Moment, Timing, companions};
+use crate::companion::{Companion, Moment, Timing, companions};
 use crate::event::{MountedCamera, tell};
 use crate::filter::{FilterOptions, filter_all_points};
 use crate::hold_out::hold_out_tracks;
 use crate::initial_pair::relative_pose;
 use crate::tracks::{TrackOptions, recreate_tracks};
-use crate::triangulation::{Sight, nearest_to_rays};
 use crate::{Error, Event, RigTerm};
+use outcome::{held_out, held_out_error_px, make_frames, make_rigid};
 
 /// A camera's mounting beside the first one, and how firmly it holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,8 +98,6 @@ const MAX_OWN_DIRECTION_RAD: f64 = 0.175;
 const MIN_OWN_MATCHES: usize = 30;
 /// Share of the tracks that take no part until the end.
 const HELD_OUT_SHARE: f64 = 0.1;
-/// Held-out observations count up to this error, in pixels.
-const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 /// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a rigid rig costs them 6 %. Clocks
 /// that disagree by as much as matters cost them far more.
 const HELD_OUT_TOLERANCE: f64 = 0.08;
@@ -431,76 +428,4 @@ fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64)
         widest = (widest.0.max(t), widest.1.max(r));
     }
     widest
-}
-
-/// Moves the right cameras to where rigid mountings have them.
-fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
-    for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
-        // After an adjustment all moments have one relative pose, before it their average serves.
-        let poses: Vec<RelativePose> =
-            relative_poses(model, &mounting.moments, &mounting.clock).into_iter().map(|(_, p)| p).collect();
-        let Some(average) = robust_average(&poses) else { continue };
-        for moment in &mounting.moments {
-            let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
-            model.register(moment.right, average.right_from_left() * left);
-        }
-    }
-}
-
-/// Rigid mountings become the model's rig, their moments its frames.
-fn make_frames(model: &mut Reconstruction, mountings: &[Mounting]) {
-    let mut sensors: Vec<RigSensor> = Vec::new();
-    let mut images: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
-    for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
-        let pose = |image| model.image(image).cam_from_world().copied();
-        let both = mounting.moments.iter().filter_map(|moment| match moment.left {
-            Left::At(left) => Some((left, moment.right, pose(left)?, pose(moment.right)?)),
-            Left::Between { .. } => None,
-        });
-        for (left, right, left_from_world, right_from_world) in both {
-            if sensors.is_empty() {
-                sensors.push(RigSensor { camera: mounting.left, cam_from_rig: Some(Rigid3::identity()) });
-            }
-            if sensors.iter().all(|sensor| sensor.camera != mounting.right) {
-                let cam_from_rig = Some(right_from_world * left_from_world.inverse());
-                sensors.push(RigSensor { camera: mounting.right, cam_from_rig });
-            }
-            images.entry(left).or_insert_with(|| vec![left]).push(right);
-        }
-    }
-    if sensors.len() < 2 {
-        return;
-    }
-    model.rigs.push(Rig { sensors });
-    let rig = RigId::from_index(model.rigs.len() - 1);
-    for (left, images) in images {
-        if let Some(rig_from_world) = model.image(left).cam_from_world().copied() {
-            model.frames.push(Frame { rig, rig_from_world, images });
-        }
-    }
-}
-
-/// Observations of the tracks that are held out and can contradict the poses.
-fn held_out(model: &Reconstruction) -> Vec<Vec<Observation>> {
-    model
-        .tracks()
-        .filter(|(_, track)| track.is_held_out && track.observations.len() >= 3)
-        .map(|(_, track)| track.observations.clone())
-        .collect()
-}
-
-/// Root mean square of the truncated errors of tracks that are triangulated anew between the poses of now: the same observations
-/// whatever the model did with them.
-fn held_out_error_px(model: &Reconstruction, tracks: &[Vec<Observation>]) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for observations in tracks {
-        let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
-        let xyz = nearest_to_rays(sights.iter());
-        for observation in observations {
-            let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
-            sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
-            count += 1;
-        }
-    }
-    (sum / count.max(1) as f64).sqrt()
 }
