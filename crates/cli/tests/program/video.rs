@@ -12,6 +12,7 @@ const RATE_HZ: usize = 10;
 /// A time base of milliseconds is the coarsest in use.
 const TIME_TOLERANCE_S: f64 = 1e-3;
 
+#[expect(clippy::print_stderr, reason = "a test that is left out says so")]
 fn is_there() -> bool {
     let there = Command::new("ffmpeg").arg("-version").output().is_ok();
     if !there {
