@@ -108,6 +108,13 @@ proptest! {
         // (0, 1), (0, 3), (1, 2)
         let order = [0, 2, 1];
         prop_assert_eq!(db.matched_pairs().unwrap(), order.map(|k| pairs[k]));
+        let counts: Vec<_> =
+            db.read_matches().unwrap().iter().map(|(pair, matches)| (*pair, matches.len())).collect();
+        prop_assert_eq!(db.match_counts().unwrap(), counts);
+        let counts = db.read_two_views().unwrap().into_iter().map(|(pair, two_view)| {
+            (pair, two_view.is_verified().then_some(two_view.matches.len()))
+        });
+        prop_assert_eq!(db.inlier_counts().unwrap(), counts.collect::<Vec<_>>());
         prop_assert_eq!(db.read_matches().unwrap(), order.map(|k| (pairs[k], views[k].matches.clone())));
         prop_assert_eq!(db.read_two_views().unwrap(), order.map(|k| (pairs[k], views[k].clone())));
     }
@@ -128,6 +135,7 @@ proptest! {
         std::fs::write(&path, bytes).unwrap();
         if let Ok(db) = Database::open(&path) {
             let _ = (db.read_cameras(), db.read_images(), db.read_two_views(), db.read_matches(), db.read_rigs());
+            let _ = (db.match_counts(), db.inlier_counts());
             (0..db.num_images()).for_each(|k| drop(db.read_features(ImageId::from_index(k))));
         }
     }

@@ -108,6 +108,7 @@ fn formats_agree_on_pixels() {
     let grey16 = DynamicImage::from(colours.to_luma16());
     let rgb16 = DynamicImage::from(colours.to_rgb16());
     let grey = DynamicImage::from(colours.to_luma8());
+    let grey_with_alpha = DynamicImage::from(colours.to_luma_alpha8());
     for (name, image, format) in [
         ("rgb.png", &colours, ImageFormat::Png),
         ("alpha.png", &with_alpha, ImageFormat::Png),
@@ -136,6 +137,7 @@ fn formats_agree_on_pixels() {
     for (name, image, format) in [
         ("grey16.png", &grey16, ImageFormat::Png),
         ("grey.png", &grey, ImageFormat::Png),
+        ("grey_alpha.png", &grey_with_alpha, ImageFormat::Png),
         ("grey.jpg", &grey, ImageFormat::Jpeg),
     ] {
         let dir = folder(&[(name, encoded(image, format))]);

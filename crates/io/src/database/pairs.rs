@@ -94,6 +94,26 @@ impl Database {
         numbers.into_iter().map(|number| self.pair(number)).collect()
     }
 
+    /// How many matches each pair has, sorted by pair; the matches themselves are not read.
+    pub fn match_counts(&self) -> Result<Vec<(ImagePair, usize)>> {
+        let counts = self.rows("SELECT pair_id, rows FROM matches ORDER BY pair_id", |row| {
+            Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?))
+        })?;
+        counts.into_iter().map(|(number, rows)| Ok((self.pair(number)?, rows.max(0) as usize))).collect()
+    }
+
+    /// How many matches each two-view geometry has if it is a relation at all, else none; sorted by pair.
+    pub fn inlier_counts(&self) -> Result<Vec<(ImagePair, Option<usize>)>> {
+        let sql = "SELECT pair_id, rows, config FROM two_view_geometries ORDER BY pair_id";
+        let counts =
+            self.rows(sql, |row| Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?, row.get::<_, i64>(2)?)))?;
+        let count = |(number, rows, kind): (i64, i64, i64)| {
+            let two_view = TwoView { kind: self.kind(number, kind)?, ..TwoView::default() };
+            Ok((self.pair(number)?, two_view.is_verified().then_some(rows.max(0) as usize)))
+        };
+        counts.into_iter().map(count).collect()
+    }
+
     /// Reads all matches, sorted by pair.
     pub fn read_matches(&self) -> Result<Vec<(ImagePair, Vec<Match>)>> {
         let sql = "SELECT pair_id, rows, cols, data FROM matches ORDER BY pair_id";
@@ -126,13 +146,7 @@ impl Database {
                 }
                 _ => None,
             };
-            let kind = match row.get(4).map_err(error(&self.path))? {
-                CALIBRATED_RIG => TwoViewKind::Calibrated,
-                number => *usize::try_from(number)
-                    .ok()
-                    .and_then(|index| KINDS.get(index))
-                    .ok_or_else(|| bad("its configuration is unknown"))?,
-            };
+            let kind = self.kind(number, row.get(4).map_err(error(&self.path))?)?;
             let two_view = TwoView {
                 kind,
                 fundamental: matrix(5)?,
@@ -142,6 +156,16 @@ impl Database {
                 matches: self.matches(row)?,
             };
             Ok((self.pair(number)?, two_view))
+        })
+    }
+
+    fn kind(&self, pair: i64, config: i64) -> Result<TwoViewKind> {
+        if config == CALIBRATED_RIG {
+            return Ok(TwoViewKind::Calibrated);
+        }
+        let kind = usize::try_from(config).ok().and_then(|index| KINDS.get(index)).copied();
+        kind.ok_or_else(|| {
+            self.content(format!("two-view geometry of pair {pair}: its configuration is unknown"))
         })
     }
 
