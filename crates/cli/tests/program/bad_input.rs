@@ -162,7 +162,6 @@ fn hostile_problems_of_bundle_adjustment() {
         (&good[..40], "the file ends where a camera's rotation should be"),
         (&good.replacen("500", "NaN", 1), "is NaN"),
         (&good.replacen("-6", "1e400", 1), "line 9: a point is inf"),
-        (&good.replacen("-6", "1e300", 1), "number 1: residual is NaN at the initial values"),
         (&good.replacen("1 1 7 8", "2 1 7 8", 1), "line 5: camera 2 sees point 1, but there are 2 cameras"),
         (&good.replacen("1 1 7 8", "-1 1 7 8", 1), "line 5: a camera's index is `-1`"),
         ("4000000000 4000000000 1\n0 0 1 2\n0 0 0\n", "line 4: the file ends"),
