@@ -1,6 +1,6 @@
 //! Renders a short drive of a rig with everything switched on, and writes it as cameras would leave it, with the truth beside.
 //!
-//! cargo run --release -p tiepoint-synth --example drive -- FOLDER [EFFECTS] [SEED]
+//! cargo run --release -p tiepoint-synth --example write_drive -- FOLDER [EFFECTS] [SEED]
 //!
 //! EFFECTS: `none`, `all`, or names joined by `+`, as in `lens+clocks`.
 #![allow(clippy::print_stdout)]
