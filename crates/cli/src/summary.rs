@@ -107,6 +107,7 @@ fn mounted(camera: &RigCamera) -> String {
             clock.drift_ppm,
             clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
         ),
+        ("free", None) => format!("clock {offset_ms:+.2} ms"),
         ("not observable", _) => format!("clock not observable, held at {offset_ms:+.2} ms"),
         _ => format!("images at the same instants, clock {offset_ms:+.2} ms"),
     };

@@ -104,6 +104,13 @@ pub enum Timing {
     NotObservable,
 }
 
+impl Timing {
+    /// A clock that is to stay for now.
+    pub(crate) fn held(self) -> Self {
+        if self == Self::Free { Self::NotObservable } else { self }
+    }
+}
+
 /// A camera that rides with the first one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Companion {

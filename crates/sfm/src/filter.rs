@@ -1,7 +1,10 @@
 //! Dropping what does not fit: observations that project too far from their keypoint, points seen under too small an angle,
 //! images left with nothing.
 
+use std::collections::BTreeSet;
+
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
 /// What is good enough to stay.
@@ -48,10 +51,30 @@ pub fn filter_points(model: &mut Reconstruction, points: &[PointId], options: &F
     dropped
 }
 
-/// Filters all points.
+/// A point this much nearer to a camera than half of what that sees is none: matches between two images of a stop meet anywhere, also
+/// in the lens, and there they would tell more of the two poses than all others together.
+const MIN_RELATIVE_DISTANCE: f64 = 1e-3;
+
+/// Filters all points, also those that are in a camera.
 pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) -> usize {
+    let mut inside: BTreeSet<PointId> = BTreeSet::new();
+    for (_, image, pose) in model.registered() {
+        let centre = pose.origin_in_a();
+        let seen: Vec<(f64, PointId)> = image
+            .points()
+            .iter()
+            .flatten()
+            .filter_map(|&point| Some(((model.track(point)?.xyz - centre).norm(), point)))
+            .collect();
+        let mut distances: Vec<f64> = seen.iter().map(|(distance, _)| *distance).collect();
+        let least = MIN_RELATIVE_DISTANCE * median(&mut distances).unwrap_or(0.0);
+        inside.extend(seen.iter().filter(|(distance, _)| *distance < least).map(|(_, point)| *point));
+    }
+    let dropped: usize =
+        inside.iter().filter_map(|point| model.track(*point)).map(|track| track.observations.len()).sum();
+    inside.into_iter().for_each(|point| model.delete_track(point));
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-    filter_points(model, &points, options)
+    dropped + filter_points(model, &points, options)
 }
 
 /// Whether any two cameras see the point under at least `min_angle_rad`.

@@ -3,7 +3,8 @@
 //! A model without any such term comes first, and the clocks of its cameras from how it has them move ([`crate::companions`]). Then, per
 //! camera beside the first: (i) the mounting is the robust average of the relative poses, the first camera's being interpolated at the
 //! times of the other's images, and images far from it are gated: where two images' own two-view geometry agrees with the mounting, the
-//! model is wrong there (a split) and the image takes part, else the image is wrong and does not; (ii) the term is added, quadratic, and
+//! model is wrong there (a split) and the image takes part; so it does in a row of images that have no matches with their partners and
+//! stand together, elsewhere (for as long as tracks that took no part do not object); else the image is wrong and does not; (ii) the term is added, quadratic, and
 //! everything adjusted, clocks with it (a robust loss lets go of what it should bring together: on KITTI 01 it springs back); (iii) tracks
 //! are re-created, completed and merged across the cameras, which is what keeps a closed split closed; (iv) the standard deviations are
 //! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse. How much the mounting gives is
@@ -47,6 +48,8 @@ pub struct Mounting {
     pub timing: Timing,
     /// How firmly.
     pub hold: Hold,
+    /// At so many of the moments the model had the camera elsewhere, for want of matches with the first one.
+    pub(crate) num_unmatched: usize,
 }
 
 /// How firmly a mounting holds.
@@ -97,6 +100,11 @@ const MAX_OWN_ROTATION_RAD: f64 = 0.026;
 const MAX_OWN_DIRECTION_RAD: f64 = 0.175;
 /// Fewer matches tell no two-view geometry.
 const MIN_OWN_MATCHES: usize = 30;
+/// So many images in a row without matches with their partners that stand elsewhere together are a split of the model; fewer are images
+/// of something else.
+const MIN_SPLIT_ROW: usize = 3;
+/// They stand together when neighbours are apart by less than this share of their distance from where they should be.
+const TOGETHER: f64 = 0.5;
 /// Share of the tracks that take no part until the end.
 const HELD_OUT_SHARE: f64 = 0.1;
 /// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a rigid rig costs them 6 %. Clocks
@@ -110,6 +118,10 @@ const MAX_CLOCK_SD_S: f64 = 0.02;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
+/// Images from far away are brought nearer with standard deviations that are so many times as large, one after the other.
+const CLOSING_STEPS: [f64; 3] = [30.0, 10.0, 3.0];
+/// Before tracks are all re-created, a split that was closed may cost held-out tracks this much.
+const CLOSING_TOLERANCE: f64 = 0.3;
 
 /// What the steps need of the mapper.
 pub(crate) struct Context<'a> {
@@ -149,12 +161,14 @@ pub(crate) fn hold_to_mountings(
     let is_wanted = term == RigTerm::Hard || term == RigTerm::Auto && is_firm;
     if let Some(soft) = best.as_ref().filter(|soft| is_wanted && soft.is_anything_together()) {
         let mut candidate = soft.model.clone();
-        let mut mountings = context.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas);
+        let mut mountings =
+            context.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas, Unmatched::None);
         make_rigid(&mut candidate, &mountings);
         context.refine(&mut candidate, &mut mountings, 1.0)?;
         let error_px = held_out_error_px(&candidate, &held_out);
         if term == RigTerm::Hard || error_px <= soft.error_px {
-            best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
+            let (sigmas, num_closed) = (soft.sigmas, soft.num_closed);
+            best = Some(Held { model: candidate, mountings, error_px, sigmas, num_closed });
         }
     }
     let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
@@ -199,6 +213,8 @@ struct Held {
     mountings: Vec<Mounting>,
     error_px: f64,
     sigmas: (f64, f64),
+    /// Images that stood elsewhere, for want of matches with their partners.
+    num_closed: usize,
 }
 
 impl Held {
@@ -236,7 +252,7 @@ impl Mounting {
 
 impl Context<'_> {
     /// Soft mountings, tighter from step to step, and whether the floor was reached. `model` and the companions' clocks are left where the
-    /// last accepted step had them.
+    /// last accepted step had them. Splits without a word from their own matches are closed for as long as held-out tracks allow.
     fn tighten(
         &self,
         model: &mut Reconstruction,
@@ -245,18 +261,48 @@ impl Context<'_> {
         held_out: &[Vec<Observation>],
         error_off_px: f64,
     ) -> Result<(Option<Held>, bool), Error> {
+        let (mut closed, mut clocks) = (model.clone(), companions.to_vec());
+        let (best, is_firm) =
+            self.tighten_with(&mut closed, &mut clocks, term, held_out, error_off_px, Unmatched::Rows)?;
+        if best.as_ref().is_none_or(|held| {
+            held.num_closed > 0 && held.error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px
+        }) {
+            return self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None);
+        }
+        *model = closed;
+        companions.copy_from_slice(&clocks);
+        Ok((best, is_firm))
+    }
+
+    fn tighten_with(
+        &self,
+        model: &mut Reconstruction,
+        companions: &mut [Companion],
+        term: RigTerm,
+        held_out: &[Vec<Observation>],
+        error_off_px: f64,
+        unmatched: Unmatched,
+    ) -> Result<(Option<Held>, bool), Error> {
         let found = widest_spread(model, companions);
         let mut sigmas =
             (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
         let is_floor = |sigmas: (f64, f64)| sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
-        let (mut best, mut is_firm) = (None, false);
+        let (mut best, mut is_firm, mut num_closed) = (None, false, 0);
         for step in 0..MAX_STEPS {
             let mut candidate = model.clone();
-            let mut mountings = self.mountings(&candidate, companions, Hold::soft(sigmas), sigmas);
+            let mut mountings = self.mountings(&candidate, companions, Hold::soft(sigmas), sigmas, unmatched);
+            let num_unmatched: usize = mountings.iter().map(|mounting| mounting.num_unmatched).sum();
+            num_closed = num_closed.max(num_unmatched);
+            let tolerance = if num_unmatched > 0 {
+                self.close(&mut candidate, &mut mountings)?;
+                CLOSING_TOLERANCE
+            } else {
+                HELD_OUT_TOLERANCE
+            };
             self.refine(&mut candidate, &mut mountings, if step == 0 { WIDENED } else { 1.0 })?;
             let error_px = held_out_error_px(&candidate, held_out);
             let is_asked_for = term != RigTerm::Auto && step == 0;
-            if !is_asked_for && error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px {
+            if !is_asked_for && error_px > (1.0 + tolerance) * error_off_px {
                 break;
             }
             for mounting in &mountings {
@@ -267,7 +313,7 @@ impl Context<'_> {
             }
             let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
             if is_held || is_asked_for {
-                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
+                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas, num_closed });
                 is_firm = is_floor(sigmas);
             }
             *model = candidate;
@@ -292,7 +338,9 @@ impl Context<'_> {
         let covariances = mounting_covariances(model, &self.adjust, mountings)?;
         let mut is_any = false;
         for (mounting, covariance) in mountings.iter().zip(covariances) {
-            let sd_s = covariance.map_or(f64::INFINITY, |covariance| covariance[(6, 6)].sqrt());
+            // Where rounding leaves no covariance, the motion's word stands.
+            let Some(covariance) = covariance else { continue };
+            let sd_s = covariance[(6, 6)].sqrt();
             for companion in companions.iter_mut().filter(|c| c.right == mounting.right) {
                 if companion.timing == Timing::Free && sd_s.is_nan() | (sd_s > MAX_CLOCK_SD_S) {
                     companion.timing = Timing::NotObservable;
@@ -302,6 +350,23 @@ impl Context<'_> {
             }
         }
         Ok(is_any)
+    }
+
+    /// Brings images that stand far away near to where their mountings have them, step by step, at the clocks of now: all at once the
+    /// adjustment would need hundreds of steps, and lead the clocks astray meanwhile.
+    fn close(&self, model: &mut Reconstruction, mountings: &mut [Mounting]) -> Result<(), Error> {
+        let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
+        for factor in CLOSING_STEPS {
+            let mut loose: Vec<Mounting> = mountings
+                .iter()
+                .map(|m| Mounting { hold: m.hold.scaled(factor), timing: m.timing.held(), ..m.clone() })
+                .collect();
+            adjust_mounted(model, &Scope::Global, &options, &mut loose, &mut keep_going)?;
+            for (mounting, loose) in mountings.iter_mut().zip(loose) {
+                mounting.right_from_left = loose.right_from_left;
+            }
+        }
+        Ok(())
     }
 
     /// Adjusts, re-creates tracks between the poses that came out, and adjusts again.
@@ -329,6 +394,7 @@ impl Context<'_> {
         companions: &[Companion],
         hold: Hold,
         sigmas: (f64, f64),
+        unmatched: Unmatched,
     ) -> Vec<Mounting> {
         let mounting = |companion: &Companion| -> Option<Mounting> {
             let Companion { left, right, clock, timing } = *companion;
@@ -338,12 +404,30 @@ impl Context<'_> {
             let average = robust_average(&poses)?;
             let (spread_t, spread_r) = spread_of(&poses, &average);
             let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
-            let is_sound = |(moment, pose): &(&Moment, &RelativePose)| {
-                let (t, r) = deviation(pose, &average);
-                (t <= gate.0 && r <= gate.1) || self.agrees_itself(model, moment, &clock, &average)
+            let baseline = average.translation.norm();
+            let is_near = |pose: &RelativePose| {
+                let (t, r) = deviation(pose, &average, baseline);
+                t <= gate.0 && r <= gate.1
             };
+            // Nearer to each other than either is to the mounting.
+            let are_together = |a: &RelativePose, b: &RelativePose| {
+                let (t, r) = deviation(a, b, baseline);
+                let [far_a, far_b] = [a, b].map(|pose| deviation(pose, &average, baseline));
+                t <= (TOGETHER * far_a.0.min(far_b.0)).max(gate.0)
+                    && r <= (TOGETHER * far_a.1.min(far_b.1)).max(gate.1)
+            };
+            let verdict = |(moment, pose): (&Moment, &RelativePose)| {
+                let own = || self.own_geometry_agrees(model, moment, &clock, &average);
+                if is_near(pose) { Some(true) } else { own() }
+            };
+            let verdicts: Vec<Option<bool>> = moments.iter().zip(&poses).map(verdict).collect();
+            let splits = match unmatched {
+                Unmatched::Rows => rows(&verdicts, |a, b| are_together(&poses[a], &poses[b])),
+                Unmatched::None => Vec::new(),
+            };
+            let is_sound = |index: &usize| verdicts[*index] == Some(true) || splits.contains(index);
             let moments: Vec<Moment> =
-                moments.iter().zip(&poses).filter(is_sound).map(|(moment, _)| *moment).collect();
+                (0..moments.len()).filter(is_sound).map(|index| moments[index]).collect();
             let hold = if timing == Timing::Together { hold } else { Hold::soft(sigmas) };
             let right_from_left = average.right_from_left();
             (moments.len() >= 2).then_some(Mounting {
@@ -354,27 +438,28 @@ impl Context<'_> {
                 clock,
                 timing,
                 hold,
+                num_unmatched: splits.len(),
             })
         };
         companions.iter().filter_map(mounting).collect()
     }
 
-    /// Whether the matches of an image with the first camera's nearest one alone agree with the mounting. What the first camera moved
-    /// between that one and the moment itself is taken from the model.
-    fn agrees_itself(
+    /// Whether the matches of an image with the first camera's nearest one alone agree with the mounting; `None` where there are none. What
+    /// the first camera moved between that one and the moment itself is taken from the model.
+    fn own_geometry_agrees(
         &self,
         model: &Reconstruction,
         moment: &Moment,
         clock: &Clock,
         average: &RelativePose,
-    ) -> bool {
+    ) -> Option<bool> {
         let near = moment.nearest_left(clock);
-        let own = || -> Option<(RelativePose, RelativePose)> {
-            let key = ImagePair::new(near, moment.right)?;
-            let two_view = self.graph.pairs().get(&key)?;
-            if two_view.matches.len() < MIN_OWN_MATCHES {
-                return None;
-            }
+        let key = ImagePair::new(near, moment.right)?;
+        let two_view = self.graph.pairs().get(&key)?;
+        if two_view.matches.len() < MIN_OWN_MATCHES {
+            return None;
+        }
+        let poses = || -> Option<(RelativePose, RelativePose)> {
             let b_from_a = relative_pose(model, &key, two_view)?;
             let right_from_near = if key.a == near { b_from_a } else { b_from_a.inverse() };
             let near_from_world = model.image(near).cam_from_world()?;
@@ -383,14 +468,36 @@ impl Context<'_> {
             let from_near = |pose: &Rigid3| RelativePose::between(&Rigid3::identity(), pose);
             Some((from_near(&right_from_near), from_near(&expected)))
         };
-        own().is_some_and(|(own, expected)| {
+        Some(poses().is_some_and(|(own, expected)| {
             let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
             let rotation = so3::exp(&own.axis_angle).angle_to(&so3::exp(&expected.axis_angle));
             rotation < MAX_OWN_ROTATION_RAD
                 && own_t.cross(&t).norm() < MAX_OWN_DIRECTION_RAD
                 && own_t.dot(&t) > 0.0
-        })
+        }))
     }
+}
+
+/// Which of the moments far from the mounting take part without a word from their own matches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Unmatched {
+    /// Those in a row.
+    Rows,
+    None,
+}
+
+/// The indices of moments without a verdict that stand in rows of at least [`MIN_SPLIT_ROW`], each near to the one before.
+fn rows(verdicts: &[Option<bool>], is_near: impl Fn(usize, usize) -> bool) -> Vec<usize> {
+    let mut rows: Vec<Vec<usize>> = Vec::new();
+    for index in (0..verdicts.len()).filter(|&index| verdicts[index].is_none()) {
+        match rows.last_mut() {
+            Some(row) if row.last().is_some_and(|&last| last + 1 == index && is_near(last, index)) => {
+                row.push(index)
+            }
+            _ => rows.push(vec![index]),
+        }
+    }
+    rows.into_iter().filter(|row| row.len() >= MIN_SPLIT_ROW).flatten().collect()
 }
 
 /// The relative poses at those of some moments where both cameras have one.
@@ -398,18 +505,18 @@ fn relative_poses(model: &Reconstruction, moments: &[Moment], clock: &Clock) -> 
     moments.iter().filter_map(|moment| moment.relative_pose(model, clock)).collect()
 }
 
-/// Distance of the centre in baselines, and angle.
-fn deviation(pose: &RelativePose, average: &RelativePose) -> (f64, f64) {
-    let baseline = average.translation.norm().max(f64::MIN_POSITIVE);
+/// Distance of the centres in baselines, and angle.
+fn deviation(a: &RelativePose, b: &RelativePose, baseline: f64) -> (f64, f64) {
     (
-        (pose.translation - average.translation).norm() / baseline,
-        so3::exp(&pose.axis_angle).angle_to(&so3::exp(&average.axis_angle)),
+        (a.translation - b.translation).norm() / baseline.max(f64::MIN_POSITIVE),
+        so3::exp(&a.axis_angle).angle_to(&so3::exp(&b.axis_angle)),
     )
 }
 
 /// Medians of the deviations as standard deviations of a component.
 fn spread_of(poses: &[RelativePose], average: &RelativePose) -> (f64, f64) {
-    let (mut ts, mut rs): (Vec<f64>, Vec<f64>) = poses.iter().map(|pose| deviation(pose, average)).unzip();
+    let (mut ts, mut rs): (Vec<f64>, Vec<f64>) =
+        poses.iter().map(|pose| deviation(pose, average, average.translation.norm())).unzip();
     let sigma = |norms: &mut [f64]| median(norms).unwrap_or(0.0) / MEDIAN_OF_THREE;
     (sigma(&mut ts), sigma(&mut rs))
 }
@@ -427,4 +534,22 @@ fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64)
         widest = (widest.0.max(t), widest.1.max(r));
     }
     widest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_rows_of_unmatched_images_that_stand_together_are_splits() {
+        let (near, unmatched, wrong) = (Some(true), None, Some(false));
+        let verdicts = [
+            unmatched, unmatched, unmatched, near, unmatched, unmatched, wrong, unmatched, unmatched,
+            unmatched,
+        ];
+        assert_eq!(rows(&verdicts, |_, _| true), [0, 1, 2, 7, 8, 9]);
+        // The last three stand apart from each other: other pictures.
+        assert_eq!(rows(&verdicts, |_, index| index < 5), [0, 1, 2]);
+        assert_eq!(rows(&[], |_, _| true), [0; 0]);
+    }
 }
