@@ -51,6 +51,10 @@ pub(crate) enum Command {
     /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without a constraint between
     /// its two cameras, with the paper's and with one mounting, compares all with the truth.
     Demo(Demo),
+    /// The experiments of Huang, Elhashash & Qin 2022 in a rendered world: tables as theirs, clouds, trajectories, and what is true. By
+    /// default a run of a minute or two; --length 2200 --rate 10 --size 2000x1500 is as large as theirs.
+    #[command(subcommand)]
+    Experiment(Experiment),
 }
 
 #[derive(Debug, Args)]
@@ -167,6 +171,10 @@ pub(crate) struct Mapping {
     /// disagree: they are found (paper: to half the time between two photos).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
+    /// Distance of the first camera and the next (in the order of their folders), with its unit: m, cm or mm. The result is scaled so that
+    /// they are that far apart; by default its unit is arbitrary.
+    #[arg(long, value_name = "0.62m")]
+    pub(crate) baseline: Option<Metres>,
 }
 
 #[derive(Debug, Args)]
@@ -227,13 +235,17 @@ pub(crate) struct EvaluatePoses {
 pub(crate) struct Export {
     /// A workspace, or a folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
+    /// colmap and colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
     /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud), kalibr (the rig with its clocks, as camchain.yaml).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
+    /// Adjusts first with every camera held exactly to one calibration, whatever --rig it was mapped with, and makes the moments frames
+    /// of a rig; what that does to the errors is told.
+    #[arg(long)]
+    pub(crate) rigid: bool,
 }
 
 #[derive(Debug, Args)]
@@ -293,6 +305,48 @@ pub(crate) struct Demo {
     pub(crate) seed: u64,
 }
 
+#[derive(Debug, Subcommand)]
+pub(crate) enum Experiment {
+    /// Experiment I: one camera, looking to the front, right, rear and left in turn.
+    Mounting(Scenery),
+    /// Experiment II: two cameras half a metre apart that look right, with and without a constraint between them.
+    Baseline {
+        #[command(flatten)]
+        scenery: Scenery,
+        /// What holds the cameras to each other, one row each: off, paper, soft, hard, auto.
+        #[arg(long, value_name = "MODES", value_delimiter = ',', default_value = "off,paper,auto", value_parser = rig_term)]
+        rig: Vec<RigTerm>,
+    },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Scenery {
+    /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
+    #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-experiment")]
+    pub(crate) output: PathBuf,
+    /// At most so many images of each camera, the first ones; by default the whole loop.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<NonZeroUsize>,
+    /// Size of the images, in pixels.
+    #[arg(long, value_name = "WxH", default_value = "400x300")]
+    pub(crate) size: ImageSize,
+    /// Seed of the street, the drive and everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Images a second.
+    #[arg(long, value_name = "HZ", default_value_t = 4.0)]
+    pub(crate) rate: f64,
+    /// How long the loop is, in metres.
+    #[arg(long, value_name = "M", default_value_t = 160.0)]
+    pub(crate) length: f64,
+    /// What is not ideal, as in `synth`.
+    #[arg(long, value_name = "NAMES", default_value = "all")]
+    pub(crate) effects: Effects,
+    /// Which photos to match, as in `match`.
+    #[arg(long, value_name = "SELECTION", default_value = "sequential:6+ends")]
+    pub(crate) pairs: PairSelection,
+}
+
 /// Width and height, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ImageSize {
@@ -343,6 +397,32 @@ impl FromStr for PositivePixels {
     }
 }
 
+/// A length, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Metres(pub(crate) f64);
+
+/// Cameras are no nearer to each other than this, in metres, and no farther apart.
+const NEAREST_M: f64 = 1e-4;
+const FARTHEST_M: f64 = 1e4;
+
+impl FromStr for Metres {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        // The longer endings first.
+        let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0), ("", 1.0)];
+        let split = units.iter().find_map(|(unit, per_m)| Some((text.strip_suffix(unit)?, per_m)));
+        let length = split.and_then(|(number, per_m)| Some(number.trim_end().parse::<f64>().ok()? / per_m));
+        length.filter(|length| (NEAREST_M..=FARTHEST_M).contains(length)).map(Self).ok_or_else(|| {
+            format!(
+                "it must be a length from {} mm to {} m with its unit, m, cm or mm, as 0.62m",
+                1e3 * NEAREST_M,
+                FARTHEST_M
+            )
+        })
+    }
+}
+
 fn alignment(name: &str) -> Result<Alignment, String> {
     match name {
         "similarity" => Ok(Alignment::Similarity),
@@ -364,7 +444,7 @@ fn route(name: &str) -> Result<RouteKind, String> {
     }
 }
 
-fn rig_term(mode: &str) -> Result<RigTerm, String> {
+pub(crate) fn rig_term(mode: &str) -> Result<RigTerm, String> {
     match mode {
         "off" => Ok(RigTerm::Off),
         "paper" => Ok(RigTerm::Paper),
@@ -372,6 +452,17 @@ fn rig_term(mode: &str) -> Result<RigTerm, String> {
         "hard" => Ok(RigTerm::Hard),
         "auto" => Ok(RigTerm::Auto),
         _ => Err("it must be off, paper, soft, hard or auto".to_owned()),
+    }
+}
+
+/// The name of a mode on the command line.
+pub(crate) fn rig_name(term: RigTerm) -> &'static str {
+    match term {
+        RigTerm::Off => "off",
+        RigTerm::Paper => "paper",
+        RigTerm::Soft => "soft",
+        RigTerm::Hard => "hard",
+        RigTerm::Auto => "auto",
     }
 }
 
@@ -417,6 +508,26 @@ mod tests {
         assert_eq!(size.to_string(), "640x480");
         for wrong in ["640", "640*480", "x480", "640x-480", "640x480x3"] {
             assert!(wrong.parse::<ImageSize>().unwrap_err().contains("640x480"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_baseline_has_a_unit() {
+        for (text, metres) in [
+            ("0.62m", 0.62),
+            ("62cm", 0.62),
+            ("620 mm", 0.62),
+            ("0.62", 0.62),
+            ("1e-1m", 0.1),
+            ("0.1mm", 1e-4),
+        ] {
+            let Metres(found) = text.parse().unwrap();
+            assert!((found - metres).abs() <= f64::EPSILON, "{text}: {found}");
+        }
+        for wrong in [
+            "", "m", "-1m", "0m", "0", "nan", "infm", "1e300m", "1e-300m", "0.6 ft", "62 c m", "m62", "0,62m",
+        ] {
+            assert!(wrong.parse::<Metres>().unwrap_err().contains("0.62m"), "{wrong}");
         }
     }
 
