@@ -11,6 +11,7 @@ mod cell;
 mod side;
 mod tables;
 
+use std::cell::OnceCell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -68,6 +69,8 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
     let folder = scenery.output.join("mounting");
     begin(scenery, &folder, &plan(PathBuf::new(), Mounting::Front)?)?;
     let mut progress = Progress::new(output);
+    // The street and the way are the same for all, so the scan is.
+    let whole: OnceCell<Vec<Vector3<f64>>> = OnceCell::new();
     let (mut cells, mut drives) = (Vec::new(), Vec::new());
     for (name, mounting) in MOUNTINGS {
         let own = folder.join(mounting.name());
@@ -76,7 +79,11 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
         let task =
             Task { name, rig: RigTerm::Off, workspace: own.join("off"), scenery, plan: &plan, drive: &drive };
         let reference = || -> Result<Vec<Vector3<f64>>, Failure> {
-            let scan = scan(&drive)?;
+            if whole.get().is_none() {
+                // It was empty.
+                let _ = whole.set(scan(&drive)?);
+            }
+            let scan = whole.get().cloned().unwrap_or_default();
             // Where a camera sees one side of the street, that side is what it is compared with.
             Ok(match mounting {
                 Mounting::Right => beside_the_way(&drive, scan, 1.0),

@@ -25,6 +25,8 @@ pub(crate) const BASELINE_M: f64 = 0.5;
 const SCAN_EVERY_TURNS: usize = 10;
 /// Images at once, for each thread; each takes some 25 bytes a pixel.
 const AT_ONCE: usize = 3;
+/// A street is laid out as a whole before anything is rendered; this one has hundreds of thousands of houses.
+const MAX_LENGTH_M: f64 = 100_000.0;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
 
@@ -95,6 +97,12 @@ impl Plan {
 
     /// The drive that this means.
     pub(crate) fn drive(&self) -> Result<Drive, Failure> {
+        let length_m = self.options.length_m;
+        if length_m > MAX_LENGTH_M {
+            return Err(Failure::Usage(format!(
+                "--length {length_m} is more than anybody can drive here: at most {MAX_LENGTH_M} m"
+            )));
+        }
         let mut drive = Drive::new(&self.options).map_err(|error| match error {
             tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
             _ => error.into(),
