@@ -334,7 +334,7 @@ pub(crate) struct Scenery {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
     /// Images a second.
-    #[arg(long, value_name = "HZ", default_value_t = 4.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 2.5)]
     pub(crate) rate: f64,
     /// How long the loop is, in metres.
     #[arg(long, value_name = "M", default_value_t = 160.0)]

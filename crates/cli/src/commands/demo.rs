@@ -136,7 +136,7 @@ fn evaluate(
     scan: &[Vector3<f64>],
 ) -> Result<Run, Failure> {
     let Judged { poses, model, whereabouts, baseline, surface, cloud, .. } =
-        judge(&workspace, drive, &rendered.truth, scan)?;
+        judge(&workspace, drive, &rendered.truth, scan, |_| true)?;
     let model_size_over_true_size = size_ratio(&report, &model, drive, poses.scale);
     Ok(Run {
         rig,

@@ -11,12 +11,10 @@ mod cell;
 mod side;
 mod tables;
 
-use std::cell::OnceCell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::{Calibration, Exhibit, Report, Table, Workspace, report_html};
@@ -24,12 +22,12 @@ use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
 use super::Failure;
 use super::judge::{read_drive_model, whereabouts};
-use super::synth::{BASELINE_M, Plan, claim, render, scan};
+use super::synth::{BASELINE_M, Plan, claim, render};
 use crate::args::{Experiment, Scenery, rig_name};
 use crate::output::Output;
 use crate::progress::Progress;
-use cell::{Cell, Task};
-use side::beside_the_way;
+use cell::{Cell, Scan, Task};
+use side::Side;
 
 /// What the files in the folder were made from.
 const RECORD: &str = "experiment.json";
@@ -70,7 +68,7 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
     begin(scenery, &folder, &plan(PathBuf::new(), Mounting::Front)?)?;
     let mut progress = Progress::new(output);
     // The street and the way are the same for all, so the scan is.
-    let whole: OnceCell<Vec<Vector3<f64>>> = OnceCell::new();
+    let whole = Scan::new();
     let (mut cells, mut drives) = (Vec::new(), Vec::new());
     for (name, mounting) in MOUNTINGS {
         let own = folder.join(mounting.name());
@@ -78,20 +76,13 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
         let drive = plan.drive()?;
         let task =
             Task { name, rig: RigTerm::Off, workspace: own.join("off"), scenery, plan: &plan, drive: &drive };
-        let reference = || -> Result<Vec<Vector3<f64>>, Failure> {
-            if whole.get().is_none() {
-                // It was empty.
-                let _ = whole.set(scan(&drive)?);
-            }
-            let scan = whole.get().cloned().unwrap_or_default();
-            // Where a camera sees one side of the street, that side is what it is compared with.
-            Ok(match mounting {
-                Mounting::Right => beside_the_way(&drive, scan, 1.0),
-                Mounting::Left => beside_the_way(&drive, scan, -1.0),
-                Mounting::Front | Mounting::FrontRight | Mounting::Rear => scan,
-            })
+        // Where a camera sees one side of the street, that side is what is compared.
+        let side = match mounting {
+            Mounting::Right => Side::right(&drive),
+            Mounting::Left => Side::left(&drive),
+            Mounting::Front | Mounting::FrontRight | Mounting::Rear => Side::both(),
         };
-        cells.push(task.run(reference, &mut progress)?);
+        cells.push(task.run(&side, &whole, &mut progress)?);
         drives.push(drive);
     }
     drop(progress);
@@ -105,7 +96,7 @@ fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outc
     let drive = plan.drive()?;
     begin(scenery, &folder, &plan)?;
     let mut progress = Progress::new(output);
-    let mut cells: Vec<Cell> = Vec::new();
+    let (mut cells, whole) = (Vec::new(), Scan::new());
     for (index, rig) in rigs.iter().enumerate().filter(|(index, rig)| !rigs[..*index].contains(rig)) {
         let workspace = folder.join(rig_name(*rig));
         let first = folder.join(rig_name(rigs[0]));
@@ -115,7 +106,7 @@ fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outc
         }
         let name = tables::row_of(*rig);
         let task = Task { name: &name, rig: *rig, workspace, scenery, plan: &plan, drive: &drive };
-        cells.push(task.run(|| Ok(beside_the_way(&drive, scan(&drive)?, 1.0)), &mut progress)?);
+        cells.push(task.run(&Side::right(&drive), &whole, &mut progress)?);
     }
     drop(progress);
     let tables = tables::of_constraints(&cells);

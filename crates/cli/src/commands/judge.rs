@@ -30,12 +30,14 @@ pub(crate) struct Judged {
     pub(crate) exact_cloud: Option<CloudEvaluation>,
 }
 
-/// Compares a workspace with its drive; `truth` is the true model, `scan` what of the street its points may lie on.
+/// Compares a workspace with its drive; `truth` is the true model, `scan` what of the street its points may lie on, and `is_compared` which of
+/// them are looked at.
 pub(crate) fn judge(
     workspace: &Path,
     drive: &Drive,
     truth: &Path,
     scan: &[Vector3<f64>],
+    is_compared: impl Fn(&Vector3<f64>) -> bool,
 ) -> Result<Judged, Error> {
     let truth = Truth { format: TruthFormat::Colmap, path: truth.to_owned() };
     let poses = evaluate_poses(workspace, &truth, None)?;
@@ -45,6 +47,7 @@ pub(crate) fn judge(
     let whereabouts = whereabouts(&model, drive, &world_from_model);
     let near = |centre: &dyn Fn(&Whereabouts) -> Vector3<f64>, point: &Vector3<f64>| {
         whereabouts.iter().any(|place| (centre(place) - point).norm() < MAX_CLOUD_RANGE_M)
+            && is_compared(point)
     };
     let found = model.tracks().map(|(_, track)| world_from_model * track.xyz);
     let found: Vec<Vector3<f64>> = found.filter(|point| near(&|place| place.found, point)).collect();

@@ -1,22 +1,25 @@
 //! One reconstruction of an experiment against the truth: made once, kept as numbers.
 
+use std::cell::OnceCell;
 use std::fs;
 use std::path::PathBuf;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, reconstruct,
+    CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, RigCamera, reconstruct,
 };
 use tiepoint_synth::Drive;
 
+use super::side::Side;
 use super::{calibration, rendered, write};
 use crate::args::{Scenery, rig_name};
 use crate::commands::Failure;
 use crate::commands::judge::{Judged, judge};
-use crate::commands::synth::{Plan, driven_m};
+use crate::commands::synth::{Plan, driven_m, scan};
 use crate::progress::Progress;
 
 /// A trajectory is aligned to the truth by three places or more.
@@ -72,6 +75,8 @@ pub(super) struct Measured {
     pub(super) baseline_m: Option<f64>,
     pub(super) largest_baseline_m: Option<f64>,
     pub(super) baseline_spread_m: Option<f64>,
+    /// Length of the mounting that was found.
+    pub(super) mounting_m: Option<f64>,
     /// Of the stages, whenever they ran.
     pub(super) seconds: f64,
     /// Scale, rotation (w first) and translation of the model in the world.
@@ -91,13 +96,29 @@ impl From<CloudEvaluation> for Distance {
     }
 }
 
+/// What a laser scanner sees of the street: the same for all cells, and made for the first that needs it.
+pub(super) struct Scan(OnceCell<Vec<Vector3<f64>>>);
+
+impl Scan {
+    pub(super) fn new() -> Self {
+        Self(OnceCell::new())
+    }
+
+    fn beside(&self, drive: &Drive, side: &Side) -> Result<Vec<Vector3<f64>>, Failure> {
+        let whole = match self.0.get() {
+            Some(whole) => whole,
+            None => {
+                let made = scan(drive)?;
+                self.0.get_or_init(|| made)
+            }
+        };
+        Ok(whole.par_iter().filter(|point| side.has(point)).copied().collect())
+    }
+}
+
 impl Task<'_> {
-    /// The result of an earlier run, or a new one; `reference` is the cloud to compare with.
-    pub(super) fn run(
-        &self,
-        reference: impl FnOnce() -> Result<Vec<Vector3<f64>>, Failure>,
-        progress: &mut Progress,
-    ) -> Result<Cell, Failure> {
+    /// The result of an earlier run, or a new one, of what is on one side of the way.
+    pub(super) fn run(&self, side: &Side, scan: &Scan, progress: &mut Progress) -> Result<Cell, Failure> {
         let path = self.workspace.join(JUDGED);
         // The folder is of one set of options, so what is there is of these.
         let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<Cell>(&text).ok());
@@ -115,9 +136,15 @@ impl Task<'_> {
             failure: None,
             result: None,
         };
-        let made = self.reconstruct(progress).and_then(|report| Ok((report, self.judge(reference)?)));
-        let cell = match made {
-            Ok((report, judged)) => Cell { result: Some(Measured::new(&report, judged?)), ..cell },
+        let report = self.reconstruct(progress);
+        let scan = scan.beside(self.drive, side)?;
+        let is_there = |point: &Vector3<f64>| side.has(point);
+        let judge = |report| {
+            let judged = judge(&self.workspace, self.drive, &self.plan.truth(), &scan, is_there)?;
+            Ok(Measured::new(&report, judged))
+        };
+        let cell = match report.and_then(judge) {
+            Ok(result) => Cell { result: Some(result), ..cell },
             // Too few common views, or none that tell a scale, are a result too.
             Err(error @ (Error::NoOverlap { .. } | Error::Evaluation { .. } | Error::NoMoments { .. })) => {
                 Cell { failure: Some(error.to_string()), ..cell }
@@ -147,18 +174,6 @@ impl Task<'_> {
         let input = std::slice::from_ref(&self.plan.folder);
         reconstruct(input, &self.workspace, &options, &mut |event| progress.watch(event))
     }
-
-    /// The outer error is an outcome, the inner one is not.
-    fn judge(
-        &self,
-        reference: impl FnOnce() -> Result<Vec<Vector3<f64>>, Failure>,
-    ) -> Result<Result<Judged, Failure>, Error> {
-        let reference = match reference() {
-            Ok(reference) => reference,
-            Err(failure) => return Ok(Err(failure)),
-        };
-        judge(&self.workspace, self.drive, &self.plan.truth(), &reference).map(Ok)
-    }
 }
 
 impl Measured {
@@ -175,10 +190,14 @@ impl Measured {
             stages.map.as_ref().map(|stage| stage.seconds),
         ];
         let Sim3 { scale, rotation: r, translation: t } = poses.truth_from_model;
+        let model = report.models.first();
+        let mounting =
+            model.and_then(|model| model.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first());
+        let length = |camera: &RigCamera| scale * Vector3::from(camera.translation).norm();
         Self {
             registered: poses.registered,
             models: report.models.len(),
-            points: report.models.first().map_or(0, |model| model.points),
+            points: model.map_or(0, |model| model.points),
             cloud: cloud.map(Distance::from),
             exact_cloud: exact_cloud.map(Distance::from),
             surface_m: surface.and_then(|surface| Some(surface.near?.median)),
@@ -188,6 +207,7 @@ impl Measured {
             baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.mean),
             largest_baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.max),
             baseline_spread_m: baseline.as_ref().map(|baseline| baseline.translation_rms),
+            mounting_m: mounting.map(length),
             seconds: seconds.iter().flatten().sum(),
             world_from_model: [scale, r.w, r.i, r.j, r.k, t.x, t.y, t.z],
         }

@@ -5,6 +5,7 @@ use tiepoint_pipeline::{Table, TableRow};
 
 use super::cell::{Cell, Measured};
 use crate::args::rig_name;
+use crate::commands::synth::BASELINE_M;
 
 /// Experiment I.
 pub(super) fn of_mountings(cells: &[Cell]) -> Vec<Table> {
@@ -28,8 +29,10 @@ pub(super) fn of_constraints(cells: &[Cell]) -> Vec<Table> {
     };
     let in_distance = change(|measured| Some(measured.cloud?.mean_m));
     let in_ate = change(|measured| Some(measured.ate_m));
-    let more: [Column; 5] = [
-        ("Baseline, mean [m]", &|measured| Some(format!("{:.3}", measured.baseline_m?))),
+    let mounting = format!("Mounting (true {BASELINE_M:.3}) [m]");
+    let more: [Column; 6] = [
+        (&mounting, &|measured| Some(format!("{:.3}", measured.mounting_m?))),
+        ("Pairs by stamps: distance, mean [m]", &|measured| Some(format!("{:.3}", measured.baseline_m?))),
         ("largest", &|measured| Some(format!("{:.3}", measured.largest_baseline_m?))),
         ("spread", &|measured| Some(format!("{:.3}", measured.baseline_spread_m?))),
         ("Distance, change", &in_distance),
