@@ -121,7 +121,7 @@ pub(crate) struct Input {
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
     /// Of a video, one frame of so many is taken, the sharpest; frames that show nothing new, at a stop, are left out.
-    #[arg(long, value_name = "N", default_value_t = default_every())]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_EVERY)]
     pub(crate) every: NonZeroUsize,
     /// When the photos were taken: CSV with the header `image,seconds`. By default from their names or EXIF.
     #[arg(long, value_name = "FILE.csv")]
@@ -129,10 +129,6 @@ pub(crate) struct Input {
     /// Where nothing is to be detected: a folder with a mask for each photo, black being out (left/1.jpg.png for left/1.jpg).
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
-}
-
-fn default_every() -> NonZeroUsize {
-    NonZeroUsize::new(DEFAULT_EVERY).unwrap_or(NonZeroUsize::MIN)
 }
 
 #[derive(Debug, Args)]

@@ -6,6 +6,7 @@
 
 use tiepoint_geometry::Sim3;
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use tiepoint_geometry::numeric::median;
 
 use crate::{Alignment, Cloud, IcpOptions};
 
@@ -55,12 +56,8 @@ struct Shape {
 
 impl Shape {
     fn of(points: &[Vector3<f64>]) -> Option<Self> {
-        let median = |axis: usize| {
-            let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied()
-        };
-        let middle = Vector3::new(median(0)?, median(1)?, median(2)?);
+        let middle = |axis: usize| median(&mut points.iter().map(|point| point[axis]).collect::<Vec<f64>>());
+        let middle = Vector3::new(middle(0)?, middle(1)?, middle(2)?);
         let mut inner: Vec<Vector3<f64>> = points.iter().map(|point| point - middle).collect();
         inner.sort_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
         inner.truncate(((inner.len() as f64 * INNER) as usize).max(1));

@@ -9,6 +9,7 @@ mod error;
 pub mod estimate;
 mod loss;
 mod manifold;
+pub mod numeric;
 mod ransac;
 mod rigid3;
 mod rng;

@@ -11,7 +11,7 @@ use crate::pixels;
 use crate::{Error, Luma, Result, Rgb};
 
 /// Names of files with these endings, in any case, are taken for images.
-pub const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 /// Folders deeper than this below an input are taken for a loop of links.
 const MAX_DEPTH: usize = 16;
 
@@ -204,9 +204,14 @@ fn list(folder: &Path, found: &mut Vec<PathBuf>, depth: usize) -> Result<()> {
     Ok(())
 }
 
-fn is_image(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
-    extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
+/// Whether a file is taken for an image, by its name.
+pub fn is_image(path: &Path) -> bool {
+    has_extension(path, &IMAGE_EXTENSIONS)
+}
+
+/// Whether the ending of a file's name is one of these, in any case.
+pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    path.extension().is_some_and(|ending| extensions.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
 fn text(path: &Path, part: &std::ffi::OsStr) -> Result<String> {

@@ -28,7 +28,7 @@ pub mod video;
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
 pub use exif::Exif;
-pub use images::{IMAGE_EXTENSIONS, ImageFolder, ImageInfo, ImageSource, SourceImage};
+pub use images::{ImageFolder, ImageInfo, ImageSource, SourceImage, is_image};
 pub use pixels::{Luma, Rgb};
 pub use tiepoint_features as features;
 pub use tiepoint_scene as scene;

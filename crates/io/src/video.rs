@@ -11,11 +11,12 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use crate::exif::seconds_of_date;
+use crate::images::has_extension;
 use crate::pixels::check_size;
 use crate::{Error, Result, Rgb};
 
 /// Names of files with these endings, in any case, are taken for videos.
-pub const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
+const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
 /// Lines of ffmpeg's that an error quotes.
 const QUOTED_LINES: usize = 3;
 /// ffmpeg took `-vsync` for what it calls `-fps_mode` since 5.1.
@@ -23,8 +24,7 @@ const FIRST_WITH_FPS_MODE: (u32, u32) = (5, 1);
 
 /// Whether a file is taken for a video, by its name.
 pub fn is_video(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
-    extension.is_some_and(|extension| VIDEO_EXTENSIONS.contains(&extension.as_str()))
+    has_extension(path, &VIDEO_EXTENSIONS)
 }
 
 /// One recording by one camera: files that follow each other.

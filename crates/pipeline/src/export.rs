@@ -1,6 +1,7 @@
 //! A result in formats of others.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -9,7 +10,9 @@ use serde::Serialize;
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{self, Format, read_model};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort};
+use tiepoint_io::{
+    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort,
+};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
@@ -18,7 +21,7 @@ use crate::evaluate::{first_folder, model_folder};
 use crate::kalibr;
 use crate::records::Records;
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::STAGES;
+use crate::workspace::{RIG, STAGES};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,8 +110,8 @@ fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path
         ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
         ExportFormat::Nerfstudio => export_nerfstudio(from, model, to)?,
         ExportFormat::Kalibr => {
-            let (text, cameras) = kalibr::camchain(model, &folder.join("../../rig.json"))?;
-            std::fs::write(to, text).map_err(|cause| Error::Output { path: to.to_owned(), cause })?;
+            let (text, cameras) = kalibr::camchain(model, &folder.join("../..").join(RIG))?;
+            AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?;
             (poses, points) = (cameras, 0);
         }
         ExportFormat::Ply => {

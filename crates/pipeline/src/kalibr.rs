@@ -9,7 +9,7 @@ use std::path::Path;
 
 use tiepoint_sfm::geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
-use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, Reconstruction};
 
 use crate::rig_over_time::folder_of;
 use crate::{Error, RigCamera, RigFile};
@@ -22,8 +22,9 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
     let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
     let file: RigFile = serde_json::from_slice(&text)
         .map_err(|error| Error::Broken { path: rig.to_owned(), what: error.to_string() })?;
-    let find = |name: &str| -> Result<(CameraId, &Camera), Error> {
-        let camera = model.cameras().find(|(id, _)| folder_of(model, *id) == name);
+    let find = |name: &str| -> Result<&Camera, Error> {
+        let mut cameras = model.cameras();
+        let camera = cameras.find(|(id, _)| folder_of(model, *id) == name).map(|(_, camera)| camera);
         camera
             .ok_or_else(|| Error::Broken { path: rig.to_owned(), what: format!("there is no camera {name}") })
     };
@@ -33,7 +34,7 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
     for (index, (name, camera)) in
         all.chain(file.cameras.iter().map(|c| (c.name.as_str(), Some(c)))).enumerate()
     {
-        let (_, lens) = find(name)?;
+        let lens = find(name)?;
         let pose = camera.map_or_else(Rigid3::identity, cam_from_rig);
         // Writing to a string does not fail.
         let _ = writeln!(
@@ -43,7 +44,7 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         );
         yaml += &lens_lines(&lens.intrinsics);
         if let Some(camera) = camera {
-            let _ = write!(yaml, "{}", mount_lines(&(pose * before.inverse()), camera));
+            yaml += &mount_lines(&(pose * before.inverse()), camera);
         }
         before = pose;
     }

@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Sim3;
 use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::rig::{RelativePose, robust_average};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{Companion, Moment, MountedCamera, MountingCovariance, companions};
@@ -94,8 +95,7 @@ fn length_of_pairs(model: &Reconstruction, known: &[Companion]) -> Result<Length
     let units = average.translation.norm();
     let mut deviations: Vec<f64> =
         poses.iter().map(|pose| (pose.translation - average.translation).norm()).collect();
-    deviations.sort_by(f64::total_cmp);
-    let typical = deviations[count / 2];
+    let typical = median(&mut deviations).unwrap_or(f64::INFINITY);
     if typical > units {
         return Err(format!(
             "the place of {right} beside {left} scatters by {typical:.3} units, which is more than their distance of {units:.3}"

@@ -1,3 +1,4 @@
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::{
@@ -13,7 +14,7 @@ pub struct Options {
     /// Where nothing is to be detected: a folder with a mask for each image, 0 being out.
     pub masks: Option<PathBuf>,
     /// Of videos, one frame of so many is taken, the sharpest.
-    pub every: usize,
+    pub every: NonZeroUsize,
     /// Second stage.
     pub matching: MatchOptions,
     /// Third stage.

@@ -21,7 +21,7 @@ use tiepoint_sfm::{
 
 use crate::records::Records;
 use crate::rig_over_time::folder_of;
-use crate::workspace::STAGES;
+use crate::workspace::{REPORT, RIG, STAGES};
 use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
 
 /// What it took to make a model rigid.
@@ -63,9 +63,9 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
             model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
         known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
     }
-    let rig = folder.join("../../rig.json");
+    let rig = folder.join("../..").join(RIG);
     let found = if rig.is_file() { mounted(&model, &rig)? } else { Vec::new() };
-    let bad = bad_images(&model, &folder.join("../../report.json"))?;
+    let bad = bad_images(&model, &folder.join("../..").join(REPORT))?;
     let candidates = if found.is_empty() {
         companions(&model).into_iter().map(|companion| (companion, None)).collect()
     } else {

@@ -5,19 +5,21 @@
 //! median over blocks of a small copy of how far its slopes would have to move to change it so; cars that pass do not move a median.
 
 use std::fs;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_io::timestamps;
 use tiepoint_io::video::{Recording, VideoReader, is_video, recordings};
-use tiepoint_io::{IMAGE_EXTENSIONS, Rgb};
+use tiepoint_io::{Rgb, is_image};
+use tiepoint_sfm::geometry::numeric::median;
 
 use crate::fingerprint::of_files;
 use crate::records::write_json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
 
 /// The paper takes every third frame of a camera at 30 Hz.
-pub const DEFAULT_EVERY: usize = 3;
+pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
 /// Width of the small copy on which frames are compared, about.
 const SMALL_WIDTH: u32 = 320;
 /// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that gives it texture.
@@ -34,7 +36,7 @@ const RECORD: &str = "videos.json";
 /// What the frames were made from; written last.
 #[derive(Debug, Serialize, Deserialize, PartialEq, Eq)]
 struct Record {
-    every: usize,
+    every: NonZeroUsize,
     /// Name and fingerprint of each recording.
     videos: Vec<(String, String)>,
 }
@@ -55,7 +57,7 @@ pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
     root: &Path,
-    every: usize,
+    every: NonZeroUsize,
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<Opened, Error> {
@@ -94,11 +96,7 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
             let entries = entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
-            let has_extension = |path: &PathBuf| {
-                let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-                extension.is_some_and(|e| IMAGE_EXTENSIONS.contains(&e.as_str()))
-            };
-            if !here.iter().any(has_extension) {
+            if !here.iter().any(|path| is_image(path)) {
                 files.extend(here.into_iter().filter(|path| path.is_file() && is_video(path)));
             }
         } else if is_video(input) {
@@ -137,7 +135,7 @@ fn extract(
     recordings: &[Recording],
     folder: &Path,
     times: &Path,
-    every: usize,
+    every: NonZeroUsize,
     watch: Watch,
 ) -> Result<(), Error> {
     let output = |path: &Path| {
@@ -202,14 +200,14 @@ impl Candidate {
 
 /// Takes the sharpest of each so many frames, unless it shows what the last one showed.
 struct Chooser {
-    every: usize,
+    every: NonZeroUsize,
     seen: usize,
     best: Option<Candidate>,
     last: Option<Small>,
 }
 
 impl Chooser {
-    fn new(every: usize) -> Self {
+    fn new(every: NonZeroUsize) -> Self {
         Self { every, seen: 0, best: None, last: None }
     }
 
@@ -218,7 +216,7 @@ impl Chooser {
             self.best = Some(frame);
         }
         self.seen += 1;
-        if self.seen == self.every { self.end() } else { None }
+        if self.seen == self.every.get() { self.end() } else { None }
     }
 
     /// What is left when no more frames come.
@@ -287,8 +285,7 @@ impl Small {
                 movements.extend(self.block_movement_px(other, left, top));
             }
         }
-        movements.sort_by(f64::total_cmp);
-        (movements.len() >= MIN_BLOCKS).then(|| movements[movements.len() / 2])
+        if movements.len() < MIN_BLOCKS { None } else { median(&mut movements) }
     }
 
     /// Root mean square change of brightness over root mean square slope, where there are slopes in all directions. Exposure may differ.
@@ -334,7 +331,7 @@ mod tests {
     }
 
     fn kept(every: usize, frames: &[(f64, usize)]) -> Vec<usize> {
-        let mut chooser = Chooser::new(every);
+        let mut chooser = Chooser::new(NonZeroUsize::new(every).unwrap());
         let mut kept: Vec<usize> = frames
             .iter()
             .enumerate()
@@ -365,7 +362,7 @@ mod tests {
     #[test]
     fn a_picture_without_texture_is_kept() {
         let grey = |level: u8| Rgb { width: 64, height: 48, data: vec![level; 64 * 48 * 3] };
-        let mut chooser = Chooser::new(1);
+        let mut chooser = Chooser::new(NonZeroUsize::MIN);
         for index in 0..3 {
             assert!(chooser.add(Candidate::new(index, 0.0, grey(9))).is_some());
         }

@@ -9,12 +9,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_eval::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
+use tiepoint_eval::geometry::numeric::median;
 use tiepoint_eval::geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::read_model;
 use tiepoint_io::{AtomicFile, timestamps};
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::evaluate::model_folder;
+use crate::workspace::{REPORT, RIG};
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
 const TEMPLATE: &str = include_str!("view.html");
@@ -167,7 +169,7 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
     let report = path.join("report.json");
     let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
     let mut files = Vec::new();
-    for name in ["rig.json", "report.json"] {
+    for name in [RIG, REPORT] {
         if let Ok(text) = std::fs::read_to_string(path.join(name)) {
             files.push((name, text));
         }
@@ -221,9 +223,7 @@ fn upright(exhibit: &Exhibit) -> Sim3 {
     let seen = exhibit.model.tracks().map(|(_, track)| world_from_model * track.xyz);
     let places: Vec<Vector3<f64>> = seen.chain(poses.iter().map(Rigid3::origin_in_a)).collect();
     let middle = |axis: usize| {
-        let mut values: Vec<f64> = places.iter().map(|place| place[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+        median(&mut places.iter().map(|place| place[axis]).collect::<Vec<f64>>()).unwrap_or(0.0)
     };
     let centre = Vector3::new(middle(0), middle(1), middle(2));
     let mut distances: Vec<f64> = places.iter().map(|place| (place - centre).norm()).collect();
@@ -300,8 +300,7 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
     let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
     let steps = poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
     let mut steps: Vec<f64> = steps.collect();
-    steps.sort_by(f64::total_cmp);
-    let depth = CAMERA_DEPTH * steps.get(steps.len() / 2).copied().unwrap_or(1.0);
+    let depth = CAMERA_DEPTH * median(&mut steps).unwrap_or(1.0);
     let mut all: BTreeMap<CameraId, Vec<f32>> = BTreeMap::new();
     for (id, pose) in poses.iter().step_by(step) {
         let camera = model.camera(*id);

@@ -17,7 +17,8 @@ pub struct Workspace {
 
 const LOCK: &str = ".lock";
 pub(crate) const STAGES: &str = "stages.json";
-const REPORT: &str = "report.json";
+pub(crate) const REPORT: &str = "report.json";
+pub(crate) const RIG: &str = "rig.json";
 const DATABASE: &str = "database.db";
 const SPARSE: &str = "sparse";
 
@@ -101,7 +102,7 @@ impl Workspace {
 
     /// The calibration of the cameras that ride together, and their clocks; there only where they were held to mountings.
     pub fn rig(&self) -> PathBuf {
-        self.root.join("rig.json")
+        self.root.join(RIG)
     }
 
     /// When each image was taken.

@@ -4,6 +4,7 @@
 //! moment in two would be needed to carry them off, where one in forty carries off a mean.
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::so3;
 
 use crate::RelativePose;
@@ -44,23 +45,19 @@ pub fn robust_average(poses: &[RelativePose]) -> Option<RelativePose> {
 /// Starts considered for the rotation; each costs as many angles as there are moments.
 const MAX_STARTS: usize = 64;
 
-fn componentwise_median(values: &[Vector3<f64>]) -> Vector3<f64> {
+/// Infinite of nothing.
+pub(crate) fn componentwise_median(values: &[Vector3<f64>]) -> Vector3<f64> {
     Vector3::from_fn(|row, _| {
         let mut column: Vec<f64> = values.iter().map(|value| value[row]).collect();
-        column.sort_by(f64::total_cmp);
-        column[column.len() / 2]
+        median(&mut column).unwrap_or(f64::INFINITY)
     })
 }
 
 /// The mean of the offsets, each weighed by one over its length.
 fn weiszfeld_step(offsets: &[Vector3<f64>]) -> Vector3<f64> {
-    let mut lengths: Vec<f64> = offsets.iter().map(|offset| offset.norm()).collect();
-    let weights: Vec<f64> = {
-        let unsorted = lengths.clone();
-        lengths.sort_by(f64::total_cmp);
-        let floor = (FLOOR * lengths[lengths.len() / 2]).max(f64::MIN_POSITIVE.sqrt());
-        unsorted.into_iter().map(|length| 1.0 / length.max(floor)).collect()
-    };
+    let lengths: Vec<f64> = offsets.iter().map(|offset| offset.norm()).collect();
+    let floor = (FLOOR * median(&mut lengths.clone()).unwrap_or(0.0)).max(f64::MIN_POSITIVE.sqrt());
+    let weights: Vec<f64> = lengths.into_iter().map(|length| 1.0 / length.max(floor)).collect();
     let sum: Vector3<f64> = offsets.iter().zip(&weights).map(|(offset, weight)| offset * *weight).sum();
     sum / weights.iter().sum::<f64>()
 }

@@ -8,8 +8,10 @@
 //! grows with a wrong offset.
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::numeric::{golden_section, median};
 use tiepoint_geometry::{Rigid3, so3};
 
+use crate::average::componentwise_median;
 use crate::{RelativePose, Trajectory};
 
 /// Clocks that show the same hour are set by hand: to better than this, in seconds.
@@ -28,8 +30,8 @@ const MIN_IMAGES: usize = 6;
 /// Scales of Cauchy's loss, in medians.
 const LOSS_SCALE: f64 = 1.5;
 const REWEIGHTINGS: usize = 8;
-/// Rounds of the golden section, from two steps down to a ten-thousandth of one.
-const ROUNDS: usize = 24;
+/// Steps of the golden section, from two steps of the search down to a ten-thousandth of one.
+const GOLDEN_STEPS: usize = 24;
 
 /// An offset that was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +88,7 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOf
     };
     let grid = offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s));
     let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let offset_s = golden_section(&cost, coarse_s - step_s, coarse_s + step_s);
+    let offset_s = golden_section(cost, coarse_s - step_s, coarse_s + step_s, GOLDEN_STEPS);
     let (best, count) = (cost(offset_s), right.len() as f64);
     // Curvature over a tenth of a step, where the loss is smooth.
     let h = 0.1 * step_s;
@@ -135,7 +137,8 @@ impl Samples {
 /// Of the values from their median.
 fn median_distance(values: &[Vector3<f64>]) -> f64 {
     let centre = componentwise_median(values);
-    median(values.iter().map(|value| (value - centre).norm()).collect())
+    let mut distances: Vec<f64> = values.iter().map(|value| (value - centre).norm()).collect();
+    median(&mut distances).unwrap_or(f64::INFINITY)
 }
 
 /// The mean loss about the centre that makes it least.
@@ -149,32 +152,4 @@ fn cauchy(values: &[Vector3<f64>], scale: f64) -> f64 {
         centre = sum / weights.iter().sum::<f64>();
     }
     values.iter().map(|value| relative(value, &centre).ln_1p()).sum::<f64>() / values.len() as f64
-}
-
-fn componentwise_median(values: &[Vector3<f64>]) -> Vector3<f64> {
-    Vector3::from_fn(|row, _| median(values.iter().map(|value| value[row]).collect()))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
-}
-
-/// Where a function with one minimum between two places has it.
-fn golden_section(cost: &dyn Fn(f64) -> f64, mut from: f64, mut to: f64) -> f64 {
-    const RATIO: f64 = 0.618_033_988_749_895;
-    let (mut low, mut high) = (to - RATIO * (to - from), from + RATIO * (to - from));
-    let (mut cost_low, mut cost_high) = (cost(low), cost(high));
-    for _ in 0..ROUNDS {
-        if cost_low <= cost_high {
-            (to, high, cost_high) = (high, low, cost_low);
-            low = to - RATIO * (to - from);
-            cost_low = cost(low);
-        } else {
-            (from, low, cost_low) = (low, high, cost_high);
-            high = from + RATIO * (to - from);
-            cost_high = cost(high);
-        }
-    }
-    0.5 * (from + to)
 }

@@ -1,6 +1,7 @@
 //! The poses of a camera over time, where it was in between, and how far that can be trusted.
 
 use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::numeric::median;
 
 use crate::{Knots, se3};
 
@@ -95,13 +96,11 @@ pub fn jitter_s(times_s: &[f64]) -> f64 {
     // Of |x| for a unit normal; the second difference has six times the variance.
     const MEDIAN: f64 = 0.6745;
     let mut seconds: Vec<f64> = times_s.windows(3).map(|t| (t[0] - 2.0 * t[1] + t[2]).abs()).collect();
-    seconds.sort_by(f64::total_cmp);
-    seconds.get(seconds.len() / 2).map_or(0.0, |median| median / (MEDIAN * 6f64.sqrt()))
+    median(&mut seconds).map_or(0.0, |median| median / (MEDIAN * 6f64.sqrt()))
 }
 
 /// Median of the differences of times in order.
 pub fn interval_s(times_s: &[f64]) -> f64 {
     let mut intervals: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    intervals.get(intervals.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(&mut intervals).unwrap_or(f64::INFINITY)
 }

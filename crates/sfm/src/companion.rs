@@ -8,12 +8,13 @@ use std::collections::BTreeMap;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::SMatrix;
+use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{
     Clock, Mounted, MountedInTime, RelativePose, Trajectory, find_offset, interval_s, jitter_s,
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::rig_pairs::{by_name, by_time, images_of_cameras, moments as times_of};
+use crate::rig_pairs::{RigPair, by_name, by_time, images_of_cameras, moments as times_of};
 
 /// An image of a further camera, and where the first camera was.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -185,8 +186,7 @@ fn coinciding(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option
             .filter(|phase| phase.abs() <= interval_s)
     };
     let mut phases: Vec<f64> = rights.iter().filter_map(phase).collect();
-    phases.sort_by(f64::total_cmp);
-    let median = *phases.get(phases.len() / 2)?;
+    let median = median(&mut phases)?;
     let coincide = phases.iter().filter(|phase| (*phase - median).abs() <= MAX_JITTER * interval_s).count();
     (coincide as f64 >= COINCIDING * phases.len() as f64).then_some(offset_s - median)
 }
@@ -200,17 +200,17 @@ impl Companion {
             return Vec::new();
         };
         let has_pose = |id: ImageId| model.image(id).cam_from_world().is_some();
+        let of_one_instant = |pairs: Vec<RigPair>| -> Vec<Moment> {
+            let both = pairs.iter().filter(|pair| has_pose(pair.left) && has_pose(pair.right));
+            both.map(|pair| Moment { right: pair.right, left: Left::At(pair.left) }).collect()
+        };
         let (Some(lefts), Some(mut rights)) = (times_of(model, left_images), times_of(model, right_images))
         else {
-            let pairs = by_name(model, left_images, right_images);
-            let both = pairs.iter().filter(|pair| has_pose(pair.left) && has_pose(pair.right));
-            return both.map(|pair| Moment { right: pair.right, left: Left::At(pair.left) }).collect();
+            return of_one_instant(by_name(model, left_images, right_images));
         };
         if self.timing == Timing::Together {
             rights.iter_mut().for_each(|(time_s, _)| *time_s = self.clock.reference_time_s(*time_s));
-            let pairs = by_time(&lefts, &rights);
-            let both = pairs.iter().filter(|pair| has_pose(pair.left) && has_pose(pair.right));
-            return both.map(|pair| Moment { right: pair.right, left: Left::At(pair.left) }).collect();
+            return of_one_instant(by_time(&lefts, &rights));
         }
         let lefts: Vec<(f64, ImageId, Rigid3)> = lefts
             .iter()

@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_geometry::numeric::{golden_section, median};
 use tiepoint_geometry::{Intrinsics, RansacOptions, estimate};
 use tiepoint_scene::{
     CameraId, CorrespondenceGraph, ImageId, ImagePair, Reconstruction, TwoView, TwoViewKind,
@@ -117,9 +118,8 @@ impl Pair {
             .map(|m| (pixel(images.a, m.a), pixel(images.b, m.b)))
             .unzip();
         let mut flow_px: Vec<f64> = pixels1.iter().zip(&pixels2).map(|(a, b)| (b - a).norm()).collect();
-        flow_px.sort_by(f64::total_cmp);
         let camera = model.camera_of(images.a);
-        let flow = flow_px[flow_px.len() / 2] / f64::from(camera.width.max(camera.height));
+        let flow = median(&mut flow_px)? / f64::from(camera.width.max(camera.height));
         (flow >= FLOW.0).then(|| Self {
             images: *images,
             cameras: [model.image(images.a).camera, model.image(images.b).camera],
@@ -198,7 +198,7 @@ fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Op
         beyond.min_by(f64::total_cmp).is_none_or(|cost| cost >= MIN_RELATIVE_RISE * least)
     };
     let is_determined = rise(&|f| f >= 2.0 * focal_px) && rise(&|f| f <= 0.5 * focal_px);
-    is_determined.then(|| golden_section(cost, focal_px / ratio, focal_px * ratio))
+    is_determined.then(|| golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS))
 }
 
 /// The same with another focal length, in both directions.
@@ -208,23 +208,4 @@ pub(crate) fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
         changed.params_mut()[param] = focal_px;
     }
     changed
-}
-
-/// The minimum of a function with one minimum in [low, high].
-fn golden_section(function: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
-    let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-    let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
-    let (mut at_a, mut at_b) = (function(a), function(b));
-    for _ in 0..NUM_GOLDEN_STEPS {
-        if at_a < at_b {
-            (high, b, at_b) = (b, a, at_a);
-            a = high - golden * (high - low);
-            at_a = function(a);
-        } else {
-            (low, a, at_a) = (a, b, at_b);
-            b = low + golden * (high - low);
-            at_b = function(b);
-        }
-    }
-    0.5 * (low + high)
 }

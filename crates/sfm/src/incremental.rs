@@ -138,7 +138,8 @@ pub fn map(
         };
         match mapper.run(watch) {
             Ok(()) => {}
-            Err(Error::NoInitialPair { .. }) if !models.is_empty() => break,
+            // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
+            Err(Error::NoInitialPair { .. } | Error::NothingToAdjust { .. }) if !models.is_empty() => break,
             Err(error) => return Err(error),
         }
         let registered: Vec<ImageId> = mapper.model.registered().map(|(id, ..)| id).collect();
@@ -453,7 +454,7 @@ impl<'a> Mapper<'a> {
         let bundle: BTreeSet<ImageId> = std::iter::once(image)
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
-        let links = self.links();
+        let links = growing_links(&self.model, self.rigs);
         let options = self.adjust_options(&links, 1e-4, 25);
         match adjust(&mut self.model, &Scope::Local(&bundle), &options, &mut keep_going) {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
@@ -484,7 +485,7 @@ impl<'a> Mapper<'a> {
         let mut before = (self.model.num_observations(), f64::INFINITY);
         for _ in 0..rounds {
             recreate_tracks(self.graph, &mut self.model, &self.options.tracks);
-            let links = self.links();
+            let links = growing_links(&self.model, self.rigs);
             let after = self.adjust_globally(&links, function_tolerance, max_iterations, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
@@ -493,14 +494,6 @@ impl<'a> Mapper<'a> {
             before = after;
         }
         Ok(())
-    }
-
-    /// The paper's terms of the model as it is now.
-    fn links(&self) -> Vec<BaselineLink> {
-        match self.options.rig {
-            RigTerm::Paper => growing_links(&self.model, self.rigs),
-            _ => Vec::new(),
-        }
     }
 
     /// Adjusts and filters everything. Returns the number of observations and the cost.

@@ -16,6 +16,7 @@ use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_ba::Factor;
+use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
 use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, Observation, Reconstruction};
@@ -128,14 +129,14 @@ pub(crate) fn hold_to_mountings(
     term: RigTerm,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<(), Error> {
-    if companions(model).iter().all(|companion| companion.moments(model).is_empty()) {
+    let mut companions = companions(model);
+    if companions.iter().all(|companion| companion.moments(model).is_empty()) {
         return Ok(());
     }
     hold_out_tracks(model, HELD_OUT_SHARE, context.seed);
     let held_out = held_out(model);
     context.refine(model, &mut [], 1.0)?;
     let error_off_px = held_out_error_px(model, &held_out);
-    let mut companions = companions(model);
     let off = model.clone();
     let (mut best, mut is_firm) = (None, false);
     // Once more when a clock turns out not to be observable.
@@ -175,8 +176,7 @@ pub(crate) fn hold_to_mountings(
             let left = moment.nearest_left(&mounting.clock);
             tell(watch, &Event::BadPair { left, right: moment.right })?;
         }
-        let poses: Vec<RelativePose> =
-            relative_poses(model, &mounting.moments, &mounting.clock).into_iter().map(|(_, p)| p).collect();
+        let poses = relative_poses(model, &mounting.moments, &mounting.clock);
         let camera = MountedCamera {
             left: mounting.left,
             right: mounting.right,
@@ -226,7 +226,9 @@ impl Mounting {
             .filter_map(residual)
             .map(|r| (r.fixed_rows::<3>(0).norm(), r.fixed_rows::<3>(3).norm()))
             .unzip();
-        [&mut ts, &mut rs].into_iter().all(|norms| median(norms) <= MAX_LEFT * MEDIAN_OF_THREE)
+        [&mut ts, &mut rs]
+            .into_iter()
+            .all(|norms| median(norms).is_none_or(|norm| norm <= MAX_LEFT * MEDIAN_OF_THREE))
     }
 
     fn companion(&self) -> Companion {
@@ -286,6 +288,9 @@ impl Context<'_> {
         mountings: &[Mounting],
         companions: &mut [Companion],
     ) -> Result<bool, Error> {
+        if companions.iter().all(|companion| companion.timing != Timing::Free) {
+            return Ok(false);
+        }
         let covariances = mounting_covariances(model, &self.adjust, mountings)?;
         let mut is_any = false;
         for (mounting, covariance) in mountings.iter().zip(covariances) {
@@ -329,8 +334,9 @@ impl Context<'_> {
     ) -> Vec<Mounting> {
         let mounting = |companion: &Companion| -> Option<Mounting> {
             let Companion { left, right, clock, timing } = *companion;
-            let (moments, poses): (Vec<Moment>, Vec<RelativePose>) =
-                relative_poses(model, &companion.moments(model), &clock).into_iter().unzip();
+            // All of a companion's moments have poses.
+            let moments = companion.moments(model);
+            let poses = relative_poses(model, &moments, &clock);
             let average = robust_average(&poses)?;
             let (spread_t, spread_r) = spread_of(&poses, &average);
             let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
@@ -389,9 +395,9 @@ impl Context<'_> {
     }
 }
 
-/// The relative poses at some moments.
-fn relative_poses(model: &Reconstruction, moments: &[Moment], clock: &Clock) -> Vec<(Moment, RelativePose)> {
-    moments.iter().filter_map(|moment| Some((*moment, moment.relative_pose(model, clock)?))).collect()
+/// The relative poses at those of some moments where both cameras have one.
+fn relative_poses(model: &Reconstruction, moments: &[Moment], clock: &Clock) -> Vec<RelativePose> {
+    moments.iter().filter_map(|moment| moment.relative_pose(model, clock)).collect()
 }
 
 /// Distance of the centre in baselines, and angle.
@@ -406,25 +412,18 @@ fn deviation(pose: &RelativePose, average: &RelativePose) -> (f64, f64) {
 /// Medians of the deviations as standard deviations of a component.
 fn spread_of(poses: &[RelativePose], average: &RelativePose) -> (f64, f64) {
     let (mut ts, mut rs): (Vec<f64>, Vec<f64>) = poses.iter().map(|pose| deviation(pose, average)).unzip();
-    (median(&mut ts) / MEDIAN_OF_THREE, median(&mut rs) / MEDIAN_OF_THREE)
+    let sigma = |norms: &mut [f64]| median(norms).unwrap_or(0.0) / MEDIAN_OF_THREE;
+    (sigma(&mut ts), sigma(&mut rs))
 }
 
 /// The median length of a vector of three unit normals.
 const MEDIAN_OF_THREE: f64 = 1.538;
 
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// The widest spread of any camera, as standard deviations of components.
 fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64) {
     let mut widest = (0.0_f64, 0.0_f64);
     for companion in companions {
-        let poses: Vec<RelativePose> = relative_poses(model, &companion.moments(model), &companion.clock)
-            .into_iter()
-            .map(|(_, p)| p)
-            .collect();
+        let poses = relative_poses(model, &companion.moments(model), &companion.clock);
         let Some(average) = robust_average(&poses) else { continue };
         let (t, r) = spread_of(&poses, &average);
         widest = (widest.0.max(t), widest.1.max(r));

@@ -12,9 +12,11 @@ mod side;
 mod tables;
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use tiepoint_pipeline::io::AtomicFile;
 use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::{Calibration, Exhibit, Report, Table, Workspace, report_html};
@@ -197,6 +199,5 @@ fn finish(
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    fs::write(path, text)
-        .map_err(|cause| Failure::CouldNot(format!("cannot write {}: {cause}", path.display())))
+    Ok(AtomicFile::write_with(path, |file| file.write_all(text.as_bytes()))?)
 }

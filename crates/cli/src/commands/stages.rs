@@ -16,7 +16,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
     let options = Options {
         features: feature_options(&args.input, &args.cameras)?,
         masks: args.input.masks.clone(),
-        every: args.input.every.get(),
+        every: args.input.every,
         matching: match_options(&args.pairs, &args.seed),
         mapping: map_options(&args.mapping, &args.seed),
         redo: args.redo,
@@ -36,7 +36,7 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
     let mut progress = Progress::new(output);
     let Input { inputs, output: root, masks, every, .. } = &args.input;
     let Opened { photos, mut workspace, timestamps } =
-        open_input(inputs, masks.as_deref(), root, every.get(), redo, &mut |event| progress.watch(event))?;
+        open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| progress.watch(event))?;
     options.timestamps = options.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, Key, Order};
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
+use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Loss, Rigid3};
 use tiepoint_rig::{Clock, Mounted, MountedInTime};
 use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
@@ -87,13 +88,9 @@ fn relative_noise(model: &Reconstruction) -> f64 {
             Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
         }));
     }
-    errors.sort_by(f64::total_cmp);
     let (equations, unknowns) = (2 * errors.len(), 3 * num_points + 6 * model.num_registered());
     let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
-    errors
-        .get(errors.len() / 2)
-        .map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt())
-        .max(f64::MIN_POSITIVE)
+    median(&mut errors).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
 }
 
 impl Bundle {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_geometry::Rigid3;
-use tiepoint_rig::{RelativePose, robust_average};
+use tiepoint_rig::robust_average;
 use tiepoint_scene::{Frame, ImageId, Observation, Reconstruction, Rig, RigId, RigSensor};
 
 use super::{Hold, Mounting, relative_poses};
@@ -17,8 +17,7 @@ const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 pub(super) fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
     for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
         // After an adjustment all moments have one relative pose, before it their average serves.
-        let poses: Vec<RelativePose> =
-            relative_poses(model, &mounting.moments, &mounting.clock).into_iter().map(|(_, p)| p).collect();
+        let poses = relative_poses(model, &mounting.moments, &mounting.clock);
         let Some(average) = robust_average(&poses) else { continue };
         for moment in &mounting.moments {
             let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
