@@ -52,7 +52,8 @@ pub(crate) enum Command {
     /// its two cameras, with the paper's and with one mounting, compares all with the truth.
     Demo(Demo),
     /// The experiments of Huang, Elhashash & Qin 2022 in a rendered world: tables as theirs, clouds, trajectories, and what is true. By
-    /// default a run of a minute or two; --length 2200 --rate 10 --size 2000x1500 is as large as theirs.
+    /// default a run of a minute or two; --length 2200 --rate 10 --size 2000x1500 is as large as theirs. A model of COLMAP's in
+    /// the folder colmap/sparse/0 of a workspace gets a column beside ours.
     #[command(subcommand)]
     Experiment(Experiment),
 }

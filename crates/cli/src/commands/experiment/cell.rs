@@ -2,7 +2,7 @@
 
 use std::cell::OnceCell;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,8 @@ use crate::progress::Progress;
 pub(super) const MIN_FRAMES: usize = 3;
 /// Kept beside the workspace's own files.
 const JUDGED: &str = "judged.json";
+/// Where COLMAP's model may lie in a workspace, as `sparse/0`.
+const COLMAP: &str = "colmap";
 
 /// A reconstruction to make.
 pub(super) struct Task<'a> {
@@ -51,6 +53,8 @@ pub(super) struct Cell {
     /// Why there is no result, in one sentence.
     pub(super) failure: Option<String>,
     pub(super) result: Option<Measured>,
+    /// COLMAP's model of the same matches, where somebody put one into the folder `colmap` of the workspace.
+    pub(super) colmap: Option<Measured>,
 }
 
 /// A model against the truth.
@@ -119,11 +123,30 @@ impl Scan {
 impl Task<'_> {
     /// The result of an earlier run, or a new one, of what is on one side of the way.
     pub(super) fn run(&self, side: &Side, scan: &Scan, progress: &mut Progress) -> Result<Cell, Failure> {
+        let cell = self.own(side, scan, progress)?;
+        let folder = self.workspace.join(COLMAP);
+        if !folder.join("sparse/0").is_dir() {
+            return Ok(cell);
+        }
+        let path = folder.join(JUDGED);
+        let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let measured = match kept {
+            Some(kept) => kept,
+            None => {
+                let measured = Measured::new(None, self.judge(&folder, side, scan)??);
+                write(&path, &json(&measured))?;
+                measured
+            }
+        };
+        Ok(Cell { colmap: Some(measured), ..cell })
+    }
+
+    fn own(&self, side: &Side, scan: &Scan, progress: &mut Progress) -> Result<Cell, Failure> {
         let path = self.workspace.join(JUDGED);
         // The folder is of one set of options, so what is there is of these.
         let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<Cell>(&text).ok());
         if let Some(kept) = kept {
-            return Ok(Cell { workspace: self.workspace.clone(), ..kept });
+            return Ok(Cell { workspace: self.workspace.clone(), colmap: None, ..kept });
         }
         rendered(self.plan, self.drive, progress)?;
         let images = self.drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
@@ -135,25 +158,29 @@ impl Task<'_> {
             driven_m: driven_m(self.drive),
             failure: None,
             result: None,
+            colmap: None,
         };
         let report = self.reconstruct(progress);
-        let scan = scan.beside(self.drive, side)?;
-        let is_there = |point: &Vector3<f64>| side.has(point);
-        let judge = |report| {
-            let judged = judge(&self.workspace, self.drive, &self.plan.truth(), &scan, is_there)?;
-            Ok(Measured::new(&report, judged))
-        };
-        let cell = match report.and_then(judge) {
-            Ok(result) => Cell { result: Some(result), ..cell },
+        let cell = match report.and_then(|report| Ok((report, self.judge(&self.workspace, side, scan)?))) {
+            Ok((report, judged)) => Cell { result: Some(Measured::new(Some(&report), judged?)), ..cell },
             // Too few common views, or none that tell a scale, are a result too.
             Err(error @ (Error::NoOverlap { .. } | Error::Evaluation { .. } | Error::NoMoments { .. })) => {
                 Cell { failure: Some(error.to_string()), ..cell }
             }
             Err(error) => return Err(error.into()),
         };
-        let text = serde_json::to_string_pretty(&cell).expect("our own types are JSON: string keys");
-        write(&path, &text)?;
+        write(&path, &json(&cell))?;
         Ok(cell)
+    }
+
+    /// The outer error may be an outcome, the inner one is none.
+    fn judge(&self, model: &Path, side: &Side, scan: &Scan) -> Result<Result<Judged, Failure>, Error> {
+        let reference = match scan.beside(self.drive, side) {
+            Ok(reference) => reference,
+            Err(failure) => return Ok(Err(failure)),
+        };
+        let truth = self.plan.truth();
+        judge(model, self.drive, &truth, &reference, |point| side.has(point)).map(Ok)
     }
 
     fn reconstruct(&self, progress: &mut Progress) -> Result<Report, Error> {
@@ -176,28 +203,33 @@ impl Task<'_> {
     }
 }
 
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("our own types are JSON: string keys")
+}
+
 impl Measured {
-    fn new(report: &Report, judged: Judged) -> Self {
-        let Judged { poses, whereabouts, baseline, surface, cloud, exact_cloud, .. } = judged;
+    fn new(report: Option<&Report>, judged: Judged) -> Self {
+        let Judged { poses, model, whereabouts, baseline, surface, cloud, exact_cloud, .. } = judged;
         let rms = |squares: &dyn Fn(&Vector3<f64>) -> f64| {
             let sum: f64 = whereabouts.iter().map(|place| squares(&(place.found - place.truth))).sum();
             (sum / whereabouts.len().max(1) as f64).sqrt()
         };
-        let stages = &report.stages;
-        let seconds = [
-            stages.features.as_ref().map(|stage| stage.seconds),
-            stages.matches.as_ref().map(|stage| stage.seconds),
-            stages.map.as_ref().map(|stage| stage.seconds),
-        ];
+        let seconds = report.map(|Report { stages, .. }| {
+            [
+                stages.features.as_ref().map(|stage| stage.seconds),
+                stages.matches.as_ref().map(|stage| stage.seconds),
+                stages.map.as_ref().map(|stage| stage.seconds),
+            ]
+        });
         let Sim3 { scale, rotation: r, translation: t } = poses.truth_from_model;
-        let model = report.models.first();
-        let mounting =
-            model.and_then(|model| model.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first());
+        let mounting = report
+            .and_then(|report| report.models.first())
+            .and_then(|model| model.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first());
         let length = |camera: &RigCamera| scale * Vector3::from(camera.translation).norm();
         Self {
             registered: poses.registered,
-            models: report.models.len(),
-            points: model.map_or(0, |model| model.points),
+            models: report.map_or(1, |report| report.models.len()),
+            points: model.num_tracks(),
             cloud: cloud.map(Distance::from),
             exact_cloud: exact_cloud.map(Distance::from),
             surface_m: surface.and_then(|surface| Some(surface.near?.median)),
@@ -208,7 +240,7 @@ impl Measured {
             largest_baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.max),
             baseline_spread_m: baseline.as_ref().map(|baseline| baseline.translation_rms),
             mounting_m: mounting.map(length),
-            seconds: seconds.iter().flatten().sum(),
+            seconds: seconds.iter().flatten().flatten().sum(),
             world_from_model: [scale, r.w, r.i, r.j, r.k, t.x, t.y, t.z],
         }
     }
