@@ -5,8 +5,8 @@
   cargo build --release
   python bench/experiment.py --output tiepoint-experiment [-- --seed 2 --size 640x480 ...]
 
-What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database: keypoints, matches and camera model are ours; it
-gets the true focal length on the axis to begin with, which ours does not. For Traditional it knows of no rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown
+What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database: keypoints, matches, camera model and first focal
+length are ours. For Traditional it knows of no rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown
 rig: without, then with the rig that the first run gives (`apply_rig_config`), whose frames are the images nearest to each other by their
 stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Models are put into `colmap/sparse/0` of the
 workspaces, where `tiepoint experiment` finds and judges them like its own.
@@ -57,19 +57,12 @@ def write(model, folder, names=None):
     model.write(target)
 
 
-def copy_database(workspace, drive):
-    """COLMAP does not map a fisheye without a focal length: it gets the true one on the axis, as a data sheet has it, to refine."""
+def copy_database(workspace):
+    """COLMAP does not map a fisheye unless it is told that the focal length is known roughly."""
     copy = workspace / "colmap.db"
     shutil.copy(workspace / "database.db", copy)
-    rows = (line.split(",") for line in (drive / "truth/cameras.csv").read_text().splitlines()[1:])
-    focal = {camera: float(value) for camera, quantity, value in rows if quantity == "focal_px"}
     connection = sqlite3.connect(copy)
-    query = "SELECT c.camera_id, c.model, c.params, min(i.name) FROM cameras c JOIN images i USING (camera_id) GROUP BY c.camera_id"
-    for camera, model, params, name in connection.execute(query).fetchall():
-        params = np.frombuffer(params, "<f8").copy()
-        # OPENCV_FISHEYE has two focal lengths, SIMPLE_RADIAL one.
-        params[: 2 if model == 5 else 1] = focal[name.split("/")[0]]
-        connection.execute("UPDATE cameras SET params = ?, prior_focal_length = 1 WHERE camera_id = ?", (params.tobytes(), camera))
+    connection.execute("UPDATE cameras SET prior_focal_length = 1")
     connection.commit()
     connection.close()
     return copy
@@ -81,7 +74,7 @@ def map_largest(database, drive, sparse):
 
 
 def traditional(workspace, drive):
-    copy = copy_database(workspace, drive)
+    copy = copy_database(workspace)
     model = map_largest(copy, drive, workspace / "colmap.sparse")
     if model:
         write(model, workspace)
@@ -89,7 +82,7 @@ def traditional(workspace, drive):
 
 
 def constrained(workspace, drive):
-    copy = copy_database(workspace, drive)
+    copy = copy_database(workspace)
     pairs = partners(stamps_of(drive))
     # COLMAP joins images of the same file name to frames.
     renamed = {right: f"right/{left.removeprefix('left/')}" for right, left in pairs.items()}

@@ -155,11 +155,12 @@ fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<(), F
     write(&mark, &plan.record())
 }
 
-/// What is known of the cameras: nothing but what kind of lens they have.
-fn calibration(scenery: &Scenery) -> Calibration {
+/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is refined like everything else.
+fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     let has_action_lens = scenery.effects.has_action_lens;
     let model = if has_action_lens { CameraModelKind::OpencvFisheye } else { CameraModelKind::SimpleRadial };
-    Calibration::Unknown { model, focal_px: None }
+    let focal_px: Vec<f64> = drive.cameras().iter().map(|camera| camera.lens.focal_px()).collect();
+    Calibration::Unknown { model, focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64) }
 }
 
 /// Writes the tables and the page.

@@ -187,7 +187,7 @@ impl Task<'_> {
         let Scenery { pairs, seed, .. } = self.scenery;
         let options = Options {
             features: FeatureOptions {
-                calibration: calibration(self.scenery),
+                calibration: calibration(self.scenery, self.drive),
                 timestamps: Some(self.plan.folder.join("timestamps.csv")),
                 ..FeatureOptions::default()
             },
