@@ -3,10 +3,14 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_pipeline::{CloudEvaluation, ErrorStatistics, PoseEvaluation, Report, RigCamera};
+use tiepoint_pipeline::{
+    CloudEvaluation, ErrorStatistics, ModelReport, PoseEvaluation, Report, RigCamera, RigidReport,
+};
 
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
+/// Images that are farther apart in time are of different instants, in seconds: a millisecond is a centimetre at 10 m/s.
+const WORTH_SAYING_S: f64 = 0.001;
 
 /// What a workspace holds now.
 pub(crate) fn report(workspace: &Path, report: &Report) -> String {
@@ -43,11 +47,17 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 model.mean_reprojection_error_px,
             ));
         }
+        for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
+            line(format_args!("scale     {}", scale.why));
+        }
+        let is_scaled =
+            |model: &ModelReport| model.scale.as_ref().is_some_and(|scale| scale.factor.is_some());
+        let unit = if report.models.first().is_some_and(is_scaled) { "m" } else { "units" };
         for rig in report.models.first().iter().filter_map(|model| model.rig.as_ref()) {
             for camera in &rig.cameras {
                 let [left, right] = &camera.names;
                 line(format_args!(
-                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} units, its spread {:.2} %, rotation's {:.3}°, \
+                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} {unit}, its spread {:.2} %, rotation's {:.3}°, \
                      second half / first {:.4}",
                     rig.mode,
                     camera.reconstructed_pairs,
@@ -72,7 +82,7 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             if let Some(paper) = &rig.paper {
                 let [first, second] = &paper.unit_images;
                 line(format_args!(
-                    "          one unit is the distance of {first} and {second} (now {:.3}); \u{3bb} = {} holds p_i to {:.3} units ({:.1} % of \
+                    "          the unit of \u{3bb} is the distance of {first} and {second} (now {:.3} {unit}); \u{3bb} = {} holds p_i to {:.3} {unit} ({:.1} % of \
                      the distance) and {:.2}°; {} pairs weighed as bad",
                     paper.unit_distance,
                     paper.lambda,
@@ -168,4 +178,26 @@ pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
         line(&evaluation.distance),
         line(&evaluation.reference_distance),
     )
+}
+
+/// What it took to make a model rigid.
+pub(crate) fn rigid(report: &RigidReport) -> String {
+    let RigidReport { cameras, frames, images, free_images, .. } = report;
+    let mut text = format!(
+        "rigid     {} in {frames} frames of {images} images, {free_images} images free; mean reprojection error {:.3} px, before {:.3} px; \
+         {} of {} observations fit\n",
+        cameras.join(" and "),
+        report.error_after_px,
+        report.error_before_px,
+        report.observations_after,
+        report.observations_before,
+    );
+    if let Some(apart_s) = report.max_time_difference_s.filter(|apart_s| *apart_s > WORTH_SAYING_S) {
+        let _ = writeln!(
+            text,
+            "          images of one frame are up to {:.1} ms apart, in which the rig moves: no rigid model can be right",
+            1e3 * apart_s
+        );
+    }
+    text
 }

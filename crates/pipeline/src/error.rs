@@ -65,6 +65,20 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// Nothing to hold rigidly.
+    #[error(
+        "{path} has no two cameras with poses at common moments, so no rig can be made of it: leave out --rigid"
+    )]
+    NothingRigid {
+        /// The model.
+        path: PathBuf,
+    },
+    /// A format without poses has nothing to be made rigid.
+    #[error("{path} would hold the rig's calibration alone, as rig.json has it: leave out --rigid")]
+    NoPoses {
+        /// The file.
+        path: PathBuf,
+    },
     /// The stage was made from something else, or in another way.
     #[error(
         "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or choose another workspace",

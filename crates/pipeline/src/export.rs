@@ -20,11 +20,14 @@ use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
 use crate::kalibr;
 use crate::records::Records;
+use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{RIG, STAGES};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportFormat {
+    /// COLMAP's binary files, in a folder.
+    Colmap,
     /// COLMAP's text files, in a folder.
     ColmapText,
     /// The cloud.
@@ -44,7 +47,8 @@ pub enum ExportFormat {
 }
 
 /// Formats by name.
-const FORMATS: [(&str, ExportFormat); 8] = [
+const FORMATS: [(&str, ExportFormat); 9] = [
+    ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
     ("colmap-text", ExportFormat::ColmapText),
@@ -66,7 +70,7 @@ impl FromStr for ExportFormat {
 }
 
 /// What was written.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Exported {
     /// Where.
     pub path: PathBuf,
@@ -74,38 +78,54 @@ pub struct Exported {
     pub poses: usize,
     /// How many points, where the format has any.
     pub points: usize,
+    /// What it took to make the cameras rigid, where that was asked for.
+    pub rigid: Option<RigidReport>,
 }
 
 /// Writes a model (a folder, or a workspace) in another format.
 pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+    write_as(from, &read_model(&model_folder(from))?, format, to)
+}
+
+/// Adjusts a model with its cameras held exactly to one calibration first, whatever it was held to before; its moments are frames of a rig
+/// then. What is on disk is not changed.
+pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+    if format == ExportFormat::Kalibr {
+        return Err(Error::NoPoses { path: to.to_owned() });
+    }
+    let (model, rigid) = rigid_model(from)?;
+    Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, format, to)? })
+}
+
+fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     let folder = model_folder(from);
-    let model = read_model(&folder)?;
     let (mut poses, mut points) = (model.num_registered(), model.num_tracks());
     match format {
-        ExportFormat::ColmapText => colmap::write_model(to, &model, Format::Text)?,
+        ExportFormat::Colmap => colmap::write_model(to, model, Format::Binary)?,
+        ExportFormat::ColmapText => colmap::write_model(to, model, Format::Text)?,
         ExportFormat::Bal => {
-            let bal = Bal::from_reconstruction(&model).map_err(|error| error.of(&folder))?;
+            let bal = Bal::from_reconstruction(model).map_err(|error| error.of(&folder))?;
             bal.write(to)?;
         }
-        ExportFormat::OpenMvs => export_openmvs(from, &model, to)?,
-        ExportFormat::Nerfstudio => export_nerfstudio(from, &model, to)?,
+        ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
+        ExportFormat::Nerfstudio => export_nerfstudio(from, model, to)?,
         ExportFormat::Kalibr => {
-            let (text, cameras) = kalibr::camchain(&model, &folder.join("../..").join(RIG))?;
+            let (text, cameras) = kalibr::camchain(model, &folder.join("../..").join(RIG))?;
             AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?;
             (poses, points) = (cameras, 0);
         }
         ExportFormat::Ply => {
-            ply::write(to, &ply::points(&model))?;
+            ply::write(to, &ply::points(model))?;
             poses = 0;
         }
         ExportFormat::Kitti => {
-            let trajectory: Vec<Rigid3> = trajectory_of(&model).into_iter().map(|(_, pose)| pose).collect();
+            let trajectory: Vec<Rigid3> = trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
             trajectory::write_kitti(to, &trajectory)?;
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
             let times = timestamps::read(&folder.join("../../timestamps.csv"))?;
-            let timed = trajectory_of(&model).into_iter().filter_map(|(image, cam_from_world)| {
+            let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
                 Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })
             });
             let mut timed: Vec<TimedPose> = timed.collect();
@@ -117,7 +137,7 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
             (poses, points) = (timed.len(), 0);
         }
     }
-    Ok(Exported { path: to.to_owned(), poses, points })
+    Ok(Exported { path: to.to_owned(), poses, points, rigid: None })
 }
 
 /// Where the images lie in the folder of an export.

@@ -13,6 +13,7 @@ mod fingerprint;
 mod kalibr;
 mod mapping;
 mod matching;
+mod metric;
 mod ordered;
 mod photos;
 mod reconstruct;
@@ -21,8 +22,10 @@ mod report;
 mod rig_file;
 mod rig_over_time;
 mod rig_report;
+mod rigid;
 mod stage;
 mod surface;
+mod table;
 mod video;
 mod view;
 mod workspace;
@@ -37,10 +40,11 @@ pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses, model_folder,
 };
 pub use event::Event;
-pub use export::{ExportFormat, Exported, export};
+pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
-pub use mapping::map;
+pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
+pub use metric::ScaleReport;
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{
@@ -49,13 +53,15 @@ pub use report::{
 pub use rig_file::{RigCamera, RigClock, RigFile};
 pub use rig_over_time::{RigEvaluation, evaluate_rig};
 pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport};
+pub use rigid::RigidReport;
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};
+pub use table::{Table, TableRow};
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
 pub use video::{DEFAULT_EVERY, Opened, open_input};
-pub use view::{Exhibit, TableRow, report_html, view};
+pub use view::{Exhibit, Whereabouts, report_html, view};
 pub use workspace::Workspace;
 
 /// Gets every event, in order, on the calling thread; what it returns stops the run.

@@ -14,24 +14,37 @@ use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, Verify
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
+use crate::metric::{ScaleReport, scale_to_baseline};
 use crate::records::{Progress, Recipe, write_json};
 use crate::rig_file::RigFile;
 use crate::rig_report::{Held, History};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
+/// How to map.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MapOptions {
+    /// The mapper.
+    pub mapper: MapperOptions,
+    /// Distance of the first camera and the next, in metres: it sets the size of the models.
+    pub baseline_m: Option<f64>,
+}
+
 /// Maps a workspace that has matches: models of everything that hangs together, the largest first.
 pub fn map(
     workspace: &mut Workspace,
-    options: &MapperOptions,
+    options: &MapOptions,
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
-    let mut options = *options;
+    let MapOptions { mapper: mut options, baseline_m } = *options;
     if workspace.records.option(Stage::Features, features::INTRINSICS).is_some() {
         options.refine = RefineIntrinsics::NONE;
     }
-    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, [("mapper", format!("{options:?}"))]);
+    let words =
+        [("mapper", Some(format!("{options:?}"))), ("baseline", baseline_m.map(|b| format!("{b} m")))];
+    let words = words.into_iter().filter_map(|(name, word)| Some((name, word?)));
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, words);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return tell(watch, &Event::StageKept { stage: STAGE });
@@ -68,13 +81,19 @@ pub fn map(
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
+    let scales = baseline_m.map(|baseline_m| scale_to_baseline(&mut models, &mut held, baseline_m));
+    let scales: Vec<Option<ScaleReport>> =
+        scales.map_or(vec![None; models.len()], |scales| scales.into_iter().map(Some).collect());
     let history = History { began, bad_pairs, held };
     let paths = write_models(workspace, &models)?;
-    let report = |(path, model): (String, &Reconstruction)| {
-        ModelReport::new(path, model, RigReport::new(options.rig, model, &history))
-    };
     write_rig(workspace, models.first(), &history)?;
-    let reports = paths.into_iter().zip(&models).map(report).collect();
+    let all = paths.into_iter().zip(&models).zip(scales);
+    let reports = all.map(|((path, model), scale)| {
+        let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
+        let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
+        ModelReport { scale, ..ModelReport::new(path, model, rig) }
+    });
+    let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
     workspace.update_report(|all| {
         all.stages.map = Some(MapReport { seconds });

@@ -1,11 +1,9 @@
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use tiepoint_sfm::MapperOptions;
-
 use crate::{
-    DEFAULT_EVERY, Error, FeatureOptions, MatchOptions, Opened, Report, Stage, Watch, extract_features, map,
-    match_images, open_input,
+    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, Opened, Report, Stage, Watch,
+    extract_features, map, match_images, open_input,
 };
 
 /// How to reconstruct.
@@ -20,7 +18,7 @@ pub struct Options {
     /// Second stage.
     pub matching: MatchOptions,
     /// Third stage.
-    pub mapper: MapperOptions,
+    pub mapping: MapOptions,
     /// Makes this stage and the later ones anew, whatever there is.
     pub redo: Option<Stage>,
 }
@@ -32,7 +30,7 @@ impl Default for Options {
             masks: None,
             every: DEFAULT_EVERY,
             matching: MatchOptions::default(),
-            mapper: MapperOptions::default(),
+            mapping: MapOptions::default(),
             redo: None,
         }
     }
@@ -52,6 +50,6 @@ pub fn reconstruct(
     features.timestamps = features.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &features, options.redo, watch)?;
     match_images(&mut workspace, &options.matching, options.redo, watch)?;
-    map(&mut workspace, &options.mapper, options.redo, watch)?;
+    map(&mut workspace, &options.mapping, options.redo, watch)?;
     workspace.report()
 }

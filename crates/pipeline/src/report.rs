@@ -3,7 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
-use crate::{Error, RigReport, Stage};
+use crate::{Error, RigReport, ScaleReport, Stage};
 
 /// `report.json`: what came out of each stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -97,6 +97,8 @@ pub struct ModelReport {
     pub cameras: Vec<CameraReport>,
     /// Cameras that took images at the same moments.
     pub rig: Option<RigReport>,
+    /// What a given distance of two cameras made of it.
+    pub scale: Option<ScaleReport>,
 }
 
 /// A camera.
@@ -143,6 +145,7 @@ impl ModelReport {
                 .map(|(id, c)| CameraReport::new(id, c))
                 .collect(),
             rig,
+            scale: None,
         }
     }
 }

@@ -100,7 +100,8 @@ pub struct PaperReport {
 
 impl RigReport {
     /// `None` for a lone camera.
-    pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History) -> Option<Self> {
+    /// `factor` is what the lengths of the model were multiplied by after mapping.
+    pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History, factor: f64) -> Option<Self> {
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
             rigs.iter().map(|rig| (rig, relative_poses(model, &rig.pairs))).collect();
@@ -123,7 +124,7 @@ impl RigReport {
             RigTerm::Auto => "auto",
         };
         let paper = match term {
-            RigTerm::Paper => paper_report(model, &series, &cameras, &history.began),
+            RigTerm::Paper => paper_report(model, &series, &cameras, &history.began, factor),
             _ => None,
         };
         let mounting = mounting_report(term, model, history);
@@ -207,6 +208,7 @@ fn paper_report(
     series: &[(&RigPairs, Vec<(RigPair, RelativePose)>)],
     cameras: &[RigCameraReport],
     began: &[(ImageId, ImageId)],
+    factor: f64,
 ) -> Option<PaperReport> {
     let pose = |image| model.image(image).cam_from_world();
     let both = |&(a, b): &(ImageId, ImageId)| Some((a, b, pose(a)?.origin_in_a(), pose(b)?.origin_in_a()));
@@ -224,8 +226,8 @@ fn paper_report(
         unit_images: [name(a), name(b)],
         unit_distance: (centre_a - centre_b).norm(),
         lambda: paper::LAMBDA,
-        sigma_translation: sigmas.translation,
-        relative_sigma_translation: sigmas.translation / cameras.first()?.median_baseline,
+        sigma_translation: factor * sigmas.translation,
+        relative_sigma_translation: factor * sigmas.translation / cameras.first()?.median_baseline,
         sigma_rotation_deg: sigmas.rotation_rad.to_degrees(),
         bad_pairs,
     })

@@ -28,6 +28,9 @@ pub struct SurfaceEvaluation {
     pub floor: Option<ErrorStatistics>,
     /// The same of those seen from at most 30 m.
     pub near_floor: Option<ErrorStatistics>,
+    /// The points that exactly known cameras would have given.
+    #[serde(skip)]
+    pub exact_points: Vec<Vector3<f64>>,
     /// Each measured point's error.
     #[serde(skip)]
     pub errors: Vec<(PointId, SurfaceError)>,
@@ -69,6 +72,7 @@ pub fn evaluate_surface(
         near: statistics(&found, NEAR),
         floor: statistics(&floor, f64::INFINITY),
         near_floor: statistics(&floor, NEAR),
+        exact_points: known,
         errors,
     })
 }

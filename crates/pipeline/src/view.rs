@@ -17,7 +17,7 @@ use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::evaluate::model_folder;
 use crate::workspace::{REPORT, RIG};
-use crate::{Error, Report, evaluate_rig};
+use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
 const TEMPLATE: &str = include_str!("view.html");
 /// Where the data stand in the template.
@@ -48,15 +48,25 @@ pub struct Exhibit<'a> {
     pub world_from_model: Option<Sim3>,
     /// What each stage did.
     pub report: Option<&'a Report>,
+    /// Where its cameras are in that world and where they should be, in order of time; empty where that is not known.
+    pub whereabouts: &'a [Whereabouts],
 }
 
-/// A row of the table above the models: what it is, and a value for each model.
-pub type TableRow = (String, Vec<String>);
+/// A camera centre in a world that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Whereabouts {
+    /// Number of the camera.
+    pub camera: usize,
+    /// Where it was found.
+    pub found: Vector3<f64>,
+    /// Where it was.
+    pub truth: Vector3<f64>,
+}
 
 #[derive(Serialize)]
 struct Page<'a> {
     title: &'a str,
-    table: Vec<Vec<String>>,
+    tables: &'a [Table],
     models: Vec<Model<'a>>,
 }
 
@@ -76,6 +86,7 @@ struct Model<'a> {
     track_lengths: Histogram,
     shared: Matrix,
     rigs: Vec<RigSeries>,
+    way: Option<Way>,
     stages: Vec<(&'static str, f64)>,
     files: Vec<(&'static str, String)>,
 }
@@ -108,11 +119,25 @@ struct RigSeries {
     turns_deg: [Vec<f64>; 3],
 }
 
-/// A page with models side by side below a table; `files` are texts to fold out below the first model.
+/// The way of the first camera, found and true. Lengths are in metres, up is the view's.
+#[derive(Default, Serialize)]
+struct Way {
+    /// In view units, three numbers a place.
+    truth: Vec<f32>,
+    /// Seen from above.
+    found_above: Vec<[f32; 2]>,
+    truth_above: Vec<[f32; 2]>,
+    /// How far it was until there.
+    driven: Vec<f32>,
+    horizontal: Vec<f32>,
+    vertical: Vec<f32>,
+}
+
+/// A page with models side by side below tables; `files` are texts to fold out below the first model.
 pub fn report_html(
     title: &str,
     exhibits: &[Exhibit],
-    table: &[TableRow],
+    tables: &[Table],
     files: Vec<(&'static str, String)>,
 ) -> String {
     let shared_frame = exhibits.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
@@ -123,8 +148,7 @@ pub fn report_html(
         let files = files.take().unwrap_or_default();
         describe(exhibit, &view_from_world, MAX_POINTS / exhibits.len(), files)
     });
-    let row = |(what, values): &TableRow| std::iter::once(what).chain(values).cloned().collect();
-    let page = Page { title, table: table.iter().map(row).collect(), models: models.collect() };
+    let page = Page { title, tables, models: models.collect() };
     let data = serde_json::to_string(&page).expect("our own types are JSON: string keys");
     // No text can end the script that the data stand in.
     TEMPLATE.replacen(PLACE, &data.replace('<', "\\u003c"), 1)
@@ -151,9 +175,15 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         }
     }
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
-    let exhibit = Exhibit { name: &name, model: &model, world_from_model: None, report: report.as_ref() };
-    let html =
-        report_html(&format!("tiepoint: {name}"), &[exhibit], &summary(&model, report.as_ref()), files);
+    let exhibit = Exhibit {
+        name: &name,
+        model: &model,
+        world_from_model: None,
+        report: report.as_ref(),
+        whereabouts: &[],
+    };
+    let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
+    let html = report_html(&format!("tiepoint: {name}"), &[exhibit], &[table], files);
     let file = path.join("report.html");
     AtomicFile::write_with(&file, |out| std::io::Write::write_all(out, html.as_bytes()))?;
     Ok(file)
@@ -210,7 +240,7 @@ fn describe<'a>(
     max_points: usize,
     files: Vec<(&'static str, String)>,
 ) -> Model<'a> {
-    let Exhibit { name, model, world_from_model, report } = exhibit;
+    let Exhibit { name, model, world_from_model, report, whereabouts } = exhibit;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
     let (mut points, mut colours) = (Vec::new(), Vec::new());
     for (_, track) in model.tracks().step_by(model.num_tracks().div_ceil(max_points).max(1)) {
@@ -235,9 +265,34 @@ fn describe<'a>(
         track_lengths: track_lengths(model),
         shared: shared_points(model),
         rigs: rigs(model, scale),
+        way: way(whereabouts, view_from_world),
         stages: report.map_or_else(Vec::new, stages),
         files,
     }
+}
+
+fn way(whereabouts: &[Whereabouts], view_from_world: &Sim3) -> Option<Way> {
+    let first = whereabouts.iter().map(|place| place.camera).min()?;
+    let places: Vec<&Whereabouts> = whereabouts.iter().filter(|place| place.camera == first).collect();
+    let (mut way, mut driven_m, step) = (Way::default(), 0.0, places.len().div_ceil(MAX_CAMERAS).max(1));
+    for (index, Whereabouts { found, truth, .. }) in places.iter().enumerate() {
+        driven_m += index.checked_sub(1).map_or(0.0, |before| (truth - places[before].truth).norm());
+        if index % step > 0 {
+            continue;
+        }
+        let above = |point: &Vector3<f64>| {
+            let upright = view_from_world.rotation * point;
+            [upright.x as f32, upright.y as f32]
+        };
+        let off = view_from_world.rotation * (found - truth);
+        way.truth.extend((*view_from_world * *truth).iter().map(|value| *value as f32));
+        way.found_above.push(above(found));
+        way.truth_above.push(above(truth));
+        way.driven.push(driven_m as f32);
+        way.horizontal.push(off.xy().norm() as f32);
+        way.vertical.push(off.z as f32);
+    }
+    Some(way)
 }
 
 fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {

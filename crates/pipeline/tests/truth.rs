@@ -6,7 +6,9 @@ use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3};
 use tiepoint_pipeline::eval::{Alignment, Sighting};
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
-use tiepoint_pipeline::{Exhibit, evaluate_cloud, evaluate_rig, evaluate_surface, report_html};
+use tiepoint_pipeline::{
+    Exhibit, Table, Whereabouts, evaluate_cloud, evaluate_rig, evaluate_surface, report_html,
+};
 use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 
 /// Through lens and shutter and back, at distances up to 100 m.
@@ -189,15 +191,39 @@ fn a_cloud_is_found_from_anywhere() {
 fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
     let drive = drive("none");
     let model = truth_with_points(&drive);
-    let exhibit =
-        Exhibit { name: "off", model: &model, world_from_model: Some(Sim3::identity()), report: None };
+    // A metre aside and two too low all along.
+    let off = Vector3::new(0.6, 0.8, -2.0);
+    let centre = |pose: &Rigid3| pose.origin_in_a();
+    let places = model.registered().map(|(_, image, pose)| Whereabouts {
+        camera: image.camera.index(),
+        found: centre(pose) + off,
+        truth: centre(pose),
+    });
+    let whereabouts: Vec<Whereabouts> = places.collect();
+    let exhibit = Exhibit {
+        name: "off",
+        model: &model,
+        world_from_model: Some(Sim3::identity()),
+        report: None,
+        whereabouts: &whereabouts,
+    };
     let other = Exhibit { name: "</script>paper", ..exhibit };
-    let table = [("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
-    let page = report_html("a drive", &[exhibit, other], &table, vec![("rig.json", "{}".to_owned())]);
+    let rows = vec![("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
+    let table = Table::of_columns(&["off".to_owned(), "paper".to_owned()], rows);
+    let page = report_html("a drive", &[exhibit, other], &[table], vec![("rig.json", "{}".to_owned())]);
     assert_eq!(page.matches("</script>").count(), 2, "the template's own");
     let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
-    assert_eq!(data["table"][0], serde_json::json!(["ATE", "1 m", "2 m"]));
+    assert_eq!(data["tables"][0]["rows"][0], serde_json::json!(["ATE", ["1 m", "2 m"]]));
+    let way = &data["models"][0]["way"];
+    let series = |name: &str| -> Vec<f64> {
+        way[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect()
+    };
+    assert_eq!(series("truth").len(), 3 * 30, "of the first camera");
+    // Up is where the cameras have it on average: a body that pitches leaves a hundredth of two metres.
+    assert!(series("horizontal").iter().all(|off| (off - 1.0).abs() < 0.02), "{way}");
+    assert!(series("vertical").iter().all(|off| (off + 2.0).abs() < 0.02), "{way}");
+    assert!(series("driven").windows(2).all(|pair| pair[0] < pair[1]), "{way}");
     assert_eq!(data["models"][1]["name"], "</script>paper");
     for shown in data["models"].as_array().unwrap() {
         assert_eq!(shown["points_shown"], shown["num_points"]);

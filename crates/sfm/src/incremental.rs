@@ -138,7 +138,8 @@ pub fn map(
         };
         match mapper.run(watch) {
             Ok(()) => {}
-            Err(Error::NoInitialPair { .. }) if !models.is_empty() => break,
+            // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
+            Err(Error::NoInitialPair { .. } | Error::NothingToAdjust { .. }) if !models.is_empty() => break,
             Err(error) => return Err(error),
         }
         let registered: Vec<ImageId> = mapper.model.registered().map(|(id, ..)| id).collect();

@@ -11,6 +11,7 @@
 //! thereby found and not assumed. A clock of which the images tell too little stays at what its stamps say, and everything is done again.
 
 mod outcome;
+mod rigid;
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -30,6 +31,7 @@ use crate::initial_pair::relative_pose;
 use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::{Error, Event, RigTerm};
 use outcome::{held_out, held_out_error_px, make_frames, make_rigid};
+pub use rigid::{RigidCamera, hold_rigidly};
 
 /// A camera's mounting beside the first one, and how firmly it holds.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,22 +6,20 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::eval::geometry::{Sim3, nalgebra::Vector3};
-use tiepoint_pipeline::io::colmap::read_model;
-use tiepoint_pipeline::sfm::scene::{ImageId, Reconstruction};
+use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
+use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Exhibit, FeatureOptions, MatchOptions, Options, PoseEvaluation, Report, RigCamera,
-    RigEvaluation, SurfaceEvaluation, TableRow, Truth, TruthFormat, Workspace, evaluate_cloud,
-    evaluate_poses, evaluate_rig, evaluate_surface, model_folder, reconstruct, report_html,
+    CloudEvaluation, Exhibit, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation, Report,
+    RigCamera, RigEvaluation, SurfaceEvaluation, Table, TableRow, Whereabouts, Workspace, reconstruct,
+    report_html,
 };
-use tiepoint_synth::{Drive, Effects, LidarOptions, Mounting, RouteKind, reference_cloud};
+use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
 use super::Failure;
-use super::synth::{Rendered, drive as make_drive, render};
-use super::truth::sighting;
-use crate::args::{Demo, Synth};
+use super::judge::{Judged, judge};
+use super::synth::{BASELINE_M, Plan, Rendered, render, scan};
+use crate::args::Demo;
 use crate::output::Output;
 use crate::progress::Progress;
 
@@ -31,10 +29,8 @@ const RATE_HZ: f64 = 2.5;
 const LENGTH_M: f64 = 160.0;
 /// Which photos are matched: neighbours, and the end of the loop with its beginning.
 const PAIRS: &str = "sequential:6+ends";
-/// A scan a second is enough to compare with.
-const SCAN_EVERY_TURNS: usize = 10;
-/// Points of a cloud farther than this from the vehicle's way are no more compared than a scanner would see them.
-const MAX_CLOUD_RANGE_M: f64 = 30.0;
+/// What is not ideal.
+const EFFECTS: &str = "clocks";
 
 #[derive(Serialize)]
 struct Outcome {
@@ -57,6 +53,8 @@ struct Run {
     poses: PoseEvaluation,
     #[serde(skip)]
     model: Reconstruction,
+    #[serde(skip)]
+    whereabouts: Vec<Whereabouts>,
     /// Lengths in metres.
     baseline: Option<RigEvaluation>,
     surface: Option<SurfaceEvaluation>,
@@ -67,27 +65,15 @@ struct Run {
 
 pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     let start = Instant::now();
-    let synth = Synth {
-        output: args.output.join("drive"),
-        frames: args.frames,
-        size: args.size,
-        seed: args.seed,
-        rate: RATE_HZ,
-        route: RouteKind::Loop,
-        length: LENGTH_M,
-        mounting: Mounting::Front,
-        scan: false,
-        effects: "clocks".parse::<Effects>().map_err(|error| Failure::Usage(error.to_string()))?,
-    };
-    let drive = make_drive(&synth)?;
+    let plan = plan(args)?;
+    let drive = plan.drive()?;
     let mut progress = Progress::new(output);
-    let rendered = render(&synth, &drive, &mut progress)?;
-    let scan = LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() };
-    let scan = reference_cloud(&drive, &scan)?;
+    let rendered = render(&plan, &drive, &mut progress)?;
+    let scan = scan(&drive)?;
     let options = |rig| -> Result<Options, Failure> {
         Ok(Options {
             features: FeatureOptions {
-                timestamps: Some(synth.output.join("timestamps.csv")),
+                timestamps: Some(plan.folder.join("timestamps.csv")),
                 ..FeatureOptions::default()
             },
             matching: MatchOptions {
@@ -95,7 +81,10 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
                 seed: args.seed,
                 ..MatchOptions::default()
             },
-            mapper: MapperOptions { rig, seed: args.seed, ..MapperOptions::default() },
+            mapping: MapOptions {
+                mapper: MapperOptions { rig, seed: args.seed, ..MapperOptions::default() },
+                baseline_m: None,
+            },
             ..Options::default()
         })
     };
@@ -107,7 +96,7 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
             Workspace::open(first)?.fork(&workspace)?;
         }
         let report =
-            reconstruct(std::slice::from_ref(&synth.output), &workspace, &options(term)?, &mut |event| {
+            reconstruct(std::slice::from_ref(&plan.folder), &workspace, &options(term)?, &mut |event| {
                 progress.watch(event)
             })?;
         runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
@@ -117,8 +106,25 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     let true_offset_s = true_offset_s(&drive);
     let outcome = Outcome { drive: rendered, seconds, true_offset_s, runs, page };
     outcome.write_page()?;
-    output.result(&outcome, || outcome.describe(&synth));
+    output.result(&outcome, || outcome.describe(&plan));
     Ok(())
+}
+
+fn plan(args: &Demo) -> Result<Plan, Failure> {
+    let effects =
+        EFFECTS.parse().map_err(|error: tiepoint_synth::Error| Failure::Usage(error.to_string()))?;
+    let options = DriveOptions {
+        seed: args.seed,
+        route: RouteKind::Loop,
+        length_m: LENGTH_M,
+        mounts: Mount::stereo(Mounting::Front, BASELINE_M).to_vec(),
+        width: args.size.width,
+        height: args.size.height,
+        rate_hz: RATE_HZ,
+        effects,
+        ..DriveOptions::default()
+    };
+    Ok(Plan { folder: args.output.join("drive"), frames: args.frames, options })
 }
 
 fn evaluate(
@@ -129,23 +135,21 @@ fn evaluate(
     rendered: &Rendered,
     scan: &[Vector3<f64>],
 ) -> Result<Run, Failure> {
-    let truth = Truth { format: TruthFormat::Colmap, path: rendered.truth.clone() };
-    let poses = evaluate_poses(&workspace, &truth, None)?;
-    let mut model = read_model(&model_folder(&workspace))?;
-    let times: Vec<(ImageId, f64)> =
-        model.images().filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s))).collect();
-    times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
-    let world_from_model = poses.truth_from_model;
-    let surface = evaluate_surface(&model, &world_from_model, |image, pixel| sighting(drive, image, pixel));
-    let centres: Vec<Vector3<f64>> =
-        model.registered().map(|(.., pose)| world_from_model * pose.origin_in_a()).collect();
-    let near = |point: &Vector3<f64>| centres.iter().any(|c| (c - point).norm() < MAX_CLOUD_RANGE_M);
-    let points: Vec<Vector3<f64>> =
-        model.tracks().map(|(_, track)| world_from_model * track.xyz).filter(near).collect();
-    let cloud = evaluate_cloud(&points, scan, &Sim3::identity(), Alignment::Rigid);
-    let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
+    let Judged { poses, model, whereabouts, baseline, surface, cloud, .. } =
+        judge(&workspace, drive, &rendered.truth, scan, |_| true)?;
     let model_size_over_true_size = size_ratio(&report, &model, drive, poses.scale);
-    Ok(Run { rig, workspace, report, poses, model, baseline, surface, cloud, model_size_over_true_size })
+    Ok(Run {
+        rig,
+        workspace,
+        report,
+        poses,
+        model,
+        whereabouts,
+        baseline,
+        surface,
+        cloud,
+        model_size_over_true_size,
+    })
 }
 
 /// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over what the whole model says.
@@ -187,9 +191,11 @@ impl Outcome {
                 model: &run.model,
                 world_from_model: Some(run.poses.truth_from_model),
                 report: Some(&run.report),
+                whereabouts: &run.whereabouts,
             })
             .collect();
-        let page = report_html("tiepoint demo", &exhibits, &self.table(), Vec::new());
+        let table = Table::of_columns(&names, self.table());
+        let page = report_html("tiepoint demo", &exhibits, &[table], Vec::new());
         let cannot = |cause| Failure::CouldNot(format!("cannot write {}: {cause}", self.page.display()));
         std::fs::write(&self.page, page).map_err(cannot)
     }
@@ -246,7 +252,7 @@ impl Outcome {
         rows
     }
 
-    fn describe(&self, synth: &Synth) -> String {
+    fn describe(&self, plan: &Plan) -> String {
         let mut text = String::new();
         // Writing to a string does not fail.
         let mut line = |arguments: std::fmt::Arguments| {
@@ -267,18 +273,18 @@ impl Outcome {
             self.seconds,
             self.page.display()
         ));
-        let (folder, truth) = (synth.output.display(), self.drive.truth.display());
-        let frames = synth.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
+        let (folder, truth) = (plan.folder.display(), self.drive.truth.display());
+        let frames = plan.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
         line(format_args!(
-            "  tiepoint synth -o {folder} --length {} --rate {} --effects clocks --size {} --seed {}{frames}",
-            synth.length, synth.rate, synth.size, synth.seed
+            "  tiepoint synth -o {folder} --length {LENGTH_M} --rate {RATE_HZ} --effects {EFFECTS} --size {}x{} --seed {}{frames}",
+            plan.options.width, plan.options.height, plan.options.seed
         ));
         for Run { rig, workspace, .. } in &self.runs {
             let workspace = workspace.display();
             line(format_args!(
                 "  tiepoint reconstruct {folder} -o {workspace} --rig {rig} --pairs {PAIRS} --timestamps {folder}/timestamps.csv \
                  --seed {}",
-                synth.seed
+                plan.options.seed
             ));
             line(format_args!("  tiepoint evaluate poses {workspace} --truth colmap:{truth}"));
         }

@@ -1,13 +1,20 @@
 //! `export`.
 
-use tiepoint_pipeline::export as export_model;
+use tiepoint_pipeline::{Exported, export as export_model, export_rigid};
 
 use super::Failure;
 use crate::args::Export;
 use crate::output::Output;
+use crate::summary;
 
 pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
-    let exported = export_model(&args.workspace, args.to, &args.output)?;
-    output.result(&exported, || format!("{}\n", exported.path.display()));
+    let write = if args.rigid { export_rigid } else { export_model };
+    let exported = write(&args.workspace, args.to, &args.output)?;
+    output.result(&exported, || describe(&exported));
     Ok(())
+}
+
+fn describe(exported: &Exported) -> String {
+    let rigid = exported.rigid.as_ref().map_or_else(String::new, summary::rigid);
+    format!("{rigid}{}\n", exported.path.display())
 }

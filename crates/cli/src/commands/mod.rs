@@ -3,10 +3,11 @@
 mod adjust;
 mod demo;
 mod evaluate;
+mod experiment;
 mod export;
+mod judge;
 mod stages;
 mod synth;
-mod truth;
 mod view;
 
 use crate::args::{Command, Evaluate};
@@ -39,5 +40,6 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Export(args) => export::export(&args, output),
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
+        Command::Experiment(args) => experiment::experiment(&args, output),
     }
 }

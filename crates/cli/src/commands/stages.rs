@@ -2,12 +2,12 @@
 
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
-    FeatureOptions, MatchOptions, Opened, Options, Stage, Workspace, extract_features, map as map_workspace,
-    match_images as match_workspace, open_input, reconstruct as reconstruct_all,
+    FeatureOptions, MapOptions, MatchOptions, Opened, Options, Stage, Workspace, extract_features,
+    map as map_workspace, match_images as match_workspace, open_input, reconstruct as reconstruct_all,
 };
 
 use super::Failure;
-use crate::args::{Cameras, Features, Input, Map, Mapping, Match, Pairs, Reconstruct, Seed};
+use crate::args::{Cameras, Features, Input, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed};
 use crate::output::Output;
 use crate::progress::Progress;
 use crate::summary;
@@ -18,7 +18,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         masks: args.input.masks.clone(),
         every: args.input.every,
         matching: match_options(&args.pairs, &args.seed),
-        mapper: mapper_options(&args.mapping, &args.seed),
+        mapping: map_options(&args.mapping, &args.seed),
         redo: args.redo,
     };
     let mut progress = Progress::new(output);
@@ -57,7 +57,7 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let redo = own_stage(args.redo, Stage::Map)?;
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    map_workspace(&mut workspace, &mapper_options(&args.mapping, &args.seed), redo, &mut |event| {
+    map_workspace(&mut workspace, &map_options(&args.mapping, &args.seed), redo, &mut |event| {
         progress.watch(event)
     })?;
     drop(progress);
@@ -91,6 +91,9 @@ fn match_options(pairs: &Pairs, seed: &Seed) -> MatchOptions {
     MatchOptions { pairs: pairs.pairs, seed: seed.seed, ..MatchOptions::default() }
 }
 
-fn mapper_options(mapping: &Mapping, seed: &Seed) -> MapperOptions {
-    MapperOptions { rig: mapping.rig, seed: seed.seed, ..MapperOptions::default() }
+fn map_options(mapping: &Mapping, seed: &Seed) -> MapOptions {
+    MapOptions {
+        mapper: MapperOptions { rig: mapping.rig, seed: seed.seed, ..MapperOptions::default() },
+        baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
+    }
 }

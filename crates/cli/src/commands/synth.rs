@@ -5,10 +5,12 @@
 
 use std::fs;
 use std::io::ErrorKind;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
+use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
 use tiepoint_synth::{Drive, DriveOptions, LidarOptions, Mount, reference_cloud, write_ply};
 
@@ -18,11 +20,13 @@ use crate::output::Output;
 use crate::progress::Progress;
 
 /// Distance of the two cameras.
-const BASELINE_M: f64 = 0.5;
+pub(crate) const BASELINE_M: f64 = 0.5;
 /// A scan a second shows everything beside the way.
-pub(crate) const SCAN_EVERY_TURNS: usize = 10;
+const SCAN_EVERY_TURNS: usize = 10;
 /// Images at once, for each thread; each takes some 25 bytes a pixel.
 const AT_ONCE: usize = 3;
+/// A street is laid out as a whole before anything is rendered; this one has hundreds of thousands of houses.
+const MAX_LENGTH_M: f64 = 100_000.0;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
 
@@ -55,58 +59,88 @@ struct Record {
 }
 
 pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
+    let plan = Plan::of(args);
+    let drive = plan.drive()?;
     let mut progress = Progress::new(output);
-    let rendered = render(args, &drive(args)?, &mut progress)?;
+    let rendered = render(&plan, &drive, &mut progress)?;
+    if args.scan {
+        write_ply(&args.output.join("truth/scan.ply"), &scan(&drive)?)?;
+    }
     drop(progress);
     output.result(&rendered, || rendered.describe());
     Ok(())
 }
 
-fn options(args: &Synth) -> DriveOptions {
-    DriveOptions {
-        seed: args.seed,
-        route: args.route,
-        length_m: args.length,
-        mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
-        width: args.size.width,
-        height: args.size.height,
-        rate_hz: args.rate,
-        effects: args.effects,
-        ..DriveOptions::default()
+/// A drive, and where it is to lie.
+pub(crate) struct Plan {
+    pub(crate) folder: PathBuf,
+    /// At most so many images of each camera.
+    pub(crate) frames: Option<NonZeroUsize>,
+    pub(crate) options: DriveOptions,
+}
+
+impl Plan {
+    fn of(args: &Synth) -> Self {
+        let options = DriveOptions {
+            seed: args.seed,
+            route: args.route,
+            length_m: args.length,
+            mounts: Mount::stereo(args.mounting, BASELINE_M).to_vec(),
+            width: args.size.width,
+            height: args.size.height,
+            rate_hz: args.rate,
+            effects: args.effects,
+            ..DriveOptions::default()
+        };
+        Self { folder: args.output.clone(), frames: args.frames, options }
+    }
+
+    /// The drive that this means.
+    pub(crate) fn drive(&self) -> Result<Drive, Failure> {
+        let length_m = self.options.length_m;
+        if length_m > MAX_LENGTH_M {
+            return Err(Failure::Usage(format!(
+                "--length {length_m} is more than anybody can drive here: at most {MAX_LENGTH_M} m"
+            )));
+        }
+        let mut drive = Drive::new(&self.options).map_err(|error| match error {
+            tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
+            _ => error.into(),
+        })?;
+        if let Some(frames) = self.frames {
+            drive.keep_first(frames.get());
+        }
+        Ok(drive)
+    }
+
+    /// Where the true model lies.
+    pub(crate) fn truth(&self) -> PathBuf {
+        self.folder.join("truth/model")
+    }
+
+    /// What the files are made from, in words.
+    pub(crate) fn record(&self) -> String {
+        let record = Record {
+            program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
+            frames: self.frames.map(usize::from),
+            drive: format!("{:?}", self.options),
+        };
+        serde_json::to_string_pretty(&record).expect("our own types are JSON: string keys") + "\n"
     }
 }
 
-/// The drive that the arguments mean.
-pub(crate) fn drive(args: &Synth) -> Result<Drive, Failure> {
-    let mut drive = Drive::new(&options(args)).map_err(|error| match error {
-        tiepoint_synth::Error::OutOfRange { .. } => Failure::Usage(error.to_string()),
-        _ => error.into(),
-    })?;
-    if let Some(frames) = args.frames {
-        drive.keep_first(frames.get());
-    }
-    Ok(drive)
+/// What a laser scanner on the roof sees, the whole drive long.
+pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
+    Ok(reference_cloud(drive, &LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() })?)
 }
 
 /// Renders a drive to disk.
-pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
-    let folder = &args.output;
-    let frames = args.frames.map(usize::from);
-    claim(
-        folder,
-        &Record {
-            program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
-            frames,
-            drive: format!("{:?}", options(args)),
-        },
-    )?;
+pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
+    let folder = &plan.folder;
+    claim(folder, RECORD, &plan.record(), "a drive")?;
     drive.write_tables(folder)?;
-    let truth = folder.join("truth/model");
+    let truth = plan.truth();
     write_model(&truth, &drive.truth(), Format::Binary)?;
-    if args.scan {
-        let scan = LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() };
-        write_ply(&folder.join("truth/scan.ply"), &reference_cloud(drive, &scan)?)?;
-    }
     let total = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
     let mut done = 0;
     for (index, camera) in drive.cameras().iter().enumerate() {
@@ -122,27 +156,18 @@ pub(crate) fn render(args: &Synth, drive: &Drive, progress: &mut Progress) -> Re
                 .try_for_each(|exposure| drive.write_image(folder, index, exposure, &renderer))?;
         }
     }
-    let cameras = drive.cameras().iter().map(|camera| RenderedCamera {
-        name: camera.name.clone(),
-        images: camera.exposures.len(),
-        width: camera.width,
-        height: camera.height,
-        focal_px: camera.lens.focal_px(),
-    });
-    let cameras = cameras.collect();
-    Ok(Rendered { folder: folder.clone(), truth, cameras, driven_m: driven_m(drive) })
+    Ok(Rendered::new(plan, drive))
 }
 
-fn driven_m(drive: &Drive) -> f64 {
+pub(crate) fn driven_m(drive: &Drive) -> f64 {
     let exposures = drive.cameras()[0].exposures.iter();
     let centres: Vec<_> = exposures.map(|e| drive.cam_from_world(0, e.time_s).origin_in_a()).collect();
     centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
 }
 
-/// Makes the folder ours, if it is new or empty; it may be already, if it is of the same drive.
-fn claim(folder: &Path, record: &Record) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(record).expect("our own types are JSON: string keys") + "\n";
-    let path = folder.join(RECORD);
+/// Makes the folder ours, if it is new or empty; it may be already, if its `record` has the same text.
+pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Result<(), Failure> {
+    let path = folder.join(record);
     let cannot = |path: &Path, doing: &str, cause: std::io::Error| {
         Failure::CouldNot(format!("cannot {doing} {}: {cause}", path.display()))
     };
@@ -151,7 +176,7 @@ fn claim(folder: &Path, record: &Record) -> Result<(), Failure> {
         Ok(_) => {
             let folder = folder.display();
             return Err(Failure::CouldNot(format!(
-                "{folder} holds a drive with other options, or of another version: choose another folder with -o, or remove it"
+                "{folder} holds {what} with other options, or of another version: choose another folder with -o, or remove it"
             )));
         }
         Err(cause) if cause.kind() == ErrorKind::NotFound => {}
@@ -162,13 +187,25 @@ fn claim(folder: &Path, record: &Record) -> Result<(), Failure> {
     if entries.next().is_some() {
         let folder = folder.display();
         return Err(Failure::CouldNot(format!(
-            "{folder} is not empty, and what is there is no drive of this program: choose another folder with -o"
+            "{folder} is not empty, and what is there is not {what} of this program: choose another folder with -o"
         )));
     }
     fs::write(&path, text).map_err(|cause| cannot(&path, "write", cause))
 }
 
 impl Rendered {
+    fn new(plan: &Plan, drive: &Drive) -> Self {
+        let cameras = drive.cameras().iter().map(|camera| RenderedCamera {
+            name: camera.name.clone(),
+            images: camera.exposures.len(),
+            width: camera.width,
+            height: camera.height,
+            focal_px: camera.lens.focal_px(),
+        });
+        let (folder, truth) = (plan.folder.clone(), plan.truth());
+        Self { folder, truth, cameras: cameras.collect(), driven_m: driven_m(drive) }
+    }
+
     fn describe(&self) -> String {
         let line = |camera: &RenderedCamera| {
             let RenderedCamera { name, images, width, height, focal_px } = camera;

@@ -4,6 +4,7 @@
 
 mod bad_input;
 mod drive;
+mod experiment;
 mod photos;
 mod results;
 mod video;

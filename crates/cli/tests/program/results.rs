@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
+use tiepoint_pipeline::io::colmap::read_model;
 
 use crate::{photos, tiepoint_in};
 
@@ -99,6 +100,11 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     let page = fs::read_to_string(shown["report"].as_str().unwrap()).unwrap();
     assert!(page.contains("report.json") && page.len() < 1 << 20);
     tiepoint_in(dir, "view {}/photos").failed(1, &["photos"]);
+    tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid")
+        .failed(1, &["no two cameras", "leave out --rigid"]);
+    let unscaled = tiepoint_in(dir, "map {}/ws --baseline 1m --redo map").done().stdout();
+    assert!(unscaled.contains("scale     nothing was scaled, since there is only one camera"), "{unscaled}");
+    tiepoint_in(dir, "map {}/ws --redo map").done();
     // A cloud lies on itself, wherever it was put; its cameras say so too.
     let cloud = |options: &str| {
         tiepoint_in(dir, &format!("evaluate cloud {{}}/ws {{}}/a.ply {options} --json")).done().json()
@@ -119,6 +125,49 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     assert!(adjusted["final_cost"].as_f64() <= adjusted["initial_cost"].as_f64(), "{adjusted}");
     assert!(adjusted["seconds"].as_f64().unwrap() > 0.0 && adjusted["iterations"].as_u64().is_some());
     assert!(dir.join("adjusted/images.bin").is_file());
+}
+
+/// Of a workspace with three moments of two cameras.
+fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
+    // A moment's two images stand 0.7 m apart; what 240 lines resolve of it is a few millimetres.
+    const APART_M: f64 = 0.7;
+    const MAX_ERROR_M: f64 = 0.02;
+    let line = "map {}/ws --rig RIG --baseline 70cm --redo map --json";
+    for rig in ["off", "soft"] {
+        let run = tiepoint_in(dir, &line.replace("RIG", rig)).done().json();
+        let scale = &run["models"][0]["scale"];
+        let why = scale["why"].as_str().unwrap();
+        assert!(scale["factor"].as_f64().is_some() && why.ends_with("0.7 m long"), "{run}");
+        let measured = run["models"][0]["rig"]["cameras"][0]["median_baseline"].as_f64().unwrap();
+        assert!((measured - APART_M).abs() < MAX_ERROR_M, "{run}");
+    }
+    let said = tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.7m").done().stdout();
+    assert!(said.contains("scale     the mounting of right beside left is 0.7 m long"), "{said}");
+    tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.8m")
+        .failed(1, &["baseline 0.7 m and not 0.8 m", "--redo map"]);
+    tiepoint_in(dir, "map {}/ws --baseline 7ft").failed(2, &["--baseline", "m, cm or mm"]);
+    // Soft results have no frames on disk, rigid ones have nothing else.
+    let rigid = tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();
+    assert_eq!((&rigid["rigid"]["frames"], &rigid["rigid"]["images"]), (&3.into(), &6.into()), "{rigid}");
+    // The path bends a little: two positions on it are no rig, and what that costs is said.
+    let error = |which: &str| rigid["rigid"][which].as_f64().unwrap();
+    assert!(
+        (error("error_before_px")..MAX_REPROJECTION_ERROR_PX).contains(&error("error_after_px")),
+        "{rigid}"
+    );
+    assert!(read_model(&dir.join("ws/sparse/0")).unwrap().frames.is_empty());
+    let model = read_model(&dir.join("rigid")).unwrap();
+    assert_eq!((model.frames.len(), model.rigs[0].sensors.len()), (3, 2));
+    let right = model.rigs[0].sensors[1].cam_from_rig.unwrap();
+    assert!((right.translation.norm() - APART_M).abs() < 1e-9, "{right:?}");
+    for frame in &model.frames {
+        let pose = |k: usize| *model.image(frame.images[k]).cam_from_world().unwrap();
+        let given = right * frame.rig_from_world;
+        assert!((given.translation - pose(1).translation).norm() < 1e-9);
+        assert!(given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0));
+    }
+    tiepoint_in(dir, "export {}/ws --to kalibr --rigid -o {}/c.yaml")
+        .failed(1, &["c.yaml", "leave out --rigid"]);
 }
 
 #[test]
@@ -209,6 +258,7 @@ fn folders_are_cameras_and_times_and_masks_are_read() {
     assert_eq!(tum.lines().filter(|line| !line.starts_with('#')).count(), 3, "the left camera: {tum}");
     let evaluation = tiepoint_in(dir, "evaluate poses {}/ws --truth tum:{}/t.txt --json").done().json();
     assert!(evaluation["centre_error"]["max"].as_f64().unwrap() < 1e-9, "{evaluation}");
+    a_baseline_gives_the_size_and_an_export_is_rigid(dir);
     fs::write(dir.join("times.csv"), "image,seconds\nother.png,3\n").unwrap();
     tiepoint_in(dir, "features {}/photos -o {}/ws2 --timestamps {}/times.csv")
         .failed(1, &["none of the photos", "left/0.png"]);

@@ -1,0 +1,157 @@
+#!/usr/bin/env python3
+"""A real rig without calibration: the mounting that tiepoint finds from 13 pairs of a chessboard, beside OpenCV's stereo calibration.
+
+  pip install opencv-python-headless numpy scipy
+  cargo build --release
+  TIEPOINT_DATA=... python bench/chess.py
+
+The set is OpenCV's (stereo_chess: left01..left14.jpg, right01..right14.jpg, without 10). Two cameras stand still on a stand and the board is
+moved before them: seen from the board, the rig moves. A chessboard's corners look all alike, so that keypoints by appearance match nothing
+(2 of 26 images): both programs get the same corners, found by OpenCV, and who is who; tiepoint as keypoints and matches in its database, without
+the corners' places on the board, with a focal length that is 20 % wrong and no distortion to begin with, OpenCV with their places.
+Prints the angle between the two rotations of the mounting, the angle between the baselines, and the ratio of focal lengths.
+"""
+
+import argparse
+import itertools
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+ROOT = Path(__file__).resolve().parent.parent
+CORNERS = (9, 6)
+# To begin with, in pixels: 1.2 times what it is.
+FOCAL_PRIOR_PX = 640.0
+# COLMAP's: pair_id = id1 * MAX_IMAGES + id2, id1 < id2; configuration of a calibrated pair.
+MAX_IMAGES = 2147483647
+CALIBRATED = 2
+
+
+def corners_of(path):
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    found, corners = cv2.findChessboardCorners(image, CORNERS)
+    if not found:
+        return image, None
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
+    return image, cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), criteria)
+
+
+def opencv_calibration(pairs, size):
+    """Intrinsics, R and T of right_from_left; the unit is a square of the board."""
+    grid = np.zeros((CORNERS[0] * CORNERS[1], 3), np.float32)
+    grid[:, :2] = np.mgrid[0 : CORNERS[0], 0 : CORNERS[1]].T.reshape(-1, 2)
+    grids = [grid] * len(pairs)
+    lefts, rights = [left for left, _ in pairs], [right for _, right in pairs]
+    _, k1, d1, _, _ = cv2.calibrateCamera(grids, lefts, size, None, None)
+    _, k2, d2, _, _ = cv2.calibrateCamera(grids, rights, size, None, None)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-9)
+    rms, k1, d1, k2, d2, r, t, _, _ = cv2.stereoCalibrate(
+        grids, lefts, rights, k1, d1, k2, d2, size, criteria=criteria, flags=cv2.CALIB_USE_INTRINSIC_GUESS)  # fmt: skip
+    return rms, k1, k2, r, t.ravel()
+
+
+def put_corners(database, corners, size):
+    """Replaces keypoints, matches and two-view geometries by those of the corners; pixels count from the first one's corner."""
+    connection = sqlite3.connect(database)
+    names = connection.execute("SELECT image_id, name FROM images ORDER BY image_id").fetchall()
+    for table in ("keypoints", "descriptors", "matches", "two_view_geometries"):
+        connection.execute(f"DELETE FROM {table}")
+    points = {image: corners[name].reshape(-1, 2).astype(np.float64) + 0.5 for image, name in names}
+    for image, pixels in points.items():
+        connection.execute("INSERT INTO keypoints(image_id, rows, cols, data) VALUES (?, ?, 2, ?)",
+                           (image, len(pixels), pixels.astype("<f4").tobytes()))  # fmt: skip
+    k = np.array([[FOCAL_PRIOR_PX, 0, size[0] / 2], [0, FOCAL_PRIOR_PX, size[1] / 2], [0, 0, 1]])
+    for a, b in itertools.combinations(sorted(points), 2):
+        count = len(points[a])
+        rows = np.repeat(np.arange(count, dtype="<u4")[:, None], 2, axis=1).tobytes()
+        essential, _ = cv2.findEssentialMat(points[a], points[b], k, cv2.RANSAC, 0.999, 2.0)
+        if essential is None or essential.shape != (3, 3):
+            continue
+        fundamental = np.linalg.inv(k).T @ essential @ np.linalg.inv(k)
+        _, rotation, direction, _ = cv2.recoverPose(essential, points[a], points[b], k)
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+        pair = a * MAX_IMAGES + b
+        connection.execute("INSERT INTO matches(pair_id, rows, cols, data) VALUES (?, ?, 2, ?)", (pair, count, rows))
+        blob = lambda values: np.asarray(values, "<f8").tobytes()
+        connection.execute(
+            "INSERT INTO two_view_geometries(pair_id, rows, cols, data, config, F, E, qvec, tvec) VALUES (?, ?, 2, ?, ?, ?, ?, ?, ?)",
+            (pair, count, rows, CALIBRATED, blob(fundamental), blob(essential), blob([w, x, y, z]), blob(direction.ravel())))  # fmt: skip
+    connection.commit()
+    connection.close()
+
+
+def run(command):
+    done = subprocess.run(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    if done.returncode:
+        sys.exit(done.stderr.strip().splitlines()[-1])
+    return done.stdout
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rig", default="hard")
+    parser.add_argument("--seed", default="0")
+    parser.add_argument("--work", type=Path, help="where to put the workspace (default: the system's)")
+    parser.add_argument("--program", type=Path)
+    arguments = parser.parse_args()
+    program = arguments.program or Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
+    if not program.exists():
+        sys.exit(f"{program} is not there: cargo build --release")
+    if "TIEPOINT_DATA" not in os.environ:
+        sys.exit("SKIPPED: TIEPOINT_DATA is not set")
+    data = Path(os.environ["TIEPOINT_DATA"]) / "stereo_chess"
+    with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
+        folder = Path(folder)
+        pairs, by_name, size = [], {}, None
+        for left in sorted(data.rglob("left*.jpg")):
+            right = left.with_name(left.name.replace("left", "right"))
+            found = [corners_of(path) for path in (left, right)]
+            size = found[0][0].shape[::-1]
+            if any(corners is None for _, corners in found):
+                print(f"{left.name}: no board", file=sys.stderr)
+                continue
+            pairs.append(tuple(corners for _, corners in found))
+            for camera, path, (_, corners) in zip(("left", "right"), (left, right), found):
+                number = "".join(filter(str.isdigit, path.stem))
+                (folder / "photos" / camera).mkdir(parents=True, exist_ok=True)
+                (folder / "photos" / camera / f"{number}.jpg").write_bytes(path.read_bytes())
+                by_name[f"{camera}/{number}.jpg"] = corners
+        rms, k1, k2, r, t = opencv_calibration(pairs, size)
+        print(f"OpenCV: {len(pairs)} pairs, {rms:.3f} px, focal {k1[0, 0]:.1f} / {k2[0, 0]:.1f} px, baseline {np.linalg.norm(t):.4f} squares")
+        workspace = folder / "ws"
+        lens = ["--focal-prior", FOCAL_PRIOR_PX, "--camera-model", "OPENCV"]
+        run([program, "features", folder / "photos", "-o", workspace, *lens])
+        run([program, "match", workspace, "--seed", arguments.seed])
+        put_corners(workspace / "database.db", by_name, size)
+        done = run([program, "map", workspace, "--rig", arguments.rig, "--seed", arguments.seed, "--json"])
+        model = json.loads(done)["models"][0]
+        print(f"tiepoint: {model['registered']} of {model['images']} images, {model['points']} points, {model['mean_reprojection_error_px']:.3f} px")
+        if not (workspace / "rig.json").exists():
+            sys.exit("tiepoint: no mounting was found")
+        camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
+        own_r, own_t = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix(), np.array(camera["translation"])
+        angle = np.degrees(np.arccos(np.clip((np.trace(own_r @ r.T) - 1) / 2, -1, 1)))
+        direction = np.degrees(np.arccos(np.clip(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t), -1, 1)))
+        focal = [c["params"][0] for c in model["cameras"]]
+        ratio = " / ".join(f"{100 * (own / k[0, 0] - 1):+.2f} %" for own, k in zip(focal, (k1, k2)))
+        print(f"rotation off by {angle:.3f} degrees, direction of the baseline by {direction:.3f} degrees, focal lengths by {ratio}")
+        middles = [c["params"][2:4] for c in model["cameras"]]
+        shifts = ", ".join(f"{name} ({own[0] - 0.5 - k[0, 2]:+.2f}, {own[1] - 0.5 - k[1, 2]:+.2f}) px"
+                           for name, own, k in zip(("left", "right"), middles, (k1, k2)))  # fmt: skip
+        print(f"principal points, ours less OpenCV's: {shifts}")
+        # What a shift of the principal points alone would turn the mounting by.
+        turn = [np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]]) for own, k in zip(middles, (k1, k2))]
+        print(f"of which their difference is worth {np.degrees(np.linalg.norm(turn[1] - turn[0])):.3f} degrees; "
+              f"our standard deviation {camera['rotation_sd_deg']:.3f} degrees")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+//! A workspace's model with its cameras held exactly to one calibration: what rigs and frames of COLMAP can say.
+//!
+//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`, `report.json`); where it held nothing, the robust mean
+//! of the relative poses and [`tiepoint_sfm::companions`]. Images of one moment are then those nearest to each other in time. Where cameras are not
+//! triggered together, that is not the same instant, and what the rig moved in between becomes error: the report says how much.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde::Serialize;
+use tiepoint_io::colmap::read_model;
+use tiepoint_io::timestamps;
+use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::{Rigid3, Sim3};
+use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
+use tiepoint_sfm::scene::{ImageId, Reconstruction};
+use tiepoint_sfm::{
+    AdjustOptions, Companion, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigidCamera, Timing,
+    companions, hold_rigidly, relative_poses,
+};
+
+use crate::records::Records;
+use crate::rig_over_time::folder_of;
+use crate::workspace::{REPORT, RIG, STAGES};
+use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
+
+/// What it took to make a model rigid.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RigidReport {
+    /// The cameras on the rig, the first one being its frame.
+    pub cameras: Vec<String>,
+    /// Moments at which two or more of them have a pose: frames of the rig.
+    pub frames: usize,
+    /// Images in them.
+    pub images: usize,
+    /// Images that stay free: without a partner, or known to be wrong.
+    pub free_images: usize,
+    /// Mean reprojection error of the model as it was.
+    pub error_before_px: f64,
+    /// The same of the rigid one.
+    pub error_after_px: f64,
+    /// Observations as they were.
+    pub observations_before: usize,
+    /// Those that still fit.
+    pub observations_after: usize,
+    /// Largest difference in time between images of one frame, by the clocks that were found; `None` without times.
+    pub max_time_difference_s: Option<f64>,
+}
+
+/// Without a mounting found before, a pair farther than this from the mean is none: in baselines, and in radians.
+const MAX_DEVIATION: (f64, f64) = (0.5, 0.1);
+const MIN_PAIRS: usize = 2;
+const ITERATIONS: usize = 100;
+
+/// Reads a model (a folder, or a workspace) and makes it rigid.
+pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
+    let folder = model_folder(from);
+    let mut model = read_model(&folder)?;
+    let times = folder.join("../../timestamps.csv");
+    if times.is_file() {
+        let times = timestamps::read(&times)?;
+        let known: Vec<(ImageId, Option<f64>)> =
+            model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
+        known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
+    }
+    let rig = folder.join("../..").join(RIG);
+    let found = if rig.is_file() { mounted(&model, &rig)? } else { Vec::new() };
+    let bad = bad_images(&model, &folder.join("../..").join(REPORT))?;
+    let candidates = if found.is_empty() {
+        companions(&model).into_iter().map(|companion| (companion, None)).collect()
+    } else {
+        found
+    };
+    let mut cameras: Vec<(RigidCamera, Clock)> = Vec::new();
+    for (companion, calibration) in candidates {
+        cameras.extend(
+            rigid_camera(&model, &companion, calibration, &bad).map(|camera| (camera, companion.clock)),
+        );
+    }
+    if cameras.is_empty() {
+        return Err(Error::NothingRigid { path: from.to_owned() });
+    }
+    let max_time_difference_s = time_difference_s(&model, &cameras);
+    let mut cameras: Vec<RigidCamera> = cameras.into_iter().map(|(camera, _)| camera).collect();
+    let (error_before_px, observations_before) =
+        (model.mean_reprojection_error_px(), model.num_observations());
+    let length = cameras[0].right_from_left.translation.norm();
+    let options =
+        AdjustOptions { refine: refined(from)?, max_iterations: ITERATIONS, ..AdjustOptions::default() };
+    hold_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
+    // The distance of the first two cameras is what the model's size is known by, if at all.
+    let factor = length / cameras[0].right_from_left.translation.norm();
+    if factor.is_normal() {
+        let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
+        model.transform(&Sim3 { scale: factor, rotation, translation });
+    }
+    let images = model.frames.iter().map(|frame| frame.images.len()).sum();
+    let names = std::iter::once(cameras[0].left).chain(cameras.iter().map(|camera| camera.right));
+    let report = RigidReport {
+        cameras: names.map(|camera| folder_of(&model, camera)).collect(),
+        frames: model.frames.len(),
+        images,
+        free_images: model.num_registered() - images,
+        error_before_px,
+        error_after_px: model.mean_reprojection_error_px(),
+        observations_before,
+        observations_after: model.num_observations(),
+        max_time_difference_s,
+    };
+    Ok((model, report))
+}
+
+/// What was calibrated stays.
+fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
+    let records = Records::read(&from.join(STAGES))?;
+    let is_known = records.option(Stage::Features, features::INTRINSICS).is_some();
+    Ok(if is_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine })
+}
+
+/// What mapping found: clocks and calibrations.
+fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<Rigid3>)>, Error> {
+    let broken = |what: String| Error::Broken { path: rig.to_owned(), what };
+    let text = std::fs::read(rig).map_err(|cause| Error::Unreadable { path: rig.to_owned(), cause })?;
+    let file: RigFile = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
+    let find = |name: &str| {
+        let camera = model.cameras().find(|(id, _)| folder_of(model, *id) == name);
+        camera.map(|(id, _)| id).ok_or_else(|| broken(format!("there is no camera {name} in the model")))
+    };
+    let left = find(&file.reference)?;
+    let camera = |camera: &RigCamera| {
+        let RigCamera { rotation_wxyz: [w, x, y, z], translation, clock, .. } = camera;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(*w, *x, *y, *z));
+        let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
+        let companion = Companion {
+            left,
+            right: find(&camera.name)?,
+            clock: Clock { offset_s, drift, pivot_s },
+            timing: Timing::Together,
+        };
+        Ok((companion, Some(Rigid3::new(rotation, Vector3::from(*translation)))))
+    };
+    file.cameras.iter().map(camera).collect()
+}
+
+/// Images of further cameras that mapping found to be none of their moment.
+fn bad_images(model: &Reconstruction, report: &Path) -> Result<BTreeSet<ImageId>, Error> {
+    if !report.is_file() {
+        return Ok(BTreeSet::new());
+    }
+    let report = Report::read(report)?;
+    let mounting = report.models.first().and_then(|model| model.rig.as_ref()?.mounting.as_ref());
+    let names: BTreeSet<&str> =
+        mounting.iter().flat_map(|mounting| &mounting.bad_pairs).map(|[_, right]| right.as_str()).collect();
+    Ok(model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id).collect())
+}
+
+/// A camera with its moments; `None` where there are too few.
+fn rigid_camera(
+    model: &Reconstruction,
+    companion: &Companion,
+    calibration: Option<Rigid3>,
+    bad: &BTreeSet<ImageId>,
+) -> Option<RigidCamera> {
+    // Together: images pair up by their clocks, whatever lies between them.
+    let companion = Companion { timing: Timing::Together, ..*companion };
+    let pairs: Vec<RigPair> = companion
+        .moments(model)
+        .iter()
+        .filter(|moment| !bad.contains(&moment.right))
+        .map(|moment| RigPair { left: moment.nearest_left(&companion.clock), right: moment.right })
+        .collect();
+    let poses = relative_poses(model, &pairs);
+    let (right_from_left, pairs) = match calibration {
+        Some(known) => (known, pairs),
+        None => {
+            let all: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
+            let average = robust_average(&all)?.right_from_left();
+            let is_near = |pose: &RelativePose| {
+                let off = pose.right_from_left() * average.inverse();
+                let baselines = (pose.right_from_left().origin_in_a() - average.origin_in_a()).norm()
+                    / average.translation.norm().max(f64::MIN_POSITIVE);
+                baselines <= MAX_DEVIATION.0 && off.rotation.angle() <= MAX_DEVIATION.1
+            };
+            (average, poses.into_iter().filter(|(_, pose)| is_near(pose)).map(|(pair, _)| pair).collect())
+        }
+    };
+    let (left, right) = (companion.left, companion.right);
+    (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
+}
+
+fn time_difference_s(model: &Reconstruction, cameras: &[(RigidCamera, Clock)]) -> Option<f64> {
+    let all = cameras.iter().flat_map(|(camera, clock)| camera.pairs.iter().map(move |pair| (pair, clock)));
+    let apart_s = |(pair, clock): (&RigPair, &Clock)| {
+        let right_s = clock.reference_time_s(model.image(pair.right).time_s?);
+        Some((right_s - model.image(pair.left).time_s?).abs())
+    };
+    all.map(apart_s).try_fold(0.0, |most: f64, apart_s| Some(most.max(apart_s?)))
+}

@@ -1,0 +1,71 @@
+//! A finished model made rigid, whatever it was: each further camera with one calibration, exactly, at every moment.
+//!
+//! The further cameras are moved to where the calibration has them; then everything is adjusted, calibration, lenses and points included,
+//! with their poses being no variables at all.
+
+use tiepoint_ba::Summary;
+use tiepoint_geometry::Rigid3;
+use tiepoint_rig::Clock;
+use tiepoint_scene::{CameraId, Reconstruction};
+
+use super::outcome::make_frames;
+use super::{Hold, Mounting};
+use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going};
+use crate::companion::{Left, Moment, Timing};
+use crate::filter::{FilterOptions, filter_all_points};
+use crate::{Error, RigPair};
+
+/// A camera to be held exactly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigidCamera {
+    /// The first camera.
+    pub left: CameraId,
+    /// The other one.
+    pub right: CameraId,
+    /// The calibration to begin with; it is adjusted.
+    pub right_from_left: Rigid3,
+    /// Images of one moment. Others of the camera stay free.
+    pub pairs: Vec<RigPair>,
+}
+
+/// Holds cameras exactly, adjusts the model, drops observations that no longer fit, and makes the moments the model's frames.
+pub fn hold_rigidly(
+    model: &mut Reconstruction,
+    cameras: &mut [RigidCamera],
+    options: &AdjustOptions,
+    filter: &FilterOptions,
+) -> Result<Summary, Error> {
+    model.frames.clear();
+    model.rigs.clear();
+    let mut mountings: Vec<Mounting> = cameras.iter().map(RigidCamera::mounting).collect();
+    for mounting in &mountings {
+        for moment in &mounting.moments {
+            if let Some(left) = moment.left_from_world(model, &mounting.clock) {
+                model.register(moment.right, mounting.right_from_left * left);
+            }
+        }
+    }
+    adjust_mounted(model, &Scope::Global, options, &mut mountings, &mut keep_going)?;
+    filter_all_points(model, filter);
+    let summary = adjust_mounted(model, &Scope::Global, options, &mut mountings, &mut keep_going)?;
+    make_frames(model, &mountings);
+    for (camera, mounting) in cameras.iter_mut().zip(&mountings) {
+        camera.right_from_left = mounting.right_from_left;
+    }
+    Ok(summary)
+}
+
+impl RigidCamera {
+    fn mounting(&self) -> Mounting {
+        let moment = |pair: &RigPair| Moment { right: pair.right, left: Left::At(pair.left) };
+        Mounting {
+            left: self.left,
+            right: self.right,
+            moments: self.pairs.iter().map(moment).collect(),
+            right_from_left: self.right_from_left,
+            clock: Clock::default(),
+            timing: Timing::Together,
+            hold: Hold::Rigid,
+        }
+    }
+}
