@@ -66,6 +66,7 @@ impl RigidCamera {
             clock: Clock::default(),
             timing: Timing::Together,
             hold: Hold::Rigid,
+            num_unmatched: 0,
         }
     }
 }
