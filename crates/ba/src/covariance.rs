@@ -155,7 +155,7 @@ fn eliminated_columns(
         for (column, i) in block.free_columns().enumerate() {
             for k in 0..p {
                 let sum: f64 =
-                    (k..p).map(|j| inverse[(j, k)] * stash.y[p * local.dense + j * local.dof + i]).sum();
+                    (k..p).map(|j| inverse[(j, k)] * stash.y.get(p * local.dense + j * local.dof + i)).sum();
                 a[(block.reduced + column, at + k)] = -sum;
             }
         }

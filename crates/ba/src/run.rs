@@ -12,6 +12,14 @@ use crate::variable::Values;
 /// Cost of a factor that does not exist at these values ([`Factor::residual`] gave `None`).
 pub(crate) const NO_COST: f64 = f64::NAN;
 
+/// In place of the number of one variable: all of them.
+const ALL: usize = usize::MAX;
+
+/// Numbers in a row of the Jacobian and the residual.
+const fn row_len(dofs: &[usize]) -> usize {
+    (total_dof(dofs) + 1).next_multiple_of(4)
+}
+
 /// The losses of a run: nearly always one for all.
 enum Losses {
     Same(Loss),
@@ -61,11 +69,17 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         self.slots.push(slots);
     }
 
+    /// The derivatives by variable number `I`, or by [`ALL`].
+    ///
+    /// The factors' linearisation is inlined, or should be: then what the other variables would get is never computed.
     #[inline(always)]
-    fn linearize_here(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+    fn linearize_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        let total = const { total_dof(<F::Vars as Vars>::DOFS) };
-        let stride = const { (total_dof(<F::Vars as Vars>::DOFS) + 1).next_multiple_of(4) };
+        let (columns, stride) = if I == ALL {
+            const { (total_dof(<F::Vars as Vars>::DOFS), row_len(<F::Vars as Vars>::DOFS)) }
+        } else {
+            (F::Vars::DOFS[I], F::Vars::DOFS[I] + 1)
+        };
         let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
         for (&index, (rows, cost)) in factors.iter().zip(records) {
             let index = index as usize;
@@ -79,55 +93,35 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             let squared_norm = residual.norm_squared();
             *cost = half_rho(loss, squared_norm);
             let weight = sqrt_weight(loss, squared_norm);
-            F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
+            if I == ALL {
+                F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
+            } else {
+                F::Vars::write_own::<R, I>(&jacobians, weight, rows, stride);
+            }
             for r in 0..R {
-                rows[r * stride + total] = weight * residual[r];
+                rows[r * stride + columns] = weight * residual[r];
             }
         }
     }
 
-    /// The factors' linearisation is inlined, or should be: then what the other variables would get is never computed.
-    #[inline(always)]
-    fn linearize_own_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        let dof = F::Vars::DOFS[I];
-        let records = out.rows.chunks_exact_mut(R * (dof + 1)).zip(out.costs);
-        for (&index, (rows, cost)) in factors.iter().zip(records) {
-            let index = index as usize;
-            let x = F::Vars::refs(slices, &self.slots[index]);
-            let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
-                rows.fill(0.0);
-                *cost = NO_COST;
-                continue;
-            };
-            let loss = self.losses.get(index);
-            let squared_norm = residual.norm_squared();
-            *cost = half_rho(loss, squared_norm);
-            let weight = sqrt_weight(loss, squared_norm);
-            F::Vars::write_own::<R, I>(&jacobians, weight, rows, dof + 1);
-            for r in 0..R {
-                rows[r * (dof + 1) + dof] = weight * residual[r];
-            }
-        }
-    }
-
+    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the bits are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn linearize_own_avx2<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        self.linearize_own_here::<I>(values, factors, out);
+    fn linearize_avx2<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        self.linearize_here::<I>(values, factors, out);
     }
 
-    fn linearize_own_as<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        if I >= F::Vars::COUNT {
+    fn linearize_by<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
+        if I != ALL && I >= F::Vars::COUNT {
             return;
         }
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the feature that the function is compiled for has just been found.
-            unsafe { self.linearize_own_avx2::<I>(values, factors, out) };
+            unsafe { self.linearize_avx2::<I>(values, factors, out) };
             return;
         }
-        self.linearize_own_here::<I>(values, factors, out);
+        self.linearize_here::<I>(values, factors, out);
     }
 
     #[inline(always)]
@@ -138,13 +132,6 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
             *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
         }
-    }
-
-    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the bits are the same.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn linearize_avx2(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        self.linearize_here(values, factors, out);
     }
 
     #[cfg(target_arch = "x86_64")]
@@ -185,7 +172,7 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn all_slots(&self) -> &[u32];
     /// Length of a row in [`Rows`].
     fn stride(&self) -> usize {
-        (total_dof(self.dofs()) + 1).next_multiple_of(4)
+        row_len(self.dofs())
     }
     /// Linearises the listed factors. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
     /// not finite gets an infinite cost.
@@ -247,25 +234,19 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
     }
 
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature that the function is compiled for has just been found.
-            unsafe { self.linearize_avx2(values, factors, out) };
-            return;
-        }
-        self.linearize_here(values, factors, out);
+        self.linearize_by::<ALL>(values, factors, out);
     }
 
     fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>) {
         match own {
-            0 => self.linearize_own_as::<0>(values, factors, out),
-            1 => self.linearize_own_as::<1>(values, factors, out),
-            2 => self.linearize_own_as::<2>(values, factors, out),
-            3 => self.linearize_own_as::<3>(values, factors, out),
-            4 => self.linearize_own_as::<4>(values, factors, out),
-            5 => self.linearize_own_as::<5>(values, factors, out),
-            6 => self.linearize_own_as::<6>(values, factors, out),
-            _ => self.linearize_own_as::<7>(values, factors, out),
+            0 => self.linearize_by::<0>(values, factors, out),
+            1 => self.linearize_by::<1>(values, factors, out),
+            2 => self.linearize_by::<2>(values, factors, out),
+            3 => self.linearize_by::<3>(values, factors, out),
+            4 => self.linearize_by::<4>(values, factors, out),
+            5 => self.linearize_by::<5>(values, factors, out),
+            6 => self.linearize_by::<6>(values, factors, out),
+            _ => self.linearize_by::<7>(values, factors, out),
         }
     }
 

@@ -86,11 +86,15 @@ impl SchurSystem {
         name: &'static str,
         factorisation: Box<dyn Factorisation>,
     ) -> Self {
+        let sums = || structure.chunks.iter().map(Sums::new).collect();
+        let refine = || Refine::new(problem, &structure, refinements);
+        let (sums, refine) =
+            if structure.chunks.len() > 1 { rayon::join(sums, refine) } else { (sums(), refine()) };
         let reduced = Reduced::new(&structure, factorisation);
         Self {
             memory: Memory::new(structure.memory_len),
-            sums: structure.chunks.iter().map(Sums::new).collect(),
-            refine: Refine::new(problem, &structure, refinements),
+            sums,
+            refine,
             step: vec![0.0; structure.step_len],
             block_at: structure.blocks.iter().map(|block| block.at).collect(),
             reduced,

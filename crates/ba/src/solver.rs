@@ -9,6 +9,7 @@ use crate::options::{LinearSolver, Options};
 use crate::problem::Problem;
 use crate::qr::QrSystem;
 use crate::schur::SchurSystem;
+use crate::structure::FACTORS_PER_CHUNK;
 use crate::summary::{IterationRecord, Summary, Termination, Times};
 use crate::system::{Attempt, Linearised, System};
 use crate::variable::{Role, Values};
@@ -29,17 +30,20 @@ impl Solver {
     /// Analyses the problem.
     pub fn new(problem: &Problem, options: &Options) -> Result<Self, Error> {
         options.validate()?;
-        let system: Box<dyn System> = match options.linear_solver {
-            LinearSolver::Qr => Box::new(QrSystem::new(problem)?),
-            LinearSolver::Auto if prefers_qr(problem) => Box::new(QrSystem::new(problem)?),
-            solver => Box::new(SchurSystem::new(problem, solver, options.refinements)?),
+        let system = || -> Result<Box<dyn System>, Error> {
+            Ok(match options.linear_solver {
+                LinearSolver::Qr => Box::new(QrSystem::new(problem)?),
+                LinearSolver::Auto if prefers_qr(problem) => Box::new(QrSystem::new(problem)?),
+                solver => Box::new(SchurSystem::new(problem, solver, options.refinements)?),
+            })
         };
-        Ok(Self {
-            options: options.clone(),
-            system,
-            trial: problem.values.clone(),
-            revision: problem.revision,
-        })
+        let trial = || problem.values.clone();
+        let (system, trial) = if problem.num_factors() > FACTORS_PER_CHUNK {
+            rayon::join(system, trial)
+        } else {
+            (system(), trial())
+        };
+        Ok(Self { options: options.clone(), system: system?, trial, revision: problem.revision })
     }
 
     /// Moves the problem's variables downhill. `watch` is called after every attempted step and may stop the solve.

@@ -121,6 +121,13 @@ impl Bal {
         for _ in 0..num_points {
             points.push(vector("a point")?);
         }
+        let left_over = match pending.front() {
+            Some(number) => Some(number.to_string()),
+            None => lines.next()?.map(|mut words| words.rest().to_owned()),
+        };
+        if let Some(text) = left_over {
+            return Err(lines.error(format!("`{text}` follows the last of {num_points} points")));
+        }
         Ok(Self { cameras, points, observations })
     }
 

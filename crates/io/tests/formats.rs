@@ -367,3 +367,24 @@ fn bal_problems_of_others() {
         .sum();
     assert!((ours / cost - 1.0).abs() < 1e-9, "{ours} {cost}");
 }
+
+#[test]
+fn numbers_behind_the_last_point_of_a_bal_file_are_an_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bal.txt");
+    let good = "1 1 1\n0 0 1 2\n0 0 0 0 0 0 500 0 0\n0 0 -5";
+    for (behind, says) in [
+        ("", None),
+        ("\n \n", None),
+        (" 7.5\n", Some("line 4: `7.5` follows the last of 1 points")),
+        ("\n\n1 2 3\n", Some("line 6: `1 2 3` follows the last of 1 points")),
+    ] {
+        std::fs::write(&path, good.to_owned() + behind).unwrap();
+        let found = Bal::read(&path).err().map(|error| error.to_string());
+        match (says, &found) {
+            (None, None) => {}
+            (Some(says), Some(found)) => assert!(found.contains(says), "{found}"),
+            _ => panic!("{behind:?} {found:?}"),
+        }
+    }
+}

@@ -74,6 +74,9 @@ impl Bal {
         for _ in 0..num_points {
             points.push(vector("a point")?);
         }
+        if let Some(word) = words.next() {
+            return Err(format!("'{word}' follows the last of {num_points} points"));
+        }
         Ok(Self { observations, poses, lenses, points })
     }
 

@@ -7,10 +7,11 @@ mod stereo;
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use stereo::{Distance, Stereo, distance, true_poses};
+use stereo::{Distance, Right, Stereo, distance, true_poses};
 use tiepoint_ba::{Loss, Options, Solver};
+use tiepoint_geometry::Rigid3;
 
-/// Moments between poses whose relative rotation is compared.
+/// Moments between poses that are compared as one is seen from the other.
 const APART: usize = 20;
 
 #[allow(clippy::print_stdout)] // a program may
@@ -21,20 +22,25 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let read = std::fs::read_to_string;
     let stereo = Stereo::parse(&read(calibration)?, &read(poses)?, &read(observations)?)?;
-    let (mut problem, keys) = stereo.problem(Loss::Cauchy(2.0))?;
-    let summary = Solver::new(&problem, &Options::default())?
-        .solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
-    println!("{summary}");
-    if let [truth, ..] = truth {
-        let truth = true_poses(&read(truth)?)?;
-        let after: Vec<_> = keys.iter().map(|&key| problem.get(key).inverse()).collect();
-        for (when, poses) in [("before", &stereo.poses), ("after", &after)] {
-            let Distance { as_they_are_m, aligned_m, turn_rad } = distance(poses, &truth, APART);
-            println!(
-                "{when}: {as_they_are_m:.3} m from the true positions, {aligned_m:.3} m when aligned; turns over {APART} moments {:.3} degrees off",
-                turn_rad.to_degrees(),
-            );
-        }
+    let truth = match truth {
+        [file, ..] => Some(true_poses(&read(file)?)?),
+        [] => None,
+    };
+    let compare = |poses: &[Rigid3]| {
+        let Some(truth) = &truth else { return };
+        let Distance { as_they_are_m, aligned_m, ahead_m, turn_rad } = distance(poses, truth, APART);
+        let turn_deg = turn_rad.to_degrees();
+        println!("    {as_they_are_m:.3} m from the true positions, {aligned_m:.3} m when aligned");
+        println!("    {APART} moments ahead {ahead_m:.3} m and {turn_deg:.3} degrees off");
+    };
+    println!("before");
+    compare(&stereo.poses);
+    for right in [Right::Held, Right::ColumnFree] {
+        let mut adjustment = stereo.problem(Loss::Cauchy(2.0), right)?;
+        let summary = Solver::new(&adjustment.problem, &Options::default())?
+            .solve(&mut adjustment.problem, &mut |_| ControlFlow::Continue(()))?;
+        println!("right lens {right:?}, moved by {:.3} px: {summary}", adjustment.right_shift_px());
+        compare(&adjustment.poses());
     }
     Ok(())
 }

@@ -81,11 +81,16 @@ impl Stereo {
         Ok(Self { lens: Vector4::new(fx, fy, cx, cy), baseline_m, poses, observations })
     }
 
-    /// The problem: lens, rig and first pose are held. Each landmark starts where its first observation has it.
-    pub(crate) fn problem(&self, loss: Loss) -> Result<(Problem, Vec<Key<Rigid3>>), Error> {
+    /// The problem: the rig, the first pose and both lenses are held, but of the right one, if it is so `right`, the principal
+    /// point's column, which is what disparities are off by. Each landmark starts where its first observation has it.
+    pub(crate) fn problem(&self, loss: Loss, right: Right) -> Result<Adjustment, Error> {
         let mut problem = Problem::new();
-        let lens = problem.keep(self.lens, Order::Shared);
-        problem.fix(lens);
+        let lenses = [0, 1].map(|_| problem.keep(self.lens, Order::Shared));
+        problem.fix(lenses[0]);
+        match right {
+            Right::Held => problem.fix(lenses[1]),
+            Right::ColumnFree => problem.fix_tangent(lenses[1], &[0, 1, 3])?,
+        }
         let cameras = [0.0, -self.baseline_m].map(|x| {
             let right = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0));
             problem.keep(right, Order::Shared)
@@ -103,12 +108,39 @@ impl Stereo {
             let point = *points
                 .entry(seen.landmark)
                 .or_insert_with(|| problem.eliminate(self.poses[seen.moment] * seen.in_left));
-            for (&camera, pixel) in cameras.iter().zip([seen.left, seen.right]) {
+            for (i, pixel) in [seen.left, seen.right].into_iter().enumerate() {
                 let factor = RigReprojection::<Pinhole>::new(pixel, 1.0);
-                problem.add((lens, camera, poses[seen.moment], point), factor, loss)?;
+                problem.add((lenses[i], cameras[i], poses[seen.moment], point), factor, loss)?;
             }
         }
-        Ok((problem, poses))
+        Ok(Adjustment { problem, right_lens: lenses[1], poses, column: self.lens[2] })
+    }
+}
+
+/// What is known of the right lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Right {
+    Held,
+    ColumnFree,
+}
+
+/// A problem with the names of what is to be found.
+pub(crate) struct Adjustment {
+    pub(crate) problem: Problem,
+    right_lens: Key<Vector4<f64>>,
+    poses: Vec<Key<Rigid3>>,
+    column: f64,
+}
+
+impl Adjustment {
+    /// `world_from_left` of each moment.
+    pub(crate) fn poses(&self) -> Vec<Rigid3> {
+        self.poses.iter().map(|&key| self.problem.get(key).inverse()).collect()
+    }
+
+    /// By how much the right principal point has moved.
+    pub(crate) fn right_shift_px(&self) -> f64 {
+        self.problem.get(self.right_lens)[2] - self.column
     }
 }
 
@@ -119,7 +151,9 @@ pub(crate) struct Distance {
     pub(crate) as_they_are_m: f64,
     /// The same after the rotation and translation that brings them nearest.
     pub(crate) aligned_m: f64,
-    /// Mean error of the rotation between two poses that are so many moments apart, which knows of no frame.
+    /// Mean error of the position of one pose as seen from another that is so many moments before, which knows of no frame.
+    pub(crate) ahead_m: f64,
+    /// The same of rotations.
     pub(crate) turn_rad: f64,
 }
 
@@ -138,12 +172,18 @@ pub(crate) fn distance(found: &[Rigid3], truth: &[Rigid3], apart: usize) -> Dist
         }
         _ => Matrix3::identity(),
     };
-    let turn = |poses: &[Rigid3], i: usize| poses[i].rotation.inverse() * poses[i + apart].rotation;
-    let turns: Vec<f64> =
-        (apart..count).map(|end| turn(found, end - apart).angle_to(&turn(truth, end - apart))).collect();
+    let ahead = |poses: &[Rigid3], i: usize| poses[i].inverse() * poses[i + apart];
+    let (mut ahead_m, mut turn_rad) = (0.0, 0.0);
+    let steps = count.saturating_sub(apart);
+    for i in 0..steps {
+        let (found, truth) = (ahead(found, i), ahead(truth, i));
+        ahead_m += (found.translation - truth.translation).norm() / steps as f64;
+        turn_rad += found.rotation.angle_to(&truth.rotation) / steps as f64;
+    }
     Distance {
         as_they_are_m: pairs().map(|(x, y)| (x - y).norm()).sum::<f64>() / count as f64,
         aligned_m: pairs().map(|(x, y)| (rotation * (x - a) - (y - b)).norm()).sum::<f64>() / count as f64,
-        turn_rad: turns.iter().sum::<f64>() / turns.len() as f64,
+        ahead_m,
+        turn_rad,
     }
 }

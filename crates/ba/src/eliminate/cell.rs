@@ -49,13 +49,14 @@ pub(super) fn eliminate<const P: usize, I: Isa>(
         return;
     }
 
-    let (head, stashed) = stash[cell.stash..][..stash_len(P, pattern.dense)].split_at_mut(stash_head(P));
+    let (head, stashed) =
+        stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)].split_at_mut(stash_head(P));
     let head = Head::<P>::of(head);
     for b in locals {
         over_lanes!(b.padded, whiten::<I, P>(b.column, w, width, &head));
     }
     let w = &*w;
-    stash_rows::<P, I>(w, width, locals, stashed);
+    stash_rows::<P, I, 0>(w, width, locals, stashed, chunk.elimination);
     let mut pair = pairs.iter();
     for b in locals {
         let mut rows_b = [&[][..]; P];

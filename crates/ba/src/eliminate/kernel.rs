@@ -4,10 +4,10 @@
 
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Fused, Fused512};
-use super::lanes::{Isa, LANES, Portable, Vector, WIDE};
+use super::lanes::{Isa, LANES, Portable, Stored, Vector, WIDE};
 use super::product::over_lanes;
 use super::{Path, Room, cell, damping, single, stash_head};
-use crate::structure::{Cell, Chunk, Local};
+use crate::structure::{Cell, Chunk, Elimination, Local, padded};
 
 /// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
 pub(super) const SLACK: usize = 32;
@@ -97,7 +97,11 @@ fn eliminate_on<I: Isa>(
             0 => cell::eliminate::<0, I>(room, chunk, cell, at),
             1 => cell::eliminate::<1, I>(room, chunk, cell, at),
             2 => cell::eliminate::<2, I>(room, chunk, cell, at),
-            3 if cell.single => single::eliminate::<I>(room, chunk, these, at),
+            3 if cell.single => match chunk.patterns[cell.pattern as usize].dof {
+                6 => single::eliminate::<I, 6>(room, chunk, these, at),
+                9 => single::eliminate::<I, 9>(room, chunk, these, at),
+                _ => single::eliminate::<I, 0>(room, chunk, these, at),
+            },
             3 => cell::eliminate::<3, I>(room, chunk, cell, at),
             4 => cell::eliminate::<4, I>(room, chunk, cell, at),
             5 => cell::eliminate::<5, I>(room, chunk, cell, at),
@@ -186,19 +190,24 @@ fn cholesky<const P: usize>(v: &mut [[f64; P]; P], inverse: &mut [f64; P]) {
 
 /// What back-substitution adds up for one cell: step += Y δ_c.
 #[inline(always)]
-fn multiply_on<I: Isa>(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
+fn multiply_on<I: Isa, T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
     match step.len() {
-        1 => multiply_rows::<1, I>(y, locals, kept, step),
-        2 => multiply_rows::<2, I>(y, locals, kept, step),
-        3 => multiply_rows::<3, I>(y, locals, kept, step),
-        4 => multiply_rows::<4, I>(y, locals, kept, step),
-        5 => multiply_rows::<5, I>(y, locals, kept, step),
-        _ => multiply_rows::<6, I>(y, locals, kept, step),
+        1 => multiply_rows::<1, I, T>(y, locals, kept, step),
+        2 => multiply_rows::<2, I, T>(y, locals, kept, step),
+        3 => multiply_rows::<3, I, T>(y, locals, kept, step),
+        4 => multiply_rows::<4, I, T>(y, locals, kept, step),
+        5 => multiply_rows::<5, I, T>(y, locals, kept, step),
+        _ => multiply_rows::<6, I, T>(y, locals, kept, step),
     }
 }
 
 #[inline(always)]
-fn multiply_rows<const P: usize, I: Isa>(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
+fn multiply_rows<const P: usize, I: Isa, T: Stored>(
+    y: &[T],
+    locals: &[Local],
+    kept: &[f64],
+    step: &mut [f64],
+) {
     let mut sums = [I::Narrow::splat(0.0); P];
     for local in locals {
         // Beyond the end of a row, Y holds what belongs to the next one, and δ_c holds zeros.
@@ -207,7 +216,7 @@ fn multiply_rows<const P: usize, I: Isa>(y: &[f64], locals: &[Local], kept: &[f6
         for lane in (0..local.padded).step_by(LANES) {
             let kept = I::Narrow::load(&kept[lane..]);
             for k in 0..P {
-                sums[k] = I::Narrow::load(&y[k * local.dof + lane..]).mul_add(kept, sums[k]);
+                sums[k] = T::load::<I::Narrow>(&y[k * local.dof + lane..]).mul_add(kept, sums[k]);
             }
         }
     }
@@ -220,27 +229,27 @@ fn multiply_rows<const P: usize, I: Isa>(y: &[f64], locals: &[Local], kept: &[f6
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn multiply_avx2(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
-    multiply_on::<Fused>(y, locals, kept, step);
+fn multiply_avx2<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
+    multiply_on::<Fused, T>(y, locals, kept, step);
 }
 
-/// step += Y δ_c, where `kept` holds δ_c over the chunk's blocks, zero in the padding.
-pub(crate) fn multiply(y: &[f64], locals: &[Local], kept: &[f64], step: &mut [f64]) {
+/// See [`Y`](super::Y).
+pub(super) fn multiply<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
     #[cfg(target_arch = "x86_64")]
     if super::path() != Path::Portable {
         // SAFETY: the features that the function is compiled for have been found.
         unsafe { multiply_avx2(y, locals, kept, step) };
         return;
     }
-    multiply_on::<Portable>(y, locals, kept, step);
+    multiply_on::<Portable, T>(y, locals, kept, step);
 }
 
-/// kept += Yᵀ u of one cell.
-pub(crate) fn multiply_transposed(y: &[f64], locals: &[Local], u: &[f64], kept: &mut [f64]) {
+/// See [`Y`](super::Y).
+pub(super) fn multiply_transposed<T: Stored>(y: &[T], locals: &[Local], u: &[f64], kept: &mut [f64]) {
     for local in locals {
         let kept = &mut kept[local.at..][..local.dof];
         for (row, u) in y[u.len() * local.dense..].chunks_exact(local.dof).zip(u) {
-            kept.iter_mut().zip(row).for_each(|(kept, y)| *kept += y * u);
+            kept.iter_mut().zip(row).for_each(|(kept, y)| *kept += y.number() * u);
         }
     }
 }
@@ -248,22 +257,39 @@ pub(crate) fn multiply_transposed(y: &[f64], locals: &[Local], u: &[f64], kept: 
 /// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what comes next, which is therefore
 /// written later.
 #[inline(always)]
-pub(super) fn stash_rows<const P: usize, I: Isa>(
+pub(super) fn stash_rows<const P: usize, I: Isa, const D: usize>(
     w: &[f64],
     width: usize,
     locals: &[Local],
     stash: &mut [f64],
+    elimination: Elimination,
+) {
+    if elimination == Elimination::Implicit {
+        stash_rows_as::<P, I, f64, D>(w, width, locals, stash);
+    } else {
+        stash_rows_as::<P, I, f32, D>(w, width, locals, bytemuck::cast_slice_mut(stash));
+    }
+}
+
+#[inline(always)]
+fn stash_rows_as<const P: usize, I: Isa, T: Stored, const D: usize>(
+    w: &[f64],
+    width: usize,
+    locals: &[Local],
+    stash: &mut [T],
 ) {
     for local in locals {
+        let dof = local.dof_or::<D>();
+        let lanes = padded(dof);
         for k in 0..P {
-            let from = &w[k * width + local.column..][..local.padded];
-            let to = &mut stash[P * local.dense + k * local.dof..][..local.padded];
-            over_lanes!(local.padded, copy::<I>(from, to));
+            let from = &w[k * width + local.column..][..lanes];
+            let to = &mut stash[P * local.dense + k * dof..][..lanes];
+            over_lanes!(lanes, copy::<I, T>(from, to));
         }
     }
 }
 
 #[inline(always)]
-fn copy<V: Vector>(lane: usize, from: &[f64], to: &mut [f64]) {
-    V::load(&from[lane..]).store(&mut to[lane..]);
+fn copy<V: Vector, T: Stored>(lane: usize, from: &[f64], to: &mut [T]) {
+    T::store(V::load(&from[lane..]), &mut to[lane..]);
 }

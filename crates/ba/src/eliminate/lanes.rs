@@ -8,15 +8,56 @@ pub(super) const LANES: usize = 4;
 pub(super) const WIDE: usize = 8;
 
 /// Some numbers that are handled at once. Loads and stores take the first numbers of a slice.
-pub(super) trait Vector: Copy {
+pub(crate) trait Vector: Copy {
     fn load(from: &[f64]) -> Self;
     fn store(self, to: &mut [f64]);
+    /// From single precision.
+    fn load_single(from: &[f32]) -> Self;
+    /// Rounded to single precision.
+    fn store_single(self, to: &mut [f32]);
     fn splat(x: f64) -> Self;
     fn mul(self, b: Self) -> Self;
     /// self · b + c.
     fn mul_add(self, b: Self, c: Self) -> Self;
     /// c − self · b.
     fn neg_mul_add(self, b: Self, c: Self) -> Self;
+}
+
+/// In what numbers are stored.
+pub(crate) trait Stored: bytemuck::Pod {
+    /// As [`Vector::load`].
+    fn load<V: Vector>(from: &[Self]) -> V;
+    /// As [`Vector::store`].
+    fn store<V: Vector>(vector: V, to: &mut [Self]);
+    fn number(self) -> f64;
+}
+
+impl Stored for f64 {
+    #[inline(always)]
+    fn load<V: Vector>(from: &[Self]) -> V {
+        V::load(from)
+    }
+    #[inline(always)]
+    fn store<V: Vector>(vector: V, to: &mut [Self]) {
+        vector.store(to);
+    }
+    fn number(self) -> f64 {
+        self
+    }
+}
+
+impl Stored for f32 {
+    #[inline(always)]
+    fn load<V: Vector>(from: &[Self]) -> V {
+        V::load_single(from)
+    }
+    #[inline(always)]
+    fn store<V: Vector>(vector: V, to: &mut [Self]) {
+        vector.store_single(to);
+    }
+    fn number(self) -> f64 {
+        f64::from(self)
+    }
 }
 
 /// How to work on numbers. Products `a·b + c` are fused where the machine can, so that results differ in the last bits between
@@ -54,6 +95,15 @@ impl<const N: usize> Vector for [f64; N] {
         *first_mut(to) = self;
     }
     #[inline(always)]
+    fn load_single(from: &[f32]) -> Self {
+        let from: &[f32; N] = first(from);
+        std::array::from_fn(|i| f64::from(from[i]))
+    }
+    #[inline(always)]
+    fn store_single(self, to: &mut [f32]) {
+        *first_mut::<_, N>(to) = std::array::from_fn(|i| self[i] as f32);
+    }
+    #[inline(always)]
     fn splat(x: f64) -> Self {
         [x; N]
     }
@@ -72,12 +122,12 @@ impl<const N: usize> Vector for [f64; N] {
 }
 
 #[inline(always)]
-fn first<const N: usize>(slice: &[f64]) -> &[f64; N] {
+fn first<T, const N: usize>(slice: &[T]) -> &[T; N] {
     slice.first_chunk().expect("at least one vector")
 }
 
 #[inline(always)]
-fn first_mut<const N: usize>(slice: &mut [f64]) -> &mut [f64; N] {
+fn first_mut<T, const N: usize>(slice: &mut [T]) -> &mut [T; N] {
     slice.first_chunk_mut().expect("at least one vector")
 }
 
@@ -87,9 +137,10 @@ pub(super) use fused::{Fused, Fused512};
 #[cfg(target_arch = "x86_64")]
 mod fused {
     use std::arch::x86_64::{
-        __m256d, __m512d, _mm256_fmadd_pd, _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_mul_pd, _mm256_set1_pd,
-        _mm256_storeu_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_loadu_pd, _mm512_mul_pd, _mm512_set1_pd,
-        _mm512_storeu_pd,
+        __m256d, __m512d, _mm_loadu_ps, _mm_storeu_ps, _mm256_cvtpd_ps, _mm256_cvtps_pd, _mm256_fmadd_pd,
+        _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_mul_pd, _mm256_set1_pd, _mm256_storeu_pd,
+        _mm256_storeu_ps, _mm512_cvtpd_ps, _mm512_cvtps_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd,
+        _mm512_loadu_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_storeu_pd,
     };
 
     use super::{Isa, LANES, Vector, WIDE, first, first_mut};
@@ -119,7 +170,7 @@ mod fused {
     }
 
     macro_rules! vector {
-        ($name:ident, $inner:ty, $len:ident, $load:ident, $store:ident, $splat:ident, $mul:ident, $fma:ident, $fnma:ident) => {
+        ($name:ident, $inner:ty, $len:ident, $load:ident, $store:ident, $widen:expr, $narrow:expr, $splat:ident, $mul:ident, $fma:ident, $fnma:ident) => {
             #[derive(Clone, Copy)]
             pub(in super::super) struct $name($inner);
             // In each of these the instruction exists where the type may be used, and reads or writes what the reference covers.
@@ -127,12 +178,22 @@ mod fused {
                 #[inline(always)]
                 fn load(from: &[f64]) -> Self {
                     // SAFETY: as above.
-                    Self(unsafe { $load(first::<$len>(from).as_ptr()) })
+                    Self(unsafe { $load(first::<_, $len>(from).as_ptr()) })
                 }
                 #[inline(always)]
                 fn store(self, to: &mut [f64]) {
                     // SAFETY: as above.
-                    unsafe { $store(first_mut::<$len>(to).as_mut_ptr(), self.0) }
+                    unsafe { $store(first_mut::<_, $len>(to).as_mut_ptr(), self.0) }
+                }
+                #[inline(always)]
+                fn load_single(from: &[f32]) -> Self {
+                    // SAFETY: as above.
+                    Self(unsafe { $widen(first::<_, $len>(from).as_ptr()) })
+                }
+                #[inline(always)]
+                fn store_single(self, to: &mut [f32]) {
+                    // SAFETY: as above.
+                    unsafe { $narrow(first_mut::<_, $len>(to).as_mut_ptr(), self.0) }
                 }
                 #[inline(always)]
                 fn splat(x: f64) -> Self {
@@ -164,6 +225,8 @@ mod fused {
         LANES,
         _mm256_loadu_pd,
         _mm256_storeu_pd,
+        |from| _mm256_cvtps_pd(_mm_loadu_ps(from)),
+        |to, numbers| _mm_storeu_ps(to, _mm256_cvtpd_ps(numbers)),
         _mm256_set1_pd,
         _mm256_mul_pd,
         _mm256_fmadd_pd,
@@ -175,6 +238,8 @@ mod fused {
         WIDE,
         _mm512_loadu_pd,
         _mm512_storeu_pd,
+        |from| _mm512_cvtps_pd(_mm256_loadu_ps(from)),
+        |to, numbers| _mm256_storeu_ps(to, _mm512_cvtpd_ps(numbers)),
         _mm512_set1_pd,
         _mm512_mul_pd,
         _mm512_fmadd_pd,
@@ -187,14 +252,25 @@ mod fused {
     impl Vector for Twice {
         #[inline(always)]
         fn load(from: &[f64]) -> Self {
-            let from = first::<WIDE>(from);
+            let from = first::<_, WIDE>(from);
             Self(Four::load(&from[..LANES]), Four::load(&from[LANES..]))
         }
         #[inline(always)]
         fn store(self, to: &mut [f64]) {
-            let (low, high) = first_mut::<WIDE>(to).split_at_mut(LANES);
+            let (low, high) = first_mut::<_, WIDE>(to).split_at_mut(LANES);
             self.0.store(low);
             self.1.store(high);
+        }
+        #[inline(always)]
+        fn load_single(from: &[f32]) -> Self {
+            let from = first::<_, WIDE>(from);
+            Self(Four::load_single(&from[..LANES]), Four::load_single(&from[LANES..]))
+        }
+        #[inline(always)]
+        fn store_single(self, to: &mut [f32]) {
+            let (low, high) = first_mut::<_, WIDE>(to).split_at_mut(LANES);
+            self.0.store_single(low);
+            self.1.store_single(high);
         }
         #[inline(always)]
         fn splat(x: f64) -> Self {

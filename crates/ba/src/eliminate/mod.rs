@@ -24,13 +24,12 @@ mod path;
 mod product;
 mod single;
 
-pub(crate) use kernel::{multiply, multiply_transposed};
 pub(crate) use path::{Path, path};
 pub(crate) use single::ROWS as SINGLE_ROWS;
 
 use crate::problem::Problem;
 use crate::run::Rows;
-use crate::structure::{Cell, Chunk};
+use crate::structure::{Cell, Chunk, Elimination, Local};
 use crate::variable::Values;
 
 /// Largest variable that can be eliminated: beyond, the reduced system is the better place.
@@ -38,8 +37,13 @@ pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
 /// Numbers kept of a cell: L, y, g_p, the diagonal of J_pᵀJ_p, the inverses of L's diagonal, and Y: block by block, of each
 /// block a row for each direction, without padding.
-pub(crate) fn stash_len(dof: usize, dense: usize) -> usize {
-    stash_head(dof) + dof * dense + STASH_SLACK
+///
+/// Y is in single precision, two in place of one, for it is most of the memory, and of what is read and written: a step of
+/// eliminated variables that is wrong in the eighth digit is as good. Not where the reduced system is made of Y, for what is
+/// left of C − YᵀY when λ is small may be less than that.
+pub(crate) fn stash_len(dof: usize, dense: usize, elimination: Elimination) -> usize {
+    let numbers = dof * dense + STASH_SLACK;
+    stash_head(dof) + if elimination == Elimination::Implicit { numbers } else { numbers.div_ceil(2) }
 }
 
 /// The last vector of the last row may reach so far beyond it.
@@ -60,6 +64,8 @@ pub(crate) struct Sums {
     rows: Vec<f64>,
     /// Wᵀ of the cells at hand.
     w: Vec<f64>,
+    /// See [`single`].
+    turned: Vec<f64>,
     /// Largest component of g_p.
     pub(crate) gradient_max: f64,
     /// Sum of the costs of the factors that exist.
@@ -76,6 +82,7 @@ struct Room<'a> {
     vectors: &'a mut [f64],
     rows: &'a mut [f64],
     w: &'a mut [f64],
+    turned: &'a mut [f64],
     gradient_max: f64,
 }
 
@@ -87,6 +94,7 @@ impl Sums {
             costs: vec![0.0; chunk.factors.len()],
             rows: vec![0.0; chunk.rows_len + kernel::SLACK],
             w: vec![0.0; (MAX_ELIMINATED_DOF * widest).max(single::w_len(chunk))],
+            turned: vec![0.0; SINGLE_ROWS * widest],
             ..Self::default()
         }
     }
@@ -103,8 +111,8 @@ impl Sums {
         let (tiles, stash) = memory.split_at_mut(chunk.tiles_len);
         tiles.fill(0.0);
         self.vectors.fill(0.0);
-        let Self { vectors, rows, w, .. } = self;
-        let mut room = Room { tiles, stash, vectors, rows, w, gradient_max: 0.0 };
+        let Self { vectors, rows, w, turned, .. } = self;
+        let mut room = Room { tiles, stash, vectors, rows, w, turned, gradient_max: 0.0 };
         let mut done = kernel::At::default();
         for batch in &chunk.batches {
             let mut at = 0;
@@ -152,7 +160,7 @@ impl Sums {
             step.copy_from_slice(stash.reduced_gradient);
             let pattern = &chunk.patterns[cell.pattern as usize];
             let locals = &chunk.pattern_locals[pattern.locals.clone()];
-            kernel::multiply(stash.y, locals, &kept, step);
+            stash.y.multiply(locals, &kept, step);
             // Lᵀ δ = −(y + Y δ_c), from the last row up.
             for k in (0..p).rev() {
                 let (this, below) = step[k..].split_first_mut().expect("k is below p");
@@ -183,8 +191,39 @@ pub(crate) struct CellStash<'a> {
     pub(crate) diagonal: &'a [f64],
     /// The inverses of L's diagonal.
     inverse: &'a [f64],
-    /// Y: for each of the pattern's blocks, a row for each direction of the variable.
-    pub(crate) y: &'a [f64],
+    pub(crate) y: Y<'a>,
+}
+
+/// Y: for each of the pattern's blocks, a row for each direction of the variable.
+#[derive(Clone, Copy)]
+pub(crate) enum Y<'a> {
+    Single(&'a [f32]),
+    Double(&'a [f64]),
+}
+
+impl Y<'_> {
+    pub(crate) fn get(self, i: usize) -> f64 {
+        match self {
+            Self::Single(y) => f64::from(y[i]),
+            Self::Double(y) => y[i],
+        }
+    }
+
+    /// step += Y δ_c, where `kept` holds δ_c over the chunk's blocks, zero in the padding.
+    pub(crate) fn multiply(self, locals: &[Local], kept: &[f64], step: &mut [f64]) {
+        match self {
+            Self::Single(y) => kernel::multiply(y, locals, kept, step),
+            Self::Double(y) => kernel::multiply(y, locals, kept, step),
+        }
+    }
+
+    /// kept += Yᵀ u.
+    pub(crate) fn multiply_transposed(self, locals: &[Local], u: &[f64], kept: &mut [f64]) {
+        match self {
+            Self::Single(y) => kernel::multiply_transposed(y, locals, u, kept),
+            Self::Double(y) => kernel::multiply_transposed(y, locals, u, kept),
+        }
+    }
 }
 
 impl<'a> CellStash<'a> {
@@ -192,8 +231,13 @@ impl<'a> CellStash<'a> {
     pub(crate) fn of(memory: &'a [f64], cell: &Cell, chunk: &Chunk) -> Self {
         let p = cell.dof as usize;
         let dense = chunk.patterns[cell.pattern as usize].dense;
-        let (head, y) = memory[chunk.memory.start + chunk.tiles_len + cell.stash..][..stash_len(p, dense)]
+        let (head, y) = memory[chunk.memory.start + chunk.tiles_len + cell.stash..]
+            [..stash_len(p, dense, chunk.elimination)]
             .split_at(stash_head(p));
+        let y = match chunk.elimination {
+            Elimination::Implicit => Y::Double(y),
+            _ => Y::Single(bytemuck::cast_slice(y)),
+        };
         let (factor, rest) = head.split_at(p * p);
         let (reduced_gradient, rest) = rest.split_at(p);
         let (gradient, rest) = rest.split_at(p);

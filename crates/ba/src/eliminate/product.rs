@@ -125,59 +125,6 @@ fn add_row<V: Vector, const N: usize, const PLUS: bool>(
     sum.store(to);
 }
 
-/// tile + aᵀa − bᵀb with rows of `dof` numbers, of which the lower triangle is meant.
-#[inline(always)]
-pub(super) fn product_of_two<I: Isa, const N: usize, const M: usize>(
-    a: &[&[f64]; N],
-    b: &[&[f64]; M],
-    dof: usize,
-    tile: &mut [f64],
-) {
-    let lanes = tile_lanes(dof);
-    let (columns, row) = split(tile, dof, dof);
-    over_columns!(lanes, product_of_two_of::<I, N, M>(a, b, lanes, columns));
-    over_lanes!(row.len(), add_row_of_two::<I, N, M>(a, b, dof - 1, row));
-}
-
-#[inline(always)]
-fn product_of_two_of<I: Isa, const N: usize, const M: usize, const L: usize, const S: usize>(
-    first: usize,
-    a: &[&[f64]; N],
-    b: &[&[f64]; M],
-    lanes: usize,
-    columns: &mut [f64],
-) {
-    let (mut wide_a, mut narrow_a) = ([[I::Wide::splat(0.0); L]; N], [[I::Narrow::splat(0.0); S]; N]);
-    let (mut wide_b, mut narrow_b) = ([[I::Wide::splat(0.0); L]; M], [[I::Narrow::splat(0.0); S]; M]);
-    load_rows::<N, L, S, I>(a, first, &mut wide_a, &mut narrow_a);
-    load_rows::<M, L, S, I>(b, first, &mut wide_b, &mut narrow_b);
-    let (a, b) = (*a, *b);
-    for (j, column) in columns.chunks_exact_mut(lanes).enumerate() {
-        let column = &mut column[first..][..L * WIDE + S * LANES];
-        let (column, rest) = column.split_at_mut(L * WIDE);
-        for l in 0..L {
-            add_column::<N, true, I::Wide, L>(&a, j, &wide_a, l, &mut column[l * WIDE..]);
-            add_column::<M, false, I::Wide, L>(&b, j, &wide_b, l, &mut column[l * WIDE..]);
-        }
-        for s in 0..S {
-            add_column::<N, true, I::Narrow, S>(&a, j, &narrow_a, s, &mut rest[s * LANES..]);
-            add_column::<M, false, I::Narrow, S>(&b, j, &narrow_b, s, &mut rest[s * LANES..]);
-        }
-    }
-}
-
-#[inline(always)]
-fn add_row_of_two<V: Vector, const N: usize, const M: usize>(
-    lane: usize,
-    a: &[&[f64]; N],
-    b: &[&[f64]; M],
-    last: usize,
-    row: &mut [f64],
-) {
-    add_row::<V, N, true>(lane, a, a, last, row);
-    add_row::<V, M, false>(lane, b, b, last, row);
-}
-
 /// Whole vectors of each row, from number `first` on.
 #[inline(always)]
 fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
@@ -207,10 +154,39 @@ pub(super) struct Of {
 /// tile − aᵀb over all rows of `w`, of which a and b are columns: the sums stay in registers meanwhile.
 #[inline(always)]
 pub(super) fn subtract_product<I: Isa>(w: &[f64], width: usize, a: Of, b: Of, tile: &mut [f64]) {
+    if I::MANY_REGISTERS && (a.dof, b.dof) == (9, 9) {
+        return subtract_nine::<I>(w, width, a.column, b.column, tile);
+    }
     let lanes = tile_lanes(b.dof);
     let (columns, row) = split(tile, a.dof, b.dof);
     over_columns!(lanes, subtract_columns::<I>(w, width, a.column, b.column, lanes, columns));
     over_lanes!(row.len(), subtract_row::<I>(w, width, a.column, b.column + b.dof - 1, row));
+}
+
+/// All of a tile of cameras with their lenses at once.
+#[inline(always)]
+fn subtract_nine<I: Isa>(w: &[f64], width: usize, a: usize, b: usize, tile: &mut [f64]) {
+    let tile: &mut [f64; 9 * WIDE + 9] = tile.first_chunk_mut().expect("tiles are as long as that");
+    let (mut columns, mut row) = ([I::Wide::splat(0.0); 9], I::Wide::load(&tile[9 * WIDE..]));
+    let mut last = tile[9 * WIDE + WIDE];
+    for c in 0..9 {
+        columns[c] = I::Wide::load(&tile[c * WIDE..]);
+    }
+    for numbers in w.chunks_exact(width) {
+        let a: &[f64; 9] = numbers[a..].first_chunk().expect("rows hold all columns of a");
+        let b: &[f64; 9] = numbers[b..].first_chunk().expect("rows hold all columns of b");
+        let wide = I::Wide::load(b);
+        for c in 0..9 {
+            columns[c] = I::Wide::splat(a[c]).neg_mul_add(wide, columns[c]);
+        }
+        row = I::Wide::splat(b[WIDE]).neg_mul_add(I::Wide::load(a), row);
+        last = I::mul_add_one(-a[WIDE], b[WIDE], last);
+    }
+    for c in 0..9 {
+        columns[c].store(&mut tile[c * WIDE..]);
+    }
+    row.store(&mut tile[9 * WIDE..]);
+    tile[9 * WIDE + WIDE] = last;
 }
 
 /// One vector of the row behind the columns.

@@ -5,9 +5,9 @@
 
 use super::kernel::{At, SLACK, stash_rows};
 use super::lanes::{Isa, Vector, WIDE};
-use super::product::{Of, over_lanes, product, product_of_two, subtract_product};
+use super::product::{Of, over_lanes, product, subtract_product};
 use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Elimination, Local};
+use crate::structure::{Cell, Chunk, Elimination, padded};
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
@@ -23,17 +23,27 @@ pub(super) fn w_len(chunk: &Chunk) -> usize {
     groups.map(|cells| cells.len() * P * chunk.patterns[cells[0].pattern as usize].width).max().unwrap_or(0)
 }
 
-/// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them.
+/// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them. `D` is the
+/// size of all their blocks, known to the compiler, or 0.
+///
+/// With Z = J_p L⁻ᵀ of one factor, two rows of P numbers, Y = ZᵀJ_c, and its part of C − YᵀY is J_cᵀ (I − ZZᵀ) J_c: two products
+/// of rows instead of the five of J_cᵀJ_c and YᵀY.
 #[inline(always)]
-pub(super) fn eliminate<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, cells: &[Cell], at: &mut At) {
+pub(super) fn eliminate<I: Isa, const D: usize>(
+    room: &mut Room<'_>,
+    chunk: &Chunk,
+    cells: &[Cell],
+    at: &mut At,
+) {
     let pattern = &chunk.patterns[cells[0].pattern as usize];
     let locals = &chunk.pattern_locals[pattern.locals.clone()];
     let pairs = &chunk.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
     let width = pattern.width;
-    let Room { tiles, vectors, stash, rows, w, .. } = room;
+    let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
     let w = &mut w[..cells.len() * P * width];
     for (cell, w) in cells.iter().zip(w.chunks_exact_mut(P * width)) {
-        let (head, stashed) = stash[cell.stash..][..stash_len(P, pattern.dense)].split_at_mut(stash_head(P));
+        let (head, stashed) =
+            stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)].split_at_mut(stash_head(P));
         let head = Head::<P>::of(head);
         let factors = at.factor..cell.end as usize;
         at.factor = factors.end;
@@ -42,38 +52,39 @@ pub(super) fn eliminate<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, cells: &[Cel
         for (&shape, &l) in chunk.shape_of[factors].iter().zip(these) {
             let shape = &chunk.shapes[shape as usize];
             let local = &locals[l as usize];
+            let dof = local.dof_or::<D>();
+            let lanes = padded(dof);
             // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
             let both = &rows[at.row..][..ROWS * shape.stride + SLACK];
             at.row += ROWS * shape.stride;
-            let mut factor = Factor { rows: [&[]; ROWS], jp: [[0.0; P]; ROWS], residual: [0.0; ROWS] };
+            let mut rows = [&[][..]; ROWS];
+            let (mut z, mut residual) = ([[0.0; P]; ROWS], [0.0; ROWS]);
             for r in 0..ROWS {
                 let row = &both[r * shape.stride..];
-                factor.rows[r] = &row[shape.segments[0].column..];
-                factor.jp[r] =
-                    *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
-                factor.residual[r] = row[shape.residual];
+                rows[r] = &row[shape.segments[0].column..][..lanes];
+                residual[r] = row[shape.residual];
+                z[r] = *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
             }
-            let vectors = &mut vectors[3 * local.at..][..3 * local.padded];
-            let w = &mut w[local.column..];
-            over_lanes!(local.padded, add_block::<I>(&factor, &head, vectors, local.padded, w, width));
+            let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
+            let vectors = &mut vectors[3 * local.at..][..3 * lanes];
+            let w = &mut w[local.column..][..(P - 1) * width + lanes];
+            let turned = &mut turned[..ROWS * lanes];
+            over_lanes!(lanes, add_block::<I>(&factor, vectors, lanes, w, width, turned));
             let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
-            let rows_w = [&w[..local.padded], &w[width..][..local.padded], &w[2 * width..][..local.padded]];
-            if chunk.elimination == Elimination::Implicit {
-                product::<I, ROWS, true>(&factor.rows, &factor.rows, local.dof, local.dof, &mut tiles[at..]);
-            } else {
-                product_of_two::<I, ROWS, P>(&factor.rows, &rows_w, local.dof, &mut tiles[at..]);
-            }
+            let turned = [&turned[..lanes], &turned[lanes..]];
+            product::<I, ROWS, true>(&rows, &turned, dof, dof, &mut tiles[at..]);
         }
-        stash_rows::<P, I>(w, width, locals, stashed);
+        stash_rows::<P, I, D>(w, width, locals, stashed, chunk.elimination);
     }
     if chunk.elimination == Elimination::Implicit {
         return;
     }
     let mut first = 0;
     for (l, b) in locals.iter().enumerate() {
-        let of = |local: &Local| Of { column: local.column, dof: local.dof };
+        let b = Of { column: b.column, dof: b.dof_or::<D>() };
         for (a, &at) in locals[..l].iter().zip(&pairs[first..]) {
-            subtract_product::<I>(w, width, of(a), of(b), &mut tiles[at as usize..]);
+            let a = Of { column: a.column, dof: a.dof_or::<D>() };
+            subtract_product::<I>(w, width, a, b, &mut tiles[at as usize..]);
         }
         first += l + 1;
     }
@@ -81,47 +92,89 @@ pub(super) fn eliminate<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, cells: &[Cel
 
 /// The numbers of one factor.
 struct Factor<'a> {
-    /// By its kept block, from the first column on.
+    /// J_c, from its first column on.
     rows: [&'a [f64]; ROWS],
-    jp: [[f64; P]; ROWS],
     residual: [f64; ROWS],
+    z: [[f64; P]; ROWS],
+    /// I − ZZᵀ; I where nothing is to be subtracted.
+    rest: [[f64; ROWS]; ROWS],
+    /// Zy.
+    corrected: [f64; ROWS],
 }
 
-/// Gradient, correction and diagonal of one block, and Y.
+impl<'a> Factor<'a> {
+    /// From `z` = J_p.
+    #[inline(always)]
+    fn new<I: Isa>(
+        rows: [&'a [f64]; ROWS],
+        mut z: [[f64; P]; ROWS],
+        residual: [f64; ROWS],
+        head: &Head<P>,
+        elimination: Elimination,
+    ) -> Self {
+        let mut corrected = [0.0; ROWS];
+        for r in 0..ROWS {
+            for k in 0..P {
+                for i in 0..k {
+                    z[r][k] = I::mul_add_one(-head.factor[k][i], z[r][i], z[r][k]);
+                }
+                z[r][k] *= head.inverse[k];
+                corrected[r] = I::mul_add_one(z[r][k], head.y[k], corrected[r]);
+            }
+        }
+        let mut rest = [[1.0, 0.0], [0.0, 1.0]];
+        if elimination != Elimination::Implicit {
+            for r in 0..ROWS {
+                for s in 0..=r {
+                    for k in 0..P {
+                        rest[r][s] = I::mul_add_one(-z[r][k], z[s][k], rest[r][s]);
+                    }
+                    rest[s][r] = rest[r][s];
+                }
+            }
+        }
+        Self { rows, residual, z, rest, corrected }
+    }
+}
+
+/// Gradient, correction and diagonal of one block, Y, and (I − ZZᵀ) J_c.
 #[inline(always)]
 fn add_block<V: Vector>(
     lane: usize,
     factor: &Factor<'_>,
-    head: &Head<P>,
     vectors: &mut [f64],
-    padded: usize,
+    lanes: usize,
     w: &mut [f64],
     width: usize,
+    turned: &mut [f64],
 ) {
     let mut j = [V::splat(0.0); ROWS];
     for r in 0..ROWS {
         j[r] = V::load(&factor.rows[r][lane..]);
     }
-    let mut rows = [V::splat(0.0); P];
-    let mut c = V::load(&vectors[padded + lane..]);
     for k in 0..P {
-        let mut sum = j[0].mul(V::splat(factor.jp[0][k]));
+        let mut sum = j[0].mul(V::splat(factor.z[0][k]));
         for r in 1..ROWS {
-            sum = j[r].mul_add(V::splat(factor.jp[r][k]), sum);
+            sum = j[r].mul_add(V::splat(factor.z[r][k]), sum);
         }
-        for i in 0..k {
-            sum = V::splat(head.factor[k][i]).neg_mul_add(rows[i], sum);
-        }
-        rows[k] = sum.mul(V::splat(head.inverse[k]));
-        rows[k].store(&mut w[k * width + lane..]);
-        c = V::splat(head.y[k]).mul_add(rows[k], c);
+        sum.store(&mut w[k * width + lane..]);
     }
-    let (mut g, mut d) = (V::load(&vectors[lane..]), V::load(&vectors[2 * padded + lane..]));
+    for s in 0..ROWS {
+        let mut sum = j[0].mul(V::splat(factor.rest[s][0]));
+        for r in 1..ROWS {
+            sum = j[r].mul_add(V::splat(factor.rest[s][r]), sum);
+        }
+        sum.store(&mut turned[s * lanes + lane..]);
+    }
+    let mut g = V::load(&vectors[lane..]);
+    let mut c = V::load(&vectors[lanes + lane..]);
+    let mut d = V::load(&vectors[2 * lanes + lane..]);
     for r in 0..ROWS {
         g = j[r].mul_add(V::splat(factor.residual[r]), g);
+        c = j[r].mul_add(V::splat(factor.corrected[r]), c);
         d = j[r].mul_add(j[r], d);
     }
     g.store(&mut vectors[lane..]);
-    c.store(&mut vectors[padded + lane..]);
-    d.store(&mut vectors[2 * padded + lane..]);
+    c.store(&mut vectors[lanes + lane..]);
+    d.store(&mut vectors[2 * lanes + lane..]);
 }

@@ -4,7 +4,7 @@
 //!
 //! C, the kept variables' own part, is put together as ever, from tiles of blocks that share a factor.
 
-use crate::eliminate::{CellStash, multiply, multiply_transposed};
+use crate::eliminate::CellStash;
 use crate::schur::SchurSystem;
 use crate::structure::{Block, Chunk, Structure};
 
@@ -35,8 +35,8 @@ impl Eliminated<'_> {
                 let locals = &chunk.pattern_locals[chunk.patterns[cell.pattern as usize].locals.clone()];
                 let mut room = [0.0; crate::eliminate::MAX_ELIMINATED_DOF];
                 let product = &mut room[..cell.dof as usize];
-                multiply(stash.y, locals, &kept, product);
-                multiply_transposed(stash.y, locals, product, part);
+                stash.y.multiply(locals, &kept, product);
+                stash.y.multiply_transposed(locals, product, part);
             }
         });
         for (chunk, part) in self.structure.chunks.iter().zip(&parts) {
@@ -87,9 +87,9 @@ impl Eliminated<'_> {
                 let index = chunk.blocks.partition_point(|block| block.1 < local.at);
                 let sums = &mut sums[starts[index]..][..local.dof * local.dof];
                 for k in 0..cell.dof as usize {
-                    let y = &stash.y[cell.dof as usize * local.dense + k * local.dof..][..local.dof];
-                    for (sums, y_i) in sums.chunks_exact_mut(local.dof).zip(y) {
-                        sums.iter_mut().zip(y).for_each(|(sum, y_j)| *sum += y_i * y_j);
+                    let y = |i| stash.y.get(cell.dof as usize * local.dense + k * local.dof + i);
+                    for (i, sums) in sums.chunks_exact_mut(local.dof).enumerate() {
+                        sums.iter_mut().enumerate().for_each(|(j, sum)| *sum += y(i) * y(j));
                     }
                 }
             }

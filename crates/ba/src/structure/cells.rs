@@ -11,8 +11,8 @@ use super::{NONE, Place};
 
 /// Factors that join the same kept variables are bunched in cells of at most so many.
 const FACTORS_PER_KEPT_CELL: usize = 1024;
-/// Cells whose blocks one task collects.
-const CELLS_PER_TASK: usize = 1024;
+/// Variables whose cells one task drafts.
+const VARIABLES_PER_TASK: usize = 1024;
 
 /// A factor on its way into a chunk.
 #[derive(Clone, Copy)]
@@ -24,7 +24,9 @@ pub(super) struct Entry {
 /// A cell on its way into a chunk.
 #[derive(Clone, Copy)]
 pub(super) struct Draft {
-    first_block: usize,
+    /// The part that it is in, and where in that its blocks begin.
+    part: u32,
+    first_block: u32,
     pub(super) num_blocks: u32,
     first_entry: u32,
     pub(super) num_entries: u32,
@@ -41,21 +43,71 @@ impl Draft {
     }
 }
 
-/// All cells on their way into chunks.
-pub(super) struct Cells {
-    drafts: Vec<Draft>,
-    pub(super) entries: Vec<Entry>,
-    /// The sorted blocks of each cell.
-    blocks: Vec<u32>,
+/// The variables of a run's factors.
+pub(super) struct View<'a> {
+    slots: &'a [u32],
+    /// Where those are that stand first, second and so on.
+    places: Vec<&'a [Place]>,
 }
 
-impl Cells {
+impl<'a> View<'a> {
+    /// Of all runs.
+    pub(super) fn all(problem: &'a Problem, places: &'a [Vec<Place>]) -> Vec<Self> {
+        let places_of = |stores: &[u16]| stores.iter().map(|&store| &places[store as usize][..]).collect();
+        let runs = problem.runs.iter();
+        runs.map(|run| Self { slots: run.all_slots(), places: places_of(run.stores()) }).collect()
+    }
+
+    /// Where a factor's variables are.
+    #[inline]
+    pub(super) fn places(&self, factor: u32) -> impl Iterator<Item = &'a Place> {
+        let count = self.places.len();
+        let slots = &self.slots[factor as usize * count..][..count];
+        self.places.iter().zip(slots).map(|(places, &slot)| &places[slot as usize])
+    }
+}
+
+/// All cells on their way into chunks.
+pub(super) struct Cells<'a> {
+    parts: Vec<Part>,
+    pub(super) entries: Vec<Entry>,
+    pub(super) views: Vec<View<'a>>,
+}
+
+/// Some cells.
+#[derive(Default)]
+struct Part {
+    drafts: Vec<Draft>,
+    /// The sorted blocks of each.
+    blocks: Vec<u32>,
+    /// By what each is sorted.
+    keys: Vec<u128>,
+}
+
+impl Part {
+    fn push(&mut self, draft: Draft) {
+        let blocks = &self.blocks[draft.first_block as usize..][..draft.num_blocks as usize];
+        // Block numbers are below 2³¹, for there are at most so many degrees of freedom.
+        let first = blocks.first().map_or(0, |&block| u128::from(block) + 1);
+        let after = |i: usize| match blocks.get(i - 1..=i) {
+            Some(two) => u128::from((two[1] - two[0]).min(u32::from(u16::MAX))),
+            None => 0,
+        };
+        let rest = u128::from(mixed(blocks));
+        self.keys.push(
+            u128::from(draft.dof == 0) << 127 | first << 96 | after(1) << 80 | after(2) << 64 | rest << 32,
+        );
+        self.drafts.push(draft);
+    }
+}
+
+impl<'a> Cells<'a> {
     /// Collects the factors of every cell, and its blocks.
     pub(super) fn draft(
-        problem: &Problem,
+        problem: &'a Problem,
         variables: &Variables,
         scan: &Scan,
-        places: &[Vec<Place>],
+        places: &'a [Vec<Place>],
     ) -> Self {
         let total = variables.len();
         let mut start = vec![0u32; total + 2];
@@ -75,55 +127,50 @@ impl Cells {
                 *at += 1;
             }
         }
-        let mut cells = Self { drafts: Vec::new(), entries, blocks: Vec::new() };
-        for store in 0..problem.metas.len() {
-            let range = variables.first[store]..variables.first[store + 1];
-            let owners: Vec<u32> = range
-                .filter(|&i| {
-                    variables.fates[i as usize] == Fate::Eliminated
-                        && start[i as usize] < start[i as usize + 1]
-                })
-                .collect();
-            let dof = problem.values.stores[store].dof() as u32;
-            let part = |owners: &[u32]| {
-                let (mut blocks, mut drafts) = (Vec::new(), Vec::with_capacity(owners.len()));
-                for &owner in owners {
-                    let entries = start[owner as usize] as usize..start[owner as usize + 1] as usize;
-                    let range = collect_blocks(problem, places, &cells.entries[entries.clone()], &mut blocks);
-                    drafts.push(Draft {
-                        first_block: range.start,
-                        num_blocks: range.len() as u32,
-                        first_entry: entries.start as u32,
-                        num_entries: entries.len() as u32,
-                        dof,
-                        store: store as u32,
-                        slot: owner - variables.first[store],
-                    });
-                }
-                (blocks, drafts)
-            };
-            let parts: Vec<_> = owners.par_chunks(CELLS_PER_TASK).map(part).collect();
-            for (blocks, drafts) in parts {
-                let shift = cells.blocks.len();
-                cells.blocks.extend(blocks);
-                let moved = |draft: Draft| Draft { first_block: draft.first_block + shift, ..draft };
-                cells.drafts.extend(drafts.into_iter().map(moved));
-            }
+        let views = View::all(problem, places);
+        let mut tasks = Vec::new();
+        for (store, ends) in (0u32..).zip(variables.first.windows(2)) {
+            let firsts = (ends[0]..ends[1]).step_by(VARIABLES_PER_TASK);
+            tasks.extend(firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_TASK as u32))));
         }
-        cells.draft_kept(problem, places, start[total] as usize..start[total + 1] as usize);
+        let part = |(number, (store, range)): (usize, (u32, Range<u32>))| {
+            let mut part = Part::default();
+            let dof = problem.values.stores[store as usize].dof() as u32;
+            for owner in range {
+                let ends = [start[owner as usize], start[owner as usize + 1]];
+                if variables.fates[owner as usize] != Fate::Eliminated || ends[0] == ends[1] {
+                    continue;
+                }
+                let entries = &entries[ends[0] as usize..ends[1] as usize];
+                let blocks = collect_blocks(&views, entries, &mut part.blocks);
+                part.push(Draft {
+                    part: number as u32,
+                    first_block: blocks.start as u32,
+                    num_blocks: blocks.len() as u32,
+                    first_entry: ends[0],
+                    num_entries: ends[1] - ends[0],
+                    dof,
+                    store,
+                    slot: owner - variables.first[store as usize],
+                });
+            }
+            part
+        };
+        let parts = tasks.into_par_iter().enumerate().map(part).collect();
+        let mut cells = Self { parts, entries, views };
+        cells.draft_kept(start[total] as usize..start[total + 1] as usize);
         cells
     }
 
     /// Bunches the factors without an eliminated variable by the blocks that they join.
-    fn draft_kept(&mut self, problem: &Problem, places: &[Vec<Place>], entries: Range<usize>) {
+    fn draft_kept(&mut self, entries: Range<usize>) {
+        let mut part = Part::default();
         let mut singles: Vec<_> = entries
             .clone()
-            .map(|i| {
-                (collect_blocks(problem, places, &self.entries[i..=i], &mut self.blocks), self.entries[i])
-            })
+            .map(|i| (collect_blocks(&self.views, &self.entries[i..=i], &mut part.blocks), self.entries[i]))
             .collect();
         singles.sort_by(|a, b| {
-            let blocks = self.blocks[a.0.clone()].cmp(&self.blocks[b.0.clone()]);
+            let blocks = part.blocks[a.0.clone()].cmp(&part.blocks[b.0.clone()]);
             blocks.then((a.1.run, a.1.factor).cmp(&(b.1.run, b.1.factor)))
         });
         for (i, single) in entries.clone().zip(&singles) {
@@ -133,10 +180,11 @@ impl Cells {
         while at < singles.len() {
             let blocks = singles[at].0.clone();
             let same =
-                |other: &&(Range<usize>, Entry)| self.blocks[other.0.clone()] == self.blocks[blocks.clone()];
+                |other: &&(Range<usize>, Entry)| part.blocks[other.0.clone()] == part.blocks[blocks.clone()];
             let len = singles[at..].iter().take(FACTORS_PER_KEPT_CELL).take_while(same).count();
-            self.drafts.push(Draft {
-                first_block: blocks.start,
+            part.push(Draft {
+                part: self.parts.len() as u32,
+                first_block: blocks.start as u32,
                 num_blocks: blocks.len() as u32,
                 first_entry: (entries.start + at) as u32,
                 num_entries: len as u32,
@@ -146,11 +194,12 @@ impl Cells {
             });
             at += len;
         }
+        self.parts.push(part);
     }
 
     /// The sorted blocks of a cell.
     pub(super) fn blocks_of(&self, draft: &Draft) -> &[u32] {
-        &self.blocks[draft.first_block..][..draft.num_blocks as usize]
+        &self.parts[draft.part as usize].blocks[draft.first_block as usize..][..draft.num_blocks as usize]
     }
 
     /// The factors of a cell.
@@ -158,51 +207,50 @@ impl Cells {
         &self.entries[draft.first_entry as usize..][..draft.num_entries as usize]
     }
 
-    /// The cells sorted by their first blocks, those without a variable last. Only neighbours with equal patterns gain from
-    /// the order; beyond three blocks it makes no difference.
+    /// The cells sorted by their first three blocks, those without a variable last, so that tiles, points and factors stay near;
+    /// and so that equal patterns are neighbours, which are then worked on at once.
     pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
-        let mut keys: Vec<u128> = (0u128..)
-            .zip(&self.drafts)
-            .map(|(index, draft)| {
-                let blocks = self.blocks_of(draft);
-                // Block numbers are below 2³¹, for there are at most so many degrees of freedom.
-                let block = |i: usize| blocks.get(i).map_or(0, |&block| u128::from(block) + 1);
-                u128::from(draft.dof == 0) << 127 | block(0) << 95 | block(1) << 63 | block(2) << 32 | index
-            })
-            .collect();
+        let (mut keys, mut drafts) = (Vec::new(), Vec::new());
+        for part in &self.parts {
+            let first = drafts.len() as u128;
+            keys.extend((first..).zip(&part.keys).map(|(index, key)| key | index));
+            drafts.extend(&part.drafts);
+        }
         keys.par_sort_unstable();
-        keys.into_iter().map(|key| self.drafts[key as u32 as usize]).collect()
+        keys.into_iter().map(|key| drafts[key as u32 as usize]).collect()
     }
 }
 
+/// The same number for the same blocks, and nearly always others for others.
+fn mixed(blocks: &[u32]) -> u32 {
+    let step =
+        |sum: u64, &block| (sum ^ u64::from(block)).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+    (blocks.iter().fold(0, step) >> 32) as u32
+}
+
 /// Appends the sorted distinct blocks of some factors.
-fn collect_blocks(
-    problem: &Problem,
-    places: &[Vec<Place>],
-    entries: &[Entry],
-    blocks: &mut Vec<u32>,
-) -> Range<usize> {
+fn collect_blocks(views: &[View<'_>], entries: &[Entry], blocks: &mut Vec<u32>) -> Range<usize> {
     let begin = blocks.len();
+    let mut sorted = true;
     for entry in entries {
-        let run = &problem.runs[entry.run as usize];
-        for (&store, &slot) in run.stores().iter().zip(run.slots(entry.factor as usize)) {
-            let block = places[store as usize][slot as usize].block;
-            if block != NONE && blocks.len() > begin && blocks[blocks.len() - 1] == block {
-                continue;
-            }
-            if block != NONE {
-                blocks.push(block);
+        for place in views[entry.run as usize].places(entry.factor) {
+            let last = blocks.get(begin..).and_then(<[u32]>::last);
+            if place.block != NONE && last != Some(&place.block) {
+                sorted &= last.is_none_or(|&last| last < place.block);
+                blocks.push(place.block);
             }
         }
     }
-    blocks[begin..].sort_unstable();
-    let mut end = begin;
-    for i in begin..blocks.len() {
-        if end == begin || blocks[i] != blocks[end - 1] {
-            blocks[end] = blocks[i];
-            end += 1;
+    if !sorted {
+        blocks[begin..].sort_unstable();
+        let mut end = begin;
+        for i in begin..blocks.len() {
+            if end == begin || blocks[i] != blocks[end - 1] {
+                blocks[end] = blocks[i];
+                end += 1;
+            }
         }
+        blocks.truncate(end);
     }
-    blocks.truncate(end);
-    begin..end
+    begin..blocks.len()
 }

@@ -6,9 +6,7 @@ use crate::problem::Problem;
 use super::cells::{Cells, Draft};
 use super::place::Look;
 use super::shape::Shapes;
-use super::{
-    Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Place, Stretch, Tile, padded, tile_len,
-};
+use super::{Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Stretch, Tile, padded, tile_len};
 
 /// Rows of so many factors are linearised at once: 64 × 2 rows × 16 numbers are 16 KiB, half of a first-level cache.
 const FACTORS_PER_BATCH: usize = 64;
@@ -17,9 +15,8 @@ const FACTORS_PER_BATCH: usize = 64;
 pub(super) struct Context<'a> {
     pub(super) problem: &'a Problem,
     pub(super) blocks: &'a [Block],
-    pub(super) places: &'a [Vec<Place>],
     pub(super) looks: &'a [Look],
-    pub(super) cells: &'a Cells,
+    pub(super) cells: &'a Cells<'a>,
     pub(super) elimination: Elimination,
 }
 
@@ -61,6 +58,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
     for blocks in &patterns {
         let begin = chunk.pattern_locals.len();
         let (mut width, mut dense) = (0, 0);
+        let first = blocks.first().map_or(0, |&block| context.blocks[block as usize].dof);
         for &block in *blocks {
             let (dof, local) = (context.blocks[block as usize].dof, local_of[block as usize] as usize);
             let at = chunk.blocks[local].1;
@@ -69,7 +67,9 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
             dense += dof;
             start[local + 1] += 1;
         }
-        chunk.patterns.push(Pattern { locals: begin..chunk.pattern_locals.len(), pairs, width, dense });
+        let locals = begin..chunk.pattern_locals.len();
+        let same = chunk.pattern_locals[locals.clone()].iter().all(|local| local.dof == first);
+        chunk.patterns.push(Pattern { locals, pairs, width, dense, dof: if same { first } else { 0 } });
         pairs += blocks.len() * (blocks.len() + 1) / 2;
     }
     for i in 1..start.len() {
@@ -129,9 +129,8 @@ fn direct_pairs(context: &Context<'_>, drafts: &[Draft]) -> Option<Vec<(u32, u32
     }
     let mut pairs = Vec::new();
     for entry in drafts.iter().flat_map(|draft| context.cells.entries_of(draft)) {
-        let run = &context.problem.runs[entry.run as usize];
-        let block = |(&store, &slot): (&u16, &u32)| context.places[store as usize][slot as usize].block;
-        let blocks = || run.stores().iter().zip(run.slots(entry.factor as usize)).map(block);
+        let view = &context.cells.views[entry.run as usize];
+        let blocks = || view.places(entry.factor).map(|place| place.block);
         for a in blocks().filter(|&a| a != NONE) {
             pairs.extend(blocks().filter(|&b| b != NONE && a < b).map(|b| (a, b)));
         }
@@ -191,7 +190,8 @@ fn fill(context: &Context<'_>, drafts: &[Draft], pattern_of: &[u32], chunk: &mut
             step: chunk.steps.end,
         });
         if p > 0 {
-            chunk.stash_len += crate::eliminate::stash_len(p, chunk.patterns[pattern as usize].dense);
+            let dense = chunk.patterns[pattern as usize].dense;
+            chunk.stash_len += crate::eliminate::stash_len(p, dense, chunk.elimination);
             chunk.steps.end += p;
         }
     }

@@ -136,6 +136,14 @@ pub(crate) struct Local {
     pub(crate) dense: usize,
 }
 
+impl Local {
+    /// Its degrees of freedom: `D`, where that is known to the compiler and not 0.
+    #[inline(always)]
+    pub(crate) fn dof_or<const D: usize>(&self) -> usize {
+        if D > 0 { D } else { self.dof }
+    }
+}
+
 /// The blocks that a cell touches.
 #[derive(Clone, Debug)]
 pub(crate) struct Pattern {
@@ -147,6 +155,8 @@ pub(crate) struct Pattern {
     pub(crate) width: usize,
     /// Sum of `dof` over its blocks.
     pub(crate) dense: usize,
+    /// That of every block; 0 where they differ.
+    pub(crate) dof: usize,
 }
 
 /// An eliminated variable with its factors, or factors without one.
@@ -315,14 +325,7 @@ impl Structure {
             rest = others;
             parts.push((these, begin));
         }
-        let context = chunk::Context {
-            problem,
-            blocks: &blocks,
-            places: &places,
-            looks: &looks,
-            cells: &cells,
-            elimination,
-        };
+        let context = chunk::Context { problem, blocks: &blocks, looks: &looks, cells: &cells, elimination };
         // Of several errors, the first in order.
         let chunks: Vec<Result<Chunk, Error>> = parts
             .into_par_iter()

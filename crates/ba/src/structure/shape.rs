@@ -4,10 +4,10 @@ use crate::eliminate::SINGLE_ROWS;
 use crate::error::Error;
 use crate::run::AnyRun;
 
-use super::cells::Entry;
+use super::cells::{Entry, View};
 use super::chunk::Context;
 use super::place::Look;
-use super::{NO_OWN, NONE, Place, Segment, Shape};
+use super::{NO_OWN, NONE, Segment, Shape};
 
 /// Most variables of a factor.
 const MAX_VARIABLES: usize = 8;
@@ -18,9 +18,11 @@ pub(super) struct Shapes<'a> {
     pub(super) shapes: Vec<Shape>,
     /// What is often asked of each shape.
     pub(super) facts: Vec<Facts>,
-    runs: Vec<Variables<'a>>,
+    runs: &'a [Box<dyn AnyRun>],
+    views: &'a [View<'a>],
     looks: &'a [Look],
-    last: Option<(Key, u16)>,
+    /// The shape that was last asked for.
+    last: (Key, u16),
 }
 
 /// What is often asked of a shape.
@@ -34,15 +36,8 @@ pub(super) struct Facts {
     begins: Vec<u8>,
 }
 
-/// The variables of a run's factors.
-struct Variables<'a> {
-    run: &'a dyn AnyRun,
-    slots: &'a [u32],
-    places: Vec<&'a [Place]>,
-}
-
 /// What a factor's shape follows from.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Default)]
 struct Key {
     run: u16,
     /// Bit i: variable i is in the block of the one before.
@@ -52,13 +47,14 @@ struct Key {
 
 impl<'a> Shapes<'a> {
     pub(super) fn new(context: &Context<'a>) -> Self {
-        let runs = context.problem.runs.iter().map(|run| Variables {
-            run: &**run,
-            slots: run.all_slots(),
-            places: run.stores().iter().map(|&store| &context.places[store as usize][..]).collect(),
-        });
-        let (shapes, facts) = (Vec::new(), Vec::new());
-        Self { shapes, facts, runs: runs.collect(), looks: context.looks, last: None }
+        Self {
+            shapes: Vec::new(),
+            facts: Vec::new(),
+            runs: &context.problem.runs,
+            views: &context.cells.views,
+            looks: context.looks,
+            last: Default::default(),
+        }
     }
 
     /// The number of a factor's shape; and, for each of its segments, which of the cell's blocks it is, appended to `locals`.
@@ -68,24 +64,22 @@ impl<'a> Shapes<'a> {
         cell_blocks: &[u32],
         locals: &mut Vec<u16>,
     ) -> Result<u16, Error> {
-        let Variables { slots, places, .. } = &self.runs[entry.run as usize];
-        let slots = &slots[entry.factor as usize * places.len()..][..places.len()];
         let mut key = Key { run: entry.run, same_block: 0, classes: [0; MAX_VARIABLES] };
-        let (mut blocks, mut last_block) = ([NONE; MAX_VARIABLES], NONE);
-        for (i, (places, &slot)) in places.iter().zip(slots).enumerate() {
-            let place = &places[slot as usize];
+        let (mut blocks, mut last_block, mut classes_differ) = ([NONE; MAX_VARIABLES], NONE, 0);
+        for (i, place) in self.views[entry.run as usize].places(entry.factor).enumerate() {
             key.classes[i] = place.class;
+            classes_differ |= place.class ^ self.last.0.classes[i];
             key.same_block |= u8::from(place.block == last_block) << i;
             (blocks[i], last_block) = (place.block, place.block);
         }
-        let number = match self.last {
-            Some((last, number)) if last == key => number,
-            _ => {
-                let number = self.number(&key)?;
-                self.last = Some((key, number));
-                number
-            }
-        };
+        // Those of one run have equally many classes.
+        let same = classes_differ == 0
+            && (key.run, key.same_block) == (self.last.0.run, self.last.0.same_block)
+            && !self.shapes.is_empty();
+        if !same {
+            self.last = (key, self.number(&key)?);
+        }
+        let number = self.last.1;
         for &variable in &self.facts[number as usize].begins {
             let block = blocks[variable as usize];
             let local = match cell_blocks.len() {
@@ -100,7 +94,7 @@ impl<'a> Shapes<'a> {
 
     /// The shape that follows from `key`, found or new.
     fn number(&mut self, key: &Key) -> Result<u16, Error> {
-        let run = self.runs[key.run as usize].run;
+        let run = &self.runs[key.run as usize];
         let mut shape =
             Shape { run: key.run, own: NO_OWN, rows: run.rows(), stride: run.stride(), ..Shape::default() };
         let (mut column, mut last_placed, mut begins) = (0, false, Vec::new());

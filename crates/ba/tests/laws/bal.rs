@@ -100,6 +100,7 @@ fn a_file_can_be_read_back() {
     for (text, problem) in [
         ("1 1", "the file ends where the number of observations should be"),
         ("1 1 1 0 1 0 0", "camera 0 of 1 sees point 1 of 1"),
+        ("0 1 0 1 2 3 4", "'4' follows the last of 1 points"),
         ("1 1 1 0 x 0 0", "a point: 'x' is not a number"),
     ] {
         assert_eq!(Bal::parse(text), Err(problem.to_owned()));

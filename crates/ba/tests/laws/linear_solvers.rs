@@ -7,6 +7,8 @@ use tiepoint_ba::{LinearSolver, Loss, Options, Summary};
 
 /// Rounding of normal equations with a condition number of about 1e8 in a solve of a few steps.
 const SAME_COST: f64 = 1e-9;
+/// On the way there, where steps of eliminated variables are far, and right to the 6e-8 of single precision.
+const SAME_STEP: f64 = 1e-7;
 const SAME_POSE: f64 = 1e-6;
 const STEPS: usize = 6;
 /// What the accuracy to which a step is solved for leaves of the difference that it makes.
@@ -58,8 +60,9 @@ fn eliminating_is_the_same_as_not_eliminating() {
             assert_eq!(found.num_eliminated, 3 * 59);
             assert_eq!(found.iterations.len(), expected.iterations.len());
             for (a, b) in costs(&found).iter().zip(costs(&expected)) {
-                assert!((a - b).abs() < SAME_COST * b, "{solver:?} {intrinsics:?}: {found}\n{expected}");
+                assert!((a - b).abs() < SAME_STEP * b, "{solver:?} {intrinsics:?}: {found}\n{expected}");
             }
+            assert!((found.final_cost - expected.final_cost).abs() < SAME_COST * expected.final_cost);
             for (&a, &b) in scene.poses.iter().zip(&twin.poses) {
                 let difference = scene.problem.get(a).inverse() * twin.problem.get(b);
                 assert!(difference.translation.norm() + difference.rotation.angle() < SAME_POSE);

@@ -1,25 +1,28 @@
 //! A stereo rig on a real drive: KITTI 00, from GTSAM's data, beside the poses that KITTI takes for true.
 //!
-//! What can be held against them: rotations. Positions cannot get nearer: for the first 15 moments the true ones are no measurement
-//! (0.860 m from each to the next, while the images accelerate from 0.68 to 0.78 m), and from moment 20 on the path is 1 % longer than
-//! the rig's calibration makes it before and after adjustment, for lens and baseline are held.
+//! With the right lens as calibrated, rotations get nearer to the true ones and positions do not: the path is 1.5 % too short
+//! before and after, as if disparities were off. With its principal point's column free, which moves by 0.12 px, all get nearer,
+//! by any measure.
 
 use std::path::PathBuf;
 
 use tiepoint_ba::{Loss, Options};
 
-use crate::rig::{Stereo, distance, true_poses};
+use crate::rig::{Right, Stereo, distance, true_poses};
 use crate::scene::solve_as;
 
-/// Moments between poses whose relative rotation is compared, and those at the beginning that are left out.
+/// Moments between poses that are compared as one is seen from the other.
 const APART: usize = 20;
-const BEGINNING: usize = 15;
-/// Rotations end at 0.61 of their error, positions within 6 % of theirs; with room for other machines' rounding.
-const TURN: f64 = 0.75;
-const POSITION: f64 = 1.1;
+/// With the right lens held, turns end at 0.84 of their error.
+const TURN: f64 = 0.9;
+/// With its column free, positions end at 0.954 of their error, aligned at 0.80, 20 moments ahead at 0.946, and turns at 0.84:
+/// a bit less is asked for, for other machines' rounding.
+const NEARER: [f64; 4] = [0.97, 0.85, 0.97, 0.9];
+/// Where the column goes, px.
+const SHIFT: f64 = -0.12;
 
 #[test]
-fn rotations_of_a_real_drive_get_nearer_to_the_true_ones() {
+fn a_real_drive_ends_nearer_to_the_true_poses() {
     let Some(data) = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from) else {
         eprintln!("SKIPPED: TIEPOINT_DATA is not set, so that stereo_vo_kitti00 cannot be adjusted");
         return;
@@ -32,12 +35,22 @@ fn rotations_of_a_real_drive_get_nearer_to_the_true_ones() {
     )
     .unwrap();
     let truth = true_poses(&read("kitti_poses/00.txt")).unwrap();
-    let (mut problem, keys) = stereo.problem(Loss::Cauchy(2.0)).unwrap();
-    let summary = solve_as(&mut problem, &Options::default());
-    assert!(summary.termination.converged(), "{summary}");
-    let after: Vec<_> = keys.iter().map(|&key| problem.get(key).inverse()).collect();
-    let [before, after] = [&stereo.poses, &after]
-        .map(|poses| distance(&poses[BEGINNING..], &truth[BEGINNING..poses.len()], APART));
-    assert!(after.turn_rad < TURN * before.turn_rad, "{before:?} {after:?}");
-    assert!(after.aligned_m < POSITION * before.aligned_m, "{before:?} {after:?}");
+    let before = distance(&stereo.poses, &truth, APART);
+    for right in [Right::Held, Right::ColumnFree] {
+        let mut adjustment = stereo.problem(Loss::Cauchy(2.0), right).unwrap();
+        let summary = solve_as(&mut adjustment.problem, &Options::default());
+        assert!(summary.termination.converged(), "{summary}");
+        let after = distance(&adjustment.poses(), &truth, APART);
+        let found = format!("{right:?} {:.4} px {before:?} {after:?}", adjustment.right_shift_px());
+        assert!(after.turn_rad < TURN * before.turn_rad, "{found}");
+        if right == Right::Held {
+            assert_eq!(adjustment.right_shift_px(), 0.0);
+            continue;
+        }
+        assert!((adjustment.right_shift_px() - SHIFT).abs() < 0.01, "{found}");
+        let errors = [before, after].map(|it| [it.as_they_are_m, it.aligned_m, it.ahead_m, it.turn_rad]);
+        for ((before, after), nearer) in errors[0].iter().zip(errors[1]).zip(NEARER) {
+            assert!(after < nearer * before, "{found}");
+        }
+    }
 }

@@ -167,6 +167,8 @@ fn hostile_problems_of_bundle_adjustment() {
         ("4000000000 4000000000 1\n0 0 1 2\n0 0 0\n", "line 4: the file ends"),
         ("2 2 99999999999999\n0 0 1 2\n", "line 3: the file ends"),
         ("2 2 99999999999999999999999\n", "line 1: the number of observations is `99999999999999999999999`"),
+        (&(good.clone() + "7.5\n"), "line 10: `7.5` follows the last of 2 points"),
+        (&good.replacen("-6", "-6 8", 1), "line 9: `8` follows the last of 2 points"),
         ("\0\u{1}\u{fffd}\n", "line 1: the number of cameras"),
     ] {
         fs::write(dir.path().join("bal.txt"), text).unwrap();

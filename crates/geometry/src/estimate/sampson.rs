@@ -112,24 +112,12 @@ dispatch! {
         let [mut error, mut squared, mut rho, mut weight] = [[0.0; LANES]; 4];
         for (index, block) in blocks.iter().enumerate() {
             let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = block;
-            let [.., j20, j21, j22, j23, j24, j25] = block;
+            let [_, _, _, _, _, _, _, _, _, _, _, _, j2 @ ..] = block;
             for l in 0..LANES {
                 let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
-                let line2 = [
-                    dot([m.m11, m.m12, m.m13], y1),
-                    dot([m.m21, m.m22, m.m23], y1),
-                    dot([m.m31, m.m32, m.m33], y1),
-                ];
-                let line1 = [
-                    dot([m.m11, m.m21, m.m31], y2),
-                    dot([m.m12, m.m22, m.m32], y2),
-                    dot([m.m13, m.m23, m.m33], y2),
-                ];
+                let [line2, line1] = [times(m, y1), transposed_times(m, y2)];
                 let product = dot(y2, line2);
-                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
-                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
-                let c = dot([j20[l], j21[l], j22[l]], line2);
-                let d = dot([j23[l], j24[l], j25[l]], line2);
+                let ([a, b], [c, d]) = (in_pixels(j1, l, line1), in_pixels(j2, l, line2));
                 let norm2 = (a * a + b * b) + (c * c + d * d);
                 let inverse = factor / norm2.sqrt();
                 let ratio = product / norm2;
@@ -140,9 +128,9 @@ dispatch! {
                     (j1[2][l] * a + j1[5][l] * b) * ratio,
                 ];
                 let by_line2 = [
-                    (j20[l] * c + j23[l] * d) * ratio,
-                    (j21[l] * c + j24[l] * d) * ratio,
-                    (j22[l] * c + j25[l] * d) * ratio,
+                    (j2[0][l] * c + j2[3][l] * d) * ratio,
+                    (j2[1][l] * c + j2[4][l] * d) * ratio,
+                    (j2[2][l] * c + j2[5][l] * d) * ratio,
                 ];
                 // Padding, and pairs at both epipoles.
                 let counts = (index * LANES + l < len) & (inverse < f64::INFINITY);
@@ -201,25 +189,13 @@ dispatch! {
     ) {
         for index in blocks_of(&range) {
             let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = &blocks[index];
-            let [.., j20, j21, j22, j23, j24, j25] = &blocks[index];
+            let [_, _, _, _, _, _, _, _, _, _, _, _, j2 @ ..] = &blocks[index];
             let mut lanes = [0.0; LANES];
             for l in 0..LANES {
                 let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
-                let line2 = [
-                    dot([m.m11, m.m12, m.m13], y1),
-                    dot([m.m21, m.m22, m.m23], y1),
-                    dot([m.m31, m.m32, m.m33], y1),
-                ];
-                let line1 = [
-                    dot([m.m11, m.m21, m.m31], y2),
-                    dot([m.m12, m.m22, m.m32], y2),
-                    dot([m.m13, m.m23, m.m33], y2),
-                ];
+                let [line2, line1] = [times(m, y1), transposed_times(m, y2)];
                 let product = dot(y2, line2);
-                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
-                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
-                let c = dot([j20[l], j21[l], j22[l]], line2);
-                let d = dot([j23[l], j24[l], j25[l]], line2);
+                let ([a, b], [c, d]) = (in_pixels(j1, l, line1), in_pixels(j2, l, line2));
                 lanes[l] = product * product * factor / ((a * a + b * b) + (c * c + d * d));
             }
             store(&lanes, index, &range, squared);
@@ -236,32 +212,20 @@ dispatch! {
         range: Range<usize>,
         squared: &mut [f64],
     ) {
-        let m = pose;
-        let t = [m.m14, m.m24, m.m34];
+        let (rotation, t) = (pose.fixed_columns::<3>(0).into_owned(), [pose.m14, pose.m24, pose.m34]);
         for index in blocks_of(&range) {
             let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = &blocks[index];
-            let [.., j20, j21, j22, j23, j24, j25] = &blocks[index];
+            let [_, _, _, _, _, _, _, _, _, _, _, _, j2 @ ..] = &blocks[index];
             let mut lanes = [0.0; LANES];
             for l in 0..LANES {
                 let (y1, y2) = ([y1x[l], y1y[l], y1z[l]], [y2x[l], y2y[l], y2z[l]]);
-                let rotated = [
-                    dot([m.m11, m.m12, m.m13], y1),
-                    dot([m.m21, m.m22, m.m23], y1),
-                    dot([m.m31, m.m32, m.m33], y1),
-                ];
+                let rotated = times(&rotation, y1);
                 // E y₁ = t × R y₁ and Eᵀ y₂ = Rᵀ (y₂ × t).
                 let line2 = cross(t, rotated);
                 let moment = cross(y2, t);
-                let line1 = [
-                    dot([m.m11, m.m21, m.m31], moment),
-                    dot([m.m12, m.m22, m.m32], moment),
-                    dot([m.m13, m.m23, m.m33], moment),
-                ];
+                let line1 = transposed_times(&rotation, moment);
                 let product = dot(y2, line2);
-                let a = dot([j1[0][l], j1[1][l], j1[2][l]], line1);
-                let b = dot([j1[3][l], j1[4][l], j1[5][l]], line1);
-                let c = dot([j20[l], j21[l], j22[l]], line2);
-                let d = dot([j23[l], j24[l], j25[l]], line2);
+                let ([a, b], [c, d]) = (in_pixels(j1, l, line1), in_pixels(j2, l, line2));
                 let error = product * product / ((a * a + b * b) + (c * c + d * d));
                 let (cosine, along1, along2) = (dot(rotated, y2), dot(rotated, t), dot(y2, t));
                 let in_front = (cosine * along2 > along1) & (along2 > cosine * along1);
@@ -276,6 +240,24 @@ dispatch! {
 #[inline(always)]
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// M y.
+#[inline(always)]
+fn times(m: &Matrix3<f64>, y: [f64; 3]) -> [f64; 3] {
+    [dot([m.m11, m.m12, m.m13], y), dot([m.m21, m.m22, m.m23], y), dot([m.m31, m.m32, m.m33], y)]
+}
+
+/// Mᵀ y.
+#[inline(always)]
+fn transposed_times(m: &Matrix3<f64>, y: [f64; 3]) -> [f64; 3] {
+    [dot([m.m11, m.m21, m.m31], y), dot([m.m12, m.m22, m.m32], y), dot([m.m13, m.m23, m.m33], y)]
+}
+
+/// Jᵀ times a line, for number `l` of eight J.
+#[inline(always)]
+fn in_pixels(j: &[Lanes; 6], l: usize, line: [f64; 3]) -> [f64; 2] {
+    [dot([j[0][l], j[1][l], j[2][l]], line), dot([j[3][l], j[4][l], j[5][l]], line)]
 }
 
 #[inline(always)]
