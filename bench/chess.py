@@ -24,9 +24,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from colmap import program_of
 from scipy.spatial.transform import Rotation
 
-ROOT = Path(__file__).resolve().parent.parent
 CORNERS = (9, 6)
 # To begin with, in pixels: 1.2 times what it is.
 FOCAL_PRIOR_PX = 640.0
@@ -102,9 +102,7 @@ def main():
     parser.add_argument("--work", type=Path, help="where to put the workspace (default: the system's)")
     parser.add_argument("--program", type=Path)
     arguments = parser.parse_args()
-    program = arguments.program or Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
-    if not program.exists():
-        sys.exit(f"{program} is not there: cargo build --release")
+    program = program_of(arguments)
     if "TIEPOINT_DATA" not in os.environ:
         sys.exit("SKIPPED: TIEPOINT_DATA is not set")
     data = Path(os.environ["TIEPOINT_DATA"]) / "stereo_chess"

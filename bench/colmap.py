@@ -87,6 +87,15 @@ def load(name, data):
 DATASETS = ["fountain-P11", "Herz-Jesus-P8", "sceaux", "kitti04"]
 
 
+def program_of(arguments):
+    """The `tiepoint` to measure: what `--program` says, else the release build."""
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    program = arguments.program or target / "release/tiepoint"
+    if not program.exists():
+        sys.exit(f"{program} is not there: cargo build --release")
+    return program
+
+
 def umeyama(source, target):
     """Scale, rotation and translation that bring `source` (n x 3) closest to `target` in the least-squares sense."""
     mean_s, mean_t = source.mean(0), target.mean(0)
@@ -326,11 +335,8 @@ def main():
     unknown = [name for name in arguments.datasets if name not in DATASETS]
     if unknown:
         sys.exit(f"unknown data set {unknown[0]}: use {', '.join(DATASETS)}")
-    if arguments.program is None:
-        target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-        arguments.program = target / "release/tiepoint"
-    if arguments.only != "colmap" and not arguments.program.exists():
-        sys.exit(f"{arguments.program} is not there: cargo build --release")
+    if arguments.only != "colmap":
+        arguments.program = program_of(arguments)
     out = {
         "when": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "machine": platform.processor() or platform.machine(), "threads": arguments.threads,

@@ -20,7 +20,6 @@ import argparse
 import csv
 import datetime
 import json
-import os
 import shutil
 import statistics
 import subprocess
@@ -31,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import ROOT, largest, map_database, umeyama
+from colmap import ROOT, largest, map_database, program_of, umeyama
 
 EFFECTS = ["none", "lens", "rolling-shutter", "vibration", "mounting", "traffic", "clocks", "photometry", "all"]
 # The action camera's lens is no perspective lens with a little distortion; this is the nearest family that both programs fit.
@@ -61,18 +60,25 @@ def truth_of(drive):
     return centres, stamps
 
 
-def measure(model, centres, stamps):
-    """ATE in metres, and the spread of the baseline as a part of its mean."""
+def align(model, centres):
+    """Names of the images with a pose, their centres moved onto the truth, and the truth."""
     images = {image.name: image for image in model.images.values() if image.has_pose}
     names = sorted(images)
     found = np.array([images[name].projection_center() for name in names])
     truth = np.array([centres[name] for name in names])
     scale, rotation, translation = umeyama(found, truth)
-    errors = np.linalg.norm(scale * found @ rotation.T + translation - truth, axis=1)
+    return names, scale * found @ rotation.T + translation, truth
+
+
+def measure(model, centres, stamps):
+    """ATE in metres, and the spread of the baseline as a part of its mean."""
+    names, found, truth = align(model, centres)
+    place = dict(zip(names, found))
+    errors = np.linalg.norm(found - truth, axis=1)
     left, right = ([name for name in names if name.startswith(side)] for side in ("left/", "right/"))
     interval = np.median(np.diff(sorted(stamps[name] for name in stamps if name.startswith("left/"))))
     jump = max(
-        (abs(scale * np.linalg.norm(found[a] - found[a - 1]) - np.linalg.norm(truth[a] - truth[a - 1]))
+        (abs(np.linalg.norm(found[a] - found[a - 1]) - np.linalg.norm(truth[a] - truth[a - 1]))
          for a in range(1, len(names)) if names[a].split("/")[0] == names[a - 1].split("/")[0]),
         default=0.0,
     )  # fmt: skip
@@ -80,10 +86,10 @@ def measure(model, centres, stamps):
     for name in left:
         partner = min(right, key=lambda other: abs(stamps[other] - stamps[name]), default=None)
         if partner and abs(stamps[partner] - stamps[name]) <= interval / 2:
-            baselines.append(np.linalg.norm(images[name].projection_center() - images[partner].projection_center()))
+            baselines.append(np.linalg.norm(place[name] - place[partner]))
     return {
         "registered": len(names), "images": len(centres), "ate_m": float(np.sqrt((errors**2).mean())),
-        "baseline_m": float(scale * np.mean(baselines)) if baselines else None,
+        "baseline_m": float(np.mean(baselines)) if baselines else None,
         "baseline_spread": float(np.std(baselines) / np.mean(baselines)) if baselines else None,
         "error_px": model.compute_mean_reprojection_error(), "jump_m": float(jump),
     }  # fmt: skip
@@ -161,10 +167,7 @@ def main():
     parser.add_argument("--program", type=Path)
     parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
     arguments = parser.parse_args()
-    if arguments.program is None:
-        arguments.program = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
-    if not arguments.program.exists():
-        sys.exit(f"{arguments.program} is not there: cargo build --release")
+    arguments.program = program_of(arguments)
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     columns = arguments.rigs + (["colmap"] if arguments.colmap else [])
     print("ATE in metres / spread of the baseline; medians over the seeds " + ", ".join(arguments.seeds) + ".\n")

@@ -13,7 +13,6 @@ workspaces, where `tiepoint experiment` finds and judges them like its own.
 """
 
 import argparse
-import os
 import shutil
 import sqlite3
 import subprocess
@@ -23,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import ROOT, largest, map_database
+from colmap import largest, map_database, program_of
 
 THREADS, SEED = 2, 0
 MOUNTINGS = ("front", "right", "rear", "left")
@@ -114,9 +113,7 @@ def main():
     parser.add_argument("--only", choices=["mounting", "baseline"])
     parser.add_argument("--program", type=Path)
     arguments = parser.parse_args(own)
-    program = arguments.program or Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
-    if not program.exists():
-        sys.exit(f"{program} is not there: cargo build --release")
+    program = program_of(arguments)
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     for which in ("mounting", "baseline"):
         if arguments.only not in (None, which):

@@ -16,7 +16,6 @@ numbers go to bench/results/split-*.json.
 import argparse
 import datetime
 import json
-import os
 import shutil
 import sqlite3
 import statistics
@@ -26,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import ROOT, umeyama
-from drift import MODELS, run, truth_of
+from colmap import ROOT, program_of
+from drift import MODELS, align, run, truth_of
 
 # Images of the right camera that are split off, and how far apart in time (in seconds) images of the start and the end lie at least.
 NUM_SPLIT = 8
@@ -36,9 +35,8 @@ MIN_APART_S = 20.0
 MAX_IMAGES = 2147483647
 
 
-def split(database, stamps):
-    """Takes matches out of a database; returns the names of the images that were split off."""
-    first = sorted(name for name in stamps if name.startswith("right/"))[:NUM_SPLIT]
+def split(database, stamps, first):
+    """Takes matches of the images `first` out of a database; returns how many pairs hold them at the end."""
     connection = sqlite3.connect(database)
     names = dict(connection.execute("SELECT image_id, name FROM images"))
     kept, dropped = 0, []
@@ -55,24 +53,20 @@ def split(database, stamps):
         connection.executemany(f"DELETE FROM {table} WHERE pair_id = ?", dropped)
     connection.commit()
     connection.close()
-    return first, kept
+    return kept
 
 
-def measure(model, centres, poses, first):
+def measure(model, centres, first):
     """ATE and the gap, in metres of the truth."""
-    images = {image.name: image for image in model.images.values() if image.has_pose}
-    names = sorted(images)
-    found = np.array([images[name].projection_center() for name in names])
-    truth = np.array([centres[name] for name in names])
-    scale, rotation, translation = umeyama(found, truth)
-    aligned = dict(zip(names, scale * found @ rotation.T + translation))
-    errors = [np.linalg.norm(aligned[name] - centres[name]) for name in names]
+    names, found, truth = align(model, centres)
+    aligned = dict(zip(names, found))
+    errors = np.linalg.norm(found - truth, axis=1)
     gaps = []
     for name in first:
         left = name.replace("right/", "left/")
         if name in aligned and left in aligned:
             gaps.append(np.linalg.norm((aligned[name] - aligned[left]) - (centres[name] - centres[left])))
-    return {"registered": len(names), "images": len(centres), "ate_m": float(np.sqrt(np.mean(np.square(errors)))),
+    return {"registered": len(names), "images": len(centres), "ate_m": float(np.sqrt((errors**2).mean())),
             "gap_m": float(np.median(gaps)) if gaps else None}  # fmt: skip
 
 
@@ -85,18 +79,18 @@ def run_drive(seed, arguments, work):
     model = ["--camera-model", MODELS.get(arguments.effects, "SIMPLE_RADIAL")]
     prior = ["--focal-prior", json.loads(rendered)["cameras"][0]["focal_px"]]
     base = [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, *model, *prior]
+    first = sorted(name for name in stamps if name.startswith("right/"))[:NUM_SPLIT]
     rows = {}
     run([*base, "-o", made, "--rig", "off", "--json"], log)
     for kind in ("healthy", "split"):
-        first = sorted(name for name in stamps if name.startswith("right/"))[:NUM_SPLIT]
         if kind == "split":
-            first, kept = split(made / "database.db", stamps)
+            kept = split(made / "database.db", stamps, first)
             print(f"seed {seed}: {kept} pairs hold the split images at the end", file=sys.stderr)
         for rig in arguments.rigs:
             workspace = work / f"{kind}-{rig}"
             shutil.copytree(made, workspace)
             seconds = json.loads(run([*base, "-o", workspace, "--rig", rig, "--redo", "map", "--json"], log))["stages"]["map"]["seconds"]
-            row = measure(pycolmap.Reconstruction(workspace / "sparse/0"), centres, None, first)
+            row = measure(pycolmap.Reconstruction(workspace / "sparse/0"), centres, first)
             rows.setdefault(kind, {})[rig] = {**row, "seconds": seconds}
             shutil.rmtree(workspace)
     return rows
@@ -115,10 +109,7 @@ def main():
     parser.add_argument("--program", type=Path)
     parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
     arguments = parser.parse_args()
-    if arguments.program is None:
-        arguments.program = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint"
-    if not arguments.program.exists():
-        sys.exit(f"{arguments.program} is not there: cargo build --release")
+    arguments.program = program_of(arguments)
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     results = []
     print("| seed | drive | " + " | ".join(f"`{rig}`" for rig in arguments.rigs) + " |")
