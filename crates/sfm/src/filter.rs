@@ -103,3 +103,45 @@ pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<Image
     poor.iter().for_each(|&image| model.deregister(image));
     poor
 }
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::nalgebra::Vector2;
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_scene::{Camera, Image, Keypoint, Track};
+
+    use super::*;
+
+    /// Two images that hardly differ, as at a stop, and a third from elsewhere; each point projects exactly to its keypoints.
+    #[test]
+    fn points_inside_a_lens_are_dropped_and_near_ones_stay() {
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 1000, 1000);
+        let places =
+            [0.0, 1e-6, 1.0].map(|x| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-x, 0.0, 0.0)));
+        // In metres: ordinary ones, one on the bonnet, and one in the lens of the first two.
+        let points: Vec<Vector3<f64>> = (0..5).map(|k| Vector3::new(0.3 * f64::from(k), 0.2, 10.0)).collect();
+        let (bonnet, lens) = (Vector3::new(0.4, 0.1, 0.6), Vector3::new(5e-7, 2e-7, 1e-6));
+        let mut model = Reconstruction::default();
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 1000, height: 1000, has_focal_prior: true });
+        let all: Vec<Vector3<f64>> = points.iter().copied().chain([bonnet, lens]).collect();
+        let images = places.map(|pose| {
+            let keypoint = |xyz: &Vector3<f64>| Keypoint {
+                pixel: intrinsics.project(&(pose * *xyz)).unwrap_or_else(|| Vector2::new(0.0, 0.0)),
+                scale_px: 2.0,
+            };
+            let name = format!("{}.png", model.images().count());
+            let id = model.add_image(Image::new(name, camera, all.iter().map(keypoint).collect()));
+            model.register(id, pose);
+            id
+        });
+        for (index, xyz) in all.iter().enumerate() {
+            let seen_by = if index + 1 == all.len() { &images[..2] } else { &images[..] };
+            let observations = seen_by.iter().map(|&image| Observation { image, keypoint: index as u32 });
+            model.add_track(Track::new(*xyz, observations.collect()));
+        }
+        let dropped = filter_all_points(&mut model, &FilterOptions::default());
+        assert_eq!((dropped, model.num_tracks()), (2, all.len() - 1));
+        assert!(model.tracks().all(|(_, track)| track.xyz != lens));
+    }
+}
