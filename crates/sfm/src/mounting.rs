@@ -169,8 +169,7 @@ pub(crate) fn hold_to_mountings(
         context.refine(&mut candidate, &mut mountings, 1.0)?;
         let error_px = held_out_error_px(&candidate, &held_out);
         if term == RigTerm::Hard || error_px <= soft.error_px {
-            let (sigmas, num_closed) = (soft.sigmas, soft.num_closed);
-            best = Some(Held { model: candidate, mountings, error_px, sigmas, num_closed });
+            best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
         }
     }
     let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
@@ -215,8 +214,6 @@ struct Held {
     mountings: Vec<Mounting>,
     error_px: f64,
     sigmas: (f64, f64),
-    /// Images that stood elsewhere, for want of matches with their partners.
-    num_closed: usize,
 }
 
 impl Held {
@@ -247,6 +244,15 @@ impl Mounting {
             .all(|norms| median(norms).is_none_or(|norm| norm <= MAX_LEFT * MEDIAN_OF_THREE))
     }
 
+    /// Moves the further camera to where a calibration has it, at every moment.
+    fn place(&self, model: &mut Reconstruction, right_from_left: &Rigid3) {
+        for moment in &self.moments {
+            if let Some(left) = moment.left_from_world(model, &self.clock) {
+                model.register(moment.right, *right_from_left * left);
+            }
+        }
+    }
+
     fn companion(&self) -> Companion {
         Companion { left: self.left, right: self.right, clock: self.clock, timing: self.timing }
     }
@@ -264,18 +270,20 @@ impl Context<'_> {
         error_off_px: f64,
     ) -> Result<(Option<Held>, bool), Error> {
         let (mut closed, mut clocks) = (model.clone(), companions.to_vec());
-        let (best, is_firm) =
+        let (best, is_firm, is_any_closed) =
             self.tighten_with(&mut closed, &mut clocks, term, held_out, error_off_px, Unmatched::Rows)?;
-        if best.as_ref().is_none_or(|held| {
-            held.num_closed > 0 && held.error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px
-        }) {
-            return self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None);
+        let is_worse = |held: &Held| held.error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px;
+        if is_any_closed && best.as_ref().is_none_or(is_worse) {
+            let (best, is_firm, _) =
+                self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None)?;
+            return Ok((best, is_firm));
         }
         *model = closed;
         companions.copy_from_slice(&clocks);
         Ok((best, is_firm))
     }
 
+    /// The same with splits closed or left alone; also whether there were any.
     fn tighten_with(
         &self,
         model: &mut Reconstruction,
@@ -284,18 +292,18 @@ impl Context<'_> {
         held_out: &[Vec<Observation>],
         error_off_px: f64,
         unmatched: Unmatched,
-    ) -> Result<(Option<Held>, bool), Error> {
+    ) -> Result<(Option<Held>, bool, bool), Error> {
         let found = widest_spread(model, companions);
         let mut sigmas =
             (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
         let is_floor = |sigmas: (f64, f64)| sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
-        let (mut best, mut is_firm, mut num_closed) = (None, false, 0);
+        let (mut best, mut is_firm, mut is_any_closed) = (None, false, false);
         for step in 0..MAX_STEPS {
             let mut candidate = model.clone();
             let mut mountings = self.mountings(&candidate, companions, Hold::soft(sigmas), sigmas, unmatched);
-            let num_unmatched: usize = mountings.iter().map(|mounting| mounting.num_unmatched).sum();
-            num_closed = num_closed.max(num_unmatched);
-            let tolerance = if num_unmatched > 0 {
+            let is_closing = mountings.iter().any(|mounting| mounting.num_unmatched > 0);
+            is_any_closed |= is_closing;
+            let tolerance = if is_closing {
                 self.close(&mut candidate, &mut mountings)?;
                 CLOSING_TOLERANCE
             } else {
@@ -315,7 +323,7 @@ impl Context<'_> {
             }
             let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
             if is_held || is_asked_for {
-                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas, num_closed });
+                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
                 is_firm = is_floor(sigmas);
             }
             *model = candidate;
@@ -324,7 +332,7 @@ impl Context<'_> {
             }
             sigmas = ((sigmas.0 / TIGHTEN).max(SIGMA_FLOOR.0), (sigmas.1 / TIGHTEN).max(SIGMA_FLOOR.1));
         }
-        Ok((best, is_firm))
+        Ok((best, is_firm, is_any_closed))
     }
 
     /// Puts clocks of which the images tell too little back to what their stamps say. Returns whether there were any.

@@ -19,10 +19,7 @@ pub(super) fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
         // After an adjustment all moments have one relative pose, before it their average serves.
         let poses = relative_poses(model, &mounting.moments, &mounting.clock);
         let Some(average) = robust_average(&poses) else { continue };
-        for moment in &mounting.moments {
-            let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
-            model.register(moment.right, average.right_from_left() * left);
-        }
+        mounting.place(model, &average.right_from_left());
     }
 }
 

@@ -39,11 +39,7 @@ pub fn hold_rigidly(
     model.rigs.clear();
     let mut mountings: Vec<Mounting> = cameras.iter().map(RigidCamera::mounting).collect();
     for mounting in &mountings {
-        for moment in &mounting.moments {
-            if let Some(left) = moment.left_from_world(model, &mounting.clock) {
-                model.register(moment.right, mounting.right_from_left * left);
-            }
-        }
+        mounting.place(model, &mounting.right_from_left);
     }
     adjust_mounted(model, &Scope::Global, options, &mut mountings, &mut keep_going)?;
     filter_all_points(model, filter);
