@@ -8,7 +8,7 @@ use serde::Serialize;
 use tiepoint_eval::geometry::{Rigid3, Sim3};
 use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad};
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
-use tiepoint_sfm::scene::{Image, Reconstruction};
+use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use crate::Error;
 
@@ -139,6 +139,17 @@ struct TruePose {
 pub fn model_folder(path: &Path) -> PathBuf {
     let largest = path.join("sparse/0");
     if largest.is_dir() { largest } else { path.to_owned() }
+}
+
+/// Gives the images of a model their times from a file, if it is there.
+pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), Error> {
+    if file.is_file() {
+        let times = timestamps::read(file)?;
+        let known: Vec<(ImageId, Option<f64>)> =
+            model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
+        known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
+    }
+    Ok(())
 }
 
 /// Compares the images of a model (a folder, or a workspace) with the truth: those whose names begin with `prefix`; without it,

@@ -7,11 +7,11 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use tiepoint_sfm::geometry::nalgebra::{Matrix4, Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::nalgebra::Matrix4;
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
 
-use crate::rig_over_time::folder_of;
+use crate::rig_over_time::camera_of_folder;
 use crate::{Error, RigCamera, RigFile};
 
 /// Pixels of ours less those of Kalibr.
@@ -20,11 +20,9 @@ const CORNER_PX: f64 = 0.5;
 /// The text, and how many cameras it has.
 pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, usize), Error> {
     let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
-    let file: RigFile = serde_json::from_slice(&text)
-        .map_err(|error| Error::Broken { path: rig.to_owned(), what: error.to_string() })?;
+    let file = RigFile::from_json(rig, &text)?;
     let find = |name: &str| -> Result<&Camera, Error> {
-        let mut cameras = model.cameras();
-        let camera = cameras.find(|(id, _)| folder_of(model, *id) == name).map(|(_, camera)| camera);
+        let camera = camera_of_folder(model, name).map(|(_, camera)| camera);
         camera
             .ok_or_else(|| Error::Broken { path: rig.to_owned(), what: format!("there is no camera {name}") })
     };
@@ -35,7 +33,7 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         all.chain(file.cameras.iter().map(|c| (c.name.as_str(), Some(c)))).enumerate()
     {
         let lens = find(name)?;
-        let pose = camera.map_or_else(Rigid3::identity, cam_from_rig);
+        let pose = camera.map_or_else(Rigid3::identity, RigCamera::cam_from_rig);
         // Writing to a string does not fail.
         let _ = writeln!(
             yaml,
@@ -49,11 +47,6 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         before = pose;
     }
     Ok((yaml, file.cameras.len() + 1))
-}
-
-fn cam_from_rig(camera: &RigCamera) -> Rigid3 {
-    let [w, x, y, z] = camera.rotation_wxyz;
-    Rigid3::new(UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)), Vector3::from(camera.translation))
 }
 
 fn mount_lines(pose: &Rigid3, camera: &RigCamera) -> String {

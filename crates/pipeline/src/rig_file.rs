@@ -1,9 +1,14 @@
 //! `rig.json`: the calibration that was found, with its uncertainty, and the clocks.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
+use tiepoint_sfm::geometry::Rigid3;
+use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{Hold, MountedCamera, Timing};
 
+use crate::Error;
 use crate::rig_over_time::folder_of;
 
 /// The rig of a model: its frame is that of the first camera.
@@ -58,6 +63,12 @@ pub struct RigClock {
 }
 
 impl RigFile {
+    /// From the text of the file at `path`.
+    pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
+        serde_json::from_slice(text)
+            .map_err(|error| Error::Broken { path: path.to_owned(), what: error.to_string() })
+    }
+
     /// `None` without a camera that is held to the first one.
     pub(crate) fn new(model: &Reconstruction, cameras: &[MountedCamera]) -> Option<Self> {
         let reference = folder_of(model, cameras.first()?.left);
@@ -69,6 +80,13 @@ impl RigFile {
 }
 
 impl RigCamera {
+    /// Its pose on the rig.
+    pub(crate) fn cam_from_rig(&self) -> Rigid3 {
+        let [w, x, y, z] = self.rotation_wxyz;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+        Rigid3::new(rotation, Vector3::from(self.translation))
+    }
+
     fn new(model: &Reconstruction, camera: &MountedCamera) -> Self {
         let (pose, clock) = (&camera.right_from_left, &camera.clock);
         let q = &pose.rotation;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use tiepoint_eval::geometry::Rigid3;
 use tiepoint_eval::{PosePair, RigOverTime, Statistics, associate, rig_over_time};
-use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, Image, Reconstruction};
 
 use crate::ErrorStatistics;
 use crate::evaluate::number;
@@ -106,4 +106,12 @@ pub(crate) fn folder_of(model: &Reconstruction, camera: CameraId) -> String {
     let image = model.images().find(|(_, image)| image.camera == camera);
     let name = image.map_or("", |(_, image)| image.name.as_str());
     name.rsplit_once('/').map_or_else(|| format!("camera {}", camera.0 + 1), |(folder, _)| folder.to_owned())
+}
+
+/// The camera whose images are in a folder.
+pub(crate) fn camera_of_folder<'a>(
+    model: &'a Reconstruction,
+    folder: &str,
+) -> Option<(CameraId, &'a Camera)> {
+    model.cameras().find(|(id, _)| folder_of(model, *id) == folder)
 }

@@ -9,8 +9,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use tiepoint_io::colmap::read_model;
-use tiepoint_io::timestamps;
-use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
@@ -19,8 +18,9 @@ use tiepoint_sfm::{
     companions, hold_rigidly, relative_poses,
 };
 
+use crate::evaluate::read_times;
 use crate::records::Records;
-use crate::rig_over_time::folder_of;
+use crate::rig_over_time::{camera_of_folder, folder_of};
 use crate::workspace::{REPORT, RIG, STAGES};
 use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
 
@@ -56,13 +56,7 @@ const ITERATIONS: usize = 100;
 pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
     let folder = model_folder(from);
     let mut model = read_model(&folder)?;
-    let times = folder.join("../../timestamps.csv");
-    if times.is_file() {
-        let times = timestamps::read(&times)?;
-        let known: Vec<(ImageId, Option<f64>)> =
-            model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
-        known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
-    }
+    read_times(&mut model, &folder.join("../../timestamps.csv"))?;
     let rig = folder.join("../..").join(RIG);
     let found = if rig.is_file() { mounted(&model, &rig)? } else { Vec::new() };
     let bad = bad_images(&model, &folder.join("../..").join(REPORT))?;
@@ -121,15 +115,14 @@ fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
 fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<Rigid3>)>, Error> {
     let broken = |what: String| Error::Broken { path: rig.to_owned(), what };
     let text = std::fs::read(rig).map_err(|cause| Error::Unreadable { path: rig.to_owned(), cause })?;
-    let file: RigFile = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
+    let file = RigFile::from_json(rig, &text)?;
     let find = |name: &str| {
-        let camera = model.cameras().find(|(id, _)| folder_of(model, *id) == name);
+        let camera = camera_of_folder(model, name);
         camera.map(|(id, _)| id).ok_or_else(|| broken(format!("there is no camera {name} in the model")))
     };
     let left = find(&file.reference)?;
     let camera = |camera: &RigCamera| {
-        let RigCamera { rotation_wxyz: [w, x, y, z], translation, clock, .. } = camera;
-        let rotation = UnitQuaternion::new_normalize(Quaternion::new(*w, *x, *y, *z));
+        let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
         let companion = Companion {
             left,
@@ -137,7 +130,7 @@ fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<
             clock: Clock { offset_s, drift, pivot_s },
             timing: Timing::Together,
         };
-        Ok((companion, Some(Rigid3::new(rotation, Vector3::from(*translation)))))
+        Ok((companion, Some(camera.cam_from_rig())))
     };
     file.cameras.iter().map(camera).collect()
 }

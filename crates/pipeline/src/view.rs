@@ -11,11 +11,11 @@ use serde::Serialize;
 use tiepoint_eval::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_eval::geometry::numeric::median;
 use tiepoint_eval::geometry::{Rigid3, Sim3};
+use tiepoint_io::AtomicFile;
 use tiepoint_io::colmap::read_model;
-use tiepoint_io::{AtomicFile, timestamps};
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
-use crate::evaluate::model_folder;
+use crate::evaluate::{model_folder, read_times};
 use crate::workspace::{REPORT, RIG};
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
@@ -159,13 +159,7 @@ pub fn report_html(
 pub fn view(path: &Path) -> Result<PathBuf, Error> {
     let folder = model_folder(path);
     let mut model = read_model(&folder)?;
-    let times = path.join("timestamps.csv");
-    if times.is_file() {
-        let times = timestamps::read(&times)?;
-        let known: Vec<(ImageId, Option<f64>)> =
-            model.images().map(|(id, image)| (id, times.get(&image.name).copied())).collect();
-        known.into_iter().for_each(|(id, time_s)| model.set_time(id, time_s));
-    }
+    read_times(&mut model, &path.join("timestamps.csv"))?;
     let report = path.join("report.json");
     let report = if report.is_file() { Some(Report::read(&report)?) } else { None };
     let mut files = Vec::new();
