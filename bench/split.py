@@ -9,8 +9,10 @@ A healthy drive is a rendered loop around a block with a bit of street twice, as
 images of the right camera have lost their matches to the start and kept those to the end, where the vehicle is again, and all others have lost
 theirs between start and end: those images then stand at the end of the drift while their partners stand at its beginning, as in section
 4.3 of Huang, Elhashash & Qin 2022. Matches are taken out of the database; features, pairs and everything else stay. ATE is that of
-drift.py; the gap is the error of the relative position of the split pairs, the median over them, in metres. Prints a table in Markdown; raw
-numbers go to bench/results/split-*.json.
+drift.py; the gap is the error of the relative position of the split pairs, the median over them; the cloud is the mean (and median) distance of the
+points to a laser scan, all in metres. `adjusted` is the model of `soft` after an adjustment of its own without any rig term: whether a split
+that was closed stays closed. Recovery is (e_off - e_soft) / (e_off - e_healthy), in ATE, where e_healthy is `soft` on the healthy drive. Prints tables
+in Markdown; raw numbers go to bench/results/split-*.json.
 """
 
 import argparse
@@ -72,7 +74,7 @@ def measure(model, centres, first):
 
 def run_drive(seed, arguments, work):
     drive, log, program = work / "drive", work / "log", arguments.program
-    rendered = run([program, "synth", "-o", drive, "--effects", arguments.effects, "--route", "loop", "--length", arguments.length,
+    rendered = run([program, "synth", "-o", drive, "--scan", "--effects", arguments.effects, "--route", "loop", "--length", arguments.length,
          "--rate", arguments.rate, "--size", arguments.size, "--seed", seed, "--json"], log)  # fmt: skip
     centres, stamps = truth_of(drive)
     made = work / "made"
@@ -91,7 +93,13 @@ def run_drive(seed, arguments, work):
             shutil.copytree(made, workspace)
             seconds = json.loads(run([*base, "-o", workspace, "--rig", rig, "--redo", "map", "--json"], log))["stages"]["map"]["seconds"]
             row = measure(pycolmap.Reconstruction(workspace / "sparse/0"), centres, first)
-            rows.setdefault(kind, {})[rig] = {**row, "seconds": seconds}
+            cloud = json.loads(run([program, "evaluate", "cloud", workspace, drive / "truth/scan.ply", "--truth",
+                                    f"colmap:{drive / 'truth/model'}", "--json"], log))["distance"]  # fmt: skip
+            row |= {"cloud_m": cloud["mean"], "cloud_median_m": cloud["median"], "seconds": seconds}
+            rows.setdefault(kind, {})[rig] = row
+            if rig == "soft":
+                run([program, "adjust", workspace / "sparse/0", "-o", workspace / "adjusted", "--json"], log)
+                rows[kind]["adjusted"] = measure(pycolmap.Reconstruction(workspace / "adjusted"), centres, first)
             shutil.rmtree(workspace)
     return rows
 
@@ -112,23 +120,34 @@ def main():
     arguments.program = program_of(arguments)
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     results = []
-    print("| seed | drive | " + " | ".join(f"`{rig}`" for rig in arguments.rigs) + " |")
-    print("|---" * (len(arguments.rigs) + 2) + "|")
+    columns = [*arguments.rigs, *(["adjusted"] if "soft" in arguments.rigs else [])]
+    header = " | ".join(f"`{rig}`" for rig in arguments.rigs) + (" | `soft`, then adjusted without" if "soft" in arguments.rigs else "")
+    print(f"| seed | drive | {header} |")
+    print("|---" * (len(columns) + 2) + "|")
+    number = lambda value: "-" if value is None else f"{value:.3f}"
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
             rows = run_drive(int(seed), arguments, Path(folder))
         results.append({"seed": int(seed), **rows})
         for kind, row in rows.items():
-            cell = lambda r: f"{r['ate_m']:.3f} / {r['gap_m']:.3f}" if r["gap_m"] is not None else f"{r['ate_m']:.3f} / -"
+            cell = lambda r: f"{r['ate_m']:.3f} / {number(r['gap_m'])}"
             missing = lambda r: f" ({r['images'] - r['registered']} missing)" if r["registered"] < r["images"] else ""
-            print(f"| {seed} | {kind} | " + " | ".join(cell(row[rig]) + missing(row[rig]) for rig in arguments.rigs) + " |", flush=True)
+            print(f"| {seed} | {kind} | " + " | ".join(cell(row[rig]) + missing(row[rig]) for rig in columns) + " |", flush=True)
+    of = lambda kind, rig, what: [r[kind][rig][what] for r in results if r[kind][rig].get(what) is not None]
+    median = lambda values: number(statistics.median(values) if values else None)
     for kind in ("healthy", "split"):
-        cells = []
-        for rig in arguments.rigs:
-            ate = [result[kind][rig]["ate_m"] for result in results]
-            gap = [result[kind][rig]["gap_m"] for result in results if result[kind][rig]["gap_m"] is not None]
-            cells.append(f"{statistics.median(ate):.3f} / {statistics.median(gap) if gap else float('nan'):.3f}")
+        cells = [f"{median(of(kind, rig, 'ate_m'))} / {median(of(kind, rig, 'gap_m'))}" for rig in columns]
         print(f"| median | {kind} | " + " | ".join(cells) + " |")
+    print("\n| cloud, mean / median over the points | " + " | ".join(f"`{rig}`" for rig in arguments.rigs) + " |")
+    print("|---" * (len(arguments.rigs) + 1) + "|")
+    for kind in ("healthy", "split"):
+        for result in results:
+            cells = [f"{number(result[kind][rig]['cloud_m'])} / {number(result[kind][rig]['cloud_median_m'])}" for rig in arguments.rigs]
+            print(f"| seed {result['seed']}, {kind} | " + " | ".join(cells) + " |")
+    if {"off", "soft"} <= set(arguments.rigs):
+        ate = lambda r, kind, rig: r[kind][rig]["ate_m"]
+        recovery = lambda r: (ate(r, "split", "off") - ate(r, "split", "soft")) / (ate(r, "split", "off") - ate(r, "healthy", "soft"))
+        print("\nrecovery: " + ", ".join(f"{100 * recovery(r):.0f} %" for r in results))
     folder = ROOT / "bench/results"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"split-{datetime.datetime.now().strftime('%Y%m%d-%H%M%S')}.json"

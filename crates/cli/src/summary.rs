@@ -5,6 +5,7 @@ use std::path::Path;
 
 use tiepoint_pipeline::{
     CloudEvaluation, ErrorStatistics, ModelReport, PoseEvaluation, Report, RigCamera, RigidReport,
+    SplitReport,
 };
 
 /// Names listed before the rest is only counted.
@@ -73,6 +74,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 for camera in mounting.rig.iter().flat_map(|rig| &rig.cameras) {
                     line(format_args!("          {}", mounted(camera)));
                 }
+                if let Some(split) = &mounting.split {
+                    line(format_args!("          {}", closed(split)));
+                }
                 for [left, right] in mounting.bad_pairs.iter().take(MAX_NAMES) {
                     line(format_args!(
                         "          not held: {left} and {right} do not agree with the mounting"
@@ -99,6 +103,18 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     }
     line(format_args!("in {}", workspace.display()));
     text
+}
+
+/// What became of a split, in a line.
+fn closed(split: &SplitReport) -> String {
+    let SplitReport { images, pairs_matched_again } = split;
+    let held = match pairs_matched_again {
+        0 => "nothing but the mounting holds them there".to_owned(),
+        pairs => format!("{pairs} pairs with them match now"),
+    };
+    format!(
+        "split: {images} images stood elsewhere, without matches with their partners, and were brought back; {held}"
+    )
 }
 
 /// The calibration of a camera and its clock, in a line.

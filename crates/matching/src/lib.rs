@@ -25,3 +25,4 @@ pub use options::{Method, Options, Preempt};
 pub use pairs::{Ends, Pair, PairSelection, Sequence, listed_pairs};
 pub use prepared::Prepared;
 pub use retrieval::{Bank, GlobalDescriptor, Similar, Vocabulary, VocabularyOptions};
+pub use tiepoint_features as features;

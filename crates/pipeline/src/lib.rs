@@ -52,7 +52,7 @@ pub use report::{
 };
 pub use rig_file::{RigCamera, RigClock, RigFile};
 pub use rig_over_time::{RigEvaluation, evaluate_rig};
-pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport};
+pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport, SplitReport};
 pub use rigid::RigidReport;
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};

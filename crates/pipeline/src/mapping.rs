@@ -17,7 +17,7 @@ use crate::matching::keypoint;
 use crate::metric::{ScaleReport, scale_to_baseline};
 use crate::records::{Progress, Recipe, write_json};
 use crate::rig_file::RigFile;
-use crate::rig_report::{Held, History};
+use crate::rig_report::{Held, History, SplitReport};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// How to map.
@@ -63,20 +63,37 @@ pub fn map(
     }
     let name = |id| scene.image(id).name.as_str();
     let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
-    let mut cameras = Vec::new();
-    let mut models = sfm::map(&graph, &scene, &options, &mut |event| {
+    let (mut cameras, mut split) = (Vec::new(), None);
+    let database = Database::open(&workspace.database())?;
+    let mut unreadable = None;
+    let mut descriptors = |image| match database.read_features(image) {
+        Ok(features) => features.descriptors,
+        Err(error) => {
+            unreadable.get_or_insert(error);
+            Vec::new()
+        }
+    };
+    let mut models = sfm::map(&graph, &scene, &mut descriptors, &options, &mut |event| {
         match event {
             sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
             sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::SplitClosed { num_images, num_pairs } => {
+                split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
+            }
             sfm::Event::MountedCamera(camera) => cameras.push((**camera).clone()),
             sfm::Event::Mounted { hold, error_off_px, error_px, .. } => {
                 let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
-                held.push(Held { hold, error_off_px, error_px, cameras: std::mem::take(&mut cameras) });
+                let (cameras, split) = (std::mem::take(&mut cameras), split.take());
+                held.push(Held { hold, error_off_px, error_px, cameras, split });
             }
             _ => {}
         }
         translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     })?;
+    if let Some(error) = unreadable {
+        return Err(error.into());
+    }
+    database.finish()?;
     if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
@@ -143,9 +160,10 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
             Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
         }
         // These are for the report.
-        sfm::Event::BadPair { .. } | sfm::Event::MountedCamera(_) | sfm::Event::Mounted { .. } => {
-            return None;
-        }
+        sfm::Event::BadPair { .. }
+        | sfm::Event::SplitClosed { .. }
+        | sfm::Event::MountedCamera(_)
+        | sfm::Event::Mounted { .. } => return None,
     })
 }
 

@@ -38,8 +38,20 @@ pub struct MountingReport {
     pub held_out_error_px: f64,
     /// Images of one moment that agree with the mounting neither in the model nor by their own matches.
     pub bad_pairs: Vec<[String; 2]>,
+    /// Where images without matches with their partners stood elsewhere: how many were brought back.
+    #[serde(default)]
+    pub split: Option<SplitReport>,
     /// The calibration with the clocks, as in `rig.json`.
     pub rig: Option<RigFile>,
+}
+
+/// A split of the model that the mounting closed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SplitReport {
+    /// Images that were brought back to where their mounting has them.
+    pub images: usize,
+    /// Pairs with them that matched when they were matched again; with none, nothing but the mounting holds these images.
+    pub pairs_matched_again: usize,
 }
 
 /// What the mapper told of mountings.
@@ -48,6 +60,7 @@ pub(crate) struct Held {
     pub(crate) error_off_px: f64,
     pub(crate) error_px: f64,
     pub(crate) cameras: Vec<MountedCamera>,
+    pub(crate) split: Option<SplitReport>,
 }
 
 /// What the mapper told, of all models.
@@ -167,7 +180,7 @@ fn camera_report(
 
 /// Of the largest model, to which the mapper came first.
 fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> Option<MountingReport> {
-    let Held { hold, error_off_px, error_px, cameras } = history.held.first()?;
+    let Held { hold, error_off_px, error_px, cameras, split } = history.held.first()?;
     let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
     let name = |image| model.image(image).name.clone();
     let (chosen, sigmas) = match hold {
@@ -199,6 +212,7 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> 
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
         bad_pairs: history.bad_pairs.iter().map(|&(left, right)| [name(left), name(right)]).collect(),
+        split: *split,
         rig: RigFile::new(model, cameras),
     })
 }

@@ -69,6 +69,12 @@ impl CorrespondenceGraph {
         Self { pairs, images }
     }
 
+    /// The same with further verified pairs, which take the place of those that there were of the same images.
+    pub fn extended(&self, two_views: impl IntoIterator<Item = (ImagePair, TwoView)>) -> Self {
+        let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
+        Self::new(&counts, self.pairs.clone().into_iter().chain(two_views))
+    }
+
     /// How many images it was made for.
     pub fn num_images(&self) -> usize {
         self.images.len()

@@ -88,7 +88,7 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
 fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<(f64, f64, Option<MountedCamera>)> {
     let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
     let mut camera = None;
-    let models = map(&scene.graph, &scene.blank, &options, &mut |event| {
+    let models = map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |event| {
         if let Event::MountedCamera(found) = event {
             camera.get_or_insert_with(|| (**found).clone());
         }

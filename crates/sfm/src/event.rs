@@ -50,6 +50,13 @@ pub enum Event {
         /// Of the other one.
         right: ImageId,
     },
+    /// Images that had no matches with their partners and stood elsewhere were brought back to where their mounting has them.
+    SplitClosed {
+        /// How many images.
+        num_images: usize,
+        /// Pairs that matched when they were matched again.
+        num_pairs: usize,
+    },
     /// The calibration of a camera that is held to the first one.
     MountedCamera(Box<MountedCamera>),
     /// A finished model was held to the mountings of its cameras.

@@ -14,7 +14,7 @@ use crate::event::tell;
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors, with_focal};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
-use crate::mounting::{Context, hold_to_mountings};
+use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
 use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
@@ -106,10 +106,12 @@ const MIN_IMAGES_FOR_DISTORTION: usize = 5;
 const MIN_TURN_RAD: f64 = 0.35;
 
 /// Maps all images that hang together, one model for each connected part, the one with the most images first. `scene` gives the
-/// cameras and the images with their keypoints; poses and points in it are ignored.
+/// cameras and the images with their keypoints; poses and points in it are ignored. `descriptors` is asked where images are to be matched
+/// again, which only [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
 pub fn map(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
+    descriptors: &mut Descriptors,
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<Reconstruction>, Error> {
@@ -136,7 +138,7 @@ pub fn map(
             taken: taken.clone(),
             ..Mapper::new(graph, &scene, options)
         };
-        match mapper.run(watch) {
+        match mapper.run(descriptors, watch) {
             Ok(()) => {}
             // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
             Err(Error::NoInitialPair { .. } | Error::NothingToAdjust { .. }) if !models.is_empty() => break,
@@ -186,7 +188,7 @@ fn choose_focal_lengths(
     let explained = |scene: &Reconstruction| -> f64 {
         let mut mapper = Mapper { max_images: MAX_TRIAL_IMAGES, ..Mapper::new(graph, scene, options) };
         // A hypothesis under which nothing can be begun explains nothing.
-        let _ = mapper.run(&mut |_| ControlFlow::Continue(()));
+        let _ = mapper.run(&mut |_| Vec::new(), &mut |_| ControlFlow::Continue(()));
         explained(&mapper.model).0
     };
     let with = |scene: &Reconstruction, relative: f64| {
@@ -258,7 +260,11 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    fn run(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
+    fn run(
+        &mut self,
+        descriptors: &mut Descriptors,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
         let candidates = self.candidates();
         let is_trial = self.max_images < usize::MAX;
         match if is_trial { None } else { self.best_start(&candidates) } {
@@ -285,7 +291,7 @@ impl<'a> Mapper<'a> {
                     adjust: self.adjust_options(&[], 1e-8, 100),
                     seed: self.options.seed,
                 };
-                hold_to_mountings(&context, &mut model, self.options.rig, watch)?;
+                hold_to_mountings(&context, &mut model, self.options.rig, descriptors, watch)?;
                 self.model = model;
             }
             RigTerm::Off => {}

@@ -27,7 +27,7 @@ pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub use incremental::{MapperOptions, RigTerm, map};
 pub use initial_pair::{InitialPair, initial_pairs};
-pub use mounting::{Hold, Mounting, RigidCamera, hold_rigidly};
+pub use mounting::{Descriptors, Hold, Mounting, RigidCamera, hold_rigidly};
 pub use register::{RegisterOptions, register_image};
 pub use rig_pairs::{BaselineLink, RigPair, RigPairs, final_links, growing_links, relative_poses, rig_pairs};
 pub use sigma::keypoint_sigma_px;

@@ -10,7 +10,9 @@
 //! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse. How much the mounting gives is
 //! thereby found and not assumed. A clock of which the images tell too little stays at what its stamps say, and everything is done again.
 
+mod members;
 mod outcome;
+mod rematch;
 mod rigid;
 
 use std::collections::BTreeSet;
@@ -20,17 +22,19 @@ use tiepoint_ba::Factor;
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, ImagePair, Observation, Reconstruction};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Observation, Reconstruction};
 
 use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
 use crate::companion::{Companion, Moment, Timing, companions};
 use crate::event::{MountedCamera, tell};
 use crate::filter::{FilterOptions, filter_all_points};
 use crate::hold_out::hold_out_tracks;
-use crate::initial_pair::relative_pose;
 use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::{Error, Event, RigTerm};
+use members::Unmatched;
 use outcome::{held_out, held_out_error_px, make_frames, make_rigid};
+pub use rematch::Descriptors;
+use rematch::{Closed, rematch};
 pub use rigid::{RigidCamera, hold_rigidly};
 
 /// A camera's mounting beside the first one, and how firmly it holds.
@@ -50,8 +54,8 @@ pub struct Mounting {
     pub timing: Timing,
     /// How firmly.
     pub hold: Hold,
-    /// At so many of the moments the model had the camera elsewhere, for want of matches with the first one.
-    pub(crate) num_unmatched: usize,
+    /// At these of the moments the model had the camera elsewhere, for want of matches with the first one.
+    pub(crate) closed: Vec<Closed>,
 }
 
 /// How firmly a mounting holds.
@@ -92,21 +96,6 @@ const SIGMA_CEILING: (f64, f64) = (0.3, 0.05);
 /// How much the standard deviations are tightened from step to step, and how often at most.
 const TIGHTEN: f64 = 3.0;
 const MAX_STEPS: usize = 6;
-/// A pair this far from the mounting, in standard deviations of the spread, is looked at more closely; no less than this in baselines
-/// and radians, though.
-const GATE: f64 = 5.0;
-const GATE_FLOOR: (f64, f64) = (0.2, 0.035);
-/// A pair's own two-view geometry agrees with the mounting when their rotations and directions of translation differ by less (1° and
-/// 5°, and what a pair of neighbours leaves uncertain).
-const MAX_OWN_ROTATION_RAD: f64 = 0.026;
-const MAX_OWN_DIRECTION_RAD: f64 = 0.175;
-/// Fewer matches tell no two-view geometry.
-const MIN_OWN_MATCHES: usize = 30;
-/// So many images in a row without matches with their partners that stand elsewhere together are a split of the model; fewer are images
-/// of something else.
-const MIN_SPLIT_ROW: usize = 3;
-/// They stand together when neighbours are apart by less than this share of their distance from where they should be.
-const TOGETHER: f64 = 0.5;
 /// Share of the tracks that take no part until the end.
 const HELD_OUT_SHARE: f64 = 0.1;
 /// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a rigid rig costs them 6 %. Clocks
@@ -134,78 +123,46 @@ pub(crate) struct Context<'a> {
     pub(crate) seed: u64,
 }
 
-/// Holds the cameras of a finished model to their mountings, as `term` says.
+/// Holds the cameras of a finished model to their mountings, as `term` says. Where that closes splits whose images had no matches with
+/// their partners, those are matched again, with what `descriptors` gives, and everything is done anew with what was found.
 pub(crate) fn hold_to_mountings(
     context: &Context,
     model: &mut Reconstruction,
     term: RigTerm,
+    descriptors: &mut Descriptors,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<(), Error> {
-    let mut companions = companions(model);
-    if companions.iter().all(|companion| companion.moments(model).is_empty()) {
-        return Ok(());
+    let Some(found) = context.find_hold(model, term)? else { return Ok(()) };
+    let Some(Held { model: closed, mountings, .. }) =
+        found.best.as_ref().filter(|_| !found.closed.is_empty())
+    else {
+        return context.finish(model, found, watch);
+    };
+    let two_views = rematch(context.graph, closed, &found.closed, descriptors, context.seed);
+    let (num_images, num_pairs) = (found.closed.len(), two_views.len());
+    tell(watch, &Event::SplitClosed { num_images, num_pairs })?;
+    if two_views.is_empty() {
+        return context.finish(model, found, watch);
     }
-    hold_out_tracks(model, HELD_OUT_SHARE, context.seed);
-    let held_out = held_out(model);
-    context.refine(model, &mut [], 1.0)?;
-    let error_off_px = held_out_error_px(model, &held_out);
-    let off = model.clone();
-    let (mut best, mut is_firm) = (None, false);
-    // Once more when a clock turns out not to be observable.
-    for _ in 0..2 {
-        *model = off.clone();
-        (best, is_firm) = context.tighten(model, &mut companions, term, &held_out, error_off_px)?;
-        let Some(Held { mountings, .. }) = &best else { break };
-        if !context.give_up_clocks(model, mountings, &mut companions)? {
-            break;
-        }
+    let graph = context.graph.extended(two_views);
+    let context = Context { graph: &graph, ..*context };
+    *model = closed.clone();
+    context.refine(model, &mut mountings.clone(), WIDENED)?;
+    match context.find_hold(model, term)? {
+        Some(found) => context.finish(model, found, watch),
+        None => Ok(()),
     }
-    let is_wanted = term == RigTerm::Hard || term == RigTerm::Auto && is_firm;
-    if let Some(soft) = best.as_ref().filter(|soft| is_wanted && soft.is_anything_together()) {
-        let mut candidate = soft.model.clone();
-        let mut mountings =
-            context.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas, Unmatched::None);
-        make_rigid(&mut candidate, &mountings);
-        context.refine(&mut candidate, &mut mountings, 1.0)?;
-        let error_px = held_out_error_px(&candidate, &held_out);
-        if term == RigTerm::Hard || error_px <= soft.error_px {
-            best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
-        }
-    }
-    let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
-    match best {
-        Some(held) => (*model, mountings, error_px) = (held.model, held.mountings, held.error_px),
-        None => *model = off,
-    }
-    hold_out_tracks(model, 0.0, context.seed);
-    context.refine(model, &mut mountings, 1.0)?;
-    make_frames(model, &mountings);
-    for (mounting, covariance) in
-        mountings.iter().zip(mounting_covariances(model, &context.adjust, &mountings)?)
-    {
-        let held: BTreeSet<ImageId> = mounting.moments.iter().map(|moment| moment.right).collect();
-        let all = mounting.companion().moments(model);
-        for moment in all.iter().filter(|moment| !held.contains(&moment.right)) {
-            let left = moment.nearest_left(&mounting.clock);
-            tell(watch, &Event::BadPair { left, right: moment.right })?;
-        }
-        let poses = relative_poses(model, &mounting.moments, &mounting.clock);
-        let camera = MountedCamera {
-            left: mounting.left,
-            right: mounting.right,
-            right_from_left: mounting.right_from_left,
-            clock: mounting.clock,
-            timing: mounting.timing,
-            covariance,
-            hold: mounting.hold,
-            num_moments: all.len(),
-            spread: spread(&poses),
-        };
-        tell(watch, &Event::MountedCamera(Box::new(camera)))?;
-    }
-    let num_pairs = mountings.iter().map(|mounting| mounting.moments.len()).sum();
-    let hold = mountings.first().map(|mounting| mounting.hold);
-    tell(watch, &Event::Mounted { hold, num_pairs, error_off_px, error_px })
+}
+
+/// What was found for the cameras of a model.
+struct Found {
+    /// The model without any term.
+    off: Reconstruction,
+    error_off_px: f64,
+    /// The best way to hold its cameras, if any is good.
+    best: Option<Held>,
+    /// Images that were brought back from a split without a word from their own matches.
+    closed: BTreeSet<Closed>,
 }
 
 /// A model whose cameras are held.
@@ -214,6 +171,16 @@ struct Held {
     mountings: Vec<Mounting>,
     error_px: f64,
     sigmas: (f64, f64),
+}
+
+/// Cameras held as firmly as they can be.
+#[derive(Default)]
+struct Tight {
+    best: Option<Held>,
+    /// Whether that is as firmly as can be asked for.
+    is_firm: bool,
+    /// Images that were brought back from a split without a word from their own matches.
+    closed: BTreeSet<Closed>,
 }
 
 impl Held {
@@ -259,7 +226,88 @@ impl Mounting {
 }
 
 impl Context<'_> {
-    /// Soft mountings, tighter from step to step, and whether the floor was reached. `model` and the companions' clocks are left where the
+    /// Finds how the cameras of a model are held best; `None` where nothing is to be held. The model is left as it comes.
+    fn find_hold(&self, model: &mut Reconstruction, term: RigTerm) -> Result<Option<Found>, Error> {
+        let mut companions = companions(model);
+        if companions.iter().all(|companion| companion.moments(model).is_empty()) {
+            return Ok(None);
+        }
+        hold_out_tracks(model, HELD_OUT_SHARE, self.seed);
+        let held_out = held_out(model);
+        self.refine(model, &mut [], 1.0)?;
+        let error_off_px = held_out_error_px(model, &held_out);
+        let off = model.clone();
+        let mut tight = Tight::default();
+        // Once more when a clock turns out not to be observable.
+        for _ in 0..2 {
+            *model = off.clone();
+            tight = self.tighten(model, &mut companions, term, &held_out, error_off_px)?;
+            let Some(Held { mountings, .. }) = &tight.best else { break };
+            if !self.give_up_clocks(model, mountings, &mut companions)? {
+                break;
+            }
+        }
+        let Tight { mut best, is_firm, closed } = tight;
+        let is_wanted = term == RigTerm::Hard || term == RigTerm::Auto && is_firm;
+        if let Some(soft) = best.as_ref().filter(|soft| is_wanted && soft.is_anything_together()) {
+            let mut candidate = soft.model.clone();
+            let mut mountings =
+                self.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas, Unmatched::None);
+            make_rigid(&mut candidate, &mountings);
+            self.refine(&mut candidate, &mut mountings, 1.0)?;
+            let error_px = held_out_error_px(&candidate, &held_out);
+            if term == RigTerm::Hard || error_px <= soft.error_px {
+                best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
+            }
+        }
+        Ok(Some(Found { off, error_off_px, best, closed }))
+    }
+
+    /// Makes a model what was found, with all its tracks, and tells.
+    fn finish(
+        &self,
+        model: &mut Reconstruction,
+        found: Found,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
+        let Found { off, error_off_px, best, .. } = found;
+        let (mut mountings, mut error_px) = (Vec::new(), error_off_px);
+        match best {
+            Some(held) => (*model, mountings, error_px) = (held.model, held.mountings, held.error_px),
+            None => *model = off,
+        }
+        hold_out_tracks(model, 0.0, self.seed);
+        self.refine(model, &mut mountings, 1.0)?;
+        make_frames(model, &mountings);
+        for (mounting, covariance) in
+            mountings.iter().zip(mounting_covariances(model, &self.adjust, &mountings)?)
+        {
+            let held: BTreeSet<ImageId> = mounting.moments.iter().map(|moment| moment.right).collect();
+            let all = mounting.companion().moments(model);
+            for moment in all.iter().filter(|moment| !held.contains(&moment.right)) {
+                let left = moment.nearest_left(&mounting.clock);
+                tell(watch, &Event::BadPair { left, right: moment.right })?;
+            }
+            let poses = relative_poses(model, &mounting.moments, &mounting.clock);
+            let camera = MountedCamera {
+                left: mounting.left,
+                right: mounting.right,
+                right_from_left: mounting.right_from_left,
+                clock: mounting.clock,
+                timing: mounting.timing,
+                covariance,
+                hold: mounting.hold,
+                num_moments: all.len(),
+                spread: spread(&poses),
+            };
+            tell(watch, &Event::MountedCamera(Box::new(camera)))?;
+        }
+        let num_pairs = mountings.iter().map(|mounting| mounting.moments.len()).sum();
+        let hold = mountings.first().map(|mounting| mounting.hold);
+        tell(watch, &Event::Mounted { hold, num_pairs, error_off_px, error_px })
+    }
+
+    /// Soft mountings, tighter from step to step. `model` and the companions' clocks are left where the
     /// last accepted step had them. Splits without a word from their own matches are closed for as long as held-out tracks allow.
     fn tighten(
         &self,
@@ -268,22 +316,20 @@ impl Context<'_> {
         term: RigTerm,
         held_out: &[Vec<Observation>],
         error_off_px: f64,
-    ) -> Result<(Option<Held>, bool), Error> {
+    ) -> Result<Tight, Error> {
         let (mut closed, mut clocks) = (model.clone(), companions.to_vec());
-        let (best, is_firm, is_any_closed) =
+        let tight =
             self.tighten_with(&mut closed, &mut clocks, term, held_out, error_off_px, Unmatched::Rows)?;
         let is_worse = |held: &Held| held.error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px;
-        if is_any_closed && best.as_ref().is_none_or(is_worse) {
-            let (best, is_firm, _) =
-                self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None)?;
-            return Ok((best, is_firm));
+        if !tight.closed.is_empty() && tight.best.as_ref().is_none_or(is_worse) {
+            return self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None);
         }
         *model = closed;
         companions.copy_from_slice(&clocks);
-        Ok((best, is_firm))
+        Ok(tight)
     }
 
-    /// The same with splits closed or left alone; also whether there were any.
+    /// The same with splits closed or left alone.
     fn tighten_with(
         &self,
         model: &mut Reconstruction,
@@ -292,18 +338,17 @@ impl Context<'_> {
         held_out: &[Vec<Observation>],
         error_off_px: f64,
         unmatched: Unmatched,
-    ) -> Result<(Option<Held>, bool, bool), Error> {
+    ) -> Result<Tight, Error> {
         let found = widest_spread(model, companions);
         let mut sigmas =
             (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
         let is_floor = |sigmas: (f64, f64)| sigmas.0 <= SIGMA_FLOOR.0 && sigmas.1 <= SIGMA_FLOOR.1;
-        let (mut best, mut is_firm, mut is_any_closed) = (None, false, false);
+        let mut tight = Tight::default();
         for step in 0..MAX_STEPS {
             let mut candidate = model.clone();
             let mut mountings = self.mountings(&candidate, companions, Hold::soft(sigmas), sigmas, unmatched);
-            let is_closing = mountings.iter().any(|mounting| mounting.num_unmatched > 0);
-            is_any_closed |= is_closing;
-            let tolerance = if is_closing {
+            tight.closed.extend(mountings.iter().flat_map(|mounting| mounting.closed.iter().copied()));
+            let tolerance = if mountings.iter().any(|mounting| !mounting.closed.is_empty()) {
                 self.close(&mut candidate, &mut mountings)?;
                 CLOSING_TOLERANCE
             } else {
@@ -323,8 +368,8 @@ impl Context<'_> {
             }
             let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
             if is_held || is_asked_for {
-                best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
-                is_firm = is_floor(sigmas);
+                tight.best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
+                tight.is_firm = is_floor(sigmas);
             }
             *model = candidate;
             if is_floor(sigmas) {
@@ -332,7 +377,7 @@ impl Context<'_> {
             }
             sigmas = ((sigmas.0 / TIGHTEN).max(SIGMA_FLOOR.0), (sigmas.1 / TIGHTEN).max(SIGMA_FLOOR.1));
         }
-        Ok((best, is_firm, is_any_closed))
+        Ok(tight)
     }
 
     /// Puts clocks of which the images tell too little back to what their stamps say. Returns whether there were any.
@@ -395,119 +440,6 @@ impl Context<'_> {
         filter_all_points(model, self.filter);
         Ok(())
     }
-
-    /// The mountings as the model has them now, with the moments that are to be held to them. Images of different instants are held softly
-    /// at best, with the given standard deviations.
-    fn mountings(
-        &self,
-        model: &Reconstruction,
-        companions: &[Companion],
-        hold: Hold,
-        sigmas: (f64, f64),
-        unmatched: Unmatched,
-    ) -> Vec<Mounting> {
-        let mounting = |companion: &Companion| -> Option<Mounting> {
-            let Companion { left, right, clock, timing } = *companion;
-            // All of a companion's moments have poses.
-            let moments = companion.moments(model);
-            let poses = relative_poses(model, &moments, &clock);
-            let average = robust_average(&poses)?;
-            let (spread_t, spread_r) = spread_of(&poses, &average);
-            let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
-            let baseline = average.translation.norm();
-            let is_near = |pose: &RelativePose| {
-                let (t, r) = deviation(pose, &average, baseline);
-                t <= gate.0 && r <= gate.1
-            };
-            // Nearer to each other than either is to the mounting.
-            let are_together = |a: &RelativePose, b: &RelativePose| {
-                let (t, r) = deviation(a, b, baseline);
-                let [far_a, far_b] = [a, b].map(|pose| deviation(pose, &average, baseline));
-                t <= (TOGETHER * far_a.0.min(far_b.0)).max(gate.0)
-                    && r <= (TOGETHER * far_a.1.min(far_b.1)).max(gate.1)
-            };
-            let verdict = |(moment, pose): (&Moment, &RelativePose)| {
-                let own = || self.own_geometry_agrees(model, moment, &clock, &average);
-                if is_near(pose) { Some(true) } else { own() }
-            };
-            let verdicts: Vec<Option<bool>> = moments.iter().zip(&poses).map(verdict).collect();
-            let splits = match unmatched {
-                Unmatched::Rows => rows(&verdicts, |a, b| are_together(&poses[a], &poses[b])),
-                Unmatched::None => Vec::new(),
-            };
-            let is_sound = |index: &usize| verdicts[*index] == Some(true) || splits.contains(index);
-            let moments: Vec<Moment> =
-                (0..moments.len()).filter(is_sound).map(|index| moments[index]).collect();
-            let hold = if timing == Timing::Together { hold } else { Hold::soft(sigmas) };
-            let right_from_left = average.right_from_left();
-            (moments.len() >= 2).then_some(Mounting {
-                left,
-                right,
-                moments,
-                right_from_left,
-                clock,
-                timing,
-                hold,
-                num_unmatched: splits.len(),
-            })
-        };
-        companions.iter().filter_map(mounting).collect()
-    }
-
-    /// Whether the matches of an image with the first camera's nearest one alone agree with the mounting; `None` where there are none. What
-    /// the first camera moved between that one and the moment itself is taken from the model.
-    fn own_geometry_agrees(
-        &self,
-        model: &Reconstruction,
-        moment: &Moment,
-        clock: &Clock,
-        average: &RelativePose,
-    ) -> Option<bool> {
-        let near = moment.nearest_left(clock);
-        let key = ImagePair::new(near, moment.right)?;
-        let two_view = self.graph.pairs().get(&key)?;
-        if two_view.matches.len() < MIN_OWN_MATCHES {
-            return None;
-        }
-        let poses = || -> Option<(RelativePose, RelativePose)> {
-            let b_from_a = relative_pose(model, &key, two_view)?;
-            let right_from_near = if key.a == near { b_from_a } else { b_from_a.inverse() };
-            let near_from_world = model.image(near).cam_from_world()?;
-            let left_from_near = moment.left_from_world(model, clock)? * near_from_world.inverse();
-            let expected = average.right_from_left() * left_from_near;
-            let from_near = |pose: &Rigid3| RelativePose::between(&Rigid3::identity(), pose);
-            Some((from_near(&right_from_near), from_near(&expected)))
-        };
-        Some(poses().is_some_and(|(own, expected)| {
-            let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
-            let rotation = so3::exp(&own.axis_angle).angle_to(&so3::exp(&expected.axis_angle));
-            rotation < MAX_OWN_ROTATION_RAD
-                && own_t.cross(&t).norm() < MAX_OWN_DIRECTION_RAD
-                && own_t.dot(&t) > 0.0
-        }))
-    }
-}
-
-/// Which of the moments far from the mounting take part without a word from their own matches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Unmatched {
-    /// Those in a row.
-    Rows,
-    None,
-}
-
-/// The indices of moments without a verdict that stand in rows of at least [`MIN_SPLIT_ROW`], each near to the one before.
-fn rows(verdicts: &[Option<bool>], is_near: impl Fn(usize, usize) -> bool) -> Vec<usize> {
-    let mut rows: Vec<Vec<usize>> = Vec::new();
-    for index in (0..verdicts.len()).filter(|&index| verdicts[index].is_none()) {
-        match rows.last_mut() {
-            Some(row) if row.last().is_some_and(|&last| last + 1 == index && is_near(last, index)) => {
-                row.push(index)
-            }
-            _ => rows.push(vec![index]),
-        }
-    }
-    rows.into_iter().filter(|row| row.len() >= MIN_SPLIT_ROW).flatten().collect()
 }
 
 /// The relative poses at those of some moments where both cameras have one.
@@ -544,22 +476,4 @@ fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64)
         widest = (widest.0.max(t), widest.1.max(r));
     }
     widest
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_rows_of_unmatched_images_that_stand_together_are_splits() {
-        let (near, unmatched, wrong) = (Some(true), None, Some(false));
-        let verdicts = [
-            unmatched, unmatched, unmatched, near, unmatched, unmatched, wrong, unmatched, unmatched,
-            unmatched,
-        ];
-        assert_eq!(rows(&verdicts, |_, _| true), [0, 1, 2, 7, 8, 9]);
-        // The last three stand apart from each other: other pictures.
-        assert_eq!(rows(&verdicts, |_, index| index < 5), [0, 1, 2]);
-        assert_eq!(rows(&[], |_, _| true), [0; 0]);
-    }
 }

@@ -45,7 +45,7 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     let graph = CorrespondenceGraph::new(&counts, two_views.collect::<Vec<_>>());
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
     let mut camera = None;
-    let models = map(&graph, &scene.without_poses(), &mapper, &mut |event| {
+    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
         if let Event::MountedCamera(found) = event {
             camera.get_or_insert_with(|| (**found).clone());
         }

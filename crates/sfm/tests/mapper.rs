@@ -104,8 +104,9 @@ fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
 }
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
-    let mut models = map(&truth.graph, &truth.scene, options, &mut |_| ControlFlow::Continue(()))
-        .expect("the scene is easy");
+    let mut models =
+        map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
+            .expect("the scene is easy");
     models.remove(0)
 }
 
@@ -162,7 +163,8 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let pairs = one.graph.pairs().iter().map(|(pair, two_view)| (*pair, two_view.clone())).chain(shifted);
     let graph = CorrespondenceGraph::new(&counts, pairs);
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
-    let models = map(&graph, &scene, &options, &mut |_| ControlFlow::Continue(())).unwrap();
+    let models =
+        map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(
         models.iter().map(Reconstruction::num_registered).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
@@ -182,7 +184,9 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn the_callback_stops_the_mapper() {
     let truth = truth(8, FOCAL_PX, true);
-    let error = map(&truth.graph, &truth.scene, &MapperOptions::default(), &mut |_| ControlFlow::Break(()));
+    let error = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &MapperOptions::default(), &mut |_| {
+        ControlFlow::Break(())
+    });
     assert!(matches!(error, Err(tiepoint_sfm::Error::Cancelled)));
 }
 

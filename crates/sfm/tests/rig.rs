@@ -99,8 +99,9 @@ fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool)
 }
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
-    let mut models = map(&truth.graph, &truth.scene, options, &mut |_| ControlFlow::Continue(()))
-        .expect("the scene is easy");
+    let mut models =
+        map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
+            .expect("the scene is easy");
     let model = models.remove(0);
     model.validate().expect("a sound model");
     assert_eq!(model.num_registered(), 2 * NUM_MOMENTS);
@@ -140,7 +141,7 @@ fn one_mounting_is_found_and_held() {
     for rig in [RigTerm::Off, RigTerm::Soft, RigTerm::Hard, RigTerm::Auto] {
         let mut told = Vec::new();
         let options = calibrated(rig);
-        let mut models = map(&truth.graph, &truth.scene, &options, &mut |event| {
+        let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
             told.push(event.clone());
             ControlFlow::Continue(())
         })
@@ -191,7 +192,7 @@ fn a_pair_that_does_not_belong_together_is_named_and_left_alone() {
     truth.scene.set_time(other, times[0]);
     let mut bad = Vec::new();
     let options = calibrated(RigTerm::Hard);
-    let models = map(&truth.graph, &truth.scene, &options, &mut |event| {
+    let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
         if let Event::BadPair { left, right } = event {
             bad.push((left.0, right.0));
         }

@@ -62,7 +62,7 @@ impl RigidCamera {
             clock: Clock::default(),
             timing: Timing::Together,
             hold: Hold::Rigid,
-            num_unmatched: 0,
+            closed: Vec::new(),
         }
     }
 }
