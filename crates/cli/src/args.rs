@@ -7,14 +7,14 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
+use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 pub(crate) use values::{ImageSize, Metres, rig_name};
-use values::{NumberList, PositivePixels, alignment, camera_model, rig_term, route};
+use values::{NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -175,6 +175,10 @@ pub(crate) struct Mapping {
     /// they are that far apart; by default its unit is arbitrary.
     #[arg(long, value_name = "0.62m")]
     pub(crate) baseline: Option<Metres>,
+    /// Of cameras whose rows are exposed one after the other: the time from the first row to the last one, as 16ms, or `estimate`. It needs times of
+    /// the photos. By default all rows count as exposed at once.
+    #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
+    pub(crate) rolling_shutter: Option<Readout>,
 }
 
 #[derive(Debug, Args)]

@@ -48,6 +48,10 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 model.mean_reprojection_error_px,
             ));
         }
+        let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
+        for (camera, readout_s) in shutters.filter_map(|camera| Some((camera.id, camera.readout_s?))) {
+            line(format_args!("shutter   camera {camera} reads a photo in {:.2} ms", 1e3 * readout_s));
+        }
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.why));
         }

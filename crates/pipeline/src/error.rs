@@ -177,6 +177,15 @@ pub enum Error {
         /// Cameras in it.
         cameras: usize,
     },
+    /// A rolling shutter without times.
+    #[error(
+        "--rolling-shutter asks how the cameras move while they take a photo, and in {path} no camera has four photos of which the times are known: \
+         give their times to `tiepoint features` with --timestamps FILE.csv, or leave the option out"
+    )]
+    NoMotion {
+        /// The workspace.
+        path: PathBuf,
+    },
     /// A trajectory with times of images without.
     #[error(
         "no image with a pose in {model} has a time: give times to `tiepoint features` with --timestamps FILE.csv"

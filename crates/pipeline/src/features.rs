@@ -122,7 +122,7 @@ pub fn extract_features(
         keypoints: found.iter().sum(),
         skipped,
         cameras: cameras
-            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera))
+            .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
     };
     workspace.update_report(|all| all.stages.features = Some(report))?;

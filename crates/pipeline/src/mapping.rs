@@ -61,9 +61,12 @@ pub fn map(
         RigTerm::Off | RigTerm::Auto => {}
         term => require_moments(workspace, &scene, term)?,
     }
+    if options.readout.is_some() && !is_timed(&scene) {
+        return Err(Error::NoMotion { path: workspace.root().to_owned() });
+    }
     let name = |id| scene.image(id).name.as_str();
     let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut cameras, mut split) = (Vec::new(), None);
+    let (mut cameras, mut split, mut shutters) = (Vec::new(), None, Vec::new());
     let database = Database::open(&workspace.database())?;
     let mut unreadable = None;
     let mut descriptors = |image| match database.read_features(image) {
@@ -77,6 +80,7 @@ pub fn map(
         match event {
             sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
             sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::Shutter(shutter) => shutters.push(*shutter),
             sfm::Event::SplitClosed { num_images, num_pairs } => {
                 split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
             }
@@ -108,7 +112,7 @@ pub fn map(
     let reports = all.map(|((path, model), scale)| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
-        ModelReport { scale, ..ModelReport::new(path, model, rig) }
+        ModelReport { scale, ..ModelReport::new(path, model, &shutters, rig) }
     });
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
@@ -161,6 +165,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         }
         // These are for the report.
         sfm::Event::BadPair { .. }
+        | sfm::Event::Shutter(_)
         | sfm::Event::SplitClosed { .. }
         | sfm::Event::MountedCamera(_)
         | sfm::Event::Mounted { .. } => return None,
@@ -178,6 +183,13 @@ fn require_moments(workspace: &Workspace, scene: &Reconstruction, term: RigTerm)
     }
     let cameras = scene.cameras().count();
     Err(Error::NoMoments { path: workspace.root().to_owned(), cameras })
+}
+
+/// Whether some camera has enough images with times to be followed through them.
+fn is_timed(scene: &Reconstruction) -> bool {
+    const MIN_TIMES: usize = 4;
+    let times = |id| scene.images().filter(|(_, i)| i.camera == id && i.time_s.is_some()).count();
+    scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
 /// Writes all models beside the old ones, then puts them in their place. Returns their folders, relative to the workspace.

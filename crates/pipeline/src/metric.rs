@@ -185,7 +185,7 @@ mod tests {
         cameras: Vec<MountedCamera>,
     ) -> (Reconstruction, Vec<Held>, ScaleReport) {
         let mut models = [model.clone()];
-        let mut held = vec![Held { hold: None, error_off_px: 1.0, error_px: 1.0, cameras }];
+        let mut held = vec![Held { hold: None, error_off_px: 1.0, error_px: 1.0, cameras, split: None }];
         let report = scale_to_baseline(&mut models, &mut held, ASKED_M).remove(0);
         let [model] = models;
         (model, held, report)

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
 use crate::{Error, RigReport, ScaleReport, Stage};
@@ -114,18 +115,33 @@ pub struct CameraReport {
     pub height: u32,
     /// Parameters of the model, in its order.
     pub params: Vec<f64>,
+    /// With `--rolling-shutter`: time from the first row to the last one, in seconds.
+    #[serde(default)]
+    pub readout_s: Option<f64>,
+    /// Its standard deviation, where it was estimated and the images tell it.
+    #[serde(default)]
+    pub readout_sd_s: Option<f64>,
 }
 
 impl CameraReport {
-    pub(crate) fn new(id: CameraId, camera: &Camera) -> Self {
+    pub(crate) fn new(id: CameraId, camera: &Camera, shutter: Option<&RollingShutter>) -> Self {
         let (model, params) =
             (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
-        Self { id: id.0 + 1, model, width: camera.width, height: camera.height, params }
+        let readout_s = shutter.map(|shutter| shutter.readout_s);
+        let readout_sd_s = shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
+        let (width, height) = (camera.width, camera.height);
+        Self { id: id.0 + 1, model, width, height, params, readout_s, readout_sd_s }
     }
 }
 
 impl ModelReport {
-    pub(crate) fn new(path: String, model: &Reconstruction, rig: Option<RigReport>) -> Self {
+    /// `shutters` are what the mapper told; of several models, what it told of the first one counts.
+    pub(crate) fn new(
+        path: String,
+        model: &Reconstruction,
+        shutters: &[RollingShutter],
+        rig: Option<RigReport>,
+    ) -> Self {
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
         let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
@@ -142,7 +158,7 @@ impl ModelReport {
             cameras: model
                 .cameras()
                 .filter(|(id, _)| is_used(id))
-                .map(|(id, c)| CameraReport::new(id, c))
+                .map(|(id, c)| CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id)))
                 .collect(),
             rig,
             scale: None,

@@ -1,7 +1,8 @@
 //! The owner of cameras, images and tracks. Every change goes through a method that keeps both directions of the relation
 //! "this keypoint sees this point" true; [`Reconstruction::validate`] checks them all.
 
-use tiepoint_geometry::{Rigid3, Sim3, nalgebra::Vector3};
+use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_geometry::{Rigid3, Sim3};
 
 use crate::{Camera, CameraId, Error, Frame, Image, ImageId, Observation, PointId, Rig, Track};
 
@@ -74,6 +75,13 @@ impl Reconstruction {
     /// Gives an image a pose, or another one.
     pub fn register(&mut self, image: ImageId, cam_from_world: Rigid3) {
         self.images[image.index()].cam_from_world = Some(cam_from_world);
+    }
+
+    /// Moves the keypoints of an image, one pixel each.
+    pub fn move_keypoints(&mut self, image: ImageId, pixels: &[Vector2<f64>]) {
+        for (keypoint, pixel) in self.images[image.index()].keypoints.iter_mut().zip(pixels) {
+            keypoint.pixel = *pixel;
+        }
     }
 
     /// Sets the time of an image on its camera's clock.

@@ -6,13 +6,14 @@
 //! part; afterwards each is moved to where the adjusted poses see it.
 
 mod mountings;
+mod shutters;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
+use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection, ShiftedReprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
-use tiepoint_geometry::nalgebra::{SVector, Vector3};
+use tiepoint_geometry::nalgebra::{SVector, Vector1, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
 use tiepoint_rig::{Baseline, Clock};
 use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstruction};
@@ -24,6 +25,7 @@ use crate::{Error, keypoint_sigma_px, triangulation};
 pub use mountings::MountingCovariance;
 pub(crate) use mountings::mounting_covariances;
 use mountings::rigid_pairs;
+pub(crate) use shutters::{Shifted, Shutters, adjust_readouts, with_deviations};
 
 /// Which intrinsics an adjustment may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +114,7 @@ pub(crate) fn adjust_mounted(
     mountings: &mut [Mounting],
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
-    let mut bundle = Bundle::new(model, scope, options, mountings)?;
+    let mut bundle = Bundle::new(model, scope, options, mountings, None)?;
     let solver_options = Options {
         max_iterations: options.max_iterations,
         function_tolerance: options.function_tolerance,
@@ -145,6 +147,8 @@ struct Bundle {
     points: Vec<(PointId, Key<Vector3<f64>>)>,
     /// Calibration and clock of each mounting.
     mountings: Vec<(Key<Rigid3>, Option<Key<Clock>>)>,
+    /// Where they are found: how long the shutter of a camera takes.
+    readouts: BTreeMap<CameraId, Key<Vector1<f64>>>,
 }
 
 /// Where the pose of an image stands.
@@ -164,6 +168,7 @@ impl Bundle {
         scope: &Scope,
         options: &AdjustOptions,
         mountings: &[Mounting],
+        shutters: Option<&Shutters>,
     ) -> Result<Self, Error> {
         let moves = |image: ImageId| match scope {
             Scope::Global => true,
@@ -176,6 +181,7 @@ impl Bundle {
             held: Vec::new(),
             points: Vec::new(),
             mountings: Vec::new(),
+            readouts: BTreeMap::new(),
         };
         let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
@@ -232,6 +238,12 @@ impl Bundle {
             let sees_all =
                 model.registered().filter(|(_, image, _)| image.camera == id).all(|(image, ..)| moves(image));
             let refine = if sees_all { options.refine } else { RefineIntrinsics::NONE };
+            let shutter = match shutters {
+                Some(shutters) => {
+                    bundle.add_readout(id, shutters)?.map(|readout| (readout, shutters.keypoints))
+                }
+                None => None,
+            };
             with_camera_model!(&camera.intrinsics, M, params => {
                 let key = bundle.problem.keep(*params, Order::Shared);
                 let kind = camera.intrinsics.kind();
@@ -243,16 +255,24 @@ impl Bundle {
                     bundle.problem.add(key, intrinsics_prior(params, id, camera, options)?, Loss::Trivial)?;
                 }
                 for (image, place) in &images {
+                    let shifted = shutter
+                        .and_then(|(readout, keypoints)| Some((readout, keypoints.get(image)?)));
                     let keypoints = &model.image(*image).keypoints;
                     for &(keypoint, point) in &observations_of_image[image.index()] {
-                        let keypoint = &keypoints[keypoint as usize];
+                        let (index, keypoint) = (keypoint as usize, &keypoints[keypoint as usize]);
                         let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
-                        match *place {
-                            Place::Own(pose) => {
+                        match (*place, shifted) {
+                            (Place::Own(pose), Some((readout, shifted))) => {
+                                let Shifted { pixel, shift } = shifted[index];
+                                let unshifted = Reprojection::<M>::new(pixel, sigma_px);
+                                let factor = ShiftedReprojection { unshifted, shift };
+                                bundle.problem.add((key, pose, readout, point), factor, options.loss)?;
+                            }
+                            (Place::Own(pose), None) => {
                                 let factor = Reprojection::<M>::new(pixel, sigma_px);
                                 bundle.problem.add((key, pose, point), factor, options.loss)?;
                             }
-                            Place::Held(mount, left) => {
+                            (Place::Held(mount, left), _) => {
                                 let factor = RigReprojection::<M>::new(pixel, sigma_px);
                                 bundle.problem.add((key, mount, left, point), factor, options.loss)?;
                             }

@@ -8,6 +8,7 @@ use crate::Error;
 use crate::adjust::MountingCovariance;
 use crate::companion::Timing;
 use crate::mounting::Hold;
+use crate::shutter::RollingShutter;
 
 /// What the mapper tells while it works.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +51,8 @@ pub enum Event {
         /// Of the other one.
         right: ImageId,
     },
+    /// What the shutter of a camera does, where that was asked for.
+    Shutter(RollingShutter),
     /// Images that had no matches with their partners and stood elsewhere were brought back to where their mounting has them.
     SplitClosed {
         /// How many images.

@@ -17,6 +17,7 @@ use crate::initial_pair::{self, InitialPair, initial_pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
+use crate::shutter::{Detected, Readout, estimate, known, straighten};
 use crate::tracks::{TrackOptions, complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::visibility::{Visibility, visibility};
 use crate::{Error, Event};
@@ -61,6 +62,8 @@ pub struct MapperOptions {
     pub global_growth: f64,
     /// Between cameras that ride together.
     pub rig: RigTerm,
+    /// Of cameras with a rolling shutter; by default all rows count as exposed at once.
+    pub readout: Option<Readout>,
     /// Seed of everything random.
     pub seed: u64,
 }
@@ -78,6 +81,7 @@ impl Default for MapperOptions {
             local_images: 6,
             global_growth: 1.1,
             rig: RigTerm::Off,
+            readout: None,
             seed: 0,
         }
     }
@@ -97,6 +101,8 @@ const GOOD_START_SHARE: f64 = 0.94;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
+/// Rounds of the same between keypoints that a rolling shutter no longer shifts.
+const STRAIGHT_ROUNDS: usize = 3;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
 /// With fewer images the distortion is too weakly determined to be moved.
@@ -277,6 +283,9 @@ impl<'a> Mapper<'a> {
         }
         self.is_final = true;
         self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+        if let Some(readout) = self.options.readout {
+            self.straighten(readout, watch)?;
+        }
         match self.options.rig {
             RigTerm::Paper => {
                 let links = final_links(&self.model, self.rigs);
@@ -297,6 +306,27 @@ impl<'a> Mapper<'a> {
             RigTerm::Off => {}
         }
         Ok(())
+    }
+
+    /// Takes off the keypoints what a rolling shutter did to them, and refines the model with what is left.
+    fn straighten(
+        &mut self,
+        readout: Readout,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
+        let detected = Detected::of(&self.model);
+        let shutters = match readout {
+            Readout::Known(readout_s) => known(&self.model, readout_s),
+            Readout::Estimated => {
+                let options = self.adjust_options(&[], 1e-8, 100);
+                estimate(&mut self.model, &detected, &options)?
+            }
+        };
+        for _ in 0..STRAIGHT_ROUNDS {
+            straighten(&mut self.model, &detected, &shutters);
+            self.refine_globally(1, 1e-8, 100, watch)?;
+        }
+        shutters.into_iter().try_for_each(|shutter| tell(watch, &Event::Shutter(shutter)))
     }
 
     /// Registers all images that can be, adjusting as the model grows.

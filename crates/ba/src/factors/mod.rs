@@ -8,4 +8,4 @@ mod reprojection;
 pub use between::Between;
 pub use difference::Difference;
 pub use prior::Prior;
-pub use reprojection::{Reprojection, RigReprojection};
+pub use reprojection::{Reprojection, RigReprojection, ShiftedReprojection};

@@ -1,4 +1,4 @@
-use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
+use nalgebra::{Matrix2x3, SMatrix, Vector1, Vector2, Vector3};
 use tiepoint_geometry::{Block, CameraModel, Rigid3};
 
 use crate::factor::{Factor, Linear, Refs};
@@ -116,5 +116,39 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
     ) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_rig * (*rig_from_world * *point)))?;
         Some((pixel - self.pixel) / self.sigma_px)
+    }
+}
+
+/// A point was seen at a pixel that something shifted in an unknown proportion, as the time that a rolling shutter takes does: variables
+/// (camera parameters, `cam_from_world`, amount, `point_in_world`), residual that of [`Reprojection`] plus amount · shift / sigma.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShiftedReprojection<M> {
+    /// The same without a shift.
+    pub unshifted: Reprojection<M>,
+    /// In pixels, for an amount of one: the pixel would be there, less this, if nothing shifted it.
+    pub shift: Vector2<f64>,
+}
+
+impl<M: CameraModel> Factor<2> for ShiftedReprojection<M> {
+    type Vars = (M::Params, Rigid3, Vector1<f64>, Vector3<f64>);
+
+    #[inline]
+    fn linearize(
+        &self,
+        (params, cam_from_world, amount, point): Refs<'_, Self::Vars>,
+    ) -> Option<Linear<Self::Vars, 2>> {
+        let (residual, (d_params, d_pose, d_point)) =
+            self.unshifted.linearize((params, cam_from_world, point))?;
+        let shift = self.shift / self.unshifted.sigma_px;
+        Some((residual + shift * amount.x, (d_params, d_pose, shift, d_point)))
+    }
+
+    #[inline]
+    fn residual(
+        &self,
+        (params, cam_from_world, amount, point): Refs<'_, Self::Vars>,
+    ) -> Option<Vector2<f64>> {
+        let residual = self.unshifted.residual((params, cam_from_world, point))?;
+        Some(residual + self.shift * (amount.x / self.unshifted.sigma_px))
     }
 }

@@ -1,8 +1,8 @@
 //! Every factor of the crate obeys the law that its Jacobian is the derivative of its residual.
 
 use proptest::prelude::*;
-use tiepoint_ba::factors::{Between, Prior, Reprojection, RigReprojection};
-use tiepoint_ba::nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
+use tiepoint_ba::factors::{Between, Prior, Reprojection, RigReprojection, ShiftedReprojection};
+use tiepoint_ba::nalgebra::{SVector, UnitQuaternion, Vector1, Vector2, Vector3};
 use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::cameras::{Opencv, OpencvFisheye, Pinhole, SimpleRadial};
 use tiepoint_geometry::{CameraModel, Rigid3, Sim3, so3};
@@ -42,6 +42,14 @@ fn check_reprojections<M: CameraModel>(
     check_jacobians(
         &RigReprojection::<M>::new(pixel, 0.7),
         (params, cam_from_rig, rig_from_world, point),
+        TOLERANCE,
+    )?;
+    check_jacobians(
+        &ShiftedReprojection {
+            unshifted: Reprojection::<M>::new(pixel, 0.7),
+            shift: Vector2::new(-3.0, 20.0),
+        },
+        (params, cam_from_rig * rig_from_world, Vector1::new(0.1), point),
         TOLERANCE,
     )
 }

@@ -4,8 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
+use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_synth::RouteKind;
 
 /// Width and height, in pixels.
@@ -82,6 +82,25 @@ impl FromStr for Metres {
             )
         })
     }
+}
+
+/// Slowest readout, in seconds.
+const SLOWEST_S: f64 = 0.1;
+
+pub(super) fn readout(text: &str) -> Result<Readout, String> {
+    if text == "estimate" {
+        return Ok(Readout::Estimated);
+    }
+    // The longer ending first.
+    let units = [("ms", 1e3), ("s", 1.0)];
+    let split = units.iter().find_map(|(unit, per_s)| Some((text.strip_suffix(unit)?, per_s)));
+    let time_s = split.and_then(|(number, per_s)| Some(number.trim_end().parse::<f64>().ok()? / per_s));
+    time_s.filter(|time_s| time_s.abs() <= SLOWEST_S).map(Readout::Known).ok_or_else(|| {
+        format!(
+            "it must be the word estimate or a time of up to {} ms with its unit, ms or s, as 16ms; negative where the last row comes first",
+            1e3 * SLOWEST_S
+        )
+    })
 }
 
 pub(super) fn alignment(name: &str) -> Result<Alignment, String> {

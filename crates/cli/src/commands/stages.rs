@@ -93,7 +93,12 @@ fn match_options(pairs: &Pairs, seed: &Seed) -> MatchOptions {
 
 fn map_options(mapping: &Mapping, seed: &Seed) -> MapOptions {
     MapOptions {
-        mapper: MapperOptions { rig: mapping.rig, seed: seed.seed, ..MapperOptions::default() },
+        mapper: MapperOptions {
+            rig: mapping.rig,
+            readout: mapping.rolling_shutter,
+            seed: seed.seed,
+            ..MapperOptions::default()
+        },
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
     }
 }

@@ -203,3 +203,16 @@ fn an_error_is_json_too() {
         assert!(events.last().unwrap()["message"].as_str().unwrap().len() > 10);
     }
 }
+
+#[test]
+fn a_rolling_shutter_that_makes_no_sense() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 4, 0);
+    let with = |readout: &str| {
+        tiepoint_in(dir.path(), &format!("reconstruct {{}}/photos -o {{}}/ws --rolling-shutter {readout}"))
+    };
+    for wrong in ["16", "fast", "3s", "nanms"] {
+        with(wrong).failed(2, &["estimate", "16ms"]);
+    }
+    with("16ms").failed(1, &["ws", "--timestamps", "leave the option out"]);
+}

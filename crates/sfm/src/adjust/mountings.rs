@@ -30,7 +30,7 @@ pub(crate) fn mounting_covariances(
     let noise = relative_noise(model);
     let scaled: Vec<Mounting> =
         mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();
-    let bundle = Bundle::new(model, &Scope::Global, options, &scaled)?;
+    let bundle = Bundle::new(model, &Scope::Global, options, &scaled, None)?;
     let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*mount).into()];
         keys.extend(clock.map(AnyKey::from));
@@ -48,7 +48,7 @@ pub(crate) fn mounting_covariances(
 const MIN_DEPTH_INFORMATION: f64 = 1e-8;
 
 /// With such points set aside; they move nothing but rotations, which all others move too.
-fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
+pub(super) fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
     let is_far = |track: &Track| {
         let mut information = Matrix3::zeros();
         for pose in track.observations.iter().filter_map(|o| model.image(o.image).cam_from_world()) {
@@ -76,7 +76,7 @@ fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
 pub type MountingCovariance = SMatrix<f64, 8, 8>;
 
 /// Standard deviation of the keypoints, as a multiple of what was expected: from the median error, and what the fit has taken away.
-fn relative_noise(model: &Reconstruction) -> f64 {
+pub(super) fn relative_noise(model: &Reconstruction) -> f64 {
     // Of a vector of two unit normals.
     const MEDIAN_OF_TWO: f64 = 1.177;
     let mut errors: Vec<f64> = Vec::new();

@@ -1,0 +1,181 @@
+//! Rolling shutter: rows are read one after the other, while the camera moves.
+//!
+//! A row at y of a frame of height h is exposed (y/h − ½) · readout after the middle one, whose pose is the image's. In that time the
+//! camera's centre goes on with the velocity, and its rotation with the angular velocity, that the cubic through its neighbouring images
+//! has there. So a point X is seen at π(exp(s ω) R (X − c − s ċ)) instead of at π(R (X − c)), and what lies between the two is
+//! taken off the keypoint: afterwards the model is one of cameras that see all rows at once, and nothing else needs to know. The shift hardly
+//! changes with the pose (a hundredth of what the point's depth does), so that it is computed between adjustments and not in them.
+//!
+//! Where the readouts are to be found, they are variables of an adjustment in which each keypoint is shifted in proportion; the shifts of a
+//! second of readout are computed anew between its steps.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_rig::Trajectory;
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
+
+use crate::Error;
+use crate::adjust::{AdjustOptions, Shifted, Shutters, adjust_readouts, with_deviations};
+
+/// Time from the first row of an image to the last one, in seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Readout {
+    /// As given, for every camera.
+    Known(f64),
+    /// Found, for each camera on its own.
+    Estimated,
+}
+
+/// What the shutter of a camera does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RollingShutter {
+    /// Which camera.
+    pub camera: CameraId,
+    /// Time from the first row to the last one, in seconds; negative where the last row comes first.
+    pub readout_s: f64,
+    /// Its standard deviation, where it was found; infinite where the images tell nothing.
+    pub readout_sd_s: Option<f64>,
+}
+
+/// The readouts are found when a step moves them by less than this, in seconds, or after so many steps.
+const MIN_STEP_S: f64 = 5e-5;
+const MAX_STEPS: usize = 6;
+/// Velocities are differences over this time, in seconds.
+const DIFFERENCE_S: f64 = 1e-3;
+
+/// The keypoints as they were detected.
+pub(crate) struct Detected(BTreeMap<ImageId, Vec<Vector2<f64>>>);
+
+impl Detected {
+    pub(crate) fn of(model: &Reconstruction) -> Self {
+        let pixels = |(id, image): (ImageId, &tiepoint_scene::Image)| {
+            (id, image.keypoints.iter().map(|keypoint| keypoint.pixel).collect())
+        };
+        Self(model.images().map(pixels).collect())
+    }
+}
+
+/// How a camera moves while it takes an image.
+struct Motion {
+    /// In the world, units a second.
+    velocity: Vector3<f64>,
+    /// In the camera's frame, radians a second.
+    angular_velocity: Vector3<f64>,
+}
+
+/// Of the images of which times and neighbours are known.
+fn motions(model: &Reconstruction) -> BTreeMap<ImageId, Motion> {
+    let mut motions = BTreeMap::new();
+    for (camera, _) in model.cameras() {
+        let mut samples: Vec<(f64, Rigid3, ImageId)> = model
+            .registered()
+            .filter(|(_, image, _)| image.camera == camera)
+            .filter_map(|(id, image, pose)| Some((image.time_s?, *pose, id)))
+            .collect();
+        samples.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
+        let trajectory = Trajectory::new(samples.iter().map(|(time_s, pose, _)| (*time_s, *pose)));
+        for (time_s, _, id) in samples {
+            let Some(first) = trajectory.knots_around(time_s) else { continue };
+            let knots = trajectory.knots(first);
+            let [before, after] = [-0.5, 0.5].map(|side| knots.at(time_s + side * DIFFERENCE_S));
+            let velocity = (after.origin_in_a() - before.origin_in_a()) / DIFFERENCE_S;
+            let angular_velocity = so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
+            motions.insert(id, Motion { velocity, angular_velocity });
+        }
+    }
+    motions
+}
+
+/// How far the shutters shift all keypoints, about the readouts of now.
+fn shifted(
+    model: &Reconstruction,
+    detected: &Detected,
+    shutters: &[RollingShutter],
+) -> BTreeMap<ImageId, Vec<Shifted>> {
+    let motions: Vec<(ImageId, Motion)> = motions(model).into_iter().collect();
+    let of_image = |(id, motion): &(ImageId, Motion)| {
+        let camera = model.image(*id).camera;
+        let shutter = shutters.iter().find(|shutter| shutter.camera == camera);
+        // A shift is a difference, and needs some time to be one.
+        let readout_s = shutter.map_or(0.0, |shutter| shutter.readout_s);
+        let readout_s = if readout_s.abs() < DIFFERENCE_S { DIFFERENCE_S } else { readout_s };
+        (*id, shifts(model, *id, &detected.0[id], motion, readout_s))
+    };
+    motions.par_iter().map(of_image).collect::<Vec<_>>().into_iter().collect()
+}
+
+/// The same of an image. What sees no point is taken to be as far away as the median of what does.
+fn shifts(
+    model: &Reconstruction,
+    image: ImageId,
+    pixels: &[Vector2<f64>],
+    motion: &Motion,
+    readout_s: f64,
+) -> Vec<Shifted> {
+    let (camera, image) = (model.camera_of(image), model.image(image));
+    let pose = image.cam_from_world();
+    let in_camera = |keypoint: usize| {
+        let track = model.track(image.point_of(keypoint as u32)?)?;
+        Some(*pose? * track.xyz)
+    };
+    let mut distances: Vec<f64> = (0..pixels.len()).filter_map(|k| Some(in_camera(k)?.norm())).collect();
+    let distance = median(&mut distances);
+    let shift = |k: usize, pixel: &Vector2<f64>| {
+        let point = match in_camera(k) {
+            Some(point) => point,
+            None => camera.intrinsics.unproject(pixel)? * distance?,
+        };
+        let time_s = (pixel.y / f64::from(camera.height) - 0.5) * readout_s;
+        let velocity = pose?.rotation * motion.velocity;
+        let moved = so3::exp(&(motion.angular_velocity * time_s)) * (point - velocity * time_s);
+        Some((camera.intrinsics.project(&moved)? - camera.intrinsics.project(&point)?) / readout_s)
+    };
+    let shifted = |(k, pixel): (usize, &Vector2<f64>)| Shifted {
+        pixel: *pixel,
+        shift: shift(k, pixel).unwrap_or_default(),
+    };
+    pixels.iter().enumerate().map(shifted).collect()
+}
+
+/// Puts every keypoint to where it would be seen if all rows were exposed with the middle one.
+pub(crate) fn straighten(model: &mut Reconstruction, detected: &Detected, shutters: &[RollingShutter]) {
+    for (id, keypoints) in shifted(model, detected, shutters) {
+        let camera = model.image(id).camera;
+        let shutter = shutters.iter().find(|shutter| shutter.camera == camera);
+        let readout_s = shutter.map_or(0.0, |shutter| shutter.readout_s);
+        let pixels: Vec<Vector2<f64>> =
+            keypoints.iter().map(|keypoint| keypoint.pixel - keypoint.shift * readout_s).collect();
+        model.move_keypoints(id, &pixels);
+    }
+}
+
+/// The same readout for every camera.
+pub(crate) fn known(model: &Reconstruction, readout_s: f64) -> Vec<RollingShutter> {
+    model.cameras().map(|(camera, _)| RollingShutter { camera, readout_s, readout_sd_s: None }).collect()
+}
+
+/// Finds the readout of each camera, and how well it is known; the model is left adjusted for it.
+pub(crate) fn estimate(
+    model: &mut Reconstruction,
+    detected: &Detected,
+    options: &AdjustOptions,
+) -> Result<Vec<RollingShutter>, Error> {
+    let mut shutters = known(model, 0.0);
+    let mut keypoints = shifted(model, detected, &shutters);
+    for _ in 0..MAX_STEPS {
+        let before = shutters;
+        shutters = adjust_readouts(model, options, &Shutters { shutters: &before, keypoints: &keypoints })?;
+        keypoints = shifted(model, detected, &shutters);
+        let has_moved =
+            |(a, b): (&RollingShutter, &RollingShutter)| (a.readout_s - b.readout_s).abs() > MIN_STEP_S;
+        if !before.iter().zip(&shutters).any(has_moved) {
+            break;
+        }
+    }
+    straighten(model, detected, &shutters);
+    with_deviations(model, options, &Shutters { shutters: &shutters, keypoints: &keypoints })
+}
