@@ -142,7 +142,10 @@ fn mounted(camera: &RigCamera) -> String {
         _ => format!("images at the same instants, clock {offset_ms:+.2} ms"),
     };
     let frames = if camera.hold == "hard" { "" } else { ", not rigid frames" };
-    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {spread}; {time}{frames}")
+    let guessed = camera.unobservable.map_or(String::new(), |[x, y, z]| {
+        format!("; it sees nothing that the first camera sees, and the motion does not tell its place along ({x:.2}, {y:.2}, {z:.2})")
+    });
+    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {spread}; {time}{frames}{guessed}")
 }
 
 fn names(all: &[String]) -> String {

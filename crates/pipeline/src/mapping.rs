@@ -80,6 +80,10 @@ pub fn map(
         match event {
             sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
             sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
+            sfm::Event::Joined { .. } => {
+                held.clear();
+                bad_pairs.clear();
+            }
             sfm::Event::Shutter(shutter) => shutters.push(*shutter),
             sfm::Event::SplitClosed { num_images, num_pairs } => {
                 split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
@@ -165,6 +169,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         }
         // These are for the report.
         sfm::Event::BadPair { .. }
+        | sfm::Event::Joined { .. }
         | sfm::Event::Shutter(_)
         | sfm::Event::SplitClosed { .. }
         | sfm::Event::MountedCamera(_)

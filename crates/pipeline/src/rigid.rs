@@ -129,6 +129,7 @@ fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<
             right: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
             timing: Timing::Together,
+            unit: None,
         };
         Ok((companion, Some(camera.cam_from_rig())))
     };

@@ -119,9 +119,11 @@ fn mounted(mounting: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value
 }
 
 fn check_mounted([left, right, mount]: [Rigid3; 3]) {
-    let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02 };
-    if let Err(difference) = check_jacobians(&factor, (left, right, mount), JACOBIAN_TOLERANCE) {
-        panic!("{difference}");
+    for unit in [None, Some(0.7)] {
+        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02, unit };
+        if let Err(difference) = check_jacobians(&factor, (left, right, mount), JACOBIAN_TOLERANCE) {
+            panic!("{unit:?}: {difference}");
+        }
     }
 }
 
@@ -148,7 +150,7 @@ proptest! {
     #[test]
     fn a_mounting_does_not_see_scale([left, right, mount] in mounted(vector(1.0)), scale in 0.01..100.0) {
         use tiepoint_rig::ba::Factor;
-        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02 };
+        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02, unit: None };
         let grown = |pose: &Rigid3| Rigid3::new(pose.rotation, pose.translation * scale);
         let before = factor.residual((&left, &right, &mount)).unwrap();
         let after = factor.residual((&grown(&left), &grown(&right), &grown(&mount))).unwrap();

@@ -47,7 +47,7 @@ fn distance(a: &Rigid3, b: &Rigid3) -> (f64, f64) {
     ((a.origin_in_a() - b.origin_in_a()).norm(), a.rotation.angle_to(&b.rotation))
 }
 
-const MOUNTED: Mounted = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02 };
+const MOUNTED: Mounted = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02, unit: None };
 
 fn check(knots: [Rigid3; 4], mount: Rigid3, play: (Vector3<f64>, Vector3<f64>), time_s: f64) {
     let clock = Clock { offset_s: 0.3, drift: 0.01, pivot_s: 2.0 };
@@ -210,7 +210,7 @@ fn doubts_cover_what_interpolation_and_stamps_are_off() {
         assert!((jitter / JITTER_S - 1.0).abs() < 0.3, "{jitter} s");
         let trajectory = Trajectory::new(samples);
         let mount = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
-        let mounted = Mounted { sigma_translation: 0.0005, sigma_rotation_rad: 5e-5 };
+        let mounted = Mounted { sigma_translation: 0.0005, sigma_rotation_rad: 5e-5, unit: None };
         let (mut raw, mut white) = (0.0, 0.0);
         for pair in times.windows(2) {
             let time_s = pair[0] + rng.uniform() * (pair[1] - pair[0]);

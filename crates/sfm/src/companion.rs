@@ -122,6 +122,9 @@ pub struct Companion {
     pub clock: Clock,
     /// How well that is known.
     pub timing: Timing,
+    /// Where the two cameras see nothing in common, what stands for their distance, of which their motion may tell nothing: the usual distance
+    /// of consecutive images of the first camera.
+    pub unit: Option<f64>,
 }
 
 /// An offset is moved away from what the stamps say only if the images say so this much more likely (natural logarithm); far more
@@ -146,7 +149,9 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
     cameras
         .filter_map(|(&right, right_images)| {
-            let companion = |clock, timing| Companion { left, right, clock, timing };
+            let unit =
+                if have_common_points(model, left, right) { None } else { usual_step(model, left_images) };
+            let companion = |clock, timing| Companion { left, right, clock, timing, unit };
             let (Some(lefts), Some(rights)) = (times_of(model, left_images), times_of(model, right_images))
             else {
                 return Some(companion(Clock::default(), Timing::Together));
@@ -178,6 +183,22 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
             })
         })
         .collect()
+}
+
+/// Whether some point is seen by both cameras.
+fn have_common_points(model: &Reconstruction, left: CameraId, right: CameraId) -> bool {
+    model.tracks().any(|(_, track)| {
+        let is_seen_by = |camera| track.observations.iter().any(|o| model.image(o.image).camera == camera);
+        is_seen_by(left) && is_seen_by(right)
+    })
+}
+
+/// The median distance of consecutive images of a camera.
+fn usual_step(model: &Reconstruction, images: &[ImageId]) -> Option<f64> {
+    let pose = |id: &ImageId| model.image(*id).cam_from_world().map(Rigid3::origin_in_a);
+    let centres: Vec<_> = images.iter().filter_map(pose).collect();
+    let mut steps: Vec<f64> = centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+    median(&mut steps).filter(|step| *step > 0.0)
 }
 
 /// The offset nearest to the given one at which images of the two cameras coincide; `None` where they do not at any.

@@ -62,6 +62,12 @@ pub enum Event {
     },
     /// The calibration of a camera that is held to the first one.
     MountedCamera(Box<MountedCamera>),
+    /// Models of cameras that see nothing in common were joined, since they move as one. Their cameras were held to a mounting: what was told of
+    /// mountings before counts no longer, and what follows is of the whole.
+    Joined {
+        /// Images with a pose in the whole.
+        num_images: usize,
+    },
     /// A finished model was held to the mountings of its cameras.
     Mounted {
         /// How firmly in the end; `None` where it would have explained held-out tracks worse.
@@ -92,6 +98,8 @@ pub struct MountedCamera {
     pub covariance: Option<MountingCovariance>,
     /// How firmly it is held.
     pub hold: Hold,
+    /// Where the two see nothing in common: the length by which its place was believed to be known beforehand, in any direction.
+    pub unit: Option<f64>,
     /// Moments at which the two could be compared.
     pub num_moments: usize,
     /// Of the relative poses at the moments that are held.

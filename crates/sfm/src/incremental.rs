@@ -14,6 +14,7 @@ use crate::event::tell;
 use crate::filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 use crate::focal::{FocalPrior, estimate_focal_lengths, focal_priors, with_focal};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
+use crate::join::joined;
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::{RegisterOptions, register_image};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links, rig_pairs};
@@ -162,7 +163,48 @@ pub fn map(
         }
     }
     models.sort_by_key(|model| std::cmp::Reverse(model.num_registered()));
+    if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
+        join(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+    }
     Ok(models)
+}
+
+/// Joins the largest model with those of cameras that see nothing of it and ride with it, if holding them to a mounting explains tracks
+/// that took no part as well as holding nothing.
+fn join(
+    graph: &CorrespondenceGraph,
+    focal_priors: &[FocalPrior],
+    options: &MapperOptions,
+    models: &mut Vec<Reconstruction>,
+    descriptors: &mut Descriptors,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<(), Error> {
+    let mut index = 1;
+    while index < models.len() {
+        let mut is_held = false;
+        if let Some(model) = joined(&models[0], &models[index]) {
+            let mut mapper =
+                Mapper { model, focal_priors, is_final: true, ..Mapper::new(graph, &models[0], options) };
+            // Told only if it is kept.
+            let mut told = Vec::new();
+            mapper.hold(descriptors, &mut |event| {
+                told.push(event.clone());
+                ControlFlow::Continue(())
+            })?;
+            is_held = told.iter().any(|event| matches!(event, Event::Mounted { hold: Some(_), .. }));
+            if is_held {
+                models[0] = mapper.model;
+                tell(watch, &Event::Joined { num_images: models[0].num_registered() })?;
+                told.iter().try_for_each(|event| tell(watch, event))?;
+            }
+        }
+        if is_held {
+            models.remove(index);
+        } else {
+            index += 1;
+        }
+    }
+    Ok(())
 }
 
 /// Focal lengths that are tried where the pairs tell nothing, relative to the larger side of the image: 127° to 26° of view.
@@ -291,20 +333,28 @@ impl<'a> Mapper<'a> {
                 let links = final_links(&self.model, self.rigs);
                 self.adjust_globally(&links, 1e-8, 100, watch)?;
             }
-            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => {
-                let mut model = self.model.clone();
-                let context = Context {
-                    graph: self.graph,
-                    tracks: &self.options.tracks,
-                    filter: &self.options.filter,
-                    adjust: self.adjust_options(&[], 1e-8, 100),
-                    seed: self.options.seed,
-                };
-                hold_to_mountings(&context, &mut model, self.options.rig, descriptors, watch)?;
-                self.model = model;
-            }
+            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors, watch)?,
             RigTerm::Off => {}
         }
+        Ok(())
+    }
+
+    /// Holds the cameras of the finished model to their mountings.
+    fn hold(
+        &mut self,
+        descriptors: &mut Descriptors,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
+        let mut model = self.model.clone();
+        let context = Context {
+            graph: self.graph,
+            tracks: &self.options.tracks,
+            filter: &self.options.filter,
+            adjust: self.adjust_options(&[], 1e-8, 100),
+            seed: self.options.seed,
+        };
+        hold_to_mountings(&context, &mut model, self.options.rig, descriptors, watch)?;
+        self.model = model;
         Ok(())
     }
 

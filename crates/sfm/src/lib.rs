@@ -9,6 +9,7 @@ mod focal;
 mod hold_out;
 mod incremental;
 mod initial_pair;
+mod join;
 mod mounting;
 mod register;
 mod rig_pairs;

@@ -54,6 +54,8 @@ pub struct Mounting {
     pub timing: Timing,
     /// How firmly.
     pub hold: Hold,
+    /// Where the two cameras see nothing in common: the length that stands for their distance ([`Companion::unit`]).
+    pub unit: Option<f64>,
     /// At these of the moments the model had the camera elsewhere, for want of matches with the first one.
     pub(crate) closed: Vec<Closed>,
 }
@@ -63,7 +65,7 @@ pub struct Mounting {
 pub enum Hold {
     /// Up to standard deviations.
     Soft {
-        /// Of each coordinate of the centre, in baselines.
+        /// Of each coordinate of the centre, in baselines, or in the unit of cameras that see nothing in common.
         sigma_translation: f64,
         /// Of each component of the rotation, in radians.
         sigma_rotation_rad: f64,
@@ -193,7 +195,7 @@ impl Mounting {
     /// Whether the cameras follow: half of the moments are within a few standard deviations.
     fn is_held(&self, model: &Reconstruction) -> bool {
         let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return true };
-        let mounted = Mounted { sigma_translation, sigma_rotation_rad };
+        let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: self.unit };
         let residual = |moment: &Moment| {
             let left = moment.left_from_world(model, &self.clock)?;
             let right = model.image(moment.right).cam_from_world()?;
@@ -221,7 +223,8 @@ impl Mounting {
     }
 
     fn companion(&self) -> Companion {
-        Companion { left: self.left, right: self.right, clock: self.clock, timing: self.timing }
+        let Self { left, right, clock, timing, unit, .. } = *self;
+        Companion { left, right, clock, timing, unit }
     }
 }
 
@@ -297,6 +300,7 @@ impl Context<'_> {
                 timing: mounting.timing,
                 covariance,
                 hold: mounting.hold,
+                unit: mounting.unit,
                 num_moments: all.len(),
                 spread: spread(&poses),
             };
@@ -456,9 +460,10 @@ fn deviation(a: &RelativePose, b: &RelativePose, baseline: f64) -> (f64, f64) {
 }
 
 /// Medians of the deviations as standard deviations of a component.
-fn spread_of(poses: &[RelativePose], average: &RelativePose) -> (f64, f64) {
+fn spread_of(poses: &[RelativePose], average: &RelativePose, unit: Option<f64>) -> (f64, f64) {
+    let baseline = unit.unwrap_or_else(|| average.translation.norm());
     let (mut ts, mut rs): (Vec<f64>, Vec<f64>) =
-        poses.iter().map(|pose| deviation(pose, average, average.translation.norm())).unzip();
+        poses.iter().map(|pose| deviation(pose, average, baseline)).unzip();
     let sigma = |norms: &mut [f64]| median(norms).unwrap_or(0.0) / MEDIAN_OF_THREE;
     (sigma(&mut ts), sigma(&mut rs))
 }
@@ -472,7 +477,7 @@ fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64)
     for companion in companions {
         let poses = relative_poses(model, &companion.moments(model), &companion.clock);
         let Some(average) = robust_average(&poses) else { continue };
-        let (t, r) = spread_of(&poses, &average);
+        let (t, r) = spread_of(&poses, &average, companion.unit);
         widest = (widest.0.max(t), widest.1.max(r));
     }
     widest

@@ -19,6 +19,9 @@ use crate::{Error, keypoint_sigma_px};
 const CLOCK_SIGMA_S: f64 = 1.0;
 const DRIFT_SIGMA: f64 = 5e-5;
 
+/// What is believed of the rotation of a mounting between cameras that see nothing in common; of the translation it is the unit.
+const UNSEEN_SIGMA_RAD: f64 = 1.0;
+
 /// The covariance of each mounting's calibration (rotation, translation) and clock (offset, drift), zero where they do not move; `None`
 /// where something is not determined. The noise of the keypoints is what the model leaves, and σ of the mountings what they say.
 pub(crate) fn mounting_covariances(
@@ -120,6 +123,10 @@ impl Bundle {
                     Timing::Together | Timing::NotObservable => self.problem.fix(clock),
                 }
             }
+            if let Some(unit) = mounting.unit {
+                let sigmas: [f64; 6] = std::array::from_fn(|k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit });
+                self.problem.add(mount, Prior::new(mounting.right_from_left, &sigmas)?, Loss::Trivial)?;
+            }
             self.mountings.push((mount, clock));
             for moment in &mounting.moments {
                 let right = key(&moment.right);
@@ -133,7 +140,7 @@ impl Bundle {
                     }
                     (Hold::Soft { sigma_translation, sigma_rotation_rad }, Left::At(left), _) => {
                         let (Some(left), Some(right)) = (key(&left), right) else { continue };
-                        let factor = Mounted { sigma_translation, sigma_rotation_rad };
+                        let factor = Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.unit };
                         self.problem.add((left, right, mount), factor, Loss::Trivial)?;
                     }
                     (
@@ -145,7 +152,7 @@ impl Bundle {
                         let (Some(a), Some(b), Some(c), Some(d), Some(right)) = (a, b, c, d, right) else {
                             continue;
                         };
-                        let mounted = Mounted { sigma_translation, sigma_rotation_rad };
+                        let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.unit };
                         let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
                         let whitening = moment.whitening(&mounted, &left, &mounting.right_from_left);
                         let factor =

@@ -38,14 +38,14 @@ impl Context<'_> {
         unmatched: Unmatched,
     ) -> Vec<Mounting> {
         let mounting = |companion: &Companion| -> Option<Mounting> {
-            let Companion { left, right, clock, timing } = *companion;
+            let Companion { left, right, clock, timing, unit } = *companion;
             // All of a companion's moments have poses.
             let moments = companion.moments(model);
             let poses = relative_poses(model, &moments, &clock);
             let average = robust_average(&poses)?;
-            let (spread_t, spread_r) = spread_of(&poses, &average);
+            let (spread_t, spread_r) = spread_of(&poses, &average, unit);
             let gate = ((GATE * spread_t).max(GATE_FLOOR.0), (GATE * spread_r).max(GATE_FLOOR.1));
-            let baseline = average.translation.norm();
+            let baseline = unit.unwrap_or_else(|| average.translation.norm());
             let is_near = |pose: &RelativePose| {
                 let (t, r) = deviation(pose, &average, baseline);
                 t <= gate.0 && r <= gate.1
@@ -80,6 +80,7 @@ impl Context<'_> {
                 clock,
                 timing,
                 hold,
+                unit,
                 closed,
             })
         };

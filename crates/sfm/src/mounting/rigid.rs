@@ -62,6 +62,7 @@ impl RigidCamera {
             clock: Clock::default(),
             timing: Timing::Together,
             hold: Hold::Rigid,
+            unit: None,
             closed: Vec::new(),
         }
     }

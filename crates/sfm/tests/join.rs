@@ -1,0 +1,110 @@
+//! A camera that looks ahead and one that looks back, whose images share nothing, on the street of the synthetic world seen as features.
+
+use std::ops::ControlFlow;
+
+use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_scene::CorrespondenceGraph;
+use tiepoint_sfm::{Event, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, map};
+use tiepoint_synth::{
+    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
+};
+
+/// Distance of the cameras, in metres.
+const BASELINE_M: f64 = 0.5;
+const FRAMES: usize = 60;
+/// Set by hand, at a rate of its own.
+const CLOCKS: ClockEffects = ClockEffects {
+    offset_s: 0.3,
+    drift_ppm: 0.0,
+    jitter_s: 0.0,
+    phase: 1.0,
+    late_start_s: 0.0,
+    drop_fraction: 0.0,
+    rate_spread: 0.01,
+};
+
+struct Run {
+    drive: Drive,
+    models: usize,
+    camera: Option<MountedCamera>,
+    was_joined: bool,
+    /// Metres in a unit of the model, from the first camera's path.
+    metres: f64,
+}
+
+/// Half a block with a turn and a stop.
+fn run(rig: RigTerm) -> Run {
+    let [ahead, _] = Mount::stereo(Mounting::Front, BASELINE_M);
+    let [_, back] = Mount::stereo(Mounting::Rear, BASELINE_M);
+    let effects = Effects { clocks: CLOCKS, ..Effects::default() };
+    let mounts = vec![ahead, back];
+    let mut drive =
+        Drive::new(&DriveOptions { seed: 3, rate_hz: 4.0, effects, mounts, ..DriveOptions::default() })
+            .expect("a street of 200 m");
+    drive.keep_first(FRAMES);
+    let features = FeatureOptions { seed: 3, observations: 40_000, ..FeatureOptions::default() };
+    let scene = FeatureScene::new(&drive, &features).expect("sound options");
+    let camera = |image| scene.truth().image(image).camera;
+    let two_views: Vec<_> = scene
+        .matches(&MatchOptions { window: Some(5), ..MatchOptions::default() })
+        .into_iter()
+        .filter(|found| camera(found.pair.a) == camera(found.pair.b))
+        .map(|found| (found.pair, found.two_view))
+        .collect();
+    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+    let graph = CorrespondenceGraph::new(&counts, two_views);
+    let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
+    let (mut camera, mut was_joined) = (None, false);
+    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
+        match event {
+            Event::MountedCamera(found) => camera = Some((**found).clone()),
+            Event::Joined { .. } => was_joined = true,
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    });
+    let models = models.expect("the scene is easy");
+    let path = |scene: &tiepoint_scene::Reconstruction| {
+        let of_first = models[0].registered().filter(|(_, image, _)| image.camera.0 == 0);
+        let centres: Vec<_> =
+            of_first.filter_map(|(id, ..)| Some(scene.image(id).cam_from_world()?.origin_in_a())).collect();
+        centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>()
+    };
+    let metres = path(scene.truth()) / path(&models[0]);
+    Run { drive, models: models.len(), camera, was_joined, metres }
+}
+
+/// Two models know each other by their motion alone: what is asked of cameras that see the same, six times over.
+const MAX_ROTATION_RAD: f64 = 0.3 / 57.3;
+const MAX_OFFSET_S: f64 = 0.005;
+/// Of the mounting's place along the road and across it, in metres; upwards nothing tells it on a flat road.
+const MAX_PLACE_M: f64 = 0.1;
+
+#[test]
+fn cameras_without_a_common_view_become_one_model() {
+    let run = run(RigTerm::Auto);
+    assert!(run.was_joined);
+    assert_eq!(run.models, 1);
+    let camera = run.camera.expect("it is held");
+    assert_eq!(camera.timing, Timing::Free);
+    let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
+    let Rigid3 { rotation, translation } = camera.right_from_left;
+    let turn_rad = so3::log(&(rotation * truth.rotation.inverse())).norm();
+    // In the first camera's frame: to the right, down, ahead.
+    let found = -(rotation.inverse() * translation) * run.metres;
+    let expected = truth.origin_in_a();
+    let off = found - expected;
+    let pivot_s = camera.clock.pivot_s;
+    let offset_s = camera.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    eprintln!("turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}");
+    assert!(turn_rad < MAX_ROTATION_RAD, "{turn_rad} rad");
+    assert!(off.x.hypot(off.z) < MAX_PLACE_M, "{off:?}");
+    assert!(offset_s.abs() < MAX_OFFSET_S, "{offset_s} s");
+}
+
+#[test]
+fn without_a_rig_term_the_models_stay_apart() {
+    let run = run(RigTerm::Off);
+    assert!(!run.was_joined);
+    assert_eq!(run.models, 2);
+}
