@@ -11,26 +11,42 @@ const NEAR: f32 = 0.5;
 /// if their σ differ by a smaller factor. On graf 1-3 as many matches are right from 0.35 octaves on, up to a whole one.
 const ALIKE: f32 = std::f32::consts::SQRT_2;
 
+/// What is kept of a row of pixels, as a list from the last one back.
+struct Kept {
+    x: f32,
+    y: f32,
+    sigma: f32,
+    before: u32,
+}
+
+const NONE: u32 = u32::MAX;
+
 /// Keeps of extrema that are the same the first one. `height` is that of the image in pixels.
 pub(crate) fn distinct(extrema: &mut Vec<Extremum>, height: usize) {
-    // What is kept, by the row of pixels that it lies in: position and scale, in pixels.
-    let mut rows: Vec<Vec<[f32; 3]>> = vec![Vec::new(); height.max(1)];
+    let rows = height.max(1);
+    let mut last_of_row = vec![NONE; rows];
+    let mut kept: Vec<Kept> = Vec::with_capacity(extrema.len());
     extrema.retain(|extremum| {
         let pixels = 2f32.powi(extremum.octave);
         let [x, y, sigma] = [extremum.x, extremum.y, extremum.sigma].map(|length| length * pixels);
-        let is_same = |&[other_x, other_y, other_sigma]: &[f32; 3]| {
-            let (small, large) = (sigma.min(other_sigma), sigma.max(other_sigma));
-            let square = (x - other_x).powi(2) + (y - other_y).powi(2);
-            large < ALIKE * small && square < (NEAR * small).powi(2)
-        };
         // Negative ones become row 0.
-        let row = |y: f32| (y as usize).min(height.saturating_sub(1));
+        let row = |y: f32| (y as usize).min(rows - 1);
         let reach = NEAR * sigma;
-        let is_new = !rows[row(y - reach)..=row(y + reach)].iter().flatten().any(is_same);
-        if is_new {
-            rows[row(y)].push([x, y, sigma]);
+        for &last in &last_of_row[row(y - reach)..=row(y + reach)] {
+            let mut at = last;
+            while let Some(other) = kept.get(at as usize) {
+                let small = sigma.min(other.sigma);
+                let square = (x - other.x).powi(2) + (y - other.y).powi(2);
+                if square < (NEAR * small).powi(2) && sigma.max(other.sigma) < ALIKE * small {
+                    return false;
+                }
+                at = other.before;
+            }
         }
-        is_new
+        let last = &mut last_of_row[row(y)];
+        kept.push(Kept { x, y, sigma, before: *last });
+        *last = kept.len() as u32 - 1;
+        true
     });
 }
 
