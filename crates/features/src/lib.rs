@@ -4,6 +4,7 @@ mod bands;
 mod blur;
 mod buffer;
 mod descriptor;
+mod distinct;
 mod error;
 mod extrema;
 mod gradient;

@@ -54,7 +54,8 @@ impl DomainSizes {
     }
 }
 
-/// What to extract. The defaults are COLMAP's.
+/// What to extract. The defaults are COLMAP's. A blob that is found twice, on two levels or in two octaves, gives one keypoint:
+/// copies take each other's matches away.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Octave of the finest scale: −1 doubles the image, 0 starts at its own resolution, 1 at half of it. −1 to 8.

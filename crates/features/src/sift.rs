@@ -2,6 +2,7 @@
 
 use crate::bands::{SweepAll, sweep_all};
 use crate::buffer::AlignedBuf;
+use crate::distinct::distinct;
 use crate::extrema::{Extremum, Thresholds};
 use crate::measure::{Measured, measure, window_reach};
 use crate::octave::{Plan, Scratch};
@@ -126,8 +127,12 @@ impl Sift {
         let end = first_octave + octaves as i32;
         // The octave of the image itself and those above it, then the doubled one, if it can still contribute.
         for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
-            if octave == -1 && is_reached(limit, max_features, extrema.len()) {
-                break;
+            if octave == -1 {
+                sort(&mut extrema);
+                distinct(&mut extrema, image.height);
+                if is_reached(limit, max_features, extrema.len()) {
+                    break;
+                }
             }
             let size = match octave {
                 -1 => (2 * image.width, 2 * image.height),
@@ -173,6 +178,7 @@ impl Sift {
             }
         }
         sort(&mut extrema);
+        distinct(&mut extrema, image.height);
         let level = |e: &Extremum| (e.octave, e.level);
         let kept = match extrema.get(max_features) {
             Some(beyond) if limit == Limit::WholeLevels => {

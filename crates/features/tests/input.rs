@@ -1,13 +1,21 @@
 //! Images that nobody would take: nothing panics, and what cannot be done is said.
 
-use tiepoint_features::{DomainSizes, Error, GrayView, Options, Sift, extract};
+use tiepoint_features::{DomainSizes, Error, GrayView, Options, Orientation, Sift, extract};
 
 #[test]
 fn degenerate_images_have_no_features() {
-    for (width, height) in [(0, 0), (0, 7), (1, 1), (2, 2), (3, 3), (1, 100_000), (100_000, 1), (64, 64)] {
-        let pixels = vec![77; width * height];
-        let features = extract(&GrayView::new(&pixels, width, height), &Options::default());
-        assert_eq!(features.map(|f| f.keypoints.len()), Ok(0), "{width}x{height}");
+    let sides = [0, 1, 2, 3];
+    let small = sides.into_iter().flat_map(|width| sides.map(|height| (width, height)));
+    let default = Options::default();
+    let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..default };
+    let plain = [default, pooled, Options { first_octave: 0, orientation: Orientation::Upright, ..default }];
+    for (width, height) in small.chain([(0, 7), (1, 100_000), (100_000, 1), (64, 64), (300, 200)]) {
+        for (grey, options) in [0, 77, 255].into_iter().flat_map(|grey| plain.map(|options| (grey, options)))
+        {
+            let pixels = vec![grey; width * height];
+            let features = extract(&GrayView::new(&pixels, width, height), &options);
+            assert_eq!(features.map(|f| f.keypoints.len()), Ok(0), "{width}x{height} {options:?}");
+        }
     }
 }
 

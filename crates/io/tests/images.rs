@@ -6,7 +6,8 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use exif::{In, Rational, Tag, Value};
-use image::{DynamicImage, ImageFormat, Rgb as Pixel, RgbImage};
+use image::{DynamicImage, GrayImage, ImageFormat, Luma as Grey, Rgb as Pixel, RgbImage};
+use tiepoint_io::features::{self, Features, GrayView};
 use tiepoint_io::{ImageFolder, ImageSource, Luma, Rgb, timestamps};
 
 /// JPEG at quality 95 of a smooth image: a few grey levels.
@@ -162,6 +163,72 @@ fn foreign_jpegs() {
     assert_eq!((luma.width, luma.height), (33, 17));
     let expected = 0.2126 * 70.0 + 0.7152 * 120.0 + 0.0722 * 128.0;
     assert!((f64::from(luma.data[33 * 8 + 10]) - expected).abs() < f64::from(JPEG_TOLERANCE));
+}
+
+/// What the first stage makes of a file.
+fn extracted(bytes: Vec<u8>) -> (Luma, Features) {
+    let dir = folder(&[("a", bytes)]);
+    let luma = Luma::read(&dir.path().join("a")).unwrap();
+    let view = GrayView::new(&luma.data, luma.width as usize, luma.height as usize);
+    let features = features::extract(&view, &features::Options::default()).unwrap();
+    (luma, features)
+}
+
+#[test]
+fn images_of_any_shape_go_from_file_to_features() {
+    /// The longest side that JPEG can say.
+    const JPEG_SIDE: u32 = 65_535;
+    for (width, height) in
+        [(1, 1), (2, 1), (1, 2), (2, 2), (1, 100_000), (100_000, 1), (1, JPEG_SIDE), (160, 120)]
+    {
+        let constant = DynamicImage::from(GrayImage::from_pixel(width, height, Grey([77])));
+        for format in [ImageFormat::Png, ImageFormat::Tiff, ImageFormat::Jpeg] {
+            if format == ImageFormat::Jpeg && width.max(height) > JPEG_SIDE {
+                continue;
+            }
+            let (luma, features) = extracted(encoded(&constant, format));
+            assert_eq!((luma.width, luma.height), (width, height), "{format:?}");
+            assert!(
+                luma.data.iter().all(|&grey| grey == 77) && features.keypoints.is_empty(),
+                "{width} x {height}"
+            );
+        }
+    }
+    // Not constant, and too narrow for any keypoint.
+    let stripes = GrayImage::from_fn(1, 100_000, |_, y| Grey([if y % 40 < 20 { 20 } else { 220 }]));
+    assert!(extracted(encoded(&stripes.into(), ImageFormat::Png)).1.keypoints.is_empty());
+}
+
+#[test]
+fn images_of_any_kind_go_from_file_to_features() {
+    let spots = GrayImage::from_fn(160, 120, |x, y| {
+        let (dx, dy) = (f64::from(x % 40) - 20.0, f64::from(y % 40) - 20.0);
+        Grey([(40.0 + 160.0 * (-(dx * dx + dy * dy) / 30.0).exp()) as u8])
+    });
+    let grey = DynamicImage::from(spots);
+    let (luma, expected) = extracted(encoded(&grey, ImageFormat::Png));
+    assert!(luma.data == grey.as_bytes() && expected.keypoints.len() >= 12, "{}", expected.keypoints.len());
+    let kinds = [
+        DynamicImage::from(grey.to_luma16()),
+        DynamicImage::from(grey.to_luma_alpha8()),
+        DynamicImage::from(grey.to_luma_alpha16()),
+        DynamicImage::from(grey.to_rgb8()),
+        DynamicImage::from(grey.to_rgb16()),
+        DynamicImage::from(grey.to_rgba8()),
+        DynamicImage::from(grey.to_rgba16()),
+    ];
+    for image in kinds {
+        assert!(extracted(encoded(&image, ImageFormat::Png)).1 == expected, "{:?}", image.color());
+    }
+    // Nothing is seen through a pixel that is not there.
+    let mut hidden = grey.to_rgba8();
+    hidden.pixels_mut().for_each(|pixel| pixel.0[3] = 0);
+    assert!(extracted(encoded(&hidden.into(), ImageFormat::Png)).1 == expected);
+    for name in ["red_cmyk.jpg", "gradient_progressive.jpg"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name);
+        let (luma, features) = extracted(fs::read(path).unwrap());
+        assert!(luma.width >= 8 && features.keypoints.len() == features.descriptors.len(), "{name}");
+    }
 }
 
 #[test]

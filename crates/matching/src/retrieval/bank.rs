@@ -3,13 +3,14 @@
 use rayon::prelude::*;
 
 use super::GlobalDescriptor;
+use super::walks::{BESIDE, EDGES, Graph, Row, spread};
 use crate::brute::Isa;
 #[cfg(target_arch = "x86_64")]
 use crate::brute::Kind;
 use crate::pairs::{Pair, normalise};
 
 /// Images that are looked up as one task: the bank travels through the caches once for all of them, and they stay.
-const CHUNK: usize = 16;
+const CHUNK: usize = BESIDE;
 
 /// The global descriptors of many images.
 #[derive(Clone, Debug, Default)]
@@ -69,28 +70,55 @@ impl Bank {
         is_candidate: impl Fn(u32) -> bool,
     ) -> Vec<Similar> {
         let scale = inverse_norm(&image.entries);
-        let similarities =
+        let similarities: Vec<f32> =
             (0..self.len()).map(|at| self.similarity(Isa::best(), at, &image.entries, scale)).collect();
-        best(similarities, count, is_candidate)
+        best(&similarities, count, is_candidate)
     }
 
-    /// Pairs every image with the `count` that are most similar to it, where a pair is not in `known` (sorted, the lower
-    /// index first): with the neighbours in time left out, the candidates for loops.
-    pub fn pairs(&self, count: usize, known: &[Pair]) -> Vec<Pair> {
+    /// For every image the `count` others that it most likely sees something in common with, among those for which
+    /// `is_candidate(image, other)` holds; the likeliest first. First come those that are alike by way of others that
+    /// look alike, the candidate or not (neighbours in time, say); where these are too few, the most similar ones.
+    pub fn related(&self, count: usize, is_candidate: impl Fn(u32, u32) -> bool + Sync) -> Vec<Vec<u32>> {
         let images: Vec<u32> = (0..self.len() as u32).collect();
-        let is_known = |a: u32, b: u32| a == b || known.binary_search(&(a.min(b), a.max(b))).is_ok();
-        let found: Vec<Vec<Pair>> = images
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                let similarities = self.similarities(chunk);
-                let partners = chunk.iter().zip(similarities).flat_map(|(&image, similarities)| {
-                    let partners = best(similarities, count, |other| !is_known(image, other));
-                    partners.into_iter().map(move |partner| (image, partner.image))
-                });
-                partners.collect()
-            })
-            .collect();
-        normalise(found.concat())
+        let looked_up = |chunk: &[u32]| -> Vec<(Row, Vec<Similar>)> {
+            let row = |(&image, mut similarities): (&u32, Vec<f32>)| {
+                let edges = best(&similarities, EDGES, |other| other != image);
+                let similar =
+                    best(&similarities, count, |other| other != image && is_candidate(image, other));
+                similarities.swap_remove(image as usize);
+                (Row { edges, spread: spread(&mut similarities) }, similar)
+            };
+            chunk.iter().zip(self.similarities(chunk)).map(row).collect()
+        };
+        let (rows, similar): (Vec<Row>, Vec<Vec<Similar>>) =
+            images.par_chunks(CHUNK).map(looked_up).collect::<Vec<_>>().into_iter().flatten().unzip();
+        let graph = Graph::new(&rows);
+        let ranked = |chunk: &[u32]| -> Vec<Vec<u32>> {
+            let ends = graph.walk(chunk);
+            let one = |(lane, &image): (usize, &u32)| {
+                let reached = ends.iter().filter(|(_, shares)| shares[lane] > 0.0);
+                let reached = reached.map(|&(image, shares)| Similar { image, similarity: shares[lane] });
+                let others = |other| other != image && is_candidate(image, other);
+                let first = ranked(reached.filter(|end| others(end.image)).collect(), count);
+                let mut related: Vec<u32> = first.iter().map(|end| end.image).collect();
+                for other in similar[image as usize].iter().map(|similar| similar.image) {
+                    if related.len() < count && !related.contains(&other) {
+                        related.push(other);
+                    }
+                }
+                related
+            };
+            chunk.iter().enumerate().map(one).collect()
+        };
+        images.par_chunks(CHUNK).map(ranked).collect::<Vec<_>>().concat()
+    }
+
+    /// Pairs every image with the `count` that are most [`related`](Self::related) to it, where a pair is not in `known`
+    /// (sorted, the lower index first): with the neighbours in time left out, the candidates for loops.
+    pub fn pairs(&self, count: usize, known: &[Pair]) -> Vec<Pair> {
+        let is_new = |a: u32, b: u32| known.binary_search(&(a.min(b), a.max(b))).is_err();
+        let related = (0..).zip(self.related(count, is_new));
+        normalise(related.flat_map(|(a, others)| others.into_iter().map(move |b| (a, b))).collect())
     }
 
     /// Of some images to all.
@@ -122,9 +150,13 @@ fn inverse_norm(entries: &[i8]) -> f32 {
     }
 }
 
-fn best(similarities: Vec<f32>, count: usize, is_candidate: impl Fn(u32) -> bool) -> Vec<Similar> {
-    let all = similarities.into_iter().zip(0..).map(|(similarity, image)| Similar { image, similarity });
-    let mut candidates: Vec<Similar> = all.filter(|similar| is_candidate(similar.image)).collect();
+fn best(similarities: &[f32], count: usize, is_candidate: impl Fn(u32) -> bool) -> Vec<Similar> {
+    let all = similarities.iter().zip(0..).map(|(&similarity, image)| Similar { image, similarity });
+    ranked(all.filter(|similar| is_candidate(similar.image)).collect(), count)
+}
+
+/// The `count` most similar ones, of equal ones the first.
+fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar> {
     let order = |a: &Similar, b: &Similar| b.similarity.total_cmp(&a.similarity).then(a.image.cmp(&b.image));
     if count < candidates.len() {
         candidates.select_nth_unstable_by(count, order);

@@ -45,16 +45,14 @@ fn images_that_see_the_same_are_similar() {
 }
 
 #[test]
-fn pairs_are_those_of_the_single_queries_without_the_known_ones() {
+fn pairs_are_those_of_related_images_without_the_known_ones() {
     let images = walk(37);
-    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 16, ..Default::default() });
+    let (_, bank) = bank(&images, &VocabularyOptions { words: 16, ..Default::default() });
     let known: Vec<_> = (0..36).map(|i| (i, i + 1)).collect();
     let mut expected = Vec::new();
-    for (at, image) in images.iter().enumerate() {
-        let at = at as u32;
-        for similar in bank.most_similar(&vocabulary.describe(image), 3, |other| other.abs_diff(at) > 1) {
-            expected.push((at.min(similar.image), at.max(similar.image)));
-        }
+    for (a, others) in (0..).zip(bank.related(3, |a: u32, b| a.abs_diff(b) > 1)) {
+        assert_eq!(others.len(), 3);
+        expected.extend(others.iter().map(|&b| (a.min(b), a.max(b))));
     }
     expected.sort_unstable();
     expected.dedup();
@@ -63,6 +61,47 @@ fn pairs_are_those_of_the_single_queries_without_the_known_ones() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert_eq!(pool.install(|| bank.pairs(3, &known)), expected);
     }
+}
+
+/// Images 6 places apart share nothing; in between there are some that share with both.
+#[test]
+fn images_that_share_nothing_are_found_by_way_of_others() {
+    const NOTHING_SHARED: u32 = 6;
+    // Ten on both sides, five at the ends of the wall.
+    const NEAR: u32 = NOTHING_SHARED + 9;
+    let images = walk(60);
+    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 32, ..Default::default() });
+    let related = bank.related(10, |a, b| a.abs_diff(b) >= NOTHING_SHARED);
+    let [mut by_way_of_others, mut alike] = [0, 0];
+    for (a, others) in (0u32..).zip(related) {
+        let near = |others: &[u32]| others.iter().filter(|b| b.abs_diff(a) <= NEAR).count();
+        by_way_of_others += near(&others);
+        let plain = bank
+            .most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| b.abs_diff(a) >= NOTHING_SHARED);
+        alike += near(&plain.iter().map(|similar| similar.image).collect::<Vec<_>>());
+    }
+    assert!(by_way_of_others >= 60 * 9 && alike < 60 * 5, "{by_way_of_others} {alike}");
+}
+
+#[test]
+fn where_nothing_is_alike_the_most_similar_ones_are_related() {
+    let images: Vec<Vec<Descriptor>> = (0..30).map(|at| noise(50, 100 + at)).collect();
+    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 8, ..Default::default() });
+    for (a, others) in bank.related(4, |a, b| !(a + b).is_multiple_of(3)).into_iter().enumerate() {
+        let image = a as u32;
+        let plain = bank.most_similar(&vocabulary.describe(&images[a]), 4, |b| {
+            b != image && !(image + b).is_multiple_of(3)
+        });
+        assert_eq!(others, plain.iter().map(|similar| similar.image).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn only_the_leading_features_say_what_an_image_looks_like() {
+    let sample = noise(2 * Vocabulary::LEADING, 8);
+    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { words: 8, ..Default::default() });
+    assert_eq!(vocabulary.describe(&sample), vocabulary.describe(&sample[..Vocabulary::LEADING]));
+    assert_ne!(vocabulary.describe(&sample), vocabulary.describe(&sample[1..]));
 }
 
 #[test]

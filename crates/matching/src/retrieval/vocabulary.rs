@@ -46,6 +46,10 @@ pub struct GlobalDescriptor {
 }
 
 impl Vocabulary {
+    /// How many descriptors of an image say what it looks like. SIFT has the largest features first, which are those that
+    /// stay when the camera moves on.
+    pub const LEADING: usize = 1000;
+
     /// Learns words from a sample of descriptors by k-means; a few hundred descriptors for each word suffice.
     pub fn learn(sample: &[Descriptor], options: &VocabularyOptions) -> Self {
         let mut order: Vec<u32> = (0..sample.len() as u32).collect();
@@ -92,8 +96,10 @@ impl Vocabulary {
         nearest(descriptors, &self.packed).of_a.iter().map(|nearest| nearest.index).collect()
     }
 
-    /// The global descriptor of an image. One without features is like no other.
+    /// The global descriptor of an image, of its [leading](Self::LEADING) descriptors. One without features is like no
+    /// other.
     pub fn describe(&self, descriptors: &[Descriptor]) -> GlobalDescriptor {
+        let descriptors = &descriptors[..descriptors.len().min(Self::LEADING)];
         let mut sums = vec![[0i32; 128]; self.words.len()];
         if !self.words.is_empty() {
             for (descriptor, word) in descriptors.iter().zip(self.assign(&Prepared::new(descriptors))) {
