@@ -197,7 +197,7 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> 
                 .to_owned()
         }
         (RigTerm::Auto, Some(Hold::Rigid)) => {
-            format!("a rigid rig explains tracks that took no part best, with {errors}")
+            format!("a rigid rig explains tracks that took no part as well as any: {errors}")
         }
         (_, Some(Hold::Soft { .. })) => {
             format!("this is as firmly as tracks that took no part allow: {errors}")

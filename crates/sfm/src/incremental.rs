@@ -33,7 +33,7 @@ pub enum RigTerm {
     Soft,
     /// One mounting for each camera, held exactly.
     Hard,
-    /// Of off, soft and hard the one that explains held-out tracks best; soft where they hardly differ.
+    /// Of off, soft and hard the firmest that held-out tracks do not contradict.
     Auto,
 }
 
