@@ -29,7 +29,7 @@ pub enum Limit {
 
 /// DSP-SIFT (Dong & Soatto, "Domain-size pooling in local descriptors", CVPR 2015): a descriptor is the mean of several,
 /// measured in windows of different size around the same keypoint. It matches better where scale is uncertain, and takes
-/// some twenty times as long as a plain one. The defaults are COLMAP's.
+/// some twenty times as long as a plain one. Keypoints that are copies of others are left out. The defaults are COLMAP's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DomainSizes {
     /// Smallest window, relative to that of a plain descriptor. Above 0.
@@ -54,8 +54,7 @@ impl DomainSizes {
     }
 }
 
-/// What to extract. The defaults are COLMAP's. A blob that is found twice, on two levels or in two octaves, gives one keypoint:
-/// copies take each other's matches away.
+/// What to extract. The defaults are COLMAP's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Octave of the finest scale: −1 doubles the image, 0 starts at its own resolution, 1 at half of it. −1 to 8.

@@ -121,7 +121,7 @@ impl Sift {
         mask: Option<&GrayView<'_>>,
         threads: NonZeroUsize,
     ) -> (Vec<Extremum>, Vec<Swept<'a>>) {
-        let Options { first_octave, octaves, levels, max_features, limit, .. } = self.options;
+        let Options { first_octave, octaves, levels, max_features, limit, domain_sizes, .. } = self.options;
         let mut swept: Vec<Swept<'a>> = Vec::new();
         let mut extrema = Vec::new();
         let end = first_octave + octaves as i32;
@@ -129,7 +129,9 @@ impl Sift {
         for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
             if octave == -1 {
                 sort(&mut extrema);
-                distinct(&mut extrema, image.height);
+                if domain_sizes.is_some() {
+                    distinct(&mut extrema, image.height);
+                }
                 if is_reached(limit, max_features, extrema.len()) {
                     break;
                 }
@@ -178,7 +180,9 @@ impl Sift {
             }
         }
         sort(&mut extrema);
-        distinct(&mut extrema, image.height);
+        if domain_sizes.is_some() {
+            distinct(&mut extrema, image.height);
+        }
         let level = |e: &Extremum| (e.octave, e.level);
         let kept = match extrema.get(max_features) {
             Some(beyond) if limit == Limit::WholeLevels => {
