@@ -80,28 +80,38 @@ def traditional(workspace, drive):
     return model
 
 
-def constrained(workspace, drive):
-    copy = copy_database(workspace)
+def with_frames(database, drive):
+    """Renames right images after the left ones nearest in time, since COLMAP joins images of one file name to frames. Returns the old names."""
     pairs = partners(stamps_of(drive))
-    # COLMAP joins images of the same file name to frames.
     renamed = {right: f"right/{left.removeprefix('left/')}" for right, left in pairs.items()}
-    connection = sqlite3.connect(copy)
+    connection = sqlite3.connect(database)
     names = [name for (name,) in connection.execute("SELECT name FROM images WHERE name LIKE 'right/%'")]
     new = {name: renamed.get(name, f"right/alone-{name.removeprefix('right/')}") for name in names}
     connection.executemany("UPDATE images SET name = ? WHERE name = ?", [(f"{to}.new", was) for was, to in new.items()])
     connection.executemany("UPDATE images SET name = ? WHERE name = ?", [(to, f"{to}.new") for to in new.values()])
     connection.commit()
     connection.close()
+    return {to: was for was, to in new.items()}
+
+
+def make_rig(database, model=None):
+    """One rig of both cameras; its calibration is the model's, or unknown."""
+    camera = lambda prefix, is_first: pycolmap.RigConfigCamera(image_prefix=prefix, ref_sensor=is_first)
+    rig = pycolmap.RigConfig(cameras=[camera("left/", True), camera("right/", False)])
+    with pycolmap.Database.open(database) as opened:
+        pycolmap.apply_rig_config([rig], opened, *([model] if model else []))
+
+
+def constrained(workspace, drive):
+    copy = copy_database(workspace)
+    names = with_frames(copy, drive)
     first = map_largest(copy, drive, workspace / "colmap.sparse")
     if first is None:
         return None
-    camera = lambda prefix, is_first: pycolmap.RigConfigCamera(image_prefix=prefix, ref_sensor=is_first)
-    rig = pycolmap.RigConfig(cameras=[camera("left/", True), camera("right/", False)])
-    with pycolmap.Database.open(copy) as database:
-        pycolmap.apply_rig_config([rig], database, first)
+    make_rig(copy, first)
     model = map_largest(copy, drive, workspace / "colmap.sparse")
     if model:
-        write(model, workspace, {to: was for was, to in new.items()})
+        write(model, workspace, names)
     return model
 
 

@@ -167,8 +167,8 @@ pub(crate) struct Pairs {
 pub(crate) struct Mapping {
     /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
     /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
-    /// tracks allow), hard (one mounting, exactly), auto (what explains held-out tracks best). Times of the photos may be on clocks that
-    /// disagree: they are found (paper: to half the time between two photos).
+    /// tracks allow), hard (one mounting, exactly), auto (the firmest of these that held-out tracks do not contradict). Times of the photos
+    /// may be on clocks that disagree: they are found (paper: to half the time between two photos).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
     /// Distance of the first camera and the next (in the order of their folders), with its unit: m, cm or mm. The result is scaled so that

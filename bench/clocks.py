@@ -1,0 +1,137 @@
+#!/usr/bin/env python3
+"""Two cameras whose clocks disagree, with stops and turns: this program and COLMAP on the same matches.
+
+  pip install numpy pycolmap==4.2.1
+  cargo build --release
+  python bench/clocks.py --seeds 1,2,3
+
+A rendered loop (`synth --effects clocks`, front cameras half a metre apart) is matched once. Ours maps it with `--rig off` and `auto`. COLMAP maps a copy of the
+database without a rig; twice, the second time with the rig that the first run gives and frames of the images nearest in time (what its documentation has for
+an unknown rig); and with its global mapper and a rig of unknown calibration on the same frames. Each gets so many minutes. The last column is the
+oracle: `--rig hard` on the same drive whose cameras are triggered together, with the true intrinsics; other images of the same street. ATE in
+metres, as drift.py has it.
+"""
+
+import argparse
+import json
+import multiprocessing
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from colmap import program_of
+from drift import align, run, truth_of
+from experiment import copy_database, make_rig, map_largest, with_frames
+
+PEERS = ("no rig", "two passes", "global mapper")
+
+
+def ate(model, centres, names=None):
+    if names:
+        for image in model.images.values():
+            image.name = names.get(image.name, image.name)
+    registered, found, truth = align(model, centres)
+    return {"ate_m": float(np.sqrt((np.linalg.norm(found - truth, axis=1) ** 2).mean())), "registered": len(registered), "images": len(centres)}
+
+
+def peer(which, workspace, drive, target):
+    """In a process of its own: COLMAP's model, judged, as a file."""
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    centres, _ = truth_of(drive)
+    copy, sparse, names = copy_database(workspace), workspace / "colmap.sparse", None
+    if which != "no rig":
+        names = with_frames(copy, drive)
+    if which == "global mapper":
+        make_rig(copy)
+        sparse.mkdir()
+        options = pycolmap.GlobalPipelineOptions()
+        options.num_threads = 2
+        models = pycolmap.global_mapping(copy, drive, sparse, options)
+        model = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+    else:
+        model = map_largest(copy, drive, sparse)
+        if which == "two passes" and model:
+            make_rig(copy, model)
+            model = map_largest(copy, drive, sparse)
+    if model:
+        target.write_text(json.dumps(ate(model, centres, names)))
+
+
+def run_seed(seed, arguments, work):
+    program, log, rows = arguments.program, work / "log", {}
+    synth = [program, "synth", "--length", arguments.length, "--rate", arguments.rate, "--size", arguments.size, "--seed", seed, "--json"]
+    drive, together, made = work / "drive", work / "together", work / "made"
+    rendered = run([*synth, "-o", drive, "--effects", "clocks"], log)
+    focal = json.loads(rendered)["cameras"][0]["focal_px"]
+    command = lambda drive: [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, "--threads", 2, "--json"]
+    centres, _ = truth_of(drive)
+    for rig in ("off", "auto"):
+        if made.exists():
+            shutil.copytree(made, work / rig)
+            run([*command(drive), "-o", work / rig, "--focal-prior", focal, "--rig", rig, "--redo", "map"], log)
+        else:
+            run([*command(drive), "-o", made, "--focal-prior", focal, "--rig", rig], log)
+        rows[rig] = ate(pycolmap.Reconstruction((work / rig if (work / rig).exists() else made) / "sparse/0"), centres)
+    for which in PEERS:
+        workspace, target = work / which.replace(" ", "-"), work / f"{which}.json"
+        shutil.copytree(made, workspace)
+        start = time.perf_counter()
+        process = multiprocessing.Process(target=peer, args=(which, workspace, drive, target))
+        process.start()
+        process.join(60 * arguments.minutes)
+        if process.is_alive():
+            process.kill()
+            rows[which] = {"why": f"not done after {arguments.minutes} minutes"}
+        elif target.exists():
+            rows[which] = json.loads(target.read_text())
+        else:
+            rows[which] = {"why": "no model"}
+        print(f"seed {seed}, {which}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+        process.join()
+    width, height = map(float, arguments.size.split("x"))
+    run([*synth, "-o", together, "--effects", "none"], log)
+    known = ["--intrinsics", f"{focal},{focal},{width / 2},{height / 2}"]
+    run([*command(together), "-o", work / "oracle", *known, "--rig", "hard"], log)
+    rows["oracle"] = ate(pycolmap.Reconstruction(work / "oracle/sparse/0"), truth_of(together)[0])
+    return rows
+
+
+def main():
+    words = lambda text: text.split(",")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=words, default=["1", "2", "3"])
+    parser.add_argument("--length", type=float, default=160.0)
+    parser.add_argument("--rate", type=float, default=2.5)
+    parser.add_argument("--size", default="640x480")
+    parser.add_argument("--pairs", default="sequential:6+ends")
+    parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--program", type=Path)
+    parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
+    arguments = parser.parse_args()
+    arguments.program = program_of(arguments)
+    columns, results = ["off", "auto", *PEERS, "oracle"], []
+    print("| seed | ours, `off` | ours, `auto` | COLMAP, " + " | COLMAP, ".join(PEERS) + " | oracle |")
+    print("|---" * (len(columns) + 1) + "|")
+    for seed in arguments.seeds:
+        with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
+            rows = run_seed(seed, arguments, Path(folder))
+        results.append(rows)
+
+        def cell(row):
+            if "why" in row:
+                return row["why"]
+            missing = row["images"] - row["registered"]
+            return f"{row['ate_m']:.4f}" + (f" ({missing} missing)" if missing else "")
+
+        print(f"| {seed} | " + " | ".join(cell(rows[column]) for column in columns) + " |", flush=True)
+    medians = [[rows[column]["ate_m"] for rows in results if "ate_m" in rows[column]] for column in columns]
+    print("| median | " + " | ".join(f"{statistics.median(values):.4f}" if values else "-" for values in medians) + " |")
+
+
+if __name__ == "__main__":
+    main()
