@@ -170,7 +170,13 @@ fn shorten(
             return true;
         }
     }
-    false
+    // Something else ends it, as a camera that moves past a point. That must not hold up all others: it goes, at the cost that it had.
+    for i in factors {
+        if !survives(costs.0[i], costs.1[i]) {
+            costs.1[i] = costs.0[i];
+        }
+    }
+    true
 }
 
 /// Whether a factor that had the one cost still exists with the other.
