@@ -132,7 +132,7 @@ impl System for QrSystem {
     ) -> Option<Attempt> {
         let promise = self.step(values, trial, lambda, times)?;
         let cost = self.trial_cost(problem, trial, times);
-        Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY) })
+        Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY), lost: 0 })
     }
 }
 

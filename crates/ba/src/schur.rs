@@ -1,5 +1,6 @@
 //! The system with the declared variables eliminated: chunks of cells in parallel, then the reduced system.
 
+use std::ops::Range;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -122,11 +123,18 @@ impl SchurSystem {
         }
     }
 
-    /// Shortens the steps of a chunk's variables that end the existence of factors. Gives whether that was enough.
-    fn rescue(&mut self, problem: &Problem, values: &Values, trial: &mut Values, chunk: usize) -> bool {
+    /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of those that live no longer
+    /// even so. Gives how many those are; `None` where a factor of kept variables alone is ended, or one is not finite.
+    fn rescue(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        chunk: usize,
+    ) -> Option<usize> {
         let Self { structure, sums, refine, step, .. } = self;
         let counted = &sums[chunk].costs;
-        let mut alive = true;
+        let mut lost = 0;
         for cell in 0..structure.chunks[chunk].cells.len() {
             let factors = structure.chunks[chunk].factors_of(cell);
             let costs = &mut refine.chunks[chunk].costs;
@@ -134,12 +142,16 @@ impl SchurSystem {
                 continue;
             }
             let this = &structure.chunks[chunk];
-            alive &= this.cells[cell].dof > 0
-                && shorten(problem, values, trial, this, cell, step, (counted, costs));
+            if this.cells[cell].dof == 0 {
+                return None;
+            }
+            if !shorten(problem, values, trial, this, cell, step, (counted, costs)) {
+                lost += let_go(this.factors_of(cell), counted, costs)?;
+            }
             refine.leave_out(chunk, cell, structure);
         }
         refine.chunks[chunk].sum(counted);
-        alive
+        Some(lost)
     }
 }
 
@@ -170,13 +182,23 @@ fn shorten(
             return true;
         }
     }
-    // Something else ends it, as a camera that moves past a point. That must not hold up all others: it goes, at the cost that it had.
+    false
+}
+
+/// Gives factors that something else than their variable ends, as a camera that moves past a point, the cost that they had: they
+/// gain a step nothing and do not hold up all others. Gives how many; `None` if one is there but not finite.
+fn let_go(factors: Range<usize>, before: &[f64], after: &mut [f64]) -> Option<usize> {
+    let mut lost = 0;
     for i in factors {
-        if !survives(costs.0[i], costs.1[i]) {
-            costs.1[i] = costs.0[i];
+        if !survives(before[i], after[i]) {
+            if !after[i].is_nan() {
+                return None;
+            }
+            after[i] = before[i];
+            lost += 1;
         }
     }
-    true
+    Some(lost)
 }
 
 /// Whether a factor that had the one cost still exists with the other.
@@ -227,8 +249,8 @@ impl System for SchurSystem {
     ) -> Option<Attempt> {
         Self::on_pool(self.shared(), || {
             let promise = self.step(values, trial, lambda, times)?;
-            let cost = self.trial_cost(problem, values, trial, times);
-            Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY) })
+            let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
+            Some(Attempt { promise, cost, lost })
         })
     }
 }
@@ -321,29 +343,34 @@ impl SchurSystem {
         promise.is_finite().then_some(promise)
     }
 
-    /// The cost at `trial`, refined; `None` where a factor that existed does not or is not finite.
+    /// The cost at `trial`, refined, and how many factors were let go for it; `None` where a factor that existed does not, or is
+    /// not finite.
     fn trial_cost(
         &mut self,
         problem: &Problem,
         values: &Values,
         trial: &mut Values,
         times: &mut Times,
-    ) -> Option<f64> {
+    ) -> Option<(f64, usize)> {
         let begin = Instant::now();
         let Self { structure, sums, refine, .. } = self;
         refine.evaluate(problem, trial, structure, sums);
-        let mut alive = true;
+        let mut lost = Some(0);
         for chunk in 0..self.structure.chunks.len() {
-            alive &= self.refine.chunks[chunk].alive || self.rescue(problem, values, trial, chunk);
+            if !self.refine.chunks[chunk].alive {
+                let more = self.rescue(problem, values, trial, chunk);
+                lost = lost.zip(more).map(|(lost, more)| lost + more);
+            }
         }
         times.evaluate += begin.elapsed();
+        let lost = lost?;
         let begin = Instant::now();
         let Self { structure, sums, refine, .. } = self;
-        if alive && refine.cost().is_finite() {
+        if refine.cost().is_finite() {
             refine.improve(problem, trial, structure, sums);
         }
         times.refine += begin.elapsed();
         let cost = refine.cost();
-        (alive && cost.is_finite()).then_some(cost)
+        cost.is_finite().then_some((cost, lost))
     }
 }

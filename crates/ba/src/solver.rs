@@ -76,7 +76,7 @@ impl Solver {
             let lambda = damping.lambda();
             // A step that cannot be computed leads to infinite cost.
             let attempt = self.system.attempt(problem, &problem.values, &mut self.trial, lambda, &mut times);
-            let attempt = attempt.unwrap_or(Attempt { promise: f64::INFINITY, cost: f64::INFINITY });
+            let attempt = attempt.unwrap_or(Attempt { promise: f64::INFINITY, cost: f64::INFINITY, lost: 0 });
             if attempt.promise <= self.options.step_tolerance.powi(2) * now.cost {
                 break Termination::StepTolerance;
             }
@@ -87,14 +87,14 @@ impl Solver {
             if accepted {
                 std::mem::swap(&mut problem.values, &mut self.trial);
                 damping.accepted(gain_ratio);
-                // Exact, since all factors that there are exist before and after: none can join.
-                now.cost = attempt.cost;
+                // Exact where the same factors exist before and after.
+                (now.cost, now.missing) = (attempt.cost, before.missing + attempt.lost);
             } else {
                 damping.rejected();
             }
-            // What comes after the last step of a solve needs no derivatives, unless factors may have come to exist.
-            let joined = before.missing > 0;
-            if joined {
+            // What comes after the last step of a solve needs no derivatives, unless factors have gone or may have come to exist.
+            let others = before.missing + attempt.lost > 0;
+            if others {
                 accepted &= self.linearize(problem, accepted, &mut now, &before, &mut damping, &mut times);
             }
             iterations.push(IterationRecord {
@@ -119,7 +119,7 @@ impl Solver {
             if iterations.len() >= self.options.max_iterations {
                 break Termination::MaxIterations;
             }
-            if !joined
+            if !others
                 && !self.linearize(problem, accepted, &mut now, &before, &mut damping, &mut times)
                 && let Some(last) = iterations.last_mut()
                 && last.accepted
@@ -156,7 +156,8 @@ impl Solver {
         let next = self.system.linearize(problem, &problem.values, damping.lambda(), times);
         if next.cost.is_finite() && next.gradient_max.is_finite() {
             // `residual` and `linearize` of a factor round differently: compare only what the same one has measured.
-            let cost = if next.missing == before.missing { now.cost } else { next.cost };
+            let same = next.missing == before.missing && now.missing == before.missing;
+            let cost = if same { now.cost } else { next.cost };
             *now = Linearised { cost, ..next };
             return accepted;
         }

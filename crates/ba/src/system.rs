@@ -22,8 +22,8 @@ pub(crate) trait System: Send {
     fn linearize(&mut self, problem: &Problem, values: &Values, lambda: f64, times: &mut Times)
     -> Linearised;
     /// Solves for the step from `values`, writes where it leads to `trial`, and evaluates the cost there of the factors that existed
-    /// where the system was linearised. May shorten the steps of single eliminated variables to keep their factors alive. `None`
-    /// when the system cannot be solved with this damping.
+    /// where the system was linearised. May shorten the steps of single eliminated variables to keep their factors alive, and let
+    /// go of factors that live no longer even where those stand still. `None` when the system cannot be solved with this damping.
     fn attempt(
         &mut self,
         problem: &Problem,
@@ -39,6 +39,8 @@ pub(crate) trait System: Send {
 pub(crate) struct Attempt {
     /// By how much the linear model says the cost falls.
     pub(crate) promise: f64,
-    /// Infinite where a factor is not finite, or does not exist that did.
+    /// Infinite where a factor is not finite, or does not exist that did and was not let go.
     pub(crate) cost: f64,
+    /// Factors that exist no longer and count with the cost that they had.
+    pub(crate) lost: usize,
 }

@@ -177,6 +177,49 @@ fn points_behind_cameras_do_not_count_and_points_in_front_stay_there() {
 }
 
 #[test]
+fn a_camera_moves_past_a_point() {
+    // Nine points right where they are, seen from the origin and a metre before it, hold a camera that starts a metre behind its
+    // true place. A wrong match puts a tenth point between: at the image's centre, where moving ahead changes nothing.
+    const NEAR: f64 = 0.1;
+    let [fx, cx, cy, _] = PARAMS;
+    for solver in [LinearSolver::Dense, LinearSolver::Sparse, LinearSolver::Iterative, LinearSolver::Implicit]
+    {
+        let mut problem = Problem::new();
+        let params = problem.keep(Vector4::new(fx, cx, cy, 0.0), Order::Shared);
+        problem.fix(params);
+        let poses = [0.0, 1.0, 0.0].map(|back| {
+            problem
+                .keep(Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(0.0, 0.0, back)), Order::Shared)
+        });
+        problem.fix(poses[0]);
+        problem.fix(poses[1]);
+        let camera = poses[2];
+        let (seen_from, truth) = ([0.0, 1.0, -1.0], Vector3::new(0.0, 0.0, -1.0));
+        for i in 0..9 {
+            let at = Vector3::new(f64::from(i % 3) - 1.0, f64::from(i / 3) - 1.0, 6.0 + 0.3 * f64::from(i));
+            let point = problem.eliminate(at);
+            for (pose, shift) in poses.into_iter().zip(seen_from) {
+                let depth = at.z + shift;
+                let pixel = Vector2::new(fx * at.x / depth + cx, fx * at.y / depth + cy);
+                let factor = Reprojection::<SimpleRadial>::new(pixel, 1.0);
+                problem.add((params, pose, point), factor, Loss::Trivial).unwrap();
+            }
+        }
+        let near = problem.eliminate(Vector3::new(0.0, 0.0, NEAR));
+        for pose in [poses[1], camera] {
+            let factor = Reprojection::<SimpleRadial>::new(Vector2::new(cx, cy), 1.0);
+            problem.add((params, pose, near), factor, Loss::Trivial).unwrap();
+        }
+        assert_eq!(problem.cost().missing, 0);
+        let summary = solve(&mut problem, solver, 50);
+        assert_eq!(summary.missing_factors, 1, "{solver:?}: {summary}");
+        assert!((problem.get(camera).translation - truth).norm() < 1e-6, "{solver:?}: {summary}");
+        assert!((summary.final_cost - problem.cost().total).abs() < 1e-9, "{solver:?}: {summary}");
+        assert_eq!(problem.get(near).z, NEAR, "its variable stands still");
+    }
+}
+
+#[test]
 fn wrong_questions_are_refused_with_the_numbers() {
     let mut problem = Problem::new();
     let pose = problem.keep(Rigid3::identity(), Order::At(0));
