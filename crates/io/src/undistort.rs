@@ -66,7 +66,7 @@ pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
     let mut is_seen: Vec<Vec<bool>> = Vec::new();
     for (_, image) in model.images() {
         let (from, to) = (&model.camera(image.camera).intrinsics, new.camera(image.camera).intrinsics);
-        let mut keypoints = image.keypoints.clone();
+        let mut keypoints = image.keypoints.to_vec();
         let mut seen = vec![true; keypoints.len()];
         for (keypoint, seen) in keypoints.iter_mut().zip(&mut seen) {
             match from.unproject(&keypoint.pixel).and_then(|ray| to.project(&ray)) {

@@ -42,7 +42,7 @@ pub(crate) fn color_points(inputs: &[PathBuf], models: &mut [Reconstruction]) ->
 
 /// The colours of the pixels in which an image sees points.
 fn colors(image: &Image, rgb: &Rgb) -> Vec<(PointId, [u8; 3])> {
-    let seen = image.points().iter().zip(&image.keypoints);
+    let seen = image.points().iter().zip(image.keypoints.iter());
     seen.filter_map(|(point, keypoint)| {
         let clamp = |position: f64, size: u32| (position.max(0.0) as u32).min(size - 1);
         let (x, y) = (clamp(keypoint.pixel.x, rgb.width), clamp(keypoint.pixel.y, rgb.height));

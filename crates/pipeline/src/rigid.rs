@@ -168,14 +168,15 @@ fn rigid_camera(
         Some(known) => (known, pairs),
         None => {
             let all: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
-            let average = robust_average(&all)?.right_from_left();
+            let average = robust_average(&all)?;
             let is_near = |pose: &RelativePose| {
-                let off = pose.right_from_left() * average.inverse();
-                let baselines = (pose.right_from_left().origin_in_a() - average.origin_in_a()).norm()
-                    / average.translation.norm().max(f64::MIN_POSITIVE);
-                baselines <= MAX_DEVIATION.0 && off.rotation.angle() <= MAX_DEVIATION.1
+                let (distance, angle) = pose.apart(&average);
+                distance <= MAX_DEVIATION.0 * average.translation.norm() && angle <= MAX_DEVIATION.1
             };
-            (average, poses.into_iter().filter(|(_, pose)| is_near(pose)).map(|(pair, _)| pair).collect())
+            (
+                average.right_from_left(),
+                poses.into_iter().filter(|(_, pose)| is_near(pose)).map(|(pair, _)| pair).collect(),
+            )
         }
     };
     let (left, right) = (companion.left, companion.right);

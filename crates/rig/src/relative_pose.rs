@@ -49,6 +49,12 @@ impl RelativePose {
         Rigid3::new(rotation, -(rotation * self.translation))
     }
 
+    /// Distance of the right camera's centres, in units of the model, and angle between the rotations, in radians.
+    pub fn apart(&self, other: &RelativePose) -> (f64, f64) {
+        let angle = so3::exp(&self.axis_angle).angle_to(&so3::exp(&other.axis_angle));
+        ((self.translation - other.translation).norm(), angle)
+    }
+
     /// (translation, axis-angle) as one vector, the order of Eq. (3).
     pub fn to_vector(&self) -> SVector<f64, 6> {
         let (t, a) = (&self.translation, &self.axis_angle);

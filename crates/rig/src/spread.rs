@@ -1,6 +1,7 @@
 //! How constant the relative pose is over time: what a rig term is meant to improve, measured.
 
 use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::so3;
 
 use crate::RelativePose;
@@ -34,8 +35,6 @@ pub fn spread(poses: &[RelativePose]) -> Option<Spread> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let mean_baseline = mean(&baselines);
     let variance = baselines.iter().map(|b| (b - mean_baseline).powi(2)).sum::<f64>() / count as f64;
-    let mut sorted = baselines.clone();
-    sorted.sort_by(f64::total_cmp);
     let centre: Vector3<f64> = poses.iter().map(|p| p.translation).sum::<Vector3<f64>>() / count as f64;
     let rms_translation =
         (poses.iter().map(|p| (p.translation - centre).norm_squared()).sum::<f64>() / count as f64).sqrt();
@@ -48,7 +47,7 @@ pub fn spread(poses: &[RelativePose]) -> Option<Spread> {
         (tangents.iter().map(|t| (t - middle).norm_squared()).sum::<f64>() / count as f64).sqrt();
     Some(Spread {
         count,
-        median_baseline: sorted[count / 2],
+        median_baseline: median(&mut baselines.clone()).unwrap_or(f64::NAN),
         mean_baseline,
         sd_baseline: variance.sqrt(),
         rms_translation,

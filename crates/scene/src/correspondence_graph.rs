@@ -9,6 +9,7 @@ use crate::{ImageId, ImagePair, Observation, TwoView};
 pub struct CorrespondenceGraph {
     pairs: BTreeMap<ImagePair, TwoView>,
     images: Vec<Correspondences>,
+    neighbours: Vec<Vec<ImageId>>,
 }
 
 /// The correspondences of one image in compressed rows: those of keypoint k are `targets[offsets[k]..offsets[k + 1]]`.
@@ -66,7 +67,12 @@ impl CorrespondenceGraph {
                 put(b, a);
             }
         }
-        Self { pairs, images }
+        let mut neighbours = vec![Vec::new(); keypoint_counts.len()];
+        for pair in pairs.keys() {
+            neighbours[pair.a.index()].push(pair.b);
+            neighbours[pair.b.index()].push(pair.a);
+        }
+        Self { pairs, images, neighbours }
     }
 
     /// The same with further verified pairs, which take the place of those that there were of the same images.
@@ -83,6 +89,11 @@ impl CorrespondenceGraph {
     /// The verified pairs, sorted.
     pub fn pairs(&self) -> &BTreeMap<ImagePair, TwoView> {
         &self.pairs
+    }
+
+    /// The images that a verified pair joins with an image, sorted.
+    pub fn neighbours(&self, of: ImageId) -> &[ImageId] {
+        &self.neighbours[of.index()]
     }
 
     /// The keypoints that match a keypoint, sorted by image.

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use tiepoint_geometry::{Rigid3, nalgebra::Vector2};
 
 use crate::{CameraId, PointId};
@@ -20,8 +22,8 @@ pub struct Image {
     pub camera: CameraId,
     /// When, in seconds on this camera's own clock (the middle row's mid-exposure), where known.
     pub time_s: Option<f64>,
-    /// What was detected in it.
-    pub keypoints: Vec<Keypoint>,
+    /// What was detected in it. Copies of a model share it.
+    pub keypoints: Arc<[Keypoint]>,
     /// Its pose, once registered. Set it through [`crate::Reconstruction::register`].
     pub(crate) cam_from_world: Option<Rigid3>,
     /// The point that each keypoint sees.
@@ -32,7 +34,14 @@ impl Image {
     /// An image without pose.
     pub fn new(name: impl Into<String>, camera: CameraId, keypoints: Vec<Keypoint>) -> Self {
         let points = vec![None; keypoints.len()];
-        Self { name: name.into(), camera, time_s: None, keypoints, cam_from_world: None, points }
+        Self {
+            name: name.into(),
+            camera,
+            time_s: None,
+            keypoints: keypoints.into(),
+            cam_from_world: None,
+            points,
+        }
     }
 
     /// Its pose, once registered.

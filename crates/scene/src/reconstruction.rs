@@ -1,6 +1,8 @@
 //! The owner of cameras, images and tracks. Every change goes through a method that keeps both directions of the relation
 //! "this keypoint sees this point" true; [`Reconstruction::validate`] checks them all.
 
+use std::sync::Arc;
+
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 
@@ -79,7 +81,8 @@ impl Reconstruction {
 
     /// Moves the keypoints of an image, one pixel each.
     pub fn move_keypoints(&mut self, image: ImageId, pixels: &[Vector2<f64>]) {
-        for (keypoint, pixel) in self.images[image.index()].keypoints.iter_mut().zip(pixels) {
+        let keypoints = Arc::make_mut(&mut self.images[image.index()].keypoints);
+        for (keypoint, pixel) in keypoints.iter_mut().zip(pixels) {
             keypoint.pixel = *pixel;
         }
     }
@@ -125,6 +128,15 @@ impl Reconstruction {
             .iter()
             .enumerate()
             .filter_map(|(index, track)| track.as_ref().map(|track| (PointId::from_index(index), track)))
+    }
+
+    /// The points that some images see, each once, in order of their ids.
+    pub fn points_seen_by<'a>(&self, images: impl IntoIterator<Item = &'a ImageId>) -> Vec<PointId> {
+        let seen = images.into_iter().flat_map(|image| self.image(*image).points.iter().flatten());
+        let mut points: Vec<PointId> = seen.copied().collect();
+        points.sort_unstable();
+        points.dedup();
+        points
     }
 
     /// How many points.

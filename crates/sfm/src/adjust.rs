@@ -96,6 +96,23 @@ pub enum Scope<'a> {
     Local(&'a BTreeSet<ImageId>),
 }
 
+impl Scope<'_> {
+    fn moves(&self, image: ImageId) -> bool {
+        match self {
+            Self::Global => true,
+            Self::Local(images) => images.contains(&image),
+        }
+    }
+
+    /// The points that the images see, held out or not.
+    fn points(&self, model: &Reconstruction) -> Vec<PointId> {
+        match self {
+            Self::Global => model.tracks().map(|(point, _)| point).collect(),
+            Self::Local(images) => model.points_seen_by(*images),
+        }
+    }
+}
+
 /// Adjusts; the model is changed to where the optimiser ended, whatever the reason.
 pub fn adjust(
     model: &mut Reconstruction,
@@ -115,20 +132,14 @@ pub(crate) fn adjust_mounted(
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
     let mut bundle = Bundle::new(model, scope, options, mountings, None)?;
-    let solver_options = Options {
-        max_iterations: options.max_iterations,
-        function_tolerance: options.function_tolerance,
-        ..Options::default()
-    };
-    let summary = Solver::new(&bundle.problem, &solver_options)?.solve(&mut bundle.problem, watch)?;
-    bundle.write_back(model);
+    let summary = bundle.solve(model, options, watch)?;
     for (mounting, (mount, clock)) in mountings.iter_mut().zip(&bundle.mountings) {
         mounting.right_from_left = bundle.problem.get(*mount);
         if let Some(clock) = clock {
             mounting.clock = bundle.problem.get(*clock);
         }
     }
-    retriangulate_held_out(model);
+    retriangulate_held_out(model, scope);
     Ok(summary)
 }
 
@@ -170,10 +181,7 @@ impl Bundle {
         mountings: &[Mounting],
         shutters: Option<&Shutters>,
     ) -> Result<Self, Error> {
-        let moves = |image: ImageId| match scope {
-            Scope::Global => true,
-            Scope::Local(images) => images.contains(&image),
-        };
+        let moves = |image: ImageId| scope.moves(image);
         let mut bundle = Self {
             problem: Problem::new(),
             cameras: Vec::new(),
@@ -183,16 +191,12 @@ impl Bundle {
             mountings: Vec::new(),
             readouts: BTreeMap::new(),
         };
-        let mut point_keys: Vec<Option<Key<Vector3<f64>>>> = vec![None; model.point_id_bound()];
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
             vec![Vec::new(); model.images().count()];
         let mut num_observations = 0;
-        for (point, track) in model.tracks() {
-            if track.is_held_out || !track.observations.iter().any(|o| moves(o.image)) {
-                continue;
-            }
+        for point in scope.points(model) {
+            let Some(track) = model.track(point).filter(|track| !track.is_held_out) else { continue };
             let key = bundle.problem.eliminate(track.xyz);
-            point_keys[point.index()] = Some(key);
             bundle.points.push((point, key));
             num_observations += track.observations.len();
             for observation in &track.observations {
@@ -356,6 +360,23 @@ impl Bundle {
         Ok(())
     }
 
+    /// Solves the problem and changes the model to where that ended.
+    fn solve(
+        &mut self,
+        model: &mut Reconstruction,
+        options: &AdjustOptions,
+        watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+    ) -> Result<Summary, Error> {
+        let options = Options {
+            max_iterations: options.max_iterations,
+            function_tolerance: options.function_tolerance,
+            ..Options::default()
+        };
+        let summary = Solver::new(&self.problem, &options)?.solve(&mut self.problem, watch)?;
+        self.write_back(model);
+        Ok(summary)
+    }
+
     fn write_back(&self, model: &mut Reconstruction) {
         for (camera, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));
@@ -416,11 +437,9 @@ fn intrinsics_prior<const N: usize>(
 }
 
 /// Moves each held-out point to where the poses see it now.
-fn retriangulate_held_out(model: &mut Reconstruction) {
-    let held_out: Vec<PointId> =
-        model.tracks().filter(|(_, t)| t.is_held_out).map(|(point, _)| point).collect();
-    for point in held_out {
-        let Some(track) = model.track(point) else { continue };
+fn retriangulate_held_out(model: &mut Reconstruction, scope: &Scope) {
+    for point in scope.points(model) {
+        let Some(track) = model.track(point).filter(|track| track.is_held_out) else { continue };
         let sights: Vec<_> =
             track.observations.iter().filter_map(|o| triangulation::Sight::of(model, o)).collect();
         let xyz = triangulation::nearest_to_rays(sights.iter());

@@ -152,29 +152,36 @@ fn join(
 ) -> Result<(), Error> {
     let mut index = 1;
     while index < models.len() {
-        let mut is_held = false;
-        if let Some(model) = joined(&models[0], &models[index]) {
-            let mut mapper = Mapper::new(graph, &model, options);
-            mapper.focal_priors = focal_priors;
-            mapper.is_final = true;
-            // Told only if it is kept.
-            let mut told = Vec::new();
-            mapper.hold(descriptors, &mut |event| {
-                told.push(event.clone());
-                ControlFlow::Continue(())
-            })?;
-            is_held = told.iter().any(|event| matches!(event, Event::Mounted { hold: Some(_), .. }));
-            if is_held {
-                models[0] = mapper.model;
-                tell(watch, &Event::Joined { num_images: models[0].num_registered() })?;
-                told.iter().try_for_each(|event| tell(watch, event))?;
-            }
-        }
-        if is_held {
-            models.remove(index);
-        } else {
+        let whole = joined(&models[0], &models[index]);
+        let held = whole.map(|model| held(graph, model, focal_priors, options, descriptors)).transpose()?;
+        let Some((model, told)) = held.flatten() else {
             index += 1;
-        }
+            continue;
+        };
+        models.remove(index);
+        models[0] = model;
+        tell(watch, &Event::Joined { num_images: models[0].num_registered() })?;
+        told.iter().try_for_each(|event| tell(watch, event))?;
     }
     Ok(())
+}
+
+/// A model with its cameras held to their mountings, and what was told of it; `None` where they are better not held.
+fn held(
+    graph: &CorrespondenceGraph,
+    model: Reconstruction,
+    focal_priors: &[FocalPrior],
+    options: &MapperOptions,
+    descriptors: &mut Descriptors,
+) -> Result<Option<(Reconstruction, Vec<Event>)>, Error> {
+    let mut mapper = Mapper::new(graph, &model, options);
+    mapper.focal_priors = focal_priors;
+    mapper.is_final = true;
+    let mut told = Vec::new();
+    mapper.hold(descriptors, &mut |event| {
+        told.push(event.clone());
+        ControlFlow::Continue(())
+    })?;
+    let is_held = told.iter().any(|event| matches!(event, Event::Mounted { hold: Some(_), .. }));
+    Ok(is_held.then_some((mapper.model, told)))
 }

@@ -11,9 +11,11 @@ use std::collections::BTreeSet;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::solvers::umeyama;
-use tiepoint_geometry::{Rigid3, Sim3, so3};
+use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_rig::{RelativePose, Trajectory, robust_average};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction, Track};
+
+use crate::rig_pairs::posed_in_time;
 
 /// Clocks are looked for within so many seconds, in steps of this share of the interval between images.
 const MAX_OFFSET_S: f64 = 1.5;
@@ -67,10 +69,7 @@ fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
 }
 
 fn samples(model: &Reconstruction, camera: CameraId) -> Samples {
-    let images = model.registered().filter(|(_, image, _)| image.camera == camera);
-    let mut samples: Samples = images.filter_map(|(_, image, pose)| Some((image.time_s?, *pose))).collect();
-    samples.sort_by(|a, b| a.0.total_cmp(&b.0));
-    samples
+    posed_in_time(model, camera).into_iter().map(|(time_s, _, pose)| (time_s, pose)).collect()
 }
 
 /// What takes the world of `rights` to that of `lefts`.
@@ -96,13 +95,7 @@ fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
         found = Some((similarity, relative, average, extent(&to)));
     }
     let (similarity, relative, average, extent) = found?;
-    let (mut offs, mut turns): (Vec<f64>, Vec<f64>) = relative
-        .iter()
-        .map(|pose| {
-            let turn = so3::exp(&pose.axis_angle).angle_to(&so3::exp(&average.axis_angle));
-            ((pose.translation - average.translation).norm(), turn)
-        })
-        .unzip();
+    let (mut offs, mut turns): (Vec<f64>, Vec<f64>) = relative.iter().map(|p| p.apart(&average)).unzip();
     let is_one = median(&mut offs)? <= MAX_OFF * extent && median(&mut turns)? <= MAX_TURNED_RAD;
     is_one.then_some(similarity)
 }

@@ -6,8 +6,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
+use rayon::prelude::*;
 use tiepoint_geometry::{Rigid3, Rng};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, PointId, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
 use crate::event::tell;
@@ -125,7 +126,6 @@ impl<'a> Mapper<'a> {
         descriptors: &mut Descriptors,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
-        let mut model = self.model.clone();
         let context = Context {
             graph: self.graph,
             tracks: &self.options.tracks,
@@ -133,9 +133,7 @@ impl<'a> Mapper<'a> {
             adjust: self.adjust_options(&[], 1e-8, 100),
             seed: self.options.seed,
         };
-        hold_to_mountings(&context, &mut model, self.options.rig, descriptors, watch)?;
-        self.model = model;
-        Ok(())
+        hold_to_mountings(&context, &mut self.model, self.options.rig, descriptors, watch)
     }
 
     /// Takes off the keypoints what a rolling shutter did to them, and refines the model with what is left.
@@ -197,13 +195,12 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    fn remaining(&self) -> Vec<ImageId> {
-        let is_open = |id: &ImageId| !self.taken.contains(id);
-        self.model
-            .images()
-            .filter(|(id, image)| is_open(id) && image.cam_from_world().is_none())
-            .map(|(id, _)| id)
-            .collect()
+    /// Images that are not registered and have a verified pair with one that is: no other sees anything of the model.
+    fn frontier(&self) -> Vec<ImageId> {
+        let has_pose = |id: &ImageId| self.model.image(*id).cam_from_world().is_some();
+        let is_open = |id: &ImageId| !self.taken.contains(id) && !has_pose(id);
+        let is_next = |id: &ImageId| self.graph.neighbours(*id).iter().any(has_pose);
+        self.model.images().map(|(id, _)| id).filter(is_open).filter(is_next).collect()
     }
 
     /// Pairs to begin with, the best first.
@@ -221,9 +218,7 @@ impl<'a> Mapper<'a> {
         let mut best: Option<(f64, InitialPair)> = None;
         for candidate in candidates {
             let images = [candidate.pair.a, candidate.pair.b];
-            let is_near = |a: ImageId, b: ImageId| {
-                a == b || ImagePair::new(a, b).is_some_and(|pair| self.graph.pairs().contains_key(&pair))
-            };
+            let is_near = |a: ImageId, b: ImageId| a == b || self.graph.neighbours(a).contains(&b);
             if tried.iter().any(|&other| images.iter().any(|&image| is_near(image, other))) {
                 continue;
             }
@@ -289,8 +284,8 @@ impl<'a> Mapper<'a> {
             return None;
         }
         let mut candidates: Vec<(Visibility, ImageId)> = self
-            .remaining()
-            .into_iter()
+            .frontier()
+            .into_par_iter()
             .filter(|id| self.trials.get(id).copied().unwrap_or(0) < MAX_REGISTER_TRIALS)
             .map(|id| (visibility(self.graph, &self.model, id), id))
             .filter(|(seen, _)| seen.num_points >= self.options.register.min_num_inliers)
@@ -326,18 +321,12 @@ impl<'a> Mapper<'a> {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
         }
-        let points: Vec<PointId> = self.points_of(&bundle);
+        let points = self.model.points_seen_by(&bundle);
         complete_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
         merge_tracks(self.graph, &mut self.model, &points, &self.options.tracks);
-        let points = self.points_of(&bundle);
+        let points = self.model.points_seen_by(&bundle);
         filter_points(&mut self.model, &points, &self.options.filter);
         Ok(())
-    }
-
-    fn points_of(&self, images: &BTreeSet<ImageId>) -> Vec<PointId> {
-        let points: BTreeSet<PointId> =
-            images.iter().flat_map(|id| self.model.image(*id).points().iter().flatten().copied()).collect();
-        points.into_iter().collect()
     }
 
     /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.

@@ -19,10 +19,10 @@ use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use tiepoint_ba::Factor;
+use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::numeric::median;
-use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Observation, Reconstruction};
+use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Reconstruction};
 
 use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
 use crate::companion::{Companion, Moment, Timing, companions};
@@ -32,7 +32,7 @@ use crate::hold_out::hold_out_tracks;
 use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::{Error, Event, RigTerm};
 use members::Unmatched;
-use outcome::{held_out, held_out_error_px, make_frames, make_rigid};
+use outcome::{Judge, held_out, make_frames, make_rigid};
 pub use rematch::Descriptors;
 use rematch::{Closed, rematch};
 pub use rigid::{RigidCamera, hold_rigidly};
@@ -242,13 +242,13 @@ impl Context<'_> {
         hold_out_tracks(model, HELD_OUT_SHARE, self.seed);
         let held_out = held_out(model);
         self.refine(model, &mut [], 1.0)?;
-        let error_off_px = held_out_error_px(model, &held_out);
+        let judge = Judge::new(held_out, model);
         let off = model.clone();
         let mut tight = Tight::default();
         // Once more when a clock turns out not to be observable.
         for _ in 0..2 {
             *model = off.clone();
-            tight = self.tighten(model, &mut companions, term, &held_out, error_off_px)?;
+            tight = self.tighten(model, &mut companions, term, &judge)?;
             let Some(Held { mountings, .. }) = &tight.best else { break };
             if !self.give_up_clocks(model, mountings, &mut companions)? {
                 break;
@@ -262,12 +262,12 @@ impl Context<'_> {
                 self.mountings(&candidate, &companions, Hold::Rigid, soft.sigmas, Unmatched::None);
             make_rigid(&mut candidate, &mountings);
             self.refine(&mut candidate, &mut mountings, 1.0)?;
-            let error_px = held_out_error_px(&candidate, &held_out);
+            let error_px = judge.error_px(&candidate);
             if term == RigTerm::Hard || error_px <= (1.0 + RIGID_TOLERANCE) * soft.error_px {
                 best = Some(Held { model: candidate, mountings, error_px, sigmas: soft.sigmas });
             }
         }
-        Ok(Some(Found { off, error_off_px, best, closed }))
+        Ok(Some(Found { off, error_off_px: judge.error_off_px, best, closed }))
     }
 
     /// Makes a model what was found, with all its tracks, and tells.
@@ -322,15 +322,13 @@ impl Context<'_> {
         model: &mut Reconstruction,
         companions: &mut [Companion],
         term: RigTerm,
-        held_out: &[Vec<Observation>],
-        error_off_px: f64,
+        judge: &Judge,
     ) -> Result<Tight, Error> {
         let (mut closed, mut clocks) = (model.clone(), companions.to_vec());
-        let tight =
-            self.tighten_with(&mut closed, &mut clocks, term, held_out, error_off_px, Unmatched::Rows)?;
-        let is_worse = |held: &Held| held.error_px > (1.0 + HELD_OUT_TOLERANCE) * error_off_px;
+        let tight = self.tighten_with(&mut closed, &mut clocks, term, judge, Unmatched::Rows)?;
+        let is_worse = |held: &Held| judge.objects(held.error_px, HELD_OUT_TOLERANCE);
         if !tight.closed.is_empty() && tight.best.as_ref().is_none_or(is_worse) {
-            return self.tighten_with(model, companions, term, held_out, error_off_px, Unmatched::None);
+            return self.tighten_with(model, companions, term, judge, Unmatched::None);
         }
         *model = closed;
         companions.copy_from_slice(&clocks);
@@ -343,8 +341,7 @@ impl Context<'_> {
         model: &mut Reconstruction,
         companions: &mut [Companion],
         term: RigTerm,
-        held_out: &[Vec<Observation>],
-        error_off_px: f64,
+        judge: &Judge,
         unmatched: Unmatched,
     ) -> Result<Tight, Error> {
         let found = widest_spread(model, companions);
@@ -363,9 +360,9 @@ impl Context<'_> {
                 HELD_OUT_TOLERANCE
             };
             self.refine(&mut candidate, &mut mountings, if step == 0 { WIDENED } else { 1.0 })?;
-            let error_px = held_out_error_px(&candidate, held_out);
+            let error_px = judge.error_px(&candidate);
             let is_asked_for = term != RigTerm::Auto && step == 0;
-            if !is_asked_for && error_px > (1.0 + tolerance) * error_off_px {
+            if !is_asked_for && judge.objects(error_px, tolerance) {
                 break;
             }
             for mounting in &mountings {
@@ -457,10 +454,8 @@ fn relative_poses(model: &Reconstruction, moments: &[Moment], clock: &Clock) -> 
 
 /// Distance of the centres in baselines, and angle.
 fn deviation(a: &RelativePose, b: &RelativePose, baseline: f64) -> (f64, f64) {
-    (
-        (a.translation - b.translation).norm() / baseline.max(f64::MIN_POSITIVE),
-        so3::exp(&a.axis_angle).angle_to(&so3::exp(&b.axis_angle)),
-    )
+    let (distance, angle) = a.apart(b);
+    (distance / baseline.max(f64::MIN_POSITIVE), angle)
 }
 
 /// Medians of the deviations as standard deviations of a component.

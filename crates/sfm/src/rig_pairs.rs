@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 
+use tiepoint_geometry::Rigid3;
 use tiepoint_rig::{RelativePose, interval_s, paper};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -80,6 +81,14 @@ pub(crate) fn moments(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<
         images.iter().map(|&id| Some((scene.image(id).time_s?, id))).collect::<Option<_>>()?;
     moments.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     Some(moments)
+}
+
+/// Those of a camera's images of which time and pose are known, in order of time.
+pub(crate) fn posed_in_time(model: &Reconstruction, camera: CameraId) -> Vec<(f64, ImageId, Rigid3)> {
+    let images = model.registered().filter(|(_, image, _)| image.camera == camera);
+    let mut posed: Vec<_> = images.filter_map(|(id, image, pose)| Some((image.time_s?, id, *pose))).collect();
+    posed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    posed
 }
 
 /// Pairs of images that are each other's nearest in time, by less than half a typical interval.

@@ -14,12 +14,13 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
-use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_geometry::so3;
 use tiepoint_rig::Trajectory;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::Error;
 use crate::adjust::{AdjustOptions, Shifted, Shutters, adjust_readouts, with_deviations};
+use crate::rig_pairs::posed_in_time;
 
 /// Time from the first row of an image to the last one, in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,23 +69,18 @@ struct Motion {
 }
 
 /// Of the images of which times and neighbours are known.
-fn motions(model: &Reconstruction) -> BTreeMap<ImageId, Motion> {
-    let mut motions = BTreeMap::new();
+fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
+    let mut motions = Vec::new();
     for (camera, _) in model.cameras() {
-        let mut samples: Vec<(f64, Rigid3, ImageId)> = model
-            .registered()
-            .filter(|(_, image, _)| image.camera == camera)
-            .filter_map(|(id, image, pose)| Some((image.time_s?, *pose, id)))
-            .collect();
-        samples.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
-        let trajectory = Trajectory::new(samples.iter().map(|(time_s, pose, _)| (*time_s, *pose)));
-        for (time_s, _, id) in samples {
+        let posed = posed_in_time(model, camera);
+        let trajectory = Trajectory::new(posed.iter().map(|(time_s, _, pose)| (*time_s, *pose)));
+        for (time_s, id, _) in posed {
             let Some(first) = trajectory.knots_around(time_s) else { continue };
             let knots = trajectory.knots(first);
             let [before, after] = [-0.5, 0.5].map(|side| knots.at(time_s + side * DIFFERENCE_S));
             let velocity = (after.origin_in_a() - before.origin_in_a()) / DIFFERENCE_S;
             let angular_velocity = so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
-            motions.insert(id, Motion { velocity, angular_velocity });
+            motions.push((id, Motion { velocity, angular_velocity }));
         }
     }
     motions
@@ -96,16 +92,17 @@ fn shifted(
     detected: &Detected,
     shutters: &[RollingShutter],
 ) -> BTreeMap<ImageId, Vec<Shifted>> {
-    let motions: Vec<(ImageId, Motion)> = motions(model).into_iter().collect();
     let of_image = |(id, motion): &(ImageId, Motion)| {
-        let camera = model.image(*id).camera;
-        let shutter = shutters.iter().find(|shutter| shutter.camera == camera);
+        let readout_s = readout_s(shutters, model.image(*id).camera);
         // A shift is a difference, and needs some time to be one.
-        let readout_s = shutter.map_or(0.0, |shutter| shutter.readout_s);
         let readout_s = if readout_s.abs() < DIFFERENCE_S { DIFFERENCE_S } else { readout_s };
         (*id, shifts(model, *id, &detected.0[id], motion, readout_s))
     };
-    motions.par_iter().map(of_image).collect::<Vec<_>>().into_iter().collect()
+    motions(model).par_iter().map(of_image).collect::<Vec<_>>().into_iter().collect()
+}
+
+fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
+    shutters.iter().find(|shutter| shutter.camera == camera).map_or(0.0, |shutter| shutter.readout_s)
 }
 
 /// The same of an image. What sees no point is taken to be as far away as the median of what does.
@@ -143,13 +140,16 @@ fn shifts(
 
 /// Puts every keypoint to where it would be seen if all rows were exposed with the middle one.
 pub(crate) fn straighten(model: &mut Reconstruction, detected: &Detected, shutters: &[RollingShutter]) {
-    for (id, keypoints) in shifted(model, detected, shutters) {
-        let camera = model.image(id).camera;
-        let shutter = shutters.iter().find(|shutter| shutter.camera == camera);
-        let readout_s = shutter.map_or(0.0, |shutter| shutter.readout_s);
+    let keypoints = shifted(model, detected, shutters);
+    take_off(model, &Shutters { shutters, keypoints: &keypoints });
+}
+
+fn take_off(model: &mut Reconstruction, shutters: &Shutters) {
+    for (id, keypoints) in shutters.keypoints {
+        let readout_s = readout_s(shutters.shutters, model.image(*id).camera);
         let pixels: Vec<Vector2<f64>> =
             keypoints.iter().map(|keypoint| keypoint.pixel - keypoint.shift * readout_s).collect();
-        model.move_keypoints(id, &pixels);
+        model.move_keypoints(*id, &pixels);
     }
 }
 
@@ -176,6 +176,7 @@ pub(crate) fn estimate(
             break;
         }
     }
-    straighten(model, detected, &shutters);
-    with_deviations(model, options, &Shutters { shutters: &shutters, keypoints: &keypoints })
+    let shutters = Shutters { shutters: &shutters, keypoints: &keypoints };
+    take_off(model, &shutters);
+    with_deviations(model, options, &shutters)
 }

@@ -151,7 +151,7 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let mut scene = one.scene.clone();
     let camera = scene.cameras().next().unwrap().0;
     for (_, image) in other.scene.images() {
-        scene.add_image(Image::new(format!("other/{}", image.name), camera, image.keypoints.clone()));
+        scene.add_image(Image::new(format!("other/{}", image.name), camera, image.keypoints.to_vec()));
     }
     let shift = |id: ImageId| ImageId(id.0 + NUM_IMAGES as u32);
     let shifted = other

@@ -11,8 +11,11 @@ use crate::error::Error;
 use crate::photometry::jpeg_bytes;
 use crate::{Exposure, Lens, Renderer};
 
+/// A file that is there is whole: it gets its name last.
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let written = path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(path, bytes));
+    let part = path.with_extension("part");
+    let written = path.parent().map_or(Ok(()), fs::create_dir_all);
+    let written = written.and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, path));
     written.map_err(|source| Error::Write { path: path.to_owned(), source })
 }
 

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
-use tiepoint_synth::{Drive, DriveOptions, LidarOptions, Mount, reference_cloud, write_ply};
+use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply};
 
 use super::Failure;
 use crate::args::Synth;
@@ -134,7 +134,7 @@ pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
     Ok(reference_cloud(drive, &LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() })?)
 }
 
-/// Renders a drive to disk.
+/// Renders a drive to disk; images that are there are not rendered again.
 pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
     let folder = &plan.folder;
     claim(folder, RECORD, &plan.record(), "a drive")?;
@@ -151,8 +151,10 @@ pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Res
                 progress.rendering(&exposure.name, done, total);
                 done += 1;
             }
+            let is_missing = |exposure: &&Exposure| !folder.join(&exposure.name).is_file();
             exposures
                 .par_iter()
+                .filter(is_missing)
                 .try_for_each(|exposure| drive.write_image(folder, index, exposure, &renderer))?;
         }
     }

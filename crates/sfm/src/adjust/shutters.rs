@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_ba::factors::Prior;
-use tiepoint_ba::{AnyKey, Key, Options, Order, Solver};
+use tiepoint_ba::{AnyKey, Key, Order};
 use tiepoint_geometry::Loss;
 use tiepoint_geometry::nalgebra::{Vector1, Vector2};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
@@ -36,13 +36,7 @@ pub(crate) fn adjust_readouts(
     shutters: &Shutters,
 ) -> Result<Vec<RollingShutter>, Error> {
     let mut bundle = Bundle::new(model, &Scope::Global, options, &[], Some(shutters))?;
-    let solver_options = Options {
-        max_iterations: options.max_iterations,
-        function_tolerance: options.function_tolerance,
-        ..Options::default()
-    };
-    Solver::new(&bundle.problem, &solver_options)?.solve(&mut bundle.problem, &mut keep_going)?;
-    bundle.write_back(model);
+    bundle.solve(model, options, &mut keep_going)?;
     let found = |shutter: &RollingShutter| RollingShutter {
         readout_s: bundle.readouts.get(&shutter.camera).map_or(0.0, |key| bundle.problem.get(*key).x),
         ..*shutter

@@ -1,7 +1,7 @@
 //! Which moments take part in a mounting: those near to it, those whose own matches agree with it, and rows of images that stand elsewhere
 //! together without a word from their own matches.
 
-use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_geometry::Rigid3;
 use tiepoint_rig::{Clock, RelativePose, robust_average};
 use tiepoint_scene::{ImagePair, Reconstruction};
 
@@ -113,7 +113,7 @@ impl Context<'_> {
         };
         Some(poses().is_some_and(|(own, expected)| {
             let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
-            let rotation = so3::exp(&own.axis_angle).angle_to(&so3::exp(&expected.axis_angle));
+            let (_, rotation) = own.apart(&expected);
             rotation < MAX_OWN_ROTATION_RAD
                 && own_t.cross(&t).norm() < MAX_OWN_DIRECTION_RAD
                 && own_t.dot(&t) > 0.0

@@ -65,18 +65,37 @@ pub(super) fn held_out(model: &Reconstruction) -> Vec<Vec<Observation>> {
         .collect()
 }
 
-/// Root mean square of the truncated errors of tracks that are triangulated anew between the poses of now: the same observations
-/// whatever the model did with them.
-pub(super) fn held_out_error_px(model: &Reconstruction, tracks: &[Vec<Observation>]) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for observations in tracks {
-        let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
-        let xyz = nearest_to_rays(sights.iter());
-        for observation in observations {
-            let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
-            sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
-            count += 1;
-        }
+/// Tracks that took no part, and how well a model without any term explains them.
+pub(super) struct Judge {
+    tracks: Vec<Vec<Observation>>,
+    pub(super) error_off_px: f64,
+}
+
+impl Judge {
+    pub(super) fn new(tracks: Vec<Vec<Observation>>, off: &Reconstruction) -> Self {
+        let mut judge = Self { tracks, error_off_px: 0.0 };
+        judge.error_off_px = judge.error_px(off);
+        judge
     }
-    (sum / count.max(1) as f64).sqrt()
+
+    /// Root mean square of the truncated errors of the tracks, triangulated anew between the poses of now: the same observations
+    /// whatever the model did with them.
+    pub(super) fn error_px(&self, model: &Reconstruction) -> f64 {
+        let (mut sum, mut count) = (0.0, 0usize);
+        for observations in &self.tracks {
+            let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
+            let xyz = nearest_to_rays(sights.iter());
+            for observation in observations {
+                let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
+                sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
+                count += 1;
+            }
+        }
+        (sum / count.max(1) as f64).sqrt()
+    }
+
+    /// Whether an error is larger than that without any term by more than a share of it.
+    pub(super) fn objects(&self, error_px: f64, tolerance: f64) -> bool {
+        error_px > (1.0 + tolerance) * self.error_off_px
+    }
 }

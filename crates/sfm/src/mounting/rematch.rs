@@ -7,15 +7,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Rng, epipolar};
 use tiepoint_matching::features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{EpipolarGuide, Options, match_guided};
+use tiepoint_rig::Clock;
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, TwoView};
 
 use crate::companion::Moment;
 use crate::{VerifyOptions, View, verify_pair};
-use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
-use tiepoint_rig::Clock;
 
 /// Where the descriptors of an image's keypoints come from, one for each in order; none where there are none.
 pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
@@ -44,9 +44,8 @@ pub(super) fn rematch(
     descriptors: &mut Descriptors,
     seed: u64,
 ) -> Vec<(ImagePair, TwoView)> {
-    let neighbours = neighbours(graph);
     let pairs_of = |closed: &Closed| {
-        let of_partner = neighbours.get(&closed.left).into_iter().flatten();
+        let of_partner = graph.neighbours(closed.left);
         let others: BTreeSet<ImageId> = std::iter::once(&closed.left).chain(of_partner).copied().collect();
         let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
         let pairs = others.into_iter().filter(has_pose);
@@ -76,15 +75,6 @@ pub(super) fn rematch(
         found.extend(pairs.par_iter().filter_map(two_view).collect::<Vec<_>>());
     }
     found.into_iter().filter(|(_, two_view)| two_view.is_verified()).collect()
-}
-
-fn neighbours(graph: &CorrespondenceGraph) -> BTreeMap<ImageId, Vec<ImageId>> {
-    let mut neighbours: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
-    for pair in graph.pairs().keys() {
-        neighbours.entry(pair.a).or_default().push(pair.b);
-        neighbours.entry(pair.b).or_default().push(pair.a);
-    }
-    neighbours
 }
 
 /// Keypoints as a lens without distortion would see them, from the principal point: there epipolar lines are straight. What lies at the

@@ -116,7 +116,7 @@ impl FeatureScene {
             blank.add_camera(*camera);
         }
         for (_, image) in self.truth.images() {
-            let copy = tiepoint_scene::Image::new(image.name.clone(), image.camera, image.keypoints.clone());
+            let copy = tiepoint_scene::Image::new(image.name.clone(), image.camera, image.keypoints.to_vec());
             let id = blank.add_image(copy);
             blank.set_time(id, image.time_s);
         }

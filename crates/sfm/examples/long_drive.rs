@@ -1,0 +1,53 @@
+//! How the time of mapping grows with the images: `cargo run --release -p tiepoint-sfm --example long_drive -- 250 500 1000`.
+//!
+//! For each number of moments a drive of two cameras, as features and verified matches, mapped with `--rig off` and with `soft`.
+
+#![allow(clippy::print_stdout, reason = "an example shows its result")]
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use tiepoint_scene::CorrespondenceGraph;
+use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigTerm, map};
+use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
+
+const RATE_HZ: f64 = 10.0;
+const METRES_A_MOMENT: f64 = 0.6;
+const MIN_LENGTH_M: f64 = 160.0;
+const OBSERVATIONS_AN_IMAGE: usize = 1500;
+/// Keypoints without any match: most are.
+const CLUTTER: usize = 3000;
+const WINDOW: usize = 10;
+
+fn main() {
+    println!(
+        "{:>8} {:>14} {:>10} {:>10} {:>12}",
+        "images", "observations", "off, s", "soft, s", "ms an image"
+    );
+    for moments in std::env::args().skip(1).map(|word| word.parse::<usize>().expect("numbers of moments")) {
+        let length_m = (METRES_A_MOMENT * moments as f64).max(MIN_LENGTH_M);
+        let route = RouteKind::Open;
+        let options = DriveOptions { length_m, rate_hz: RATE_HZ, route, ..DriveOptions::default() };
+        let mut drive = Drive::new(&options).expect("a street");
+        drive.keep_first(moments);
+        let observations = 2 * OBSERVATIONS_AN_IMAGE * moments;
+        let features = FeatureOptions { observations, clutter: CLUTTER, ..FeatureOptions::default() };
+        let scene = FeatureScene::new(&drive, &features).expect("sound options");
+        let found = scene.matches(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
+        let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+        let graph = CorrespondenceGraph::new(&counts, found.into_iter().map(|f| (f.pair, f.two_view)));
+        let blank = scene.without_poses();
+        let mut observations = 0;
+        let seconds = [RigTerm::Off, RigTerm::Soft].map(|rig| {
+            let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
+            let start = Instant::now();
+            let models =
+                map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
+            let seconds = start.elapsed().as_secs_f64();
+            observations = models.map_or(0, |models| models[0].num_observations());
+            seconds
+        });
+        let (images, [off, soft]) = (counts.len(), seconds);
+        println!("{images:8} {observations:14} {off:10.1} {soft:10.1} {:12.1}", 1e3 * off / images as f64);
+    }
+}
