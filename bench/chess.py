@@ -24,7 +24,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from colmap import program_of
+from program import program_of
 from scipy.spatial.transform import Rotation
 
 CORNERS = (9, 6)

@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import program_of
 from drift import align, run, truth_of
 from experiment import copy_database, make_rig, map_largest, with_frames
+from program import program_of
 
 PEERS = ("no rig", "two passes", "global mapper")
 
@@ -65,18 +65,16 @@ def peer(which, workspace, drive, target):
 def run_seed(seed, arguments, work):
     program, log, rows = arguments.program, work / "log", {}
     synth = [program, "synth", "--length", arguments.length, "--rate", arguments.rate, "--size", arguments.size, "--seed", seed, "--json"]
-    drive, together, made = work / "drive", work / "together", work / "made"
+    drive, together, made = work / "drive", work / "together", work / "off"
     rendered = run([*synth, "-o", drive, "--effects", "clocks"], log)
     focal = json.loads(rendered)["cameras"][0]["focal_px"]
     command = lambda drive: [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, "--threads", 2, "--json"]
     centres, _ = truth_of(drive)
+    run([*command(drive), "-o", made, "--focal-prior", focal, "--rig", "off"], log)
+    shutil.copytree(made, work / "auto")
+    run([*command(drive), "-o", work / "auto", "--focal-prior", focal, "--rig", "auto", "--redo", "map"], log)
     for rig in ("off", "auto"):
-        if made.exists():
-            shutil.copytree(made, work / rig)
-            run([*command(drive), "-o", work / rig, "--focal-prior", focal, "--rig", rig, "--redo", "map"], log)
-        else:
-            run([*command(drive), "-o", made, "--focal-prior", focal, "--rig", rig], log)
-        rows[rig] = ate(pycolmap.Reconstruction((work / rig if (work / rig).exists() else made) / "sparse/0"), centres)
+        rows[rig] = ate(pycolmap.Reconstruction(work / rig / "sparse/0"), centres)
     for which in PEERS:
         workspace, target = work / which.replace(" ", "-"), work / f"{which}.json"
         shutil.copytree(made, workspace)

@@ -13,7 +13,6 @@ scanner, the cloud sparse, noisier, with a few points far out, and 0.3 m and 1 d
 
 import argparse
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -22,10 +21,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from program import program_of
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-ROOT = Path(__file__).resolve().parent.parent
 TOLERANCE_M = 1e-4  # of distances where nothing is aligned: coordinates in single precision, up to 100 m
 
 
@@ -98,8 +97,9 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cloud", type=Path)
     parser.add_argument("--reference", type=Path)
-    parser.add_argument("--program", type=Path, default=Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/tiepoint")
+    parser.add_argument("--program", type=Path)
     arguments = parser.parse_args()
+    program = program_of(arguments)
     rng, failed = np.random.default_rng(arguments.seed), False
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -114,7 +114,7 @@ def main():
         print(f"{len(cloud)} points against {len(reference)}: mean and standard deviation of the distances\n")
         print("| alignment | tiepoint | CloudCompare | scipy |\n|---|---|---|---|")
         for align in ("none", "rigid"):
-            ours, simple = tiepoint(arguments.program, cloud_file, reference_file, align), scipy(cloud, reference, align)
+            ours, simple = tiepoint(program, cloud_file, reference_file, align), scipy(cloud, reference, align)
             theirs = None
             if shutil.which("CloudCompare"):
                 (folder / align).mkdir()

@@ -29,8 +29,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from program import ROOT, program_of
 
-ROOT = Path(__file__).resolve().parent.parent
 MODEL_TOLERANCE_PX = 1e-6  # both programs compute the same sum of distances, in double precision
 
 
@@ -85,15 +85,6 @@ def load(name, data):
 
 
 DATASETS = ["fountain-P11", "Herz-Jesus-P8", "sceaux", "kitti04"]
-
-
-def program_of(arguments):
-    """The `tiepoint` to measure: what `--program` says, else the release build."""
-    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-    program = arguments.program or target / "release/tiepoint"
-    if not program.exists():
-        sys.exit(f"{program} is not there: cargo build --release")
-    return program
 
 
 def umeyama(source, target):

@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import ROOT, largest, map_database, program_of, umeyama
+from colmap import largest, map_database, umeyama
+from program import ROOT, program_of
 
 EFFECTS = ["none", "lens", "rolling-shutter", "vibration", "mounting", "traffic", "clocks", "photometry", "all"]
 # The action camera's lens is no perspective lens with a little distortion; this is the nearest family that both programs fit.

@@ -22,7 +22,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import largest, map_database, program_of
+from colmap import largest, map_database
+from program import program_of
 
 THREADS, SEED = 2, 0
 MOUNTINGS = ("front", "right", "rear", "left")

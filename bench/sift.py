@@ -11,8 +11,8 @@ their whole first stage into a database (the program `tiepoint`, built in releas
 """
 import argparse, concurrent.futures, glob, os, re, subprocess, sys, tempfile, threading, time
 import cv2, numpy as np, pycolmap
+from program import ROOT, TARGET, program_of
 
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 DATA = os.environ.get("TIEPOINT_DATA") or sys.exit("TIEPOINT_DATA is not set")
 MAX_FEATURES = 8192
 ALL = 10**6
@@ -69,8 +69,7 @@ class Tiepoint:
     def __init__(self, *flags):
         self.flags = flags
         subprocess.run(["cargo", "build", "--quiet", "--release", "-p", "tiepoint-features", "--example", "extract_pgm"], cwd=ROOT, check=True)
-        target = os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target"))
-        self.program = os.path.join(target, "release", "examples", "extract_pgm")
+        self.program = str(TARGET / "release/examples/extract_pgm")
 
     def __call__(self, images, limit, threads):
         with tempfile.TemporaryDirectory() as folder:
@@ -103,7 +102,7 @@ def from_files(folder, threads):
         start = time.perf_counter()
         pycolmap.extract_features(os.path.join(scratch, "database.db"), folder, extraction_options=options)
         seconds["COLMAP"] = (time.perf_counter() - start) / len(paths)
-    program = os.path.join(os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target")), "release", "tiepoint")
+    program = program_of()
     for _ in range(3):
         with tempfile.TemporaryDirectory() as scratch:
             start = time.perf_counter()

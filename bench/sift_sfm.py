@@ -14,7 +14,8 @@ any limit), and the area below its cumulative curve up to 1, 3, 5 and 10 degrees
 """
 import argparse, glob, os, subprocess, sys, tempfile, time
 import cv2, numpy as np, pycolmap
-from sift import Colmap, Tiepoint, DATA, ROOT
+from program import program_of
+from sift import Colmap, Tiepoint, DATA
 
 OURS = "tiepoint database"
 REACH = 10
@@ -123,8 +124,7 @@ def match_colmap(folder, names, features, k, database_path):
 
 def match_tiepoint(folder, names, k, workspace):
     """Our database, of our own features and matches."""
-    target = os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target"))
-    program = os.path.join(target, "release", "tiepoint")
+    program = program_of()
     intrinsics = [] if k is None else ["--camera-model", "PINHOLE", "--intrinsics", ",".join(map(str, k))]
     pairs = "exhaustive" if len(names) <= 50 else f"sequential:{REACH}"
     subprocess.run([program, "features", folder, "-o", workspace, "--threads", "2", *intrinsics], check=True, capture_output=True)

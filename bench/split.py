@@ -27,8 +27,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import ROOT, program_of
 from drift import MODELS, align, run, truth_of
+from program import ROOT, program_of
 
 # Images of the right camera that are split off, and how far apart in time (in seconds) images of the start and the end lie at least.
 NUM_SPLIT = 8

@@ -87,12 +87,7 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     let sample: Vec<Descriptor> = views
         .iter()
         .step_by(views.len().div_ceil(256))
-        .flat_map(|view| {
-            let leading = view.features.descriptors.iter().take(Vocabulary::LEADING);
-            leading
-                .step_by(view.features.descriptors.len().min(Vocabulary::LEADING).div_ceil(200).max(1))
-                .copied()
-        })
+        .flat_map(|view| Vocabulary::sample(&view.features.descriptors, 200).copied())
         .collect();
     let start = Instant::now();
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions::default());

@@ -170,10 +170,8 @@ fn select_pairs(
 fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
     let mut sample = Vec::new();
     for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
-        let mut descriptors = database.read_features(ImageId::from_index(image))?.descriptors;
-        descriptors.truncate(Vocabulary::LEADING);
-        let step = descriptors.len().div_ceil(SAMPLE_DESCRIPTORS).max(1);
-        sample.extend(descriptors.into_iter().step_by(step));
+        let features = database.read_features(ImageId::from_index(image))?;
+        sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
     }
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
     let mut bank = Bank::default();

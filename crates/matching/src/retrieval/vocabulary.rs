@@ -96,6 +96,12 @@ impl Vocabulary {
         nearest(descriptors, &self.packed).of_a.iter().map(|nearest| nearest.index).collect()
     }
 
+    /// About so many of an image's [leading](Self::LEADING) descriptors, evenly spread, to learn from.
+    pub fn sample(descriptors: &[Descriptor], count: usize) -> impl Iterator<Item = &Descriptor> {
+        let leading = &descriptors[..descriptors.len().min(Self::LEADING)];
+        leading.iter().step_by(leading.len().div_ceil(count).max(1))
+    }
+
     /// The global descriptor of an image, of its [leading](Self::LEADING) descriptors. One without features is like no
     /// other.
     pub fn describe(&self, descriptors: &[Descriptor]) -> GlobalDescriptor {

@@ -1,0 +1,16 @@
+"""Which `tiepoint` the scripts beside this measure."""
+
+import os
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+
+
+def program_of(arguments=None):
+    """What `--program` says, if there is one, else the release build."""
+    program = getattr(arguments, "program", None) or TARGET / "release/tiepoint"
+    if not program.exists():
+        sys.exit(f"{program} is not there: cargo build --release")
+    return program
