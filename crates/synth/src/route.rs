@@ -27,9 +27,10 @@ struct Piece {
     length_m: f64,
     /// Arc length of the route where it begins.
     offset_m: f64,
-    /// Directions at its beginning and half-way.
+    /// Directions at its beginning, half-way and at its end.
     direction: Vector2<f64>,
     middle_direction: Vector2<f64>,
+    end_direction: Vector2<f64>,
 }
 
 /// A place relative to the centre line.
@@ -90,7 +91,7 @@ impl Piece {
         let is_beyond = !(0.0..=self.length_m).contains(&s);
         let s = s.clamp(0.0, self.length_m);
         if is_beyond {
-            tangent = unit(self.heading_at(s));
+            tangent = if s == 0.0 { self.direction } else { self.end_direction };
         }
         let offset = point - self.point_at_towards(s, tangent);
         let distance = offset.norm();
@@ -211,6 +212,7 @@ impl Route {
             offset_m,
             direction,
             middle_direction,
+            end_direction: unit(heading_rad + curvature_per_m * length_m),
         });
         self.length_m += length_m;
     }
