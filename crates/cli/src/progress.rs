@@ -55,6 +55,11 @@ impl Progress {
         match *event {
             Event::StageBegan { stage, total, done } => self.begin(stage.name(), total, done),
             Event::StageKept { .. } => {}
+            Event::SoundHeard { reference, recording, after_s } => self.say(&format!(
+                "by its sound, {recording} began {:.3} s {} {reference}",
+                after_s.abs(),
+                if after_s < 0.0 { "before" } else { "after" }
+            )),
             Event::FrameKept { image, read } => {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
                     self.bar = ProgressBar::new_spinner();

@@ -1,7 +1,7 @@
 //! Pictures of a video, decoded by the `ffmpeg` program.
 //!
 //! ffmpeg turns each picture as the file says and writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that
-//! variable rates are respected. When the recording began, in whole seconds, is read from the file's metadata.
+//! variable rates are respected. When the recording began, in whole seconds, is read from the file's metadata; its sound is there too.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead, BufReader, Read};
@@ -189,6 +189,30 @@ impl Drop for VideoReader {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// The sound of a video file in one channel at a rate, from when its pictures begin; empty where it has none.
+pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
+    let done = Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(path)
+        // Silence takes the place of what is missing, so that the sound keeps time with the pictures.
+        .args([
+            "-map",
+            "0:a:0?",
+            "-af",
+            "aresample=async=1:first_pts=0",
+            "-ac",
+            "1",
+            "-ar",
+            &rate_hz.to_string(),
+        ])
+        .args(["-f", "s16le", "-"])
+        .stdin(Stdio::null())
+        .output()
+        .map_err(missing(path))?;
+    // Without a track of sound there is nothing to write, which ffmpeg calls an error.
+    Ok(done.stdout.chunks_exact(2).map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]])).collect())
 }
 
 fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {

@@ -20,6 +20,15 @@ pub enum Event<'a> {
         /// Which.
         stage: Stage,
     },
+    /// What two recordings have both heard tells when one of them began.
+    SoundHeard {
+        /// The first recording.
+        reference: &'a str,
+        /// The other one.
+        recording: &'a str,
+        /// By how many seconds it began later.
+        after_s: f64,
+    },
     /// A frame of a video was put into the workspace.
     FrameKept {
         /// Its name.

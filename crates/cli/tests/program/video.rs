@@ -74,6 +74,84 @@ fn a_video_is_a_camera_whose_frames_have_times() {
     assert_eq!(again.json()["stages"]["features"]["images"], 3);
 }
 
+/// Eight seconds of knocks at uneven times, from some time on, as a WAV of one channel.
+fn knocks(path: &Path, from_s: f64) {
+    const RATE: u32 = 8000;
+    const SECONDS: u32 = 8;
+    let at_s = [0.7, 1.1, 2.3, 2.45, 3.9, 4.8, 5.05, 6.6, 7.2, 7.9, 8.15];
+    let value = |k: u32| {
+        let time_s = from_s + f64::from(k) / f64::from(RATE);
+        let since = at_s.iter().map(|at_s| time_s - at_s).filter(|since_s| *since_s >= 0.0);
+        let knock: f64 = since.map(|since_s| (-since_s / 0.02).exp() * (3000.0 * since_s).sin()).sum();
+        // Hiss of its own.
+        let hiss = f64::from(k.wrapping_mul(0x9E37_79B9) ^ (from_s * 1e3) as u32) / f64::from(u32::MAX) - 0.5;
+        (20_000.0 * knock + 200.0 * hiss) as i16
+    };
+    let samples: Vec<u8> = (0..RATE * SECONDS).flat_map(|k| value(k).to_le_bytes()).collect();
+    let mut bytes = b"RIFF".to_vec();
+    bytes.extend((36 + samples.len() as u32).to_le_bytes());
+    bytes.extend(b"WAVEfmt \x10\0\0\0\x01\0\x01\0");
+    bytes.extend(RATE.to_le_bytes());
+    bytes.extend((2 * RATE).to_le_bytes());
+    bytes.extend(b"\x02\0\x10\0data");
+    bytes.extend((samples.len() as u32).to_le_bytes());
+    bytes.extend(samples);
+    fs::write(path, bytes).unwrap();
+}
+
+/// A film of that name, the last picture of which goes on for as long as the knocks.
+fn with_sound(dir: &Path, name: &str, from_s: f64) {
+    film(dir, "silent.mov", 5);
+    knocks(&dir.join("knocks.wav"), from_s);
+    let made = Command::new("ffmpeg")
+        .args(["-v", "error", "-i"])
+        .arg(dir.join("silent.mov"))
+        .arg("-i")
+        .arg(dir.join("knocks.wav"))
+        .args([
+            "-vf",
+            "tpad=stop_mode=clone:stop_duration=7",
+            "-c:v",
+            "mjpeg",
+            "-q:v",
+            "2",
+            "-c:a",
+            "pcm_s16le",
+        ])
+        .arg(dir.join(name))
+        .status();
+    assert!(made.unwrap().success());
+    fs::remove_file(dir.join("silent.mov")).unwrap();
+}
+
+#[test]
+fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
+    // Sound travels 1.7 m meanwhile.
+    const SOUND_TOLERANCE_S: f64 = 0.005;
+    const LATER_S: f64 = 0.23;
+    if !is_there() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    with_sound(dir.path(), "left.mov", 0.0);
+    with_sound(dir.path(), "right.mov", LATER_S);
+    let run = tiepoint_in(dir.path(), "features {}/left.mov {}/right.mov -o {}/ws --every 1 --json").done();
+    let heard = run.events().into_iter().find(|event| event["event"] == "sound_heard").unwrap();
+    assert_eq!((&heard["reference"], &heard["recording"]), (&"left".into(), &"right".into()));
+    assert!((heard["after_s"].as_f64().unwrap() - LATER_S).abs() < SOUND_TOLERANCE_S, "{heard}");
+    let times = times(&dir.path().join("ws"));
+    let of = |side: &str| -> Vec<f64> {
+        times.iter().filter(|(name, _)| name.starts_with(side)).map(|(_, time_s)| *time_s).collect()
+    };
+    let (left, right) = (of("left"), of("right"));
+    assert_eq!(left.len(), 5, "{times:?}");
+    // Of 0.2, 0.3 and 0.4 s; the left one's earlier frames have none.
+    for (index, time_s) in right.iter().take(3).enumerate() {
+        let partner_s = left[index + 2];
+        assert!((time_s - partner_s).abs() <= 0.5 / RATE_HZ as f64, "{times:?}");
+    }
+}
+
 #[test]
 fn chapters_follow_each_other() {
     if !is_there() {

@@ -1,0 +1,272 @@
+//! Which frames of a video are worth having.
+//!
+//! Of every so many frames the sharpest is taken (the one of the most energy in its gradients: they show the same things), and left out
+//! where the picture has hardly moved since the last one that was kept, so that a stop is not a thousand equal photos. Movement is the
+//! median over blocks of a small copy of how far its slopes would have to move to change it so; cars that pass do not move a median.
+//! Of a camera whose clock is known beside another one's, the frames nearest in time to those of the other are taken.
+
+use std::num::NonZeroUsize;
+
+use tiepoint_io::Rgb;
+use tiepoint_sfm::geometry::numeric::median;
+
+/// Width of the small copy on which frames are compared, about.
+const SMALL_WIDTH: u32 = 320;
+/// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that gives it texture.
+const BLOCK: usize = 16;
+const MIN_TEXTURE: f64 = 4.0;
+/// Fewer textured blocks tell no movement.
+const MIN_BLOCKS: usize = 8;
+/// A frame that moved by less than this share of its width (0.8 pixels of the small copy) since the last one shows nothing new.
+const MIN_MOVEMENT: f64 = 0.0025;
+
+/// A frame, and what is compared of it.
+pub(super) struct Candidate {
+    pub(super) index: usize,
+    pub(super) time_s: f64,
+    pub(super) image: Rgb,
+    small: Small,
+    sharpness: f64,
+}
+
+impl Candidate {
+    pub(super) fn new(index: usize, time_s: f64, image: Rgb) -> Self {
+        let small = Small::new(&image);
+        Self { index, time_s, sharpness: sharpness(&image), image, small }
+    }
+}
+
+/// Takes the sharpest of each so many frames, unless it shows what the last one showed.
+pub(super) struct Sharpest {
+    every: NonZeroUsize,
+    seen: usize,
+    best: Option<Candidate>,
+    last: Option<Small>,
+}
+
+impl Sharpest {
+    pub(super) fn new(every: NonZeroUsize) -> Self {
+        Self { every, seen: 0, best: None, last: None }
+    }
+
+    pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
+        if self.best.as_ref().is_none_or(|best| frame.sharpness > best.sharpness) {
+            self.best = Some(frame);
+        }
+        self.seen += 1;
+        if self.seen == self.every.get() { self.end() } else { None }
+    }
+
+    /// What is left when no more frames come.
+    pub(super) fn end(&mut self) -> Option<Candidate> {
+        self.seen = 0;
+        let best = self.best.take()?;
+        let stands = self
+            .last
+            .as_ref()
+            .and_then(|last| best.small.movement_px(last))
+            .is_some_and(|movement| movement < MIN_MOVEMENT * best.small.width as f64);
+        if stands {
+            return None;
+        }
+        self.last = Some(best.small.clone());
+        Some(best)
+    }
+}
+
+/// Takes the frame nearest to each of some moments; before them and after them, the sharpest.
+pub(super) struct Partners {
+    /// In order.
+    moments_s: Vec<f64>,
+    next: usize,
+    nearest: Option<Candidate>,
+    others: Sharpest,
+}
+
+impl Partners {
+    pub(super) fn new(every: NonZeroUsize, moments_s: Vec<f64>) -> Self {
+        Self { moments_s, next: 0, nearest: None, others: Sharpest::new(every) }
+    }
+
+    pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
+        let Some(moment_s) = self.moments_s.get(self.next) else { return self.others.add(frame) };
+        let interval_s = self.moments_s.get(1).map_or(0.0, |second_s| second_s - self.moments_s[0]);
+        if self.next == 0 && frame.time_s < moment_s - 0.5 * interval_s {
+            return self.others.add(frame);
+        }
+        let is_past = |moment_s: &f64, last: &Candidate| {
+            (last.time_s - moment_s).abs() <= (frame.time_s - moment_s).abs()
+        };
+        let nearest = self.nearest.take().filter(|last| is_past(moment_s, last));
+        if let Some(nearest) = &nearest {
+            // Where frames are missing, one may be the nearest to several moments.
+            self.next +=
+                self.moments_s[self.next..].iter().take_while(|moment_s| is_past(moment_s, nearest)).count();
+        }
+        if self.next < self.moments_s.len() {
+            self.nearest = Some(frame);
+        }
+        nearest
+    }
+
+    pub(super) fn end(&mut self) -> Option<Candidate> {
+        self.nearest.take().or_else(|| self.others.end())
+    }
+}
+
+/// Mean square of the differences of neighbouring greens: what blur takes away.
+fn sharpness(image: &Rgb) -> f64 {
+    let width = image.width as usize;
+    let rows = image.data.chunks_exact(3 * width.max(1));
+    let energy = |row: &[u8]| -> u64 {
+        let greens = row.iter().skip(1).step_by(3);
+        greens.clone().zip(greens.skip(1)).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2)).sum()
+    };
+    let total: u64 = rows.map(energy).sum();
+    total as f64 / image.data.len().max(1) as f64
+}
+
+/// A grey copy, each pixel the mean of a square of the picture.
+#[derive(Clone)]
+struct Small {
+    width: usize,
+    height: usize,
+    pixels: Vec<f32>,
+}
+
+impl Small {
+    fn new(image: &Rgb) -> Self {
+        let side = (image.width / SMALL_WIDTH).max(1) as usize;
+        let (width, height) = (image.width as usize / side, image.height as usize / side);
+        let mut pixels = vec![0.0; width * height];
+        for (y, row) in
+            image.data.chunks_exact(3 * image.width.max(1) as usize).take(height * side).enumerate()
+        {
+            for (x, green) in row.iter().skip(1).step_by(3).take(width * side).enumerate() {
+                pixels[y / side * width + x / side] += f32::from(*green);
+            }
+        }
+        let scale = 1.0 / (side * side) as f32;
+        pixels.iter_mut().for_each(|pixel| *pixel *= scale);
+        Self { width, height, pixels }
+    }
+
+    /// How far the picture has moved since `other`, in pixels, where that is little; something large, where it is not; `None` where nothing
+    /// can be told.
+    fn movement_px(&self, other: &Self) -> Option<f64> {
+        if (self.width, self.height) != (other.width, other.height) {
+            return None;
+        }
+        let mut movements: Vec<f64> = Vec::new();
+        for top in (1..self.height.saturating_sub(BLOCK)).step_by(BLOCK) {
+            for left in (1..self.width.saturating_sub(BLOCK)).step_by(BLOCK) {
+                movements.extend(self.block_movement_px(other, left, top));
+            }
+        }
+        if movements.len() < MIN_BLOCKS { None } else { median(&mut movements) }
+    }
+
+    /// Root mean square change of brightness over root mean square slope, where there are slopes in all directions. Exposure may differ.
+    fn block_movement_px(&self, other: &Self, left: usize, top: usize) -> Option<f64> {
+        let (mut xx, mut xy, mut yy, mut change, mut change2) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for y in top..top + BLOCK {
+            for x in left..left + BLOCK {
+                let at = |x: usize, y: usize| f64::from(other.pixels[y * self.width + x]);
+                let (dx, dy) = (0.5 * (at(x + 1, y) - at(x - 1, y)), 0.5 * (at(x, y + 1) - at(x, y - 1)));
+                let difference = f64::from(self.pixels[y * self.width + x]) - at(x, y);
+                (xx, xy, yy) = (xx + dx * dx, xy + dx * dy, yy + dy * dy);
+                (change, change2) = (change + difference, change2 + difference * difference);
+            }
+        }
+        let area = (BLOCK * BLOCK) as f64;
+        let (half_trace, determinant) = (0.5 * (xx + yy), xx * yy - xy * xy);
+        let least = half_trace - (half_trace * half_trace - determinant).max(0.0).sqrt();
+        let variance = (change2 - change * change / area).max(0.0);
+        (least >= MIN_TEXTURE * area).then(|| (variance / half_trace).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: (u32, u32) = (640, 480);
+
+    /// A picture with texture everywhere, moved to the right by so many pixels, and smeared over so many.
+    fn picture(moved: f64, smear: usize) -> Rgb {
+        let value = |x: f64, y: f64| {
+            127.0 + 50.0 * ((0.11 * x).sin() * (0.13 * y).cos() + (0.31 * x + 0.17 * y).sin())
+        };
+        let mut data = Vec::new();
+        for y in 0..SIZE.1 {
+            for x in 0..SIZE.0 {
+                let of = |k: usize| value(f64::from(x) - moved - k as f64, f64::from(y));
+                let mean = (0..smear.max(1)).map(of).sum::<f64>() / smear.max(1) as f64;
+                data.extend([mean as u8; 3]);
+            }
+        }
+        Rgb { width: SIZE.0, height: SIZE.1, data }
+    }
+
+    fn kept(every: usize, frames: &[(f64, usize)]) -> Vec<usize> {
+        let mut chooser = Sharpest::new(NonZeroUsize::new(every).unwrap());
+        let mut kept: Vec<usize> = frames
+            .iter()
+            .enumerate()
+            .filter_map(|(index, &(moved, smear))| {
+                chooser.add(Candidate::new(index, 0.0, picture(moved, smear))).map(|frame| frame.index)
+            })
+            .collect();
+        kept.extend(chooser.end().map(|frame| frame.index));
+        kept
+    }
+
+    #[test]
+    fn the_sharpest_of_so_many_frames_is_kept() {
+        let frames = [(0.0, 9), (8.0, 1), (16.0, 9), (24.0, 9), (32.0, 9), (40.0, 1), (48.0, 1)];
+        assert_eq!(kept(3, &frames), [1, 5, 6]);
+        assert_eq!(kept(1, &frames[..3]), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_stop_is_one_frame() {
+        // 0.0025 of 640 pixels are 1.6; creeping adds up.
+        assert_eq!(
+            kept(1, &[(0.0, 1), (0.0, 1), (0.5, 1), (1.2, 1), (2.4, 1), (2.4, 1), (60.0, 1)]),
+            [0, 4, 6]
+        );
+    }
+
+    #[test]
+    fn a_picture_without_texture_is_kept() {
+        let grey = |level: u8| Rgb { width: 64, height: 48, data: vec![level; 64 * 48 * 3] };
+        let mut chooser = Sharpest::new(NonZeroUsize::MIN);
+        for index in 0..3 {
+            assert!(chooser.add(Candidate::new(index, 0.0, grey(9))).is_some());
+        }
+    }
+
+    #[test]
+    fn partners_are_nearest_in_time() {
+        let kept = |moments_s: &[f64], times_s: &[f64]| -> Vec<usize> {
+            let mut partners = Partners::new(NonZeroUsize::new(2).unwrap(), moments_s.to_vec());
+            let frame = |(index, &time_s): (usize, &f64)| {
+                // Every other one is blurred.
+                Candidate::new(index, time_s, picture(13.0 * index as f64, 1 + 8 * (index % 2)))
+            };
+            let mut kept: Vec<usize> = Vec::new();
+            for candidate in times_s.iter().enumerate().map(frame) {
+                kept.extend(partners.add(candidate).map(|frame| frame.index));
+            }
+            kept.extend(partners.end().map(|frame| frame.index));
+            kept
+        };
+        let times_s: Vec<f64> = (0..12).map(|k| 0.04 + 0.1 * f64::from(k)).collect();
+        // One of the two before, 0.34 s for 0.31, 0.64 s for 0.61, and one of every two of the rest.
+        assert_eq!(kept(&[0.31, 0.61], &times_s), [0, 3, 6, 8, 10]);
+        assert_eq!(kept(&[0.04, 0.36, 0.66], &times_s[..7]), [0, 3, 6]);
+        // A stop of the first camera, and a gap of the second.
+        assert_eq!(kept(&[0.04, 0.94], &times_s[..10]), [0, 9]);
+        assert_eq!(kept(&[0.04, 0.14, 0.24, 0.34, 0.44], &[0.04, 0.14, 0.45]), [0, 1, 2]);
+    }
+}
