@@ -60,6 +60,10 @@ impl Progress {
                 after_s.abs(),
                 if after_s < 0.0 { "before" } else { "after" }
             )),
+            Event::Stabilised { recording } => self.say(&format!(
+                "{recording}: the camera stabilised its pictures electronically, which changes lens and mounting from frame to frame: switch that \
+                 off when recording"
+            )),
             Event::FrameKept { image, read } => {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
                     self.bar = ProgressBar::new_spinner();

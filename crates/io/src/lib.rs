@@ -8,6 +8,7 @@ pub mod colmap;
 pub mod database;
 mod error;
 mod exif;
+mod gopro;
 mod images;
 mod jpeg;
 pub mod kitti;

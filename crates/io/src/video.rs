@@ -11,6 +11,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use crate::exif::seconds_of_date;
+pub use crate::gopro::is_stabilised;
 use crate::images::has_extension;
 use crate::pixels::check_size;
 use crate::{Error, Result, Rgb};

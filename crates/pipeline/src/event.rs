@@ -29,6 +29,11 @@ pub enum Event<'a> {
         /// By how many seconds it began later.
         after_s: f64,
     },
+    /// A camera has stabilised its pictures electronically.
+    Stabilised {
+        /// The recording.
+        recording: &'a str,
+    },
     /// A frame of a video was put into the workspace.
     FrameKept {
         /// Its name.

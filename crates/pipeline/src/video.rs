@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_io::is_image;
 use tiepoint_io::timestamps;
-use tiepoint_io::video::{Recording, VideoReader, is_video, read_sound, recordings};
+use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_sound, recordings};
 
 use crate::fingerprint::of_files;
 use crate::records::write_json;
@@ -142,6 +142,10 @@ fn extract(
     // When the first recording began, and when its frames were taken that are kept.
     let (mut first_began_s, mut moments_s) = (None, Vec::new());
     for (recording, after_s) in recordings.iter().zip(after_s) {
+        let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
+        if is_moving.flatten() == Some(true) {
+            tell(watch, &Event::Stabilised { recording: &recording.name })?;
+        }
         let own = folder.join(&recording.name);
         fs::create_dir_all(&own).map_err(output(&own))?;
         let mut choice = match after_s {
