@@ -7,7 +7,8 @@
 WS is a workspace with features and matches (`tiepoint features`, `tiepoint match`); it is copied, not changed. Variants of KITTI: `shifted`
 gives the right camera's images the times of the ones before; `interleaved` takes even images of the left and odd ones of the right
 camera, at their own times; `wrong` swaps one right image in ten with one from elsewhere. They change `timestamps.csv` or take matches
-away, so they need no other features. Needs numpy only.
+away, so they need no other features. Needs numpy only. With `--peer` the rig adjuster of a program `colmap` 3.8 (`rig_bundle_adjuster`, what the paper
+compares with) gets the model of `off`: one calibration, found from it, of images of the same file name; intrinsics stay where the workspace has them known.
 """
 
 import argparse
@@ -122,6 +123,20 @@ def alter(workspace, variant, kitti):
                     database.executemany(f"DELETE FROM {table} WHERE pair_id = ?", [(pair,) for pair in pairs])
 
 
+def adjust_by_peer(model, cameras, known, output):
+    """COLMAP 3.8's rig adjuster on a model."""
+    config = [{"ref_camera_id": 1, "cameras": [{"camera_id": k + 1, "image_prefix": f"{name}/"} for k, name in enumerate(cameras)]}]
+    output.mkdir()
+    path = output / "rig.json"
+    path.write_text(json.dumps(config))
+    command = ["colmap", "rig_bundle_adjuster", "--input_path", model, "--output_path", output, "--rig_config_path", path]
+    if known:
+        command += ["--BundleAdjustment.refine_focal_length", "0", "--BundleAdjustment.refine_extra_params", "0"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"rig_bundle_adjuster: {(done.stdout + done.stderr)[-2000:]}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", default="target/release/tiepoint")
@@ -131,6 +146,7 @@ def main():
     parser.add_argument("--variant", choices=["shifted", "interleaved", "wrong"])
     parser.add_argument("--rig", nargs="+", default=["off", "auto"])
     parser.add_argument("--seed", default="0")
+    parser.add_argument("--peer", action="store_true", help="COLMAP 3.8 on the model of off")
     parser.add_argument("--keep", type=Path, help="leave the workspaces here")
     options = parser.parse_args()
     for mode in options.rig:
@@ -159,6 +175,13 @@ def main():
             if "report" in report:
                 report = report["report"]
             show(mode, evaluation, report, errors)
+            if options.peer and mode == "off":
+                with sqlite3.connect(workspace / "database.db") as database:
+                    cameras = sorted({name.split("/")[0] for (name,) in database.execute("SELECT name FROM images")})
+                adjusted = Path(scratch) / "peer"
+                adjust_by_peer(workspace / "sparse/0", cameras, options.kitti, adjusted)
+                evaluation = run(options.program, "evaluate", "poses", adjusted, "--truth", truth)
+                print(f"COLMAP 3.8   ATE {100 * evaluation['centre_error']['rmse']:8.3f} cm", flush=True)
 
 
 if __name__ == "__main__":

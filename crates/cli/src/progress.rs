@@ -60,6 +60,9 @@ impl Progress {
                 after_s.abs(),
                 if after_s < 0.0 { "before" } else { "after" }
             )),
+            Event::LoopClosed { pairs } => {
+                self.say(&format!("closed a loop: {pairs} pairs of images had been torn apart by drift"))
+            }
             Event::Stabilised { recording } => self.say(&format!(
                 "{recording}: the camera stabilised its pictures electronically, which changes lens and mounting from frame to frame: switch that \
                  off when recording"

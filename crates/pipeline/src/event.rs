@@ -84,6 +84,11 @@ pub enum Event<'a> {
         /// Points in this model.
         points: usize,
     },
+    /// A loop that drift had left open is closed.
+    LoopClosed {
+        /// Pairs of images that it had torn apart.
+        pairs: usize,
+    },
     /// The whole model was adjusted.
     ModelAdjusted {
         /// Images with a pose.

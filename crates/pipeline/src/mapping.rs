@@ -167,6 +167,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
             Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
         }
+        sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // These are for the report.
         sfm::Event::BadPair { .. }
         | sfm::Event::Joined { .. }

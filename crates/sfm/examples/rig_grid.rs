@@ -1,7 +1,7 @@
-//! What `--rig` does under each effect, on scenes of features: `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES`.
+//! What `--rig` does under each effect, on scenes of features: `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES [FIRST]`.
 //!
 //! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for `auto` how far the clock and the calibration
-//! are off; a cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
+//! are off (from their mean, where the mount gives); a cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -35,6 +35,7 @@ fn cells() -> Vec<Cell> {
         clocks: clocks(offset_s, jitter_s),
         ..effects
     };
+    let flex = |effects: Effects, degrees: f64| Effects { flex_rad: degrees.to_radians(), ..effects };
     let none = Effects::default();
     vec![
         ("triggered together", none, 0),
@@ -47,6 +48,10 @@ fn cells() -> Vec<Cell> {
         ("clocks, vibration", with(preset("vibration"), 0.3, 0.0005), 0),
         ("clocks, 20 % wrong", with(none, 0.3, 0.0005), 20),
         ("clocks, misaligned", with(preset("mounting"), 0.3, 0.0005), 0),
+        ("flex 0.1°", flex(none, 0.1), 0),
+        ("flex 0.5°", flex(none, 0.5), 0),
+        ("flex 2°", flex(none, 2.0), 0),
+        ("clocks, flex 0.5°", flex(with(none, 0.3, 0.0005), 0.5), 0),
     ]
 }
 
@@ -107,9 +112,11 @@ fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<(f64, f64, Option<Mount
 }
 
 fn main() {
-    let mut arguments =
-        std::env::args().skip(1).map(|word| word.parse::<u64>().expect("SEEDS and FRAMES are numbers"));
+    let mut arguments = std::env::args()
+        .skip(1)
+        .map(|word| word.parse::<u64>().expect("SEEDS, FRAMES and FIRST are numbers"));
     let (seeds, frames) = (arguments.next().unwrap_or(3), arguments.next().unwrap_or(45) as usize);
+    let first = arguments.next().unwrap_or(1);
     println!(
         "{:24} {:>8} {:>8} {:>8}   clock (ms ± sd), turn (°), place (mm): of auto, per seed",
         "", "off", "soft", "auto"
@@ -117,7 +124,7 @@ fn main() {
     for cell in cells() {
         let mut ates: [Vec<f64>; 3] = Default::default();
         let mut notes = String::new();
-        for seed in 1..=seeds {
+        for seed in first..first + seeds {
             let scene = scene(seed, &cell, frames);
             for (ates, rig) in ates.iter_mut().zip([RigTerm::Off, RigTerm::Soft, RigTerm::Auto]) {
                 let Some((ate, scale, camera)) = run(&scene, seed, rig) else { continue };

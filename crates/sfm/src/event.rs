@@ -33,6 +33,11 @@ pub enum Event {
         /// Points in this model.
         num_points: usize,
     },
+    /// Pairs of images that were torn apart by drift are together again.
+    LoopClosed {
+        /// How many.
+        num_pairs: usize,
+    },
     /// Everything was adjusted.
     Adjusted {
         /// Images with a pose in this model.

@@ -11,6 +11,7 @@ mod hold_out;
 mod incremental;
 mod initial_pair;
 mod join;
+mod loop_closure;
 mod mapper;
 mod mounting;
 mod register;

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
 use rayon::prelude::*;
-use tiepoint_geometry::{Rigid3, Rng};
+use tiepoint_geometry::{Loss, Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
@@ -17,6 +17,7 @@ use crate::focal::FocalPrior;
 use crate::focal_trials::explained;
 use crate::incremental::{MapperOptions, RigTerm};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
+use crate::loop_closure::{join, num_joined, torn_pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::register_image;
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
@@ -39,6 +40,8 @@ const GOOD_START_SHARE: f64 = 0.94;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
+/// How often loops are closed: one that is hides another.
+const MAX_CLOSURES: usize = 3;
 /// Rounds of the same between keypoints that a rolling shutter no longer shifts.
 const STRAIGHT_ROUNDS: usize = 3;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
@@ -106,6 +109,7 @@ impl<'a> Mapper<'a> {
         }
         self.is_final = true;
         self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+        self.close_loops(watch)?;
         if let Some(readout) = self.options.readout {
             self.straighten(readout, watch)?;
         }
@@ -116,6 +120,27 @@ impl<'a> Mapper<'a> {
             }
             RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors, watch)?,
             RigTerm::Off => {}
+        }
+        Ok(())
+    }
+
+    /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
+    fn close_loops(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
+        for _ in 0..MAX_CLOSURES {
+            let torn = torn_pairs(self.graph, &self.model);
+            if torn.is_empty() {
+                break;
+            }
+            let before = self.model.clone();
+            join(self.graph, &mut self.model, &torn);
+            let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], 1e-6, 100) };
+            adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
+            self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+            if num_joined(self.graph, &self.model) <= num_joined(self.graph, &before) {
+                self.model = before;
+                break;
+            }
+            tell(watch, &Event::LoopClosed { num_pairs: torn.len() })?;
         }
         Ok(())
     }

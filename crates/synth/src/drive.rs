@@ -55,6 +55,25 @@ pub struct DriveOptions {
     pub effects: Effects,
 }
 
+impl DriveCamera {
+    fn cam_from_vehicle_at(&self, time_s: f64) -> Rigid3 {
+        let (swing, phase) = self.flex;
+        if swing == Vector3::zeros() {
+            return self.cam_from_vehicle;
+        }
+        let angle = (std::f64::consts::TAU * time_s / FLEX_PERIOD_S + phase).sin();
+        Rigid3::from_axis_angle(swing * angle, Vector3::zeros()) * self.cam_from_vehicle
+    }
+}
+
+/// About an axis of any direction.
+fn flex(rad: f64, rng: &mut Rng) -> (Vector3<f64>, f64) {
+    let height = 2.0 * rng.uniform() - 1.0;
+    let [azimuth, phase] = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
+    let level = (1.0 - height * height).sqrt();
+    (rad * Vector3::new(level * azimuth.cos(), level * azimuth.sin(), height), phase)
+}
+
 impl Default for DriveOptions {
     /// A loop of 200 m with a stereo pair that looks ahead, at ten images a second; everything ideal.
     fn default() -> Self {
@@ -72,6 +91,9 @@ impl Default for DriveOptions {
         }
     }
 }
+
+/// A mount that gives swings slowly, as on rubber when the vehicle brakes and turns.
+const FLEX_PERIOD_S: f64 = 5.0;
 
 /// One image to be taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,8 +118,10 @@ pub struct DriveCamera {
     pub width: u32,
     /// Size of its images, in pixels.
     pub height: u32,
-    /// Where it sits.
+    /// Where it sits, on average.
     pub cam_from_vehicle: Rigid3,
+    /// The rotation by which it swings about that place, as axis-angle, and where in its period it begins.
+    flex: (Vector3<f64>, f64),
     /// Its clock.
     pub clock: Clock,
     /// Time from its first row to its last, in seconds.
@@ -191,14 +215,16 @@ impl Drive {
 
     /// The pose of a camera at a true time.
     pub fn cam_from_world(&self, camera: usize, time_s: f64) -> Rigid3 {
-        self.cameras[camera].cam_from_vehicle * self.trajectory.world_from_vehicle(time_s).inverse()
+        let camera = &self.cameras[camera];
+        camera.cam_from_vehicle_at(time_s) * self.trajectory.world_from_vehicle(time_s).inverse()
     }
 
     /// Where a camera is while it exposes height `y` (pixels) of an image whose middle row is exposed at `time_s`.
     pub fn row_pose(&self, camera: usize, time_s: f64, y: f64) -> RowPose {
-        let DriveCamera { height, readout_s, cam_from_vehicle, .. } = &self.cameras[camera];
-        let time_s = time_s + (y / f64::from(*height) - 0.5) * readout_s;
-        let world_from_cam = self.trajectory.world_from_vehicle(time_s) * cam_from_vehicle.inverse();
+        let camera = &self.cameras[camera];
+        let time_s = time_s + (y / f64::from(camera.height) - 0.5) * camera.readout_s;
+        let world_from_cam =
+            self.trajectory.world_from_vehicle(time_s) * camera.cam_from_vehicle_at(time_s).inverse();
         RowPose { world_from_cam, time_s }
     }
 
@@ -316,6 +342,7 @@ fn camera(options: &DriveOptions, index: usize, mount: &Mount, trajectory: &Traj
         width: options.width,
         height: options.height,
         cam_from_vehicle: mount.cam_from_vehicle,
+        flex: if index == 0 { Default::default() } else { flex(effects.flex_rad, &mut stream(5)) },
         clock: timing.clock,
         readout_s: effects.readout_s,
         exposures: timing.times_s.iter().enumerate().map(exposure).collect(),

@@ -48,6 +48,8 @@ pub struct Effects {
     pub vibration_rad: f64,
     /// Cameras fixed by hand: turned by about 1.5 degrees.
     pub is_misaligned: bool,
+    /// Every camera but the first swings about its place by up to this, in radians, either way: a mount that gives. In no preset.
+    pub flex_rad: f64,
     /// Cars that drive through the picture.
     pub moving_cars: usize,
     /// Clocks and triggers.
@@ -84,6 +86,7 @@ impl Default for Effects {
             suspension: 0.0,
             vibration_rad: 0.0,
             is_misaligned: false,
+            flex_rad: 0.0,
             moving_cars: 0,
             clocks: ClockEffects::default(),
             photometry: PhotometryEffects::default(),
@@ -141,6 +144,7 @@ impl Effects {
         require((0.0..=0.2).contains(&self.readout_s), "readout_s", self.readout_s, small)?;
         require((0.0..=3.0).contains(&self.suspension), "suspension", self.suspension, "0 to 3")?;
         require((0.0..=0.1).contains(&self.vibration_rad), "vibration_rad", self.vibration_rad, "0 to 0.1")?;
+        require((0.0..=0.2).contains(&self.flex_rad), "flex_rad", self.flex_rad, "0 to 0.2")?;
         require((0.0..=3600.0).contains(&offset_s), "offset_s", offset_s, "0 to 3600 s")?;
         require((0.0..=1e4).contains(&drift_ppm), "drift_ppm", drift_ppm, "0 to 10000")?;
         require((0.0..=0.2).contains(&jitter_s), "jitter_s", jitter_s, small)?;
