@@ -89,10 +89,8 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
                 *cost = NO_COST;
                 continue;
             };
-            let loss = self.losses.get(index);
-            let squared_norm = residual.norm_squared();
-            *cost = half_rho(loss, squared_norm);
-            let weight = sqrt_weight(loss, squared_norm);
+            let (half_rho, weight) = rate(self.losses.get(index), residual.norm_squared());
+            *cost = half_rho;
             if I == ALL {
                 F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
             } else {
@@ -130,7 +128,7 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         for (&index, cost) in factors.iter().zip(out) {
             let index = index as usize;
             let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
-            *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
+            *cost = residual.map_or(NO_COST, |r| rate(self.losses.get(index), r.norm_squared()).0);
         }
     }
 
@@ -185,23 +183,22 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
 }
 
-/// Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it. This is √ρ'.
+/// The cost ½ρ of a squared norm, and √ρ': iteratively reweighted least squares, for ½ρ'|r + Jδ|² has the gradient of ½ρ and,
+/// for ρ'' ≤ 0, lies above it.
 #[inline(always)]
-fn sqrt_weight(loss: &Loss, squared_norm: f64) -> f64 {
-    match loss {
-        Loss::Trivial => 1.0,
-        _ => loss.evaluate(squared_norm)[1].sqrt(),
-    }
-}
-
-#[inline(always)]
-fn half_rho(loss: &Loss, squared_norm: f64) -> f64 {
-    let cost = match loss {
-        Loss::Trivial => 0.5 * squared_norm,
-        _ => 0.5 * loss.evaluate(squared_norm)[0],
+fn rate(loss: &Loss, squared_norm: f64) -> (f64, f64) {
+    let [rho, slope] = match *loss {
+        Loss::Trivial => [squared_norm, 1.0],
+        // Most residuals of most problems: without a call.
+        Loss::Huber(a) if squared_norm <= a * a => [squared_norm, 1.0],
+        _ => {
+            let [rho, slope, _] = loss.evaluate(squared_norm);
+            [rho, slope.sqrt()]
+        }
     };
+    let cost = 0.5 * rho;
     // The square also overflows when the residual is finite but absurd.
-    if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }
+    (if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }, slope)
 }
 
 impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
