@@ -109,7 +109,7 @@ impl Refine {
             for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN) {
                 let range = stretch.start..stretch.end;
                 let run = &problem.runs[stretch.run as usize];
-                run.costs(trial, &chunk.factors[range.clone()], &mut part.costs[range]);
+                run.costs(trial, &chunk.factors[range.start..], &mut part.costs[range]);
             }
             part.sum(&sums.costs);
         });
@@ -246,7 +246,7 @@ impl Part {
                         rows: &mut self.rows[at..at + len],
                         costs: &mut self.next_costs[range.clone()],
                     };
-                    run.linearize_own(own, from, &chunk.factors[range], rows);
+                    run.linearize_own(own, from, &chunk.factors[range.start..], rows);
                     at += len;
                 }
                 let mut rows = &mut self.rows[..at];
@@ -279,7 +279,7 @@ impl Part {
                 let factors = start..chunk.cells[cells.end - 1].end as usize;
                 for (run, _, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
-                    run.costs(to, &chunk.factors[range.clone()], &mut self.next_costs[range]);
+                    run.costs(to, &chunk.factors[range.start..], &mut self.next_costs[range]);
                 }
                 for cell in cells {
                     let range = start..chunk.cells[cell].end as usize;

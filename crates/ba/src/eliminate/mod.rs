@@ -131,7 +131,7 @@ impl Sums {
                     rows: &mut room.rows[at..at + len],
                     costs: &mut self.costs[stretch.start..stretch.end],
                 };
-                run.linearize(values, &chunk.factors[stretch.start..stretch.end], rows);
+                run.linearize(values, &chunk.factors[stretch.start..], rows);
                 at += len;
             }
             kernel::Work { room: &mut room, chunk, batch, lambda, at: &mut done }.eliminate();
