@@ -10,8 +10,9 @@ use super::place::Look;
 use super::shape::Shapes;
 use super::{Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Stretch, Tile, padded, tile_len};
 
-/// Rows of so many factors are linearised at once: 64 × 2 rows × 16 numbers are 16 KiB, half of a first-level cache.
-const FACTORS_PER_BATCH: usize = 64;
+/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a first-level cache; fewer make
+/// products of few cells.
+const FACTORS_PER_BATCH: usize = 96;
 
 /// What all chunks are built from.
 pub(super) struct Context<'a> {
