@@ -10,8 +10,6 @@ pub(super) struct Bundler {
     factors: Vec<Entry>,
     /// Places of their segments, and tiles of the pairs of them, as in [`Bundle`].
     places: Vec<u32>,
-    /// Rows of the batch so far.
-    row: u32,
 }
 
 struct Entry {
@@ -28,31 +26,36 @@ impl Entry {
 }
 
 impl Bundler {
-    /// Adds the factors of the chunk's last cell.
-    pub(super) fn add(&mut self, chunk: &Chunk, shapes: &[Shape], cell: &Cell, first_local: usize) {
-        let first = chunk.cells.len().checked_sub(2).map_or(0, |previous| chunk.cells[previous].end as usize);
+    /// Adds the factors of the chunk's last cell, from number `first` on, whose rows begin at `row` of the batch.
+    pub(super) fn add(
+        &mut self,
+        chunk: &Chunk,
+        shapes: &[Shape],
+        cell: &Cell,
+        first: [usize; 2],
+        row: usize,
+    ) {
+        let [first, first_local] = first;
         let pattern = &chunk.patterns[cell.pattern as usize];
-        let mut locals = &chunk.locals[first_local..];
+        let (mut locals, mut row) = (&chunk.locals[first_local..], row);
         for &number in &chunk.shape_of[first..] {
             let shape = &shapes[number as usize];
             let (these, rest) = locals.split_at(shape.segments.len());
             locals = rest;
-            if !cell.single {
-                let begin = self.places.len();
-                let at = |&local: &u16| chunk.pattern_locals[pattern.locals.start + local as usize].at as u32;
-                self.places.extend(these.iter().map(at));
-                let key = self.places[begin..].iter().fold(u32::from(number), mixed);
-                for (s, &l) in these.iter().enumerate() {
-                    let tile = |&m: &u16| {
-                        let (lo, hi) = (l.min(m) as usize, l.max(m) as usize);
-                        chunk.pair_tiles[pattern.pairs + hi * (hi + 1) / 2 + lo]
-                    };
-                    self.places.extend(these[..=s].iter().map(tile));
-                }
-                self.keys.push(u64::from(key) << 32 | self.factors.len() as u64);
-                self.factors.push(Entry { shape: number, places: begin, row: self.row });
+            let begin = self.places.len();
+            let at = |&local: &u16| chunk.pattern_locals[pattern.locals.start + local as usize].at as u32;
+            self.places.extend(these.iter().map(at));
+            let key = self.places[begin..].iter().fold(u32::from(number), mixed);
+            for (s, &l) in these.iter().enumerate() {
+                let tile = |&m: &u16| {
+                    let (lo, hi) = (l.min(m) as usize, l.max(m) as usize);
+                    chunk.pair_tiles[pattern.pairs + hi * (hi + 1) / 2 + lo]
+                };
+                self.places.extend(these[..=s].iter().map(tile));
             }
-            self.row += (shape.rows * shape.stride) as u32;
+            self.keys.push(u64::from(key) << 32 | self.factors.len() as u64);
+            self.factors.push(Entry { shape: number, places: begin, row: row as u32 });
+            row += shape.rows * shape.stride;
         }
     }
 
@@ -85,7 +88,6 @@ impl Bundler {
         self.keys.clear();
         self.factors.clear();
         self.places.clear();
-        self.row = 0;
     }
 }
 

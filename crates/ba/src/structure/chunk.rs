@@ -174,7 +174,8 @@ fn fill(
         while groups[pattern].1 <= c {
             pattern += 1;
         }
-        let first_local = chunk.locals.len();
+        let first = [chunk.factors.len(), chunk.locals.len()];
+        let first_row = rows;
         let mut single = draft.dof == 3 && draft.num_entries == draft.num_blocks;
         for &entry in context.cells.entries_of(draft) {
             let number = shapes.add(entry, groups[pattern].0, &mut chunk.locals)?;
@@ -205,7 +206,9 @@ fn fill(
             step: chunk.steps.end,
         };
         chunk.cells.push(cell);
-        bundler.add(chunk, &shapes.shapes, &cell, first_local);
+        if !single {
+            bundler.add(chunk, &shapes.shapes, &cell, first, first_row);
+        }
         if p > 0 {
             let dense = chunk.patterns[pattern].dense;
             chunk.stash_len += crate::eliminate::stash_len(p, dense, chunk.elimination);

@@ -47,7 +47,8 @@ impl<'a> Groups<'a> {
         let mut open: Vec<Open<'a>> = Vec::new();
         for draft in drafts {
             let blocks = cells.blocks_of(draft);
-            let look_back = open.len().saturating_sub(LOOK_BACK);
+            // Cells with equal blocks come one after the other, unless they come by size.
+            let look_back = open.len().saturating_sub(if joins(draft) { LOOK_BACK } else { 1 });
             let fits = |group: &Open<'_>| {
                 group.blocks == blocks
                     || draft.dof > 0
