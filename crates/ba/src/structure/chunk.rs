@@ -26,7 +26,7 @@ pub(super) struct Context<'a> {
 /// Builds the chunk of some cells, whose steps begin at `first_step`.
 pub(super) fn build(context: &Context<'_>, drafts: &[Draft], first_step: usize) -> Result<Chunk, Error> {
     let mut chunk = Chunk::new(context.elimination, first_step);
-    let Groups { drafts, groups } = Groups::new(context.cells, drafts);
+    let Groups { drafts, groups } = Groups::new(context.cells, drafts, context.elimination);
     find_patterns(context, &drafts, &groups, &mut chunk)?;
     fill(context, &drafts, &groups, &mut chunk)?;
     Ok(chunk)

@@ -4,6 +4,7 @@
 //! cell whose blocks are among those of a larger one joins it, and has zeros for the blocks that it does not see. No tile comes of
 //! it that there would not be, for the larger one needs it anyway.
 
+use super::Elimination;
 use super::cells::{Cells, Draft};
 
 /// A cell joins a larger one where it has at least this part of the pairs of blocks: so much dearer is a product of its own.
@@ -26,7 +27,9 @@ struct Open<'a> {
 
 impl<'a> Groups<'a> {
     /// Sorts cells that come in the order of their first blocks.
-    pub(super) fn new(cells: &'a Cells<'a>, drafts: &[Draft]) -> Self {
+    pub(super) fn new(cells: &'a Cells<'a>, drafts: &[Draft], elimination: Elimination) -> Self {
+        // Where no products are made, zeros would only cost memory.
+        let joins = |draft: &Draft| elimination == Elimination::Do && joins(draft);
         let mut this = Self { drafts: Vec::with_capacity(drafts.len()), groups: Vec::new() };
         let first = |draft: &Draft| (draft.dof, cells.blocks_of(draft).first());
         let mut stretch = Vec::new();
@@ -37,13 +40,13 @@ impl<'a> Groups<'a> {
                 // The largest first; what joins no larger one stays in its order.
                 stretch.sort_by_key(|draft| if joins(draft) { u32::MAX - draft.num_blocks } else { 0 });
             }
-            this.add(cells, &stretch);
+            this.add(cells, &stretch, joins);
         }
         this
     }
 
     /// Adds cells with the same first block, the largest first.
-    fn add(&mut self, cells: &'a Cells<'a>, drafts: &[Draft]) {
+    fn add(&mut self, cells: &'a Cells<'a>, drafts: &[Draft], joins: impl Fn(&Draft) -> bool) {
         let mut open: Vec<Open<'a>> = Vec::new();
         for draft in drafts {
             let blocks = cells.blocks_of(draft);
@@ -51,10 +54,7 @@ impl<'a> Groups<'a> {
             let look_back = open.len().saturating_sub(if joins(draft) { LOOK_BACK } else { 1 });
             let fits = |group: &Open<'_>| {
                 group.blocks == blocks
-                    || draft.dof > 0
-                        && joins(draft)
-                        && worth(blocks, group.blocks)
-                        && within(blocks, group.blocks)
+                    || joins(draft) && worth(blocks, group.blocks) && within(blocks, group.blocks)
             };
             match open[look_back..].iter_mut().rev().find(|group| fits(group)) {
                 Some(group) => group.members.push(*draft),
@@ -70,7 +70,7 @@ impl<'a> Groups<'a> {
 
 /// Whether a cell may join a larger one. Cells of which each factor has a block of its own have quicker ways.
 fn joins(draft: &Draft) -> bool {
-    draft.num_blocks != draft.num_entries
+    draft.dof > 0 && draft.num_blocks != draft.num_entries
 }
 
 fn worth(blocks: &[u32], of: &[u32]) -> bool {
@@ -110,7 +110,7 @@ mod tests {
     }
 
     /// Images with one lens, and which of them see each point.
-    fn seen_by(points: &[&[usize]]) -> (Structure, Vec<BTreeSet<u32>>) {
+    fn seen_by(points: &[&[usize]], elimination: Elimination) -> (Structure, Vec<BTreeSet<u32>>) {
         let mut problem = Problem::new();
         let lens = problem.keep(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
         let poses: Vec<_> = (0..6).map(|i| problem.keep(Rigid3::identity(), Order::At(i))).collect();
@@ -121,7 +121,7 @@ mod tests {
                 problem.add((lens, poses[image], point), factor, Loss::Trivial).unwrap();
             }
         }
-        let structure = Structure::new(&problem, Elimination::Do).unwrap();
+        let structure = Structure::new(&problem, elimination).unwrap();
         // The lens comes last.
         let blocks =
             points.iter().map(|images| images.iter().map(|&i| i as u32).chain([6]).collect()).collect();
@@ -132,7 +132,7 @@ mod tests {
     fn cells_join_larger_ones_and_no_tile_comes_of_it() {
         let points: &[&[usize]] =
             &[&[0, 2, 3], &[0, 1, 2, 3], &[1, 4], &[0, 1, 3], &[0, 5], &[1, 3, 4], &[0, 2, 3], &[0, 1, 2]];
-        let (structure, blocks) = seen_by(points);
+        let (structure, blocks) = seen_by(points, Elimination::Do);
         let [chunk] = &structure.chunks[..] else { panic!("one chunk") };
         // All but {0, 5} join {0, 1, 2, 3}, and {1, 4} joins {1, 3, 4}.
         let mut sizes: Vec<usize> =
@@ -146,5 +146,8 @@ mod tests {
         assert_eq!(structure.tile_pairs(), Vec::from_iter(pairs));
         assert_eq!(chunk.bundles.len(), 6, "a bundle for each image");
         assert_eq!(chunk.bundle_rows.len(), 2 * chunk.factors.len());
+        // Only equal ones, of which there are two, where no products are made.
+        let (structure, _) = seen_by(points, Elimination::Implicit);
+        assert_eq!(structure.chunks[0].patterns.len(), 7);
     }
 }
