@@ -19,12 +19,6 @@ pub(super) struct Groups<'a> {
     pub(super) groups: Vec<(&'a [u32], usize)>,
 }
 
-/// What is known of a group while it grows.
-struct Open<'a> {
-    blocks: &'a [u32],
-    members: Vec<Draft>,
-}
-
 impl<'a> Groups<'a> {
     /// Sorts cells that come in the order of their first blocks.
     pub(super) fn new(cells: &'a Cells<'a>, drafts: &[Draft], elimination: Elimination) -> Self {
@@ -32,38 +26,39 @@ impl<'a> Groups<'a> {
         let joins = |draft: &Draft| elimination == Elimination::Do && joins(draft);
         let mut this = Self { drafts: Vec::with_capacity(drafts.len()), groups: Vec::new() };
         let first = |draft: &Draft| (draft.dof, cells.blocks_of(draft).first());
-        let mut stretch = Vec::new();
+        // Cells with the group that each joins.
+        let mut stretch: Vec<(u32, Draft)> = Vec::new();
         for drafts in drafts.chunk_by(|a, b| first(a) == first(b)) {
             stretch.clear();
-            stretch.extend_from_slice(drafts);
-            if drafts[0].dof > 0 {
-                // The largest first; what joins no larger one stays in its order.
-                stretch.sort_by_key(|draft| if joins(draft) { u32::MAX - draft.num_blocks } else { 0 });
-            }
-            this.add(cells, &stretch, joins);
+            stretch.extend(drafts.iter().map(|draft| (0, *draft)));
+            // The largest first; what joins no larger one stays in its order.
+            stretch.sort_by_key(|(_, draft)| if joins(draft) { u32::MAX - draft.num_blocks } else { 0 });
+            this.add(cells, &mut stretch, joins);
         }
         this
     }
 
     /// Adds cells with the same first block, the largest first.
-    fn add(&mut self, cells: &'a Cells<'a>, drafts: &[Draft], joins: impl Fn(&Draft) -> bool) {
-        let mut open: Vec<Open<'a>> = Vec::new();
-        for draft in drafts {
+    fn add(&mut self, cells: &'a Cells<'a>, stretch: &mut [(u32, Draft)], joins: impl Fn(&Draft) -> bool) {
+        let begin = self.groups.len();
+        for (number, draft) in &mut *stretch {
             let blocks = cells.blocks_of(draft);
+            let open = &self.groups[begin..];
             // Cells with equal blocks come one after the other, unless they come by size.
             let look_back = open.len().saturating_sub(if joins(draft) { LOOK_BACK } else { 1 });
-            let fits = |group: &Open<'_>| {
-                group.blocks == blocks
-                    || joins(draft) && worth(blocks, group.blocks) && within(blocks, group.blocks)
+            let fits = |(group, _): &(&[u32], usize)| {
+                *group == blocks || joins(draft) && worth(blocks, group) && within(blocks, group)
             };
-            match open[look_back..].iter_mut().rev().find(|group| fits(group)) {
-                Some(group) => group.members.push(*draft),
-                None => open.push(Open { blocks, members: vec![*draft] }),
+            let found = open[look_back..].iter().rposition(fits).map(|found| look_back + found);
+            *number = found.unwrap_or(open.len()) as u32;
+            if found.is_none() {
+                self.groups.push((blocks, 0));
             }
         }
-        for group in open {
-            self.drafts.extend(group.members);
-            self.groups.push((group.blocks, self.drafts.len()));
+        stretch.sort_by_key(|(number, _)| *number);
+        for (number, draft) in stretch {
+            self.drafts.push(*draft);
+            self.groups[begin + *number as usize].1 = self.drafts.len();
         }
     }
 }
