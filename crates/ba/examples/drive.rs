@@ -149,9 +149,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let analysis = begin.elapsed();
     let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
     let steps = summary.iterations.len().max(1) as f64;
+    // From the end of one step to that of the next, without the first linearisation and what memory costs that is new.
+    let mut lasted: Vec<f64> =
+        summary.iterations.windows(2).map(|two| (two[1].elapsed - two[0].elapsed).as_secs_f64()).collect();
+    lasted.sort_by(f64::total_cmp);
+    let median = lasted.get(lasted.len() / 2).copied().unwrap_or(f64::NAN);
     println!("{summary}");
     println!(
-        "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step; {:.2} GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
+        "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step (median {median:.3}); {:.2} GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
         2 * moments,
         problem.num_factors(),
         analysis.as_secs_f64(),

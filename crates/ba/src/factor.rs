@@ -61,6 +61,9 @@ pub trait Vars: Sized + 'static {
     fn slices<'a>(values: &ValuesRef<'a>, stores: &[u16]) -> Self::Slices<'a>;
     #[doc(hidden)]
     fn refs<'a>(slices: Self::Slices<'a>, slots: &Self::Indices) -> Self::Refs<'a>;
+    /// Asks for their memory.
+    #[doc(hidden)]
+    fn fetch(slices: Self::Slices<'_>, slots: &Self::Indices);
     /// Writes the Jacobian times `weight` as rows of `stride` numbers, the variables side by side.
     #[doc(hidden)]
     fn write_rows<const R: usize>(
@@ -103,6 +106,17 @@ pub trait IntoKeys<V: Vars> {
 impl<A: Manifold> IntoKeys<(A,)> for Key<A> {
     fn into_keys(self) -> (Key<A>,) {
         (self,)
+    }
+}
+
+/// Asks for the memory of an item that will be needed soon, where the machine can.
+#[inline(always)]
+pub(crate) fn fetch<T>(items: &[T], index: usize) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a hint, which may point anywhere.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(items.as_ptr().wrapping_add(index).cast()) };
     }
 }
 
@@ -149,6 +163,10 @@ macro_rules! impl_vars {
             #[inline(always)]
             fn refs<'a>(slices: Self::Slices<'a>, slots: &Self::Indices) -> Self::Refs<'a> {
                 ($(&slices.$i[slots[$i] as usize],)*)
+            }
+            #[inline(always)]
+            fn fetch(slices: Self::Slices<'_>, slots: &Self::Indices) {
+                $(fetch(slices.$i, slots[$i] as usize);)*
             }
             #[inline(always)]
             fn write_rows<const R: usize>(

@@ -42,6 +42,7 @@ pub(crate) struct Part {
     /// Whether all factors exist that should.
     pub(crate) alive: bool,
     rows: Vec<f64>,
+    /// Of the factors of a batch.
     next_costs: Vec<f64>,
     /// Whether a cell's variable takes part in the next round.
     active: Vec<bool>,
@@ -82,7 +83,11 @@ impl Refine {
             let longest =
                 chunk.batches.iter().map(|batch| batch_len(problem, chunk, batch.stretches.clone()));
             part.rows = vec![0.0; longest.max().unwrap_or(0)];
-            part.next_costs = vec![0.0; chunk.factors.len()];
+            let factors = |batch: &Batch| {
+                let stretches = &chunk.stretches[batch.stretches.clone()];
+                stretches.iter().map(|stretch| stretch.end - stretch.start).sum()
+            };
+            part.next_costs = vec![0.0; chunk.batches.iter().map(factors).max().unwrap_or(0)];
             part.active = vec![false; chunk.cells.len()];
         }
         self.steps = vec![0.0; structure.step_len - structure.kept_len];
@@ -103,13 +108,12 @@ impl Refine {
         SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
             if refine {
                 part.active.iter_mut().zip(&chunk.cells).for_each(|(active, cell)| *active = cell.dof > 0);
-                part.step(problem, trial, chunk, steps);
-                part.costs.copy_from_slice(&part.next_costs);
+                part.step(problem, trial, chunk, steps, true);
             }
             for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN) {
                 let range = stretch.start..stretch.end;
                 let run = &problem.runs[stretch.run as usize];
-                run.costs(trial, &chunk.factors[range.clone()], &mut part.costs[range]);
+                run.costs(trial, &chunk.factors[range.start..], &mut part.costs[range]);
             }
             part.sum(&sums.costs);
         });
@@ -135,7 +139,7 @@ impl Refine {
                 let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
                 let from: &Values = trial;
                 SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
-                    part.step(problem, from, chunk, steps);
+                    part.step(problem, from, chunk, steps, false);
                 });
             }
             let worth = WORTH_REFINING * self.cost() / cells.max(1) as f64;
@@ -231,8 +235,8 @@ impl Part {
         }
     }
 
-    /// The steps of a chunk's active variables, and zero for the others.
-    fn step(&mut self, problem: &Problem, from: &Values, chunk: &Chunk, steps: &mut [f64]) {
+    /// The steps of a chunk's active variables, and zero for the others; and the costs of their factors, if they are not known.
+    fn step(&mut self, problem: &Problem, from: &Values, chunk: &Chunk, steps: &mut [f64], costs: bool) {
         steps.fill(0.0);
         for batch in &chunk.batches {
             let mut rest = batch.cells.clone();
@@ -242,11 +246,13 @@ impl Part {
                 for (run, own, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
                     let len = range.len() * run.rows() * (run.dofs()[own as usize] + 1);
-                    let rows = Rows {
-                        rows: &mut self.rows[at..at + len],
-                        costs: &mut self.next_costs[range.clone()],
+                    let costs = if costs {
+                        &mut self.costs[range.clone()]
+                    } else {
+                        &mut self.next_costs[range.start - factors.start..range.end - factors.start]
                     };
-                    run.linearize_own(own, from, &chunk.factors[range], rows);
+                    let rows = Rows { rows: &mut self.rows[at..at + len], costs };
+                    run.linearize_own(own, from, &chunk.factors[range.start..], rows);
                     at += len;
                 }
                 let mut rows = &mut self.rows[..at];
@@ -279,23 +285,25 @@ impl Part {
                 let factors = start..chunk.cells[cells.end - 1].end as usize;
                 for (run, _, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
-                    run.costs(to, &chunk.factors[range.clone()], &mut self.next_costs[range]);
+                    let costs = &mut self.next_costs[range.start - factors.start..range.end - factors.start];
+                    run.costs(to, &chunk.factors[range.start..], costs);
                 }
                 for cell in cells {
                     let range = start..chunk.cells[cell].end as usize;
                     start = range.end;
                     let (mut old, mut new) = (0.0, 0.0);
                     let mut alive = true;
-                    for i in range.clone() {
-                        alive &= survives(counted[i], self.next_costs[i]);
+                    let next_costs = &self.next_costs[range.start - factors.start..range.end - factors.start];
+                    for (i, &next) in range.clone().zip(next_costs) {
+                        alive &= survives(counted[i], next);
                         if !counted[i].is_nan() {
                             old += self.costs[i];
-                            new += self.next_costs[i];
+                            new += next;
                         }
                     }
                     self.active[cell] = alive && old - new > worth;
                     if alive && new < old {
-                        self.costs[range.clone()].copy_from_slice(&self.next_costs[range]);
+                        self.costs[range.clone()].copy_from_slice(next_costs);
                     } else {
                         self.worse.push(cell as u32);
                     }

@@ -6,7 +6,7 @@ use std::any::{Any, type_name};
 use nalgebra::SVector;
 use tiepoint_geometry::Loss;
 
-use crate::factor::{Factor, ValuesRef, Vars, total_dof};
+use crate::factor::{Factor, ValuesRef, Vars, fetch, total_dof};
 use crate::variable::Values;
 
 /// Cost of a factor that does not exist at these values ([`Factor::residual`] gave `None`).
@@ -14,6 +14,9 @@ pub(crate) const NO_COST: f64 = f64::NAN;
 
 /// In place of the number of one variable: all of them.
 const ALL: usize = usize::MAX;
+
+/// So many factors ahead their memory is asked for: those of other points may lie anywhere.
+const AHEAD: usize = 16;
 
 /// Numbers in a row of the Jacobian and the residual.
 const fn row_len(dofs: &[usize]) -> usize {
@@ -69,6 +72,18 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         self.slots.push(slots);
     }
 
+    /// Asks for the memory of what comes some way behind number `i` of a list.
+    #[inline(always)]
+    fn fetch(&self, slices: <F::Vars as Vars>::Slices<'_>, factors: &[u32], i: usize) {
+        if let Some(&ahead) = factors.get(i + AHEAD) {
+            fetch(&self.factors, ahead as usize);
+            fetch(&self.slots, ahead as usize);
+        }
+        if let Some(slots) = factors.get(i + AHEAD / 2).and_then(|&ahead| self.slots.get(ahead as usize)) {
+            F::Vars::fetch(slices, slots);
+        }
+    }
+
     /// The derivatives by variable number `I`, or by [`ALL`].
     ///
     /// The factors' linearisation is inlined, or should be: then what the other variables would get is never computed.
@@ -81,7 +96,8 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             (F::Vars::DOFS[I], F::Vars::DOFS[I] + 1)
         };
         let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
-        for (&index, (rows, cost)) in factors.iter().zip(records) {
+        for (i, (&index, (rows, cost))) in factors.iter().zip(records).enumerate() {
+            self.fetch(slices, factors, i);
             let index = index as usize;
             let x = F::Vars::refs(slices, &self.slots[index]);
             let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
@@ -89,10 +105,8 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
                 *cost = NO_COST;
                 continue;
             };
-            let loss = self.losses.get(index);
-            let squared_norm = residual.norm_squared();
-            *cost = half_rho(loss, squared_norm);
-            let weight = sqrt_weight(loss, squared_norm);
+            let (half_rho, weight) = rate(self.losses.get(index), residual.norm_squared());
+            *cost = half_rho;
             if I == ALL {
                 F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
             } else {
@@ -127,10 +141,11 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
     #[inline(always)]
     fn costs_here(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        for (&index, cost) in factors.iter().zip(out) {
+        for (i, (&index, cost)) in factors.iter().zip(out).enumerate() {
+            self.fetch(slices, factors, i);
             let index = index as usize;
             let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
-            *cost = residual.map_or(NO_COST, |r| half_rho(self.losses.get(index), r.norm_squared()));
+            *cost = residual.map_or(NO_COST, |r| rate(self.losses.get(index), r.norm_squared()).0);
         }
     }
 
@@ -174,7 +189,8 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn stride(&self) -> usize {
         row_len(self.dofs())
     }
-    /// Linearises the listed factors. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
+    /// Linearises the first of the listed factors, as many as there are costs; to know of more of them helps to have their memory in
+    /// time. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
     /// not finite gets an infinite cost.
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>);
     /// The same by variable number `own` alone: rows of its degrees of freedom and the residual, without padding.
@@ -185,23 +201,22 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
 }
 
-/// Iteratively reweighted least squares: ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it. This is √ρ'.
+/// The cost ½ρ of a squared norm, and √ρ': iteratively reweighted least squares, for ½ρ'|r + Jδ|² has the gradient of ½ρ and,
+/// for ρ'' ≤ 0, lies above it.
 #[inline(always)]
-fn sqrt_weight(loss: &Loss, squared_norm: f64) -> f64 {
-    match loss {
-        Loss::Trivial => 1.0,
-        _ => loss.evaluate(squared_norm)[1].sqrt(),
-    }
-}
-
-#[inline(always)]
-fn half_rho(loss: &Loss, squared_norm: f64) -> f64 {
-    let cost = match loss {
-        Loss::Trivial => 0.5 * squared_norm,
-        _ => 0.5 * loss.evaluate(squared_norm)[0],
+fn rate(loss: &Loss, squared_norm: f64) -> (f64, f64) {
+    let [rho, slope] = match *loss {
+        Loss::Trivial => [squared_norm, 1.0],
+        // Most residuals of most problems: without a call.
+        Loss::Huber(a) if squared_norm <= a * a => [squared_norm, 1.0],
+        _ => {
+            let [rho, slope, _] = loss.evaluate(squared_norm);
+            [rho, slope.sqrt()]
+        }
     };
+    let cost = 0.5 * rho;
     // The square also overflows when the residual is finite but absurd.
-    if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }
+    (if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }, slope)
 }
 
 impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {

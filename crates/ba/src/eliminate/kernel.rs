@@ -4,10 +4,10 @@
 
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Fused, Fused512};
-use super::lanes::{Isa, LANES, Portable, Stored, Vector, WIDE};
+use super::lanes::{Isa, LANES, Portable, Stored, Task, Vector, WIDE};
 use super::product::over_lanes;
-use super::{Path, Room, cell, damping, single, stash_head};
-use crate::structure::{Cell, Chunk, Elimination, Local, padded};
+use super::{Path, Room, cell, damping, normal, single, stash_head};
+use crate::structure::{Batch, Cell, Chunk, Elimination, Local, padded};
 
 /// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
 pub(super) const SLACK: usize = 32;
@@ -21,93 +21,98 @@ pub(super) struct At {
     pub(super) row: usize,
 }
 
-/// Adds the cells of a batch, whose rows are in `room.rows`, to the sums.
-pub(super) fn eliminate(
-    room: &mut Room<'_>,
-    chunk: &Chunk,
-    cells: std::ops::Range<usize>,
-    lambda: f64,
-    at: &mut At,
-) {
-    match super::path() {
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: the features that the function is compiled for have been found.
-        Path::Fused512 => return unsafe { eliminate_avx512(room, chunk, cells, lambda, at) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        Path::Fused => return unsafe { eliminate_avx2(room, chunk, cells, lambda, at) },
-        Path::Portable => {}
-    }
-    eliminate_on::<Portable>(room, chunk, cells, lambda, at);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl,avx2,fma")]
-fn eliminate_avx512(
-    room: &mut Room<'_>,
-    chunk: &Chunk,
-    cells: std::ops::Range<usize>,
-    lambda: f64,
-    at: &mut At,
-) {
-    eliminate_on::<Fused512>(room, chunk, cells, lambda, at);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn eliminate_avx2(
-    room: &mut Room<'_>,
-    chunk: &Chunk,
-    cells: std::ops::Range<usize>,
-    lambda: f64,
-    at: &mut At,
-) {
-    eliminate_on::<Fused>(room, chunk, cells, lambda, at);
-}
-
-/// Two passes over the cells: the first is short but hangs on square roots and divisions, of which several then overlap.
-#[inline(always)]
-fn eliminate_on<I: Isa>(
-    room: &mut Room<'_>,
-    chunk: &Chunk,
-    cells: std::ops::Range<usize>,
-    lambda: f64,
-    at: &mut At,
-) {
-    at.row = 0;
-    let mut ahead = *at;
-    for cell in &chunk.cells[cells.clone()] {
-        match cell.dof {
-            0 => own_block::<0, I>(room, chunk, cell, lambda, &mut ahead),
-            1 => own_block::<1, I>(room, chunk, cell, lambda, &mut ahead),
-            2 => own_block::<2, I>(room, chunk, cell, lambda, &mut ahead),
-            3 => own_block::<3, I>(room, chunk, cell, lambda, &mut ahead),
-            4 => own_block::<4, I>(room, chunk, cell, lambda, &mut ahead),
-            5 => own_block::<5, I>(room, chunk, cell, lambda, &mut ahead),
-            _ => own_block::<6, I>(room, chunk, cell, lambda, &mut ahead),
+impl At {
+    /// Past cells of which nothing is subtracted.
+    pub(super) fn skip(&mut self, chunk: &Chunk, cells: &[Cell]) {
+        for &shape in &chunk.shape_of[self.factor..cells[cells.len() - 1].end as usize] {
+            let shape = &chunk.shapes[shape as usize];
+            self.local += shape.segments.len();
+            self.row += shape.rows * shape.stride;
+            self.factor += 1;
         }
     }
-    let mut rest = &chunk.cells[cells];
-    while let Some(cell) = rest.first() {
-        let alike = |other: &&Cell| other.single && other.dof == 3 && other.pattern == cell.pattern;
-        let count = rest.iter().take_while(alike).count().max(1);
-        let (these, others) = rest.split_at(count);
-        rest = others;
-        match cell.dof {
-            0 => cell::eliminate::<0, I>(room, chunk, cell, at),
-            1 => cell::eliminate::<1, I>(room, chunk, cell, at),
-            2 => cell::eliminate::<2, I>(room, chunk, cell, at),
-            3 if cell.single => match chunk.patterns[cell.pattern as usize].dof {
-                6 => single::eliminate::<I, 6>(room, chunk, these, at),
-                9 => single::eliminate::<I, 9>(room, chunk, these, at),
-                _ => single::eliminate::<I, 0>(room, chunk, these, at),
-            },
-            3 => cell::eliminate::<3, I>(room, chunk, cell, at),
-            4 => cell::eliminate::<4, I>(room, chunk, cell, at),
-            5 => cell::eliminate::<5, I>(room, chunk, cell, at),
-            _ => cell::eliminate::<6, I>(room, chunk, cell, at),
+}
+
+/// A batch, whose rows are in `room.rows`, on its way into the sums.
+pub(super) struct Work<'a, 'r> {
+    pub(super) room: &'a mut Room<'r>,
+    pub(super) chunk: &'a Chunk,
+    pub(super) batch: &'a Batch,
+    pub(super) lambda: f64,
+    pub(super) at: &'a mut At,
+}
+
+impl Work<'_, '_> {
+    /// Adds it to the sums.
+    pub(super) fn eliminate(self) {
+        match super::path() {
+            #[cfg(target_arch = "x86_64")]
+            Path::Fused512 => self.eliminate_on::<Fused512>(),
+            #[cfg(target_arch = "x86_64")]
+            Path::Fused => self.eliminate_on::<Fused>(),
+            Path::Portable => self.eliminate_on::<Portable>(),
         }
     }
+
+    /// Passes over the cells: the first is short but hangs on square roots and divisions, of which several then overlap.
+    fn eliminate_on<I: Isa>(self) {
+        let Self { room, chunk, batch, lambda, at } = self;
+        at.row = 0;
+        let mut ahead = *at;
+        let all = &chunk.cells[batch.cells.clone()];
+        for cells in all.chunk_by(|a, b| a.dof == b.dof) {
+            match cells[0].dof {
+                0 => own_blocks::<0, I>(room, chunk, cells, lambda, &mut ahead),
+                1 => own_blocks::<1, I>(room, chunk, cells, lambda, &mut ahead),
+                2 => own_blocks::<2, I>(room, chunk, cells, lambda, &mut ahead),
+                3 => own_blocks::<3, I>(room, chunk, cells, lambda, &mut ahead),
+                4 => own_blocks::<4, I>(room, chunk, cells, lambda, &mut ahead),
+                5 => own_blocks::<5, I>(room, chunk, cells, lambda, &mut ahead),
+                _ => own_blocks::<6, I>(room, chunk, cells, lambda, &mut ahead),
+            }
+        }
+        if !batch.bundles.is_empty() {
+            I::run(normal::Add { room, chunk, bundles: &chunk.bundles[batch.bundles.clone()] });
+        }
+        let alike = |a: &Cell, b: &Cell| (a.pattern, a.dof, a.single) == (b.pattern, b.dof, b.single);
+        for cells in all.chunk_by(alike) {
+            match cells[0].dof {
+                0 => at.skip(chunk, cells),
+                1 => I::run(cell::Eliminate::<1> { room, chunk, cells, at }),
+                2 => I::run(cell::Eliminate::<2> { room, chunk, cells, at }),
+                3 if cells[0].single => match chunk.patterns[cells[0].pattern as usize].dof {
+                    6 => I::run(single::Eliminate::<6> { room, chunk, cells, at }),
+                    9 => I::run(single::Eliminate::<9> { room, chunk, cells, at }),
+                    _ => I::run(single::Eliminate::<0> { room, chunk, cells, at }),
+                },
+                3 => I::run(cell::Eliminate::<3> { room, chunk, cells, at }),
+                4 => I::run(cell::Eliminate::<4> { room, chunk, cells, at }),
+                5 => I::run(cell::Eliminate::<5> { room, chunk, cells, at }),
+                _ => I::run(cell::Eliminate::<6> { room, chunk, cells, at }),
+            }
+        }
+    }
+}
+
+/// [`own_block`] of some cells.
+fn own_blocks<const P: usize, I: Isa>(
+    room: &mut Room<'_>,
+    chunk: &Chunk,
+    cells: &[Cell],
+    lambda: f64,
+    at: &mut At,
+) {
+    struct OwnBlocks<'a, 'r, const P: usize>(&'a mut Room<'r>, &'a Chunk, &'a [Cell], f64, &'a mut At);
+    impl<const P: usize, I: Isa> Task<I> for OwnBlocks<'_, '_, P> {
+        #[inline(always)]
+        fn run(self) {
+            let Self(room, chunk, cells, lambda, at) = self;
+            for cell in cells {
+                own_block::<P, I>(room, chunk, cell, lambda, at);
+            }
+        }
+    }
+    I::run(OwnBlocks::<P>(room, chunk, cells, lambda, at));
 }
 
 /// V = LLᵀ and y of one cell, into its stash; and zeros in the columns that are held.
@@ -227,21 +232,21 @@ fn multiply_rows<const P: usize, I: Isa, T: Stored>(
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn multiply_avx2<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
-    multiply_on::<Fused, T>(y, locals, kept, step);
-}
-
 /// See [`Y`](super::Y).
 pub(super) fn multiply<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
-    #[cfg(target_arch = "x86_64")]
-    if super::path() != Path::Portable {
-        // SAFETY: the features that the function is compiled for have been found.
-        unsafe { multiply_avx2(y, locals, kept, step) };
-        return;
+    struct Multiply<'a, T>(&'a [T], &'a [Local], &'a [f64], &'a mut [f64]);
+    impl<I: Isa, T: Stored> Task<I> for Multiply<'_, T> {
+        #[inline(always)]
+        fn run(self) {
+            multiply_on::<I, T>(self.0, self.1, self.2, self.3);
+        }
     }
-    multiply_on::<Portable, T>(y, locals, kept, step);
+    let task = Multiply(y, locals, kept, step);
+    match super::path() {
+        Path::Portable => Portable::run(task),
+        #[cfg(target_arch = "x86_64")]
+        _ => Fused::run(task),
+    }
 }
 
 /// See [`Y`](super::Y).

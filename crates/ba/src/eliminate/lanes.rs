@@ -60,9 +60,14 @@ impl Stored for f32 {
     }
 }
 
+/// Work that is compiled for an instruction set: all that `run` calls is to be inlined.
+pub(super) trait Task<I> {
+    fn run(self);
+}
+
 /// How to work on numbers. Products `a·b + c` are fused where the machine can, so that results differ in the last bits between
 /// machines with and without, and not otherwise: the order of operations is the same for all widths.
-pub(super) trait Isa {
+pub(super) trait Isa: Sized {
     /// [`LANES`] numbers.
     type Narrow: Vector;
     /// [`WIDE`] numbers.
@@ -71,6 +76,9 @@ pub(super) trait Isa {
     const MANY_REGISTERS: bool;
     /// a b + c for single numbers.
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64;
+    /// Runs what was compiled for these instructions, as a function of its own: one of all loops in one would take the compiler
+    /// minutes.
+    fn run<T: Task<Self>>(task: T);
 }
 
 /// No instructions in particular.
@@ -82,6 +90,10 @@ impl Isa for Portable {
     #[inline(always)]
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
         a * b + c
+    }
+    #[inline(never)]
+    fn run<T: Task<Self>>(task: T) {
+        task.run();
     }
 }
 
@@ -143,7 +155,7 @@ mod fused {
         _mm512_loadu_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_storeu_pd,
     };
 
-    use super::{Isa, LANES, Vector, WIDE, first, first_mut};
+    use super::{Isa, LANES, Task, Vector, WIDE, first, first_mut};
 
     /// AVX2 with fused multiply-add. To be used inside functions compiled for these only.
     pub(in super::super) struct Fused;
@@ -154,6 +166,15 @@ mod fused {
         #[inline(always)]
         fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
             a.mul_add(b, c)
+        }
+        #[inline(always)]
+        fn run<T: Task<Self>>(task: T) {
+            #[target_feature(enable = "avx2,fma")]
+            fn run<T: Task<Fused>>(task: T) {
+                task.run();
+            }
+            // SAFETY: whoever uses the type has found the features.
+            unsafe { run(task) }
         }
     }
 
@@ -166,6 +187,15 @@ mod fused {
         #[inline(always)]
         fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
             a.mul_add(b, c)
+        }
+        #[inline(always)]
+        fn run<T: Task<Self>>(task: T) {
+            #[target_feature(enable = "avx512f,avx512vl,avx2,fma")]
+            fn run<T: Task<Fused512>>(task: T) {
+                task.run();
+            }
+            // SAFETY: whoever uses the type has found the features.
+            unsafe { run(task) }
         }
     }
 

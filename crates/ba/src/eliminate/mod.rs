@@ -13,13 +13,14 @@
 //! (C − YᵀY) δ_c = −(g_c − Yᵀy),      δ_p = −L⁻ᵀ (y + Y δ_c).
 //! ```
 //!
-//! One pass over a chunk's cells linearises a batch of factors into rows, sums V, W, g of a cell while they are in the
-//! nearest cache, and subtracts its YᵀY from the tiles of the chunk. L, y and Y stay in the chunk's stash for δ_p. λD_c is added
+//! One pass over a chunk's cells linearises a batch of factors into rows, sums C of factors with the same blocks and V, W, g of a
+//! cell while they are in the nearest cache, and subtracts YᵀY of cells with the same blocks from the tiles of the chunk. L, y and Y stay in the chunk's stash for δ_p. λD_c is added
 //! when the chunks' tiles are put together.
 
 mod cell;
 mod kernel;
 mod lanes;
+mod normal;
 mod path;
 mod product;
 mod single;
@@ -62,8 +63,9 @@ pub(crate) struct Sums {
     /// Cost of each factor, NaN where it does not exist.
     pub(crate) costs: Vec<f64>,
     rows: Vec<f64>,
-    /// Wᵀ of the cells at hand.
+    /// Y of the cells at hand, and their y.
     w: Vec<f64>,
+    y: Vec<f64>,
     /// See [`single`].
     turned: Vec<f64>,
     /// Largest component of g_p.
@@ -82,6 +84,7 @@ struct Room<'a> {
     vectors: &'a mut [f64],
     rows: &'a mut [f64],
     w: &'a mut [f64],
+    y: &'a mut [f64],
     turned: &'a mut [f64],
     gradient_max: f64,
 }
@@ -93,7 +96,12 @@ impl Sums {
             vectors: vec![0.0; 3 * chunk.vector_len],
             costs: vec![0.0; chunk.factors.len()],
             rows: vec![0.0; chunk.rows_len + kernel::SLACK],
-            w: vec![0.0; (MAX_ELIMINATED_DOF * widest).max(single::w_len(chunk))],
+            w: vec![
+                0.0;
+                most_at_once(chunk, |cell| cell.dof as usize
+                    * chunk.patterns[cell.pattern as usize].width)
+            ],
+            y: vec![0.0; most_at_once(chunk, |cell| cell.dof as usize)],
             turned: vec![0.0; SINGLE_ROWS * widest],
             ..Self::default()
         }
@@ -111,8 +119,8 @@ impl Sums {
         let (tiles, stash) = memory.split_at_mut(chunk.tiles_len);
         tiles.fill(0.0);
         self.vectors.fill(0.0);
-        let Self { vectors, rows, w, turned, .. } = self;
-        let mut room = Room { tiles, stash, vectors, rows, w, turned, gradient_max: 0.0 };
+        let Self { vectors, rows, w, y, turned, .. } = self;
+        let mut room = Room { tiles, stash, vectors, rows, w, y, turned, gradient_max: 0.0 };
         let mut done = kernel::At::default();
         for batch in &chunk.batches {
             let mut at = 0;
@@ -123,10 +131,10 @@ impl Sums {
                     rows: &mut room.rows[at..at + len],
                     costs: &mut self.costs[stretch.start..stretch.end],
                 };
-                run.linearize(values, &chunk.factors[stretch.start..stretch.end], rows);
+                run.linearize(values, &chunk.factors[stretch.start..], rows);
                 at += len;
             }
-            kernel::eliminate(&mut room, chunk, batch.cells.clone(), lambda, &mut done);
+            kernel::Work { room: &mut room, chunk, batch, lambda, at: &mut done }.eliminate();
         }
         self.gradient_max = room.gradient_max;
         (self.cost, self.missing) = (0.0, 0);
@@ -177,6 +185,14 @@ impl Sums {
         }
         promise
     }
+}
+
+/// The largest sum of what cells need that are worked on at once: those of a batch with the same pattern.
+fn most_at_once(chunk: &Chunk, need: impl Fn(&Cell) -> usize) -> usize {
+    let batches = chunk.batches.iter();
+    let groups =
+        batches.flat_map(|batch| chunk.cells[batch.cells.clone()].chunk_by(|a, b| a.pattern == b.pattern));
+    groups.map(|cells| cells.iter().map(&need).sum()).max().unwrap_or(0)
 }
 
 /// The parts of a cell's stash.

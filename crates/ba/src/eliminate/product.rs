@@ -4,7 +4,7 @@
 //! has one direction more than fit into wide vectors, such as the nine of a camera with its lens, that one has a row of its own
 //! behind the columns: one vector instead of one in each column. See [`tile_lanes`].
 
-use super::lanes::{Isa, LANES, Vector, WIDE};
+use super::lanes::{Isa, LANES, Task, Vector, WIDE};
 use crate::structure::{tile_lanes, tile_len};
 
 /// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as will do: from number i on, with
@@ -50,9 +50,9 @@ fn split(tile: &mut [f64], a: usize, b: usize) -> (&mut [f64], &mut [f64]) {
     (columns, &mut rest[..tile_len(a, b) - a * tile_lanes(b)])
 }
 
-/// tile ± aᵀb with `N` rows each, of `dof_a` and `dof_b` numbers and some that do not matter.
+/// tile + aᵀb with `N` rows each, of `dof_a` and `dof_b` numbers and some that do not matter.
 #[inline(always)]
-pub(super) fn product<I: Isa, const N: usize, const PLUS: bool>(
+pub(super) fn product<I: Isa, const N: usize>(
     a: &[&[f64]; N],
     b: &[&[f64]; N],
     dof_a: usize,
@@ -61,13 +61,13 @@ pub(super) fn product<I: Isa, const N: usize, const PLUS: bool>(
 ) {
     let lanes = tile_lanes(dof_b);
     let (columns, row) = split(tile, dof_a, dof_b);
-    over_columns!(lanes, product_of::<I, N, PLUS>(a, b, lanes, columns));
-    over_lanes!(row.len(), add_row::<I, N, PLUS>(a, b, dof_b - 1, row));
+    over_columns!(lanes, product_of::<I, N>(a, b, lanes, columns));
+    over_lanes!(row.len(), add_row::<I, N>(a, b, dof_b - 1, row));
 }
 
 /// The same for `L` wide and `S` narrow vectors of each column, from number `first` on: those of b stay in registers.
 #[inline(always)]
-fn product_of<I: Isa, const N: usize, const PLUS: bool, const L: usize, const S: usize>(
+fn product_of<I: Isa, const N: usize, const L: usize, const S: usize>(
     first: usize,
     a: &[&[f64]; N],
     b: &[&[f64]; N],
@@ -82,17 +82,17 @@ fn product_of<I: Isa, const N: usize, const PLUS: bool, const L: usize, const S:
         let column = &mut column[first..][..L * WIDE + S * LANES];
         let (column, rest) = column.split_at_mut(L * WIDE);
         for l in 0..L {
-            add_column::<N, PLUS, I::Wide, L>(&a, j, &wide, l, &mut column[l * WIDE..]);
+            add_column::<N, I::Wide, L>(&a, j, &wide, l, &mut column[l * WIDE..]);
         }
         for s in 0..S {
-            add_column::<N, PLUS, I::Narrow, S>(&a, j, &narrow, s, &mut rest[s * LANES..]);
+            add_column::<N, I::Narrow, S>(&a, j, &narrow, s, &mut rest[s * LANES..]);
         }
     }
 }
 
 /// One vector of one column.
 #[inline(always)]
-fn add_column<const N: usize, const PLUS: bool, V: Vector, const L: usize>(
+fn add_column<const N: usize, V: Vector, const L: usize>(
     a: &[&[f64]; N],
     j: usize,
     b: &[[V; L]; N],
@@ -101,15 +101,14 @@ fn add_column<const N: usize, const PLUS: bool, V: Vector, const L: usize>(
 ) {
     let mut sum = V::load(to);
     for k in 0..N {
-        let a = V::splat(a[k][j]);
-        sum = if PLUS { a.mul_add(b[k][l], sum) } else { a.neg_mul_add(b[k][l], sum) };
+        sum = V::splat(a[k][j]).mul_add(b[k][l], sum);
     }
     sum.store(to);
 }
 
 /// One vector of the row behind the columns: that of number `last` of b.
 #[inline(always)]
-fn add_row<V: Vector, const N: usize, const PLUS: bool>(
+fn add_row<V: Vector, const N: usize>(
     lane: usize,
     a: &[&[f64]; N],
     b: &[&[f64]; N],
@@ -119,8 +118,7 @@ fn add_row<V: Vector, const N: usize, const PLUS: bool>(
     let to = &mut row[lane..];
     let mut sum = V::load(to);
     for k in 0..N {
-        let (a, b) = (V::load(&a[k][lane..]), V::splat(b[k][last]));
-        sum = if PLUS { b.mul_add(a, sum) } else { b.neg_mul_add(a, sum) };
+        sum = V::splat(b[k][last]).mul_add(V::load(&a[k][lane..]), sum);
     }
     sum.store(to);
 }
@@ -143,7 +141,7 @@ fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
     }
 }
 
-/// Columns of a matrix of rows of `width` numbers.
+/// Some of the columns of a matrix.
 #[derive(Clone, Copy)]
 pub(super) struct Of {
     /// The first of them.
@@ -151,36 +149,100 @@ pub(super) struct Of {
     pub(super) dof: usize,
 }
 
-/// tile − aᵀb over all rows of `w`, of which a and b are columns: the sums stay in registers meanwhile.
+/// Rows that begin anywhere in these numbers, and end nowhere in particular.
+#[derive(Clone)]
+pub(crate) struct Listed<'a> {
+    pub(super) numbers: &'a [f64],
+    pub(super) starts: std::slice::Iter<'a, u32>,
+}
+
+impl<'a> Iterator for Listed<'a> {
+    type Item = &'a [f64];
+    #[inline(always)]
+    fn next(&mut self) -> Option<&'a [f64]> {
+        match self.starts.next() {
+            Some(&start) => Some(&self.numbers[start as usize..]),
+            None => None,
+        }
+    }
+}
+
+/// [`sum_product`], to be run as a [`Task`].
+pub(super) struct SumProduct<'a, R, const PLUS: bool> {
+    pub(super) rows: R,
+    pub(super) a: Of,
+    pub(super) b: Of,
+    pub(super) tile: &'a mut [f64],
+}
+
+impl<'a, I: Isa, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Task<I>
+    for SumProduct<'_, R, PLUS>
+{
+    #[inline(always)]
+    fn run(self) {
+        sum_product::<I, PLUS>(self.rows, self.a, self.b, self.tile);
+    }
+}
+
+/// tile ± aᵀb over all rows of a matrix, of which a and b are columns: the sums stay in registers meanwhile.
 #[inline(always)]
-pub(super) fn subtract_product<I: Isa>(w: &[f64], width: usize, a: Of, b: Of, tile: &mut [f64]) {
+pub(super) fn sum_product<'a, I: Isa, const PLUS: bool>(
+    rows: impl Iterator<Item = &'a [f64]> + Clone,
+    a: Of,
+    b: Of,
+    tile: &mut [f64],
+) {
     if I::MANY_REGISTERS && (a.dof, b.dof) == (9, 9) {
-        return subtract_nine::<I>(w, width, a.column, b.column, tile);
+        return sum_nine::<I, PLUS>(rows, a.column, b.column, tile);
     }
     let lanes = tile_lanes(b.dof);
     let (columns, row) = split(tile, a.dof, b.dof);
-    over_columns!(lanes, subtract_columns::<I>(w, width, a.column, b.column, lanes, columns));
-    over_lanes!(row.len(), subtract_row::<I>(w, width, a.column, b.column + b.dof - 1, row));
+    match lanes / LANES {
+        0 => {}
+        1 => sum_columns::<I, PLUS, 0, 1>(0, rows.clone(), a.column, b.column, lanes, columns),
+        2 => sum_columns::<I, PLUS, 1, 0>(0, rows.clone(), a.column, b.column, lanes, columns),
+        3 => sum_columns::<I, PLUS, 1, 1>(0, rows.clone(), a.column, b.column, lanes, columns),
+        4 => sum_columns::<I, PLUS, 2, 0>(0, rows.clone(), a.column, b.column, lanes, columns),
+        _ => {
+            for first in (0..lanes).step_by(LANES) {
+                sum_columns::<I, PLUS, 0, 1>(first, rows.clone(), a.column, b.column, lanes, columns);
+            }
+        }
+    }
+    for lane in (0..row.len()).step_by(LANES) {
+        sum_row::<I, PLUS>(lane, rows.clone(), a.column, b.column + b.dof - 1, row);
+    }
+}
+
+/// sum ± ab.
+#[inline(always)]
+fn add_or_subtract<V: Vector, const PLUS: bool>(sum: V, a: V, b: V) -> V {
+    if PLUS { a.mul_add(b, sum) } else { a.neg_mul_add(b, sum) }
 }
 
 /// All of a tile of cameras with their lenses at once.
 #[inline(always)]
-fn subtract_nine<I: Isa>(w: &[f64], width: usize, a: usize, b: usize, tile: &mut [f64]) {
+fn sum_nine<'a, I: Isa, const PLUS: bool>(
+    rows: impl Iterator<Item = &'a [f64]> + Clone,
+    a: usize,
+    b: usize,
+    tile: &mut [f64],
+) {
     let tile: &mut [f64; 9 * WIDE + 9] = tile.first_chunk_mut().expect("tiles are as long as that");
     let (mut columns, mut row) = ([I::Wide::splat(0.0); 9], I::Wide::load(&tile[9 * WIDE..]));
     let mut last = tile[9 * WIDE + WIDE];
     for c in 0..9 {
         columns[c] = I::Wide::load(&tile[c * WIDE..]);
     }
-    for numbers in w.chunks_exact(width) {
+    for numbers in rows {
         let a: &[f64; 9] = numbers[a..].first_chunk().expect("rows hold all columns of a");
         let b: &[f64; 9] = numbers[b..].first_chunk().expect("rows hold all columns of b");
         let wide = I::Wide::load(b);
         for c in 0..9 {
-            columns[c] = I::Wide::splat(a[c]).neg_mul_add(wide, columns[c]);
+            columns[c] = add_or_subtract::<_, PLUS>(columns[c], I::Wide::splat(a[c]), wide);
         }
-        row = I::Wide::splat(b[WIDE]).neg_mul_add(I::Wide::load(a), row);
-        last = I::mul_add_one(-a[WIDE], b[WIDE], last);
+        row = add_or_subtract::<_, PLUS>(row, I::Wide::splat(b[WIDE]), I::Wide::load(a));
+        last = I::mul_add_one(if PLUS { a[WIDE] } else { -a[WIDE] }, b[WIDE], last);
     }
     for c in 0..9 {
         columns[c].store(&mut tile[c * WIDE..]);
@@ -191,21 +253,27 @@ fn subtract_nine<I: Isa>(w: &[f64], width: usize, a: usize, b: usize, tile: &mut
 
 /// One vector of the row behind the columns.
 #[inline(always)]
-fn subtract_row<V: Vector>(lane: usize, w: &[f64], width: usize, a: usize, last: usize, row: &mut [f64]) {
+fn sum_row<'a, I: Isa, const PLUS: bool>(
+    lane: usize,
+    rows: impl Iterator<Item = &'a [f64]> + Clone,
+    a: usize,
+    last: usize,
+    row: &mut [f64],
+) {
     let to = &mut row[lane..];
-    let mut sum = V::load(to);
-    for row in w.chunks_exact(width) {
-        sum = V::splat(row[last]).neg_mul_add(V::load(&row[a + lane..]), sum);
+    let mut sum = I::Narrow::load(to);
+    for row in rows {
+        let (a, b) = (I::Narrow::load(&row[a + lane..]), I::Narrow::splat(row[last]));
+        sum = add_or_subtract::<_, PLUS>(sum, b, a);
     }
     sum.store(to);
 }
 
 /// As many columns at once as have their sums, `L` + `S` vectors each, in registers.
 #[inline(always)]
-fn subtract_columns<I: Isa, const L: usize, const S: usize>(
+fn sum_columns<'a, I: Isa, const PLUS: bool, const L: usize, const S: usize>(
     first: usize,
-    w: &[f64],
-    width: usize,
+    rows: impl Iterator<Item = &'a [f64]> + Clone,
     a: usize,
     b: usize,
     lanes: usize,
@@ -215,31 +283,30 @@ fn subtract_columns<I: Isa, const L: usize, const S: usize>(
     if I::MANY_REGISTERS {
         while columns.len() > 8 * lanes {
             let (these, rest) = columns.split_at_mut((9 * lanes).min(columns.len()));
-            subtract_some::<9, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+            sum_some::<9, L, S, PLUS, I>(rows.clone(), a, b, lanes, &mut these[first..]);
             (columns, a) = (rest, a + 9);
         }
         while columns.len() > 5 * lanes {
             let (these, rest) = columns.split_at_mut((6 * lanes).min(columns.len()));
-            subtract_some::<6, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+            sum_some::<6, L, S, PLUS, I>(rows.clone(), a, b, lanes, &mut these[first..]);
             (columns, a) = (rest, a + 6);
         }
     }
     while columns.len() > 2 * lanes {
         let (these, rest) = columns.split_at_mut((3 * lanes).min(columns.len()));
-        subtract_some::<3, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+        sum_some::<3, L, S, PLUS, I>(rows.clone(), a, b, lanes, &mut these[first..]);
         (columns, a) = (rest, a + 3);
     }
     while !columns.is_empty() {
         let (these, rest) = columns.split_at_mut(lanes.min(columns.len()));
-        subtract_some::<1, L, S, I>(w, width, a, b, lanes, &mut these[first..]);
+        sum_some::<1, L, S, PLUS, I>(rows.clone(), a, b, lanes, &mut these[first..]);
         (columns, a) = (rest, a + 1);
     }
 }
 
 #[inline(always)]
-fn subtract_some<const C: usize, const L: usize, const S: usize, I: Isa>(
-    w: &[f64],
-    width: usize,
+fn sum_some<'a, const C: usize, const L: usize, const S: usize, const PLUS: bool, I: Isa>(
+    rows: impl Iterator<Item = &'a [f64]> + Clone,
     a: usize,
     b: usize,
     lanes: usize,
@@ -254,7 +321,7 @@ fn subtract_some<const C: usize, const L: usize, const S: usize, I: Isa>(
             narrow[c][s] = I::Narrow::load(&columns[c * lanes + L * WIDE + s * LANES..]);
         }
     }
-    for row in w.chunks_exact(width) {
+    for row in rows {
         let a: &[f64; C] = row[a..].first_chunk().expect("rows hold all columns of a");
         let (mut b_wide, mut b_narrow) = ([I::Wide::splat(0.0); L], [I::Narrow::splat(0.0); S]);
         for l in 0..L {
@@ -265,10 +332,10 @@ fn subtract_some<const C: usize, const L: usize, const S: usize, I: Isa>(
         }
         for c in 0..C {
             for l in 0..L {
-                wide[c][l] = I::Wide::splat(a[c]).neg_mul_add(b_wide[l], wide[c][l]);
+                wide[c][l] = add_or_subtract::<_, PLUS>(wide[c][l], I::Wide::splat(a[c]), b_wide[l]);
             }
             for s in 0..S {
-                narrow[c][s] = I::Narrow::splat(a[c]).neg_mul_add(b_narrow[s], narrow[c][s]);
+                narrow[c][s] = add_or_subtract::<_, PLUS>(narrow[c][s], I::Narrow::splat(a[c]), b_narrow[s]);
             }
         }
     }

@@ -4,8 +4,8 @@
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
 use super::kernel::{At, SLACK, stash_rows};
-use super::lanes::{Isa, Vector, WIDE};
-use super::product::{Of, over_lanes, product, subtract_product};
+use super::lanes::{Isa, Task, Vector, WIDE};
+use super::product::{Of, over_lanes, product, sum_product};
 use super::{Head, Room, stash_head, stash_len};
 use crate::structure::{Cell, Chunk, Elimination, padded};
 
@@ -14,79 +14,75 @@ const P: usize = 3;
 /// Rows of a factor.
 pub(crate) const ROWS: usize = 2;
 
-/// Room for Wᵀ of as many cells of the chunk as are worked on at once.
-pub(super) fn w_len(chunk: &Chunk) -> usize {
-    let groups = chunk
-        .batches
-        .iter()
-        .flat_map(|batch| chunk.cells[batch.cells.clone()].chunk_by(|a, b| a.pattern == b.pattern));
-    groups.map(|cells| cells.len() * P * chunk.patterns[cells[0].pattern as usize].width).max().unwrap_or(0)
-}
-
 /// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them. `D` is the
 /// size of all their blocks, known to the compiler, or 0.
 ///
 /// With Z = J_p L⁻ᵀ of one factor, two rows of P numbers, Y = ZᵀJ_c, and its part of C − YᵀY is J_cᵀ (I − ZZᵀ) J_c: two products
 /// of rows instead of the five of J_cᵀJ_c and YᵀY.
-#[inline(always)]
-pub(super) fn eliminate<I: Isa, const D: usize>(
-    room: &mut Room<'_>,
-    chunk: &Chunk,
-    cells: &[Cell],
-    at: &mut At,
-) {
-    let pattern = &chunk.patterns[cells[0].pattern as usize];
-    let locals = &chunk.pattern_locals[pattern.locals.clone()];
-    let pairs = &chunk.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
-    let width = pattern.width;
-    let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
-    let w = &mut w[..cells.len() * P * width];
-    for (cell, w) in cells.iter().zip(w.chunks_exact_mut(P * width)) {
-        let (head, stashed) =
-            stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)].split_at_mut(stash_head(P));
-        let head = Head::<P>::of(head);
-        let factors = at.factor..cell.end as usize;
-        at.factor = factors.end;
-        let these = &chunk.locals[at.local..][..factors.len()];
-        at.local += these.len();
-        for (&shape, &l) in chunk.shape_of[factors].iter().zip(these) {
-            let shape = &chunk.shapes[shape as usize];
-            let local = &locals[l as usize];
-            let dof = local.dof_or::<D>();
-            let lanes = padded(dof);
-            // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
-            let both = &rows[at.row..][..ROWS * shape.stride + SLACK];
-            at.row += ROWS * shape.stride;
-            let mut rows = [&[][..]; ROWS];
-            let (mut z, mut residual) = ([[0.0; P]; ROWS], [0.0; ROWS]);
-            for r in 0..ROWS {
-                let row = &both[r * shape.stride..];
-                rows[r] = &row[shape.segments[0].column..][..lanes];
-                residual[r] = row[shape.residual];
-                z[r] = *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+pub(super) struct Eliminate<'a, 'r, const D: usize> {
+    pub(super) room: &'a mut Room<'r>,
+    pub(super) chunk: &'a Chunk,
+    pub(super) cells: &'a [Cell],
+    pub(super) at: &'a mut At,
+}
+
+impl<I: Isa, const D: usize> Task<I> for Eliminate<'_, '_, D> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { room, chunk, cells, at } = self;
+        let pattern = &chunk.patterns[cells[0].pattern as usize];
+        let locals = &chunk.pattern_locals[pattern.locals.clone()];
+        let pairs = &chunk.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
+        let width = pattern.width;
+        let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
+        let w = &mut w[..cells.len() * P * width];
+        for (cell, w) in cells.iter().zip(w.chunks_exact_mut(P * width)) {
+            let (head, stashed) = stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)]
+                .split_at_mut(stash_head(P));
+            let head = Head::<P>::of(head);
+            let factors = at.factor..cell.end as usize;
+            at.factor = factors.end;
+            let these = &chunk.locals[at.local..][..factors.len()];
+            at.local += these.len();
+            for (&shape, &l) in chunk.shape_of[factors].iter().zip(these) {
+                let shape = &chunk.shapes[shape as usize];
+                let local = &locals[l as usize];
+                let dof = local.dof_or::<D>();
+                let lanes = padded(dof);
+                // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
+                let both = &rows[at.row..][..ROWS * shape.stride + SLACK];
+                at.row += ROWS * shape.stride;
+                let mut rows = [&[][..]; ROWS];
+                let (mut z, mut residual) = ([[0.0; P]; ROWS], [0.0; ROWS]);
+                for r in 0..ROWS {
+                    let row = &both[r * shape.stride..];
+                    rows[r] = &row[shape.segments[0].column..][..lanes];
+                    residual[r] = row[shape.residual];
+                    z[r] = *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+                }
+                let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
+                let vectors = &mut vectors[3 * local.at..][..3 * lanes];
+                let w = &mut w[local.column..][..(P - 1) * width + lanes];
+                let turned = &mut turned[..ROWS * lanes];
+                over_lanes!(lanes, add_block::<I>(&factor, vectors, lanes, w, width, turned));
+                let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
+                let turned = [&turned[..lanes], &turned[lanes..]];
+                product::<I, ROWS>(&rows, &turned, dof, dof, &mut tiles[at..]);
             }
-            let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
-            let vectors = &mut vectors[3 * local.at..][..3 * lanes];
-            let w = &mut w[local.column..][..(P - 1) * width + lanes];
-            let turned = &mut turned[..ROWS * lanes];
-            over_lanes!(lanes, add_block::<I>(&factor, vectors, lanes, w, width, turned));
-            let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
-            let turned = [&turned[..lanes], &turned[lanes..]];
-            product::<I, ROWS, true>(&rows, &turned, dof, dof, &mut tiles[at..]);
+            stash_rows::<P, I, D>(w, width, locals, stashed, chunk.elimination);
         }
-        stash_rows::<P, I, D>(w, width, locals, stashed, chunk.elimination);
-    }
-    if chunk.elimination == Elimination::Implicit {
-        return;
-    }
-    let mut first = 0;
-    for (l, b) in locals.iter().enumerate() {
-        let b = Of { column: b.column, dof: b.dof_or::<D>() };
-        for (a, &at) in locals[..l].iter().zip(&pairs[first..]) {
-            let a = Of { column: a.column, dof: a.dof_or::<D>() };
-            subtract_product::<I>(w, width, a, b, &mut tiles[at as usize..]);
+        if chunk.elimination == Elimination::Implicit {
+            return;
         }
-        first += l + 1;
+        let mut first = 0;
+        for (l, b) in locals.iter().enumerate() {
+            let b = Of { column: b.column, dof: b.dof_or::<D>() };
+            for (a, &at) in locals[..l].iter().zip(&pairs[first..]) {
+                let a = Of { column: a.column, dof: a.dof_or::<D>() };
+                sum_product::<I, false>(w.chunks_exact(width), a, b, &mut tiles[at as usize..]);
+            }
+            first += l + 1;
+        }
     }
 }
 

@@ -61,7 +61,7 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
     #[inline]
     fn residual(&self, (params, cam_from_world, point): Refs<'_, Self::Vars>) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_world * *point))?;
-        Some((pixel - self.pixel) / self.sigma_px)
+        Some((pixel - self.pixel) * (1.0 / self.sigma_px))
     }
 }
 
@@ -115,7 +115,7 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
         (params, cam_from_rig, rig_from_world, point): Refs<'_, Self::Vars>,
     ) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_rig * (*rig_from_world * *point)))?;
-        Some((pixel - self.pixel) / self.sigma_px)
+        Some((pixel - self.pixel) * (1.0 / self.sigma_px))
     }
 }
 

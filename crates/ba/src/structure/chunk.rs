@@ -3,13 +3,16 @@
 use crate::error::Error;
 use crate::problem::Problem;
 
+use super::bundles::Bundler;
 use super::cells::{Cells, Draft};
+use super::groups::Groups;
 use super::place::Look;
 use super::shape::Shapes;
 use super::{Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Stretch, Tile, padded, tile_len};
 
-/// Rows of so many factors are linearised at once: 64 × 2 rows × 16 numbers are 16 KiB, half of a first-level cache.
-const FACTORS_PER_BATCH: usize = 64;
+/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a first-level cache; fewer make
+/// products of few cells.
+const FACTORS_PER_BATCH: usize = 96;
 
 /// What all chunks are built from.
 pub(super) struct Context<'a> {
@@ -23,28 +26,27 @@ pub(super) struct Context<'a> {
 /// Builds the chunk of some cells, whose steps begin at `first_step`.
 pub(super) fn build(context: &Context<'_>, drafts: &[Draft], first_step: usize) -> Result<Chunk, Error> {
     let mut chunk = Chunk::new(context.elimination, first_step);
-    let pattern_of = find_patterns(context, drafts, &mut chunk)?;
-    fill(context, drafts, &pattern_of, &mut chunk)?;
+    let Groups { drafts, groups } = Groups::new(context.cells, drafts, context.elimination);
+    find_patterns(context, &drafts, &groups, &mut chunk)?;
+    fill(context, &drafts, &groups, &mut chunk)?;
     Ok(chunk)
 }
 
-/// Finds the chunk's blocks, patterns and tiles, and each cell's pattern.
-fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> Result<Vec<u32>, Error> {
+/// Finds the chunk's blocks, patterns and tiles.
+fn find_patterns(
+    context: &Context<'_>,
+    drafts: &[Draft],
+    groups: &[(&[u32], usize)],
+    chunk: &mut Chunk,
+) -> Result<(), Error> {
     // Which of the chunk's blocks a block is; first only whether it is one.
     let mut local_of = vec![NONE; context.blocks.len()];
-    let mut pattern_of = Vec::with_capacity(drafts.len());
-    let mut patterns: Vec<&[u32]> = Vec::new();
-    for draft in drafts {
-        let blocks = context.cells.blocks_of(draft);
-        if patterns.last() != Some(&blocks) {
-            if blocks.len() >= u16::MAX as usize {
-                let (count, limit) = (blocks.len(), u16::MAX as usize - 1);
-                return Err(Error::TooLarge { what: "variables of one eliminated variable", count, limit });
-            }
-            patterns.push(blocks);
-            blocks.iter().for_each(|&block| local_of[block as usize] = 0);
+    for (blocks, _) in groups {
+        if blocks.len() >= u16::MAX as usize {
+            let (count, limit) = (blocks.len(), u16::MAX as usize - 1);
+            return Err(Error::TooLarge { what: "variables of one eliminated variable", count, limit });
         }
-        pattern_of.push(patterns.len() as u32 - 1);
+        blocks.iter().for_each(|&block| local_of[block as usize] = 0);
     }
     for (block, local) in local_of.iter_mut().enumerate().filter(|(_, local)| **local != NONE) {
         *local = chunk.blocks.len() as u32;
@@ -55,11 +57,11 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
     let mut pairs = 0;
     // How often each of the chunk's blocks occurs in a pattern, later: where its occurrences begin.
     let mut start = vec![0; chunk.blocks.len() + 1];
-    for blocks in &patterns {
+    for &(blocks, _) in groups {
         let begin = chunk.pattern_locals.len();
         let (mut width, mut dense) = (0, 0);
         let first = blocks.first().map_or(0, |&block| context.blocks[block as usize].dof);
-        for &block in *blocks {
+        for &block in blocks {
             let (dof, local) = (context.blocks[block as usize].dof, local_of[block as usize] as usize);
             let at = chunk.blocks[local].1;
             chunk.pattern_locals.push(Local { dof, padded: padded(dof), at, column: width, dense });
@@ -77,8 +79,8 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
     }
     let mut occurrences = vec![(0u32, 0u32); chunk.pattern_locals.len()];
     let mut next = start.clone();
-    for (pattern, blocks) in (0u32..).zip(&patterns) {
-        for (i, &block) in (0u32..).zip(*blocks) {
+    for (pattern, &(blocks, _)) in (0u32..).zip(groups) {
+        for (i, &block) in (0u32..).zip(blocks) {
             let next = &mut next[local_of[block as usize] as usize];
             occurrences[*next] = (pattern, i);
             *next += 1;
@@ -92,7 +94,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
         let occurrences = &occurrences[ends[0]..ends[1]];
         let a = chunk.blocks[a].0;
         for &(pattern, i) in occurrences {
-            for &block in &patterns[pattern as usize][i as usize..] {
+            for &block in &groups[pattern as usize].0[i as usize..] {
                 let local = local_of[block as usize];
                 let wanted = direct
                     .as_ref()
@@ -111,7 +113,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
             chunk.tiles_len += tile_len(context.blocks[a as usize].dof, context.blocks[b as usize].dof);
         }
         for &(pattern, i) in occurrences {
-            let (blocks, first) = (patterns[pattern as usize], chunk.patterns[pattern as usize].pairs);
+            let (blocks, first) = (groups[pattern as usize].0, chunk.patterns[pattern as usize].pairs);
             for j in i as usize..blocks.len() {
                 let local = local_of[blocks[j] as usize];
                 chunk.pair_tiles[first + j * (j + 1) / 2 + i as usize] = tile_at[local as usize];
@@ -119,7 +121,7 @@ fn find_patterns(context: &Context<'_>, drafts: &[Draft], chunk: &mut Chunk) -> 
         }
         met.drain(..).for_each(|local| tile_at[local as usize] = NONE);
     }
-    Ok(pattern_of)
+    Ok(())
 }
 
 /// Where only these get tiles: the pairs of different blocks that some factor joins, sorted.
@@ -141,28 +143,42 @@ fn direct_pairs(context: &Context<'_>, drafts: &[Draft]) -> Option<Vec<(u32, u32
 }
 
 /// Lists the chunk's cells and factors, and cuts them into batches.
-fn fill(context: &Context<'_>, drafts: &[Draft], pattern_of: &[u32], chunk: &mut Chunk) -> Result<(), Error> {
+fn fill(
+    context: &Context<'_>,
+    drafts: &[Draft],
+    groups: &[(&[u32], usize)],
+    chunk: &mut Chunk,
+) -> Result<(), Error> {
     let count = drafts.iter().map(|draft| draft.num_entries as usize).sum();
     chunk.factors.reserve(count);
     chunk.shape_of.reserve(count);
     chunk.locals.reserve(count);
     chunk.cells.reserve(drafts.len());
     let mut shapes = Shapes::new(context);
-    let (mut batch, mut batch_start, mut rows) = (Batch { stretches: 0..0, cells: 0..0 }, 0, 0);
-    for (c, (draft, &pattern)) in drafts.iter().zip(pattern_of).enumerate() {
-        let blocks = context.cells.blocks_of(draft);
+    let mut batch = Batch::default();
+    let (mut batch_start, mut rows, mut bundler, mut pattern) = (0, 0, Bundler::default(), 0);
+    for (c, draft) in drafts.iter().enumerate() {
         if chunk.factors.len() + draft.num_entries as usize > batch_start + FACTORS_PER_BATCH
             && !batch.cells.is_empty()
         {
-            chunk.batches.push(batch);
-            batch = Batch { stretches: chunk.stretches.len()..chunk.stretches.len(), cells: c..c };
+            let next = chunk.stretches.len();
+            let done = std::mem::replace(
+                &mut batch,
+                Batch { stretches: next..next, cells: c..c, ..Batch::default() },
+            );
+            bundler.close(chunk, &shapes.shapes, done);
             batch_start = chunk.factors.len();
             chunk.rows_len = chunk.rows_len.max(rows);
             rows = 0;
         }
-        let mut single = draft.num_entries == draft.num_blocks;
+        while groups[pattern].1 <= c {
+            pattern += 1;
+        }
+        let first = [chunk.factors.len(), chunk.locals.len()];
+        let first_row = rows;
+        let mut single = draft.dof == 3 && draft.num_entries == draft.num_blocks;
         for &entry in context.cells.entries_of(draft) {
-            let number = shapes.add(entry, blocks, &mut chunk.locals)?;
+            let number = shapes.add(entry, groups[pattern].0, &mut chunk.locals)?;
             let facts = &shapes.facts[number as usize];
             let i = chunk.factors.len();
             chunk.factors.push(entry.factor);
@@ -179,8 +195,8 @@ fn fill(context: &Context<'_>, drafts: &[Draft], pattern_of: &[u32], chunk: &mut
         }
         batch.cells.end = c + 1;
         let p = draft.dof as usize;
-        chunk.cells.push(Cell {
-            pattern,
+        let cell = Cell {
+            pattern: pattern as u32,
             dof: draft.dof,
             single,
             store: draft.store,
@@ -188,15 +204,19 @@ fn fill(context: &Context<'_>, drafts: &[Draft], pattern_of: &[u32], chunk: &mut
             end: chunk.factors.len() as u32,
             stash: chunk.stash_len,
             step: chunk.steps.end,
-        });
+        };
+        chunk.cells.push(cell);
+        if !single {
+            bundler.add(chunk, &shapes.shapes, &cell, first, first_row);
+        }
         if p > 0 {
-            let dense = chunk.patterns[pattern as usize].dense;
+            let dense = chunk.patterns[pattern].dense;
             chunk.stash_len += crate::eliminate::stash_len(p, dense, chunk.elimination);
             chunk.steps.end += p;
         }
     }
     if !batch.cells.is_empty() {
-        chunk.batches.push(batch);
+        bundler.close(chunk, &shapes.shapes, batch);
         chunk.rows_len = chunk.rows_len.max(rows);
     }
     chunk.shapes = shapes.shapes;

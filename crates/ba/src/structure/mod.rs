@@ -3,7 +3,8 @@
 //! * A **block** is a stretch of columns of the reduced system: one kept variable, or several that never occur apart beside an
 //!   eliminated one (a camera's own intrinsics and its pose), which then cost one product instead of four.
 //! * A **cell** is one eliminated variable with all its factors, or a bunch of factors that join the same kept variables only.
-//!   Its **pattern** is the sorted list of distinct blocks that it touches: products are taken over these, not over factors.
+//!   Its **pattern** is a sorted list of distinct blocks, those that it touches or more: products are taken over these, not over
+//!   factors, and for all cells of a pattern together.
 //! * A **chunk** is a stretch of cells, sorted by their blocks, that one task works through. It sums into tiles of its own,
 //!   for the blocks that it touches only, and the chunks' sums are added in order. Their number depends on the problem
 //!   alone, and so does every rounding error.
@@ -11,8 +12,10 @@
 //! A partly fixed variable keeps its full width up to here, with columns of zeros, so that blocks stay uniform; the columns are
 //! left out when the reduced system is put together.
 
+mod bundles;
 mod cells;
 mod chunk;
+mod groups;
 mod place;
 mod shape;
 
@@ -102,6 +105,8 @@ pub(crate) struct Segment {
     pub(crate) dof: usize,
     /// First column in the block.
     pub(crate) offset: usize,
+    /// Columns of the block.
+    pub(crate) block_dof: usize,
     /// Whether it is the whole block.
     pub(crate) whole: bool,
 }
@@ -144,7 +149,7 @@ impl Local {
     }
 }
 
-/// The blocks that a cell touches.
+/// The blocks of some cells.
 #[derive(Clone, Debug)]
 pub(crate) struct Pattern {
     /// First and last of its [`Local`]s.
@@ -165,7 +170,7 @@ pub(crate) struct Cell {
     pub(crate) pattern: u32,
     /// Degrees of freedom of the eliminated variable; 0 where there is none.
     pub(crate) dof: u32,
-    /// Each factor has [`SINGLE_ROWS`] and sees the whole of one block, that no other one of the cell sees.
+    /// It is a point, and each factor has [`SINGLE_ROWS`] and sees the whole of one block, that no other one of the cell sees.
     pub(crate) single: bool,
     pub(crate) store: u32,
     pub(crate) slot: u32,
@@ -196,10 +201,23 @@ pub(crate) struct Tile {
 }
 
 /// What is linearised at once.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Batch {
     pub(crate) stretches: std::ops::Range<usize>,
     pub(crate) cells: std::ops::Range<usize>,
+    pub(crate) bundles: std::ops::Range<usize>,
+}
+
+/// Factors of a batch that have the same shape and see the same blocks: their part of C is one product. Those of
+/// [`single`](Cell::single) cells are in none.
+#[derive(Clone, Debug)]
+pub(crate) struct Bundle {
+    pub(crate) shape: u16,
+    /// In the chunk's list: for each segment of the shape where its block's numbers begin in the chunk's vectors, then the tile of
+    /// each pair of segments, that of i ≤ j at `j (j + 1) / 2 + i`.
+    pub(crate) places: usize,
+    /// In the chunk's list: where each of the rows begins in the batch.
+    pub(crate) rows: std::ops::Range<usize>,
 }
 
 /// The work of one task.
@@ -216,6 +234,9 @@ pub(crate) struct Chunk {
     pub(crate) cells: Vec<Cell>,
     pub(crate) stretches: Vec<Stretch>,
     pub(crate) batches: Vec<Batch>,
+    pub(crate) bundles: Vec<Bundle>,
+    pub(crate) bundle_places: Vec<u32>,
+    pub(crate) bundle_rows: Vec<u32>,
     pub(crate) patterns: Vec<Pattern>,
     pub(crate) pattern_locals: Vec<Local>,
     /// [`NONE`] where there is no tile.
@@ -245,6 +266,9 @@ impl Chunk {
             cells: Vec::new(),
             stretches: Vec::new(),
             batches: Vec::new(),
+            bundles: Vec::new(),
+            bundle_places: Vec::new(),
+            bundle_rows: Vec::new(),
             patterns: Vec::new(),
             pattern_locals: Vec::new(),
             pair_tiles: Vec::new(),

@@ -116,7 +116,8 @@ impl<'a> Shapes<'a> {
                         last.whole = last.dof == block_dof;
                     }
                     _ => {
-                        shape.segments.push(Segment { column, dof, offset, whole: dof == block_dof });
+                        let whole = dof == block_dof;
+                        shape.segments.push(Segment { column, dof, offset, block_dof, whole });
                         begins.push(position);
                     }
                 }
