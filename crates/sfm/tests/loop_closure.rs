@@ -1,0 +1,69 @@
+//! A loop that drifts closes.
+
+use std::ops::ControlFlow;
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::solvers::umeyama;
+use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
+use tiepoint_sfm::{Event, MapperOptions, RefineIntrinsics, map};
+use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
+
+/// Keypoints are off by this much, in pixels.
+const NOISE_PX: f64 = 0.5;
+
+/// A drive mapped with focal lengths that are wrong by a factor: ATE in metres, pairs that were closed, images with a pose, images.
+fn run(seed: u64, wrong: f64) -> (f64, Option<usize>, usize, usize) {
+    let options = DriveOptions { seed, rate_hz: 4.0, length_m: 160.0, ..DriveOptions::default() };
+    let drive = Drive::new(&options).expect("a loop");
+    let images: usize = drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
+    let features =
+        FeatureOptions { seed, observations: 250 * images, noise_px: NOISE_PX, ..FeatureOptions::default() };
+    let scene = FeatureScene::new(&drive, &features).expect("sound options");
+    let found = scene.matches(&MatchOptions { window: Some(4), ..MatchOptions::default() });
+    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+    let graph = CorrespondenceGraph::new(&counts, found.into_iter().map(|f| (f.pair, f.two_view)));
+    let mut blank = scene.without_poses();
+    let cameras: Vec<_> = blank.cameras().map(|(id, _)| id).collect();
+    for camera in cameras {
+        let camera = blank.camera_mut(camera);
+        let focal = camera.intrinsics.mean_focal_px();
+        for index in camera.intrinsics.kind().focal_indices() {
+            camera.intrinsics.params_mut()[*index] = wrong * focal;
+        }
+    }
+    let mut closed = None;
+    let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
+    let models = map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |event| {
+        if let Event::LoopClosed { num_pairs } = event {
+            closed = Some(*num_pairs);
+        }
+        ControlFlow::Continue(())
+    })
+    .expect("a model");
+    (ate_m(&models[0], scene.truth()), closed, models[0].num_registered(), images)
+}
+
+fn ate_m(model: &Reconstruction, truth: &Reconstruction) -> f64 {
+    let (found, true_centres): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
+        .registered()
+        .filter_map(|(id, _, pose)| {
+            Some((pose.origin_in_a(), truth.image(id).cam_from_world()?.origin_in_a()))
+        })
+        .unzip();
+    let truth_from_model = umeyama(&found, &true_centres, true).expect("a trajectory");
+    let sum: f64 =
+        found.iter().zip(&true_centres).map(|(f, t)| (truth_from_model * *f - t).norm_squared()).sum();
+    (sum / found.len() as f64).sqrt()
+}
+
+/// With a focal length that is 2 % too small, and stays so, the drive of 160 m bends: left open the loop ends 1.41 m off (four seeds: 1.21
+/// to 1.41), closed 0.22 m (0.22 to 0.38).
+const MAX_ATE_M: f64 = 0.5;
+
+#[test]
+fn a_loop_that_drifts_closes() {
+    let (ate_m, closed, registered, images) = run(1, 0.98);
+    assert_eq!(registered, images);
+    assert!(closed.is_some_and(|pairs| pairs > 0), "{closed:?}");
+    assert!(ate_m < MAX_ATE_M, "{ate_m}");
+}
