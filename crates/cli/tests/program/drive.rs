@@ -58,9 +58,12 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
 
     let image = || fs::read(drive.join("left/000001.jpg")).unwrap();
     let before = image();
-    fs::write(drive.join("left/000001.jpg"), "torn").unwrap();
+    // What is missing is rendered again, and nothing else.
+    fs::remove_file(drive.join("left/000001.jpg")).unwrap();
+    fs::write(drive.join("left/000002.jpg"), "of another's").unwrap();
     tiepoint_in(dir, line).done();
     assert!(image() == before, "the same bytes");
+    assert_eq!(fs::read(drive.join("left/000002.jpg")).unwrap(), b"of another's");
     tiepoint_in(dir, "synth -o {}/deep/drive --frames 3 --size 64x48").failed(1, &["other options", "-o"]);
     assert!(image() == before, "left alone");
 }

@@ -94,6 +94,11 @@ impl Judge {
         (sum / count.max(1) as f64).sqrt()
     }
 
+    /// A difference of errors as a share of the error without any term.
+    pub(super) fn share(&self, difference_px: f64) -> f64 {
+        difference_px / self.error_off_px
+    }
+
     /// Whether an error is larger than that without any term by more than a share of it.
     pub(super) fn objects(&self, error_px: f64, tolerance: f64) -> bool {
         error_px > (1.0 + tolerance) * self.error_off_px
