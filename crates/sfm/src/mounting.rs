@@ -352,13 +352,13 @@ impl Context<'_> {
         let mut sigmas =
             (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
         let mut tight = Tight::default();
-        // Whether the rotation gives more than the translation, and the last step that was accepted.
-        let (mut gives, mut last): (bool, Option<(f64, (f64, f64))>) = (false, None);
+        // Whether the rotation gives more than the translation; error and standard deviation of the rotation of the last step.
+        let (mut gives, mut last) = (false, None);
         for step in 0..MAX_STEPS {
             let widened = if step == 0 { WIDENED } else { 1.0 };
             let (mut held, tolerance) =
                 self.hold_softly(model, companions, sigmas, unmatched, widened, judge)?;
-            if let Some((last_px, (_, last_rotation))) = last.filter(|_| !gives)
+            if let Some((last_px, last_rotation)) = last.filter(|_| !gives)
                 && judge.share(held.error_px - last_px) > ROTATION_TOLERANCE
             {
                 let looser = (sigmas.0, last_rotation);
@@ -386,7 +386,7 @@ impl Context<'_> {
                 tight.is_firm = sigmas == SIGMA_FLOOR;
             }
             *model = candidate;
-            last = Some((error_px, sigmas));
+            last = Some((error_px, sigmas.1));
             let tightened = |sigma: f64, floor: f64| (sigma / TIGHTEN).max(floor);
             let rotation = if gives { sigmas.1 } else { tightened(sigmas.1, SIGMA_FLOOR.1) };
             let next = (tightened(sigmas.0, SIGMA_FLOOR.0), rotation);
