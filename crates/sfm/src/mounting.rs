@@ -7,13 +7,15 @@
 //! stand together, elsewhere (for as long as tracks that took no part do not object); else the image is wrong and does not; (ii) the term is added, quadratic, and
 //! everything adjusted, clocks with it (a robust loss lets go of what it should bring together: on KITTI 01 it springs back); (iii) tracks
 //! are re-created, completed and merged across the cameras, which is what keeps a closed split closed; (iv) the standard deviations are
-//! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse. How much the mounting gives is
+//! tightened threefold, down to a floor, for as long as tracks that took no part are explained no worse, the rotation's no further where
+//! it alone makes them worse. How much the mounting gives is
 //! thereby found and not assumed. A clock of which the images tell too little stays at what its stamps say, and everything is done again.
 
 mod members;
 mod outcome;
 mod rematch;
 mod rigid;
+mod tighten;
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -21,7 +23,7 @@ use std::ops::ControlFlow;
 use tiepoint_ba::Factor;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::numeric::median;
-use tiepoint_rig::{Clock, Mounted, RelativePose, robust_average, spread};
+use tiepoint_rig::{Clock, Mounted, RelativePose, spread};
 use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Reconstruction};
 
 use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
@@ -36,6 +38,7 @@ use outcome::{Judge, held_out, make_frames, make_rigid};
 pub use rematch::Descriptors;
 use rematch::{Closed, rematch};
 pub use rigid::{RigidCamera, hold_rigidly};
+use tighten::Tight;
 
 /// A camera's mounting beside the first one, and how firmly it holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,24 +93,8 @@ impl Hold {
     }
 }
 
-/// Least standard deviations: what holds by a ten-thousandth of a baseline is rigid to any image. Where it is less firm than the mount, small
-/// biases of the lenses, seen by all tracks, bend a drive with more confidence than they deserve: on KITTI 01 half a percent left 29 cm
-/// of error, a twentieth of a percent 11.6 cm, a fiftieth 10.2 cm, where a rigid rig has 9.7 cm.
-const SIGMA_FLOOR: (f64, f64) = (0.0001, 0.0006 * std::f64::consts::PI / 180.0);
-/// Greatest standard deviations to begin with.
-const SIGMA_CEILING: (f64, f64) = (0.3, 0.05);
-/// How much the standard deviations are tightened from step to step, and how often at most.
-const TIGHTEN: f64 = 3.0;
-const MAX_STEPS: usize = 8;
 /// Share of the tracks that take no part until the end.
 const HELD_OUT_SHARE: f64 = 0.1;
-/// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a rigid rig costs them 6 %. Clocks
-/// that disagree by as much as matters cost them far more.
-const HELD_OUT_TOLERANCE: f64 = 0.08;
-/// To tighten the rotation as well as the translation may cost the held-out tracks this much more than the translation alone; else the
-/// mount gives, and the rotation stays as firm as it was. It costs 3 % where a mount swings by a tenth of a degree (features, 0.5 px of
-/// noise), and on KITTI 01, where the term costs 4 % in all, 0.1 % a step.
-const ROTATION_TOLERANCE: f64 = 0.003;
 /// A rigid rig may cost the held-out tracks this much more than the firmest soft one: between the two they tell biases of the lenses. On KITTI 04
 /// it costs 0.2 %, on KITTI 01 0.8 %, where the trajectory is a sixth better for it; a mount that gives has not reached the floor.
 const RIGID_TOLERANCE: f64 = 0.01;
@@ -119,11 +106,6 @@ const MAX_CLOCK_SD_S: f64 = 0.02;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
-/// Images from far away are brought nearer with standard deviations that are so many times as large, one after the other.
-const CLOSING_STEPS: [f64; 3] = [30.0, 10.0, 3.0];
-/// Before tracks are all re-created, a split that was closed may cost held-out tracks this much.
-const CLOSING_TOLERANCE: f64 = 0.3;
-
 /// What the steps need of the mapper.
 pub(crate) struct Context<'a> {
     pub(crate) graph: &'a CorrespondenceGraph,
@@ -181,16 +163,6 @@ struct Held {
     mountings: Vec<Mounting>,
     error_px: f64,
     sigmas: (f64, f64),
-}
-
-/// Cameras held as firmly as they can be.
-#[derive(Default)]
-struct Tight {
-    best: Option<Held>,
-    /// Whether that is as firmly as can be asked for.
-    is_firm: bool,
-    /// Images that were brought back from a split without a word from their own matches.
-    closed: BTreeSet<Closed>,
 }
 
 impl Held {
@@ -319,108 +291,6 @@ impl Context<'_> {
         tell(watch, &Event::Mounted { hold, num_pairs, error_off_px, error_px })
     }
 
-    /// Soft mountings, tighter from step to step. `model` and the companions' clocks are left where the
-    /// last accepted step had them. Splits without a word from their own matches are closed for as long as held-out tracks allow.
-    fn tighten(
-        &self,
-        model: &mut Reconstruction,
-        companions: &mut [Companion],
-        term: RigTerm,
-        judge: &Judge,
-    ) -> Result<Tight, Error> {
-        let (mut closed, mut clocks) = (model.clone(), companions.to_vec());
-        let tight = self.tighten_with(&mut closed, &mut clocks, term, judge, Unmatched::Rows)?;
-        let is_worse = |held: &Held| judge.objects(held.error_px, HELD_OUT_TOLERANCE);
-        if !tight.closed.is_empty() && tight.best.as_ref().is_none_or(is_worse) {
-            return self.tighten_with(model, companions, term, judge, Unmatched::None);
-        }
-        *model = closed;
-        companions.copy_from_slice(&clocks);
-        Ok(tight)
-    }
-
-    /// The same with splits closed or left alone.
-    fn tighten_with(
-        &self,
-        model: &mut Reconstruction,
-        companions: &mut [Companion],
-        term: RigTerm,
-        judge: &Judge,
-        unmatched: Unmatched,
-    ) -> Result<Tight, Error> {
-        let found = widest_spread(model, companions);
-        let mut sigmas =
-            (found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0), found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1));
-        let mut tight = Tight::default();
-        // Whether the rotation gives more than the translation; error and standard deviation of the rotation of the last step.
-        let (mut gives, mut last) = (false, None);
-        for step in 0..MAX_STEPS {
-            let widened = if step == 0 { WIDENED } else { 1.0 };
-            let (mut held, tolerance) =
-                self.hold_softly(model, companions, sigmas, unmatched, widened, judge)?;
-            if let Some((last_px, last_rotation)) = last.filter(|_| !gives)
-                && judge.share(held.error_px - last_px) > ROTATION_TOLERANCE
-            {
-                let looser = (sigmas.0, last_rotation);
-                let (loose, _) = self.hold_softly(model, companions, looser, unmatched, widened, judge)?;
-                gives = judge.share(held.error_px - loose.error_px) > ROTATION_TOLERANCE;
-                if gives {
-                    (held, sigmas) = (loose, looser);
-                }
-            }
-            let Held { model: candidate, mountings, error_px, .. } = held;
-            tight.closed.extend(mountings.iter().flat_map(|mounting| mounting.closed.iter().copied()));
-            let is_asked_for = term != RigTerm::Auto && step == 0;
-            if !is_asked_for && judge.objects(error_px, tolerance) {
-                break;
-            }
-            for mounting in &mountings {
-                companions
-                    .iter_mut()
-                    .filter(|companion| companion.right == mounting.right)
-                    .for_each(|companion| companion.clock = mounting.clock);
-            }
-            let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
-            if is_held || is_asked_for {
-                tight.best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
-                tight.is_firm = sigmas == SIGMA_FLOOR;
-            }
-            *model = candidate;
-            last = Some((error_px, sigmas.1));
-            let tightened = |sigma: f64, floor: f64| (sigma / TIGHTEN).max(floor);
-            let rotation = if gives { sigmas.1 } else { tightened(sigmas.1, SIGMA_FLOOR.1) };
-            let next = (tightened(sigmas.0, SIGMA_FLOOR.0), rotation);
-            if next == sigmas {
-                break;
-            }
-            sigmas = next;
-        }
-        Ok(tight)
-    }
-
-    /// A model with its cameras held up to standard deviations, and what that may cost held-out tracks.
-    fn hold_softly(
-        &self,
-        model: &Reconstruction,
-        companions: &[Companion],
-        sigmas: (f64, f64),
-        unmatched: Unmatched,
-        widened: f64,
-        judge: &Judge,
-    ) -> Result<(Held, f64), Error> {
-        let mut model = model.clone();
-        let mut mountings = self.mountings(&model, companions, Hold::soft(sigmas), sigmas, unmatched);
-        let tolerance = if mountings.iter().any(|mounting| !mounting.closed.is_empty()) {
-            self.close(&mut model, &mut mountings)?;
-            CLOSING_TOLERANCE
-        } else {
-            HELD_OUT_TOLERANCE
-        };
-        self.refine(&mut model, &mut mountings, widened)?;
-        let error_px = judge.error_px(&model);
-        Ok((Held { model, mountings, error_px, sigmas }, tolerance))
-    }
-
     /// Puts clocks of which the images tell too little back to what their stamps say. Returns whether there were any.
     fn give_up_clocks(
         &self,
@@ -446,23 +316,6 @@ impl Context<'_> {
             }
         }
         Ok(is_any)
-    }
-
-    /// Brings images that stand far away near to where their mountings have them, step by step, at the clocks of now: all at once the
-    /// adjustment would need hundreds of steps, and lead the clocks astray meanwhile.
-    fn close(&self, model: &mut Reconstruction, mountings: &mut [Mounting]) -> Result<(), Error> {
-        let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
-        for factor in CLOSING_STEPS {
-            let mut loose: Vec<Mounting> = mountings
-                .iter()
-                .map(|m| Mounting { hold: m.hold.scaled(factor), timing: m.timing.held(), ..m.clone() })
-                .collect();
-            adjust_mounted(model, &Scope::Global, &options, &mut loose, &mut keep_going)?;
-            for (mounting, loose) in mountings.iter_mut().zip(loose) {
-                mounting.right_from_left = loose.right_from_left;
-            }
-        }
-        Ok(())
     }
 
     /// Adjusts, re-creates tracks between the poses that came out, and adjusts again.
@@ -505,15 +358,3 @@ fn spread_of(poses: &[RelativePose], average: &RelativePose, unit: Option<f64>) 
 
 /// The median length of a vector of three unit normals.
 const MEDIAN_OF_THREE: f64 = 1.538;
-
-/// The widest spread of any camera, as standard deviations of components.
-fn widest_spread(model: &Reconstruction, companions: &[Companion]) -> (f64, f64) {
-    let mut widest = (0.0_f64, 0.0_f64);
-    for companion in companions {
-        let poses = relative_poses(model, &companion.moments(model), &companion.clock);
-        let Some(average) = robust_average(&poses) else { continue };
-        let (t, r) = spread_of(&poses, &average, companion.unit);
-        widest = (widest.0.max(t), widest.1.max(r));
-    }
-    widest
-}
