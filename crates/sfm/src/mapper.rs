@@ -17,7 +17,7 @@ use crate::focal::FocalPrior;
 use crate::focal_trials::explained;
 use crate::incremental::{MapperOptions, RigTerm};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
-use crate::loop_closure::{join, num_joined, torn_pairs};
+use crate::loop_closure::{is_closed, join, torn_pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::register_image;
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
@@ -136,7 +136,7 @@ impl<'a> Mapper<'a> {
             let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], 1e-6, 100) };
             adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
             self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
-            if num_joined(self.graph, &self.model) <= num_joined(self.graph, &before) {
+            if !is_closed(self.graph, &self.model, &before, &torn) {
                 self.model = before;
                 break;
             }
