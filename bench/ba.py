@@ -17,9 +17,8 @@ import subprocess
 import tempfile
 
 import numpy as np
+from program import ROOT, TARGET
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
-TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 ITERATIONS = 50
 WITHIN = 1e-3
 # Long rows of cameras and short, starts near and far, with gross errors and without.

@@ -20,9 +20,8 @@ import time
 import cv2
 import numpy as np
 import poselib
+from program import TARGET
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
-TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 CONFIDENCE, MIN_ITERATIONS, MAX_ITERATIONS, SEED = 0.9999, 100, 10000, 1
 
 

@@ -16,8 +16,7 @@ import tempfile
 
 import numpy as np
 import pycolmap
-
-ROOT = pathlib.Path(__file__).resolve().parent.parent
+from program import ROOT
 
 
 def example(name, *arguments):

@@ -10,13 +10,12 @@ for memory that is new, at a price that virtual machines set by the hour.
 """
 import argparse
 import json
-import os
 import pathlib
 import re
 import subprocess
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
-TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+from program import TARGET
+
 MOMENTS = [250, 500, 1000, 2000]
 VARIANTS = {"rig": [], "none": ["--no-rig"], "loop": ["--loop"]}
 NAMES = {"rig": "with the rig's factors", "none": "without", "loop": "loop closed"}

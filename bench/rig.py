@@ -21,6 +21,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from program import program_of
 
 
 def run(program, *arguments):
@@ -139,7 +140,7 @@ def adjust_by_peer(model, cameras, known, output):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--program", default="target/release/tiepoint")
+    parser.add_argument("--program", type=Path)
     parser.add_argument("--workspace", type=Path, required=True)
     parser.add_argument("--drive", type=Path)
     parser.add_argument("--kitti", type=Path)
@@ -149,6 +150,7 @@ def main():
     parser.add_argument("--peer", action="store_true", help="COLMAP 3.8 on the model of off")
     parser.add_argument("--keep", type=Path, help="leave the workspaces here")
     options = parser.parse_args()
+    options.program = program_of(options)
     for mode in options.rig:
         with tempfile.TemporaryDirectory() as scratch:
             workspace = (options.keep or Path(scratch)) / f"rig-{mode}"

@@ -18,7 +18,7 @@ use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_s
 use crate::fingerprint::of_files;
 use crate::records::write_json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
-use choice::{Candidate, Partners, Sharpest};
+use choice::{Candidate, Chooser};
 
 /// The paper takes every third frame of a camera at 30 Hz.
 pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
@@ -140,7 +140,7 @@ fn extract(
     let mut taken: Vec<(String, f64)> = Vec::new();
     let after_s = heard_after_s(recordings, watch)?;
     // When the first recording began, and when its frames were taken that are kept.
-    let (mut first_began_s, mut moments_s) = (None, Vec::new());
+    let (mut first_began_s, mut first_moments_s) = (None, Vec::new());
     for (recording, after_s) in recordings.iter().zip(after_s) {
         let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
         if is_moving.flatten() == Some(true) {
@@ -148,10 +148,8 @@ fn extract(
         }
         let own = folder.join(&recording.name);
         fs::create_dir_all(&own).map_err(output(&own))?;
-        let mut choice = match after_s {
-            Some(_) => Choice::Partners(Partners::new(every, moments_s.clone())),
-            None => Choice::Sharpest(Sharpest::new(every)),
-        };
+        let moments_s = if after_s.is_some() { first_moments_s.clone() } else { Vec::new() };
+        let mut choice = Chooser::new(every, moments_s);
         let heard_s = after_s.and_then(|after_s| Some(first_began_s? + after_s));
         let (mut read, mut began_s, mut offset_s, mut last_s, mut interval_s) = (0, heard_s, 0.0, 0.0, 0.0);
         let of_recording = taken.len();
@@ -182,7 +180,7 @@ fn extract(
         keep(choice.end(), watch, read)?;
         if first_began_s.is_none() {
             first_began_s = began_s;
-            moments_s = taken[of_recording..].iter().map(|(_, time_s)| *time_s).collect();
+            first_moments_s = taken[of_recording..].iter().map(|(_, time_s)| *time_s).collect();
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0));
@@ -209,28 +207,6 @@ fn heard_after_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f6
         }
     }
     Ok(after_s)
-}
-
-/// Which frames of a recording are kept.
-enum Choice {
-    Sharpest(Sharpest),
-    Partners(Partners),
-}
-
-impl Choice {
-    fn add(&mut self, frame: Candidate) -> Option<Candidate> {
-        match self {
-            Self::Sharpest(choice) => choice.add(frame),
-            Self::Partners(choice) => choice.add(frame),
-        }
-    }
-
-    fn end(&mut self) -> Option<Candidate> {
-        match self {
-            Self::Sharpest(choice) => choice.end(),
-            Self::Partners(choice) => choice.end(),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,6 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use tiepoint_scene::CorrespondenceGraph;
 use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigTerm, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
 
@@ -33,9 +32,7 @@ fn main() {
         let observations = 2 * OBSERVATIONS_AN_IMAGE * moments;
         let features = FeatureOptions { observations, clutter: CLUTTER, ..FeatureOptions::default() };
         let scene = FeatureScene::new(&drive, &features).expect("sound options");
-        let found = scene.matches(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
-        let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
-        let graph = CorrespondenceGraph::new(&counts, found.into_iter().map(|f| (f.pair, f.two_view)));
+        let graph = scene.graph(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
         let blank = scene.without_poses();
         let mut observations = 0;
         let seconds = [RigTerm::Off, RigTerm::Soft].map(|rig| {
@@ -47,7 +44,7 @@ fn main() {
             observations = models.map_or(0, |models| models[0].num_observations());
             seconds
         });
-        let (images, [off, soft]) = (counts.len(), seconds);
+        let (images, [off, soft]) = (graph.num_images(), seconds);
         println!("{images:8} {observations:14} {off:10.1} {soft:10.1} {:12.1}", 1e3 * off / images as f64);
     }
 }

@@ -68,12 +68,7 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
     drive.keep_first(frames);
     let features = FeatureOptions { seed, observations: 600 * frames, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
-    let found = scene.matches(&MatchOptions { window: Some(6), ..MatchOptions::default() });
-    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
-    let graph = CorrespondenceGraph::new(
-        &counts,
-        found.into_iter().map(|f| (f.pair, f.two_view)).collect::<Vec<_>>(),
-    );
+    let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
     let mut blank = scene.without_poses();
     // Right images swap their times with others from elsewhere.
     let rights: Vec<ImageId> =

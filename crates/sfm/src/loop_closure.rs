@@ -9,6 +9,8 @@
 
 use tiepoint_scene::{CorrespondenceGraph, ImagePair, Observation, PointId, Reconstruction, TwoView};
 
+use crate::tracks::middle;
+
 /// Pairs of which fewer matches see points on both sides tell nothing.
 const MIN_MATCHES: usize = 15;
 /// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and more.
@@ -68,9 +70,8 @@ pub(crate) fn join(graph: &CorrespondenceGraph, model: &mut Reconstruction, pair
                 (Observation { image: pair.a, keypoint: m.a }, Observation { image: pair.b, keypoint: m.b });
             let (Some(one), Some(other)) = (point(a), point(b)) else { continue };
             let (Some(track), Some(other_track)) = (model.track(one), model.track(other)) else { continue };
-            let (n, m) = (track.observations.len() as f64, other_track.observations.len() as f64);
-            let middle = (track.xyz * n + other_track.xyz * m) / (n + m);
-            model.merge_tracks(one, other, middle);
+            let xyz = middle(track, other_track);
+            model.merge_tracks(one, other, xyz);
         }
     }
 }

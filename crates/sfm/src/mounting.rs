@@ -106,6 +106,7 @@ const MAX_CLOCK_SD_S: f64 = 0.02;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
+
 /// What the steps need of the mapper.
 pub(crate) struct Context<'a> {
     pub(crate) graph: &'a CorrespondenceGraph,

@@ -195,6 +195,12 @@ pub fn merge_tracks(
     merged_observations
 }
 
+/// Where two points would be as one: in the middle of their observations.
+pub(crate) fn middle(one: &Track, other: &Track) -> Vector3<f64> {
+    let (n, m) = (one.observations.len() as f64, other.observations.len() as f64);
+    (one.xyz * n + other.xyz * m) / (n + m)
+}
+
 /// Another point that is the same as `point`, and where the two would be together.
 fn mergeable(
     graph: &CorrespondenceGraph,
@@ -211,8 +217,7 @@ fn mergeable(
                 continue;
             }
             let Some(other_track) = model.track(other) else { continue };
-            let (n, m) = (track.observations.len() as f64, other_track.observations.len() as f64);
-            let xyz = (track.xyz * n + other_track.xyz * m) / (n + m);
+            let xyz = middle(track, other_track);
             let fits = |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
             if track.observations.iter().chain(&other_track.observations).all(fits) {
                 return Some((other, xyz));

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
-use tiepoint_scene::{Camera, CorrespondenceGraph, Image, Reconstruction};
+use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
     Event, Hold, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, companions, map,
 };
@@ -40,9 +40,7 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     let features = FeatureOptions { seed, observations: 30_000, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let matching = MatchOptions { window: Some(6), ..MatchOptions::default() };
-    let two_views = scene.matches(&matching).into_iter().map(|found| (found.pair, found.two_view));
-    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
-    let graph = CorrespondenceGraph::new(&counts, two_views.collect::<Vec<_>>());
+    let graph = scene.graph(&matching);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
     let mut camera = None;
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::solvers::umeyama;
-use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
+use tiepoint_scene::Reconstruction;
 use tiepoint_sfm::{Event, MapperOptions, RefineIntrinsics, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
@@ -19,9 +19,7 @@ fn run(seed: u64, wrong: f64) -> (f64, Option<usize>, usize, usize) {
     let features =
         FeatureOptions { seed, observations: 250 * images, noise_px: NOISE_PX, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
-    let found = scene.matches(&MatchOptions { window: Some(4), ..MatchOptions::default() });
-    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
-    let graph = CorrespondenceGraph::new(&counts, found.into_iter().map(|f| (f.pair, f.two_view)));
+    let graph = scene.graph(&MatchOptions { window: Some(4), ..MatchOptions::default() });
     let mut blank = scene.without_poses();
     let cameras: Vec<_> = blank.cameras().map(|(id, _)| id).collect();
     for camera in cameras {

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::solvers::umeyama;
-use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
+use tiepoint_scene::Reconstruction;
 use tiepoint_sfm::{Event, MapperOptions, Readout, RefineIntrinsics, RollingShutter, map};
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
@@ -26,9 +26,7 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> (f64, Vec<RollingShutter
     let features = FeatureOptions { seed: 2, observations: 20_000, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let matching = MatchOptions { window: Some(4), ..MatchOptions::default() };
-    let two_views = scene.matches(&matching).into_iter().map(|found| (found.pair, found.two_view));
-    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
-    let graph = CorrespondenceGraph::new(&counts, two_views.collect::<Vec<_>>());
+    let graph = scene.graph(&matching);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
     let mut shutters = Vec::new();
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {

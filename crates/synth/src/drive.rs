@@ -55,25 +55,6 @@ pub struct DriveOptions {
     pub effects: Effects,
 }
 
-impl DriveCamera {
-    fn cam_from_vehicle_at(&self, time_s: f64) -> Rigid3 {
-        let (swing, phase) = self.flex;
-        if swing == Vector3::zeros() {
-            return self.cam_from_vehicle;
-        }
-        let angle = (std::f64::consts::TAU * time_s / FLEX_PERIOD_S + phase).sin();
-        Rigid3::from_axis_angle(swing * angle, Vector3::zeros()) * self.cam_from_vehicle
-    }
-}
-
-/// About an axis of any direction.
-fn flex(rad: f64, rng: &mut Rng) -> (Vector3<f64>, f64) {
-    let height = 2.0 * rng.uniform() - 1.0;
-    let [azimuth, phase] = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
-    let level = (1.0 - height * height).sqrt();
-    (rad * Vector3::new(level * azimuth.cos(), level * azimuth.sin(), height), phase)
-}
-
 impl Default for DriveOptions {
     /// A loop of 200 m with a stereo pair that looks ahead, at ten images a second; everything ideal.
     fn default() -> Self {
@@ -92,9 +73,6 @@ impl Default for DriveOptions {
     }
 }
 
-/// A mount that gives swings slowly, as on rubber when the vehicle brakes and turns.
-const FLEX_PERIOD_S: f64 = 5.0;
-
 /// One image to be taken.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposure {
@@ -106,6 +84,9 @@ pub struct Exposure {
     pub stamp_s: f64,
     development: Development,
 }
+
+/// A mount that gives swings slowly, as on rubber when the vehicle brakes and turns.
+const FLEX_PERIOD_S: f64 = 5.0;
 
 /// A camera of the drive, with the truth about it.
 #[derive(Clone, Debug)]
@@ -128,6 +109,25 @@ pub struct DriveCamera {
     pub readout_s: f64,
     /// Its images, in order of time.
     pub exposures: Vec<Exposure>,
+}
+
+impl DriveCamera {
+    fn cam_from_vehicle_at(&self, time_s: f64) -> Rigid3 {
+        let (swing, phase) = self.flex;
+        if swing == Vector3::zeros() {
+            return self.cam_from_vehicle;
+        }
+        let angle = (std::f64::consts::TAU * time_s / FLEX_PERIOD_S + phase).sin();
+        Rigid3::from_axis_angle(swing * angle, Vector3::zeros()) * self.cam_from_vehicle
+    }
+}
+
+/// About an axis of any direction.
+fn flex(rad: f64, rng: &mut Rng) -> (Vector3<f64>, f64) {
+    let height = 2.0 * rng.uniform() - 1.0;
+    let [azimuth, phase] = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
+    let level = (1.0 - height * height).sqrt();
+    (rad * Vector3::new(level * azimuth.cos(), level * azimuth.sin(), height), phase)
 }
 
 /// A drive with everything known about it. Nothing is rendered until it is asked for.

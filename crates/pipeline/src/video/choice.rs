@@ -37,7 +37,7 @@ impl Candidate {
 }
 
 /// Takes the sharpest of each so many frames, unless it shows what the last one showed.
-pub(super) struct Sharpest {
+struct Sharpest {
     every: NonZeroUsize,
     seen: usize,
     best: Option<Candidate>,
@@ -45,11 +45,11 @@ pub(super) struct Sharpest {
 }
 
 impl Sharpest {
-    pub(super) fn new(every: NonZeroUsize) -> Self {
+    fn new(every: NonZeroUsize) -> Self {
         Self { every, seen: 0, best: None, last: None }
     }
 
-    pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
+    fn add(&mut self, frame: Candidate) -> Option<Candidate> {
         if self.best.as_ref().is_none_or(|best| frame.sharpness > best.sharpness) {
             self.best = Some(frame);
         }
@@ -58,7 +58,7 @@ impl Sharpest {
     }
 
     /// What is left when no more frames come.
-    pub(super) fn end(&mut self) -> Option<Candidate> {
+    fn end(&mut self) -> Option<Candidate> {
         self.seen = 0;
         let best = self.best.take()?;
         let stands = self
@@ -74,8 +74,8 @@ impl Sharpest {
     }
 }
 
-/// Takes the frame nearest to each of some moments; before them and after them, the sharpest.
-pub(super) struct Partners {
+/// Takes the frame nearest to each of some moments; before them and after them, or where there are none, the sharpest.
+pub(super) struct Chooser {
     /// In order.
     moments_s: Vec<f64>,
     next: usize,
@@ -83,7 +83,7 @@ pub(super) struct Partners {
     others: Sharpest,
 }
 
-impl Partners {
+impl Chooser {
     pub(super) fn new(every: NonZeroUsize, moments_s: Vec<f64>) -> Self {
         Self { moments_s, next: 0, nearest: None, others: Sharpest::new(every) }
     }
@@ -249,16 +249,16 @@ mod tests {
     #[test]
     fn partners_are_nearest_in_time() {
         let kept = |moments_s: &[f64], times_s: &[f64]| -> Vec<usize> {
-            let mut partners = Partners::new(NonZeroUsize::new(2).unwrap(), moments_s.to_vec());
+            let mut chooser = Chooser::new(NonZeroUsize::new(2).unwrap(), moments_s.to_vec());
             let frame = |(index, &time_s): (usize, &f64)| {
                 // Every other one is blurred.
                 Candidate::new(index, time_s, picture(13.0 * index as f64, 1 + 8 * (index % 2)))
             };
             let mut kept: Vec<usize> = Vec::new();
             for candidate in times_s.iter().enumerate().map(frame) {
-                kept.extend(partners.add(candidate).map(|frame| frame.index));
+                kept.extend(chooser.add(candidate).map(|frame| frame.index));
             }
-            kept.extend(partners.end().map(|frame| frame.index));
+            kept.extend(chooser.end().map(|frame| frame.index));
             kept
         };
         let times_s: Vec<f64> = (0..12).map(|k| 0.04 + 0.1 * f64::from(k)).collect();

@@ -3,7 +3,9 @@
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Intrinsics, Rigid3, Rng, so3};
-use tiepoint_scene::{ImageId, ImagePair, Match, Observation, Reconstruction, TwoView, TwoViewKind};
+use tiepoint_scene::{
+    CorrespondenceGraph, ImageId, ImagePair, Match, Observation, Reconstruction, TwoView, TwoViewKind,
+};
 
 use super::FeatureScene;
 
@@ -44,6 +46,13 @@ pub struct PairMatches {
 }
 
 impl FeatureScene {
+    /// What a mapper is given beside [`FeatureScene::without_poses`]: the verified matches.
+    pub fn graph(&self, options: &MatchOptions) -> CorrespondenceGraph {
+        let counts: Vec<usize> = self.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+        let found = self.matches(options).into_iter();
+        CorrespondenceGraph::new(&counts, found.map(|found| (found.pair, found.two_view)))
+    }
+
     /// Matches every pair of images that sees enough in common, sorted by pair.
     pub fn matches(&self, options: &MatchOptions) -> Vec<PairMatches> {
         let truth = self.truth();
