@@ -85,6 +85,14 @@ struct Part {
 }
 
 impl Part {
+    fn with_capacity(drafts: usize, blocks: usize) -> Self {
+        Self {
+            drafts: Vec::with_capacity(drafts),
+            blocks: Vec::with_capacity(blocks),
+            keys: Vec::with_capacity(drafts),
+        }
+    }
+
     fn push(&mut self, draft: Draft) {
         let blocks = &self.blocks[draft.first_block as usize..][..draft.num_blocks as usize];
         // Block numbers are below 2³¹, for there are at most so many degrees of freedom.
@@ -134,7 +142,8 @@ impl<'a> Cells<'a> {
             tasks.extend(firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_TASK as u32))));
         }
         let part = |(number, (store, range)): (usize, (u32, Range<u32>))| {
-            let mut part = Part::default();
+            let ends = [start[range.start as usize], start[range.end as usize]];
+            let mut part = Part::with_capacity(range.len(), (ends[1] - ends[0]) as usize);
             let dof = problem.values.stores[store as usize].dof() as u32;
             for owner in range {
                 let ends = [start[owner as usize], start[owner as usize + 1]];
@@ -210,7 +219,8 @@ impl<'a> Cells<'a> {
     /// The cells sorted by their first three blocks, those without a variable last, so that tiles, points and factors stay near;
     /// and so that equal patterns are neighbours, which are then worked on at once.
     pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
-        let (mut keys, mut drafts) = (Vec::new(), Vec::new());
+        let count = self.parts.iter().map(|part| part.drafts.len()).sum();
+        let (mut keys, mut drafts) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for part in &self.parts {
             let first = drafts.len() as u128;
             keys.extend((first..).zip(&part.keys).map(|(index, key)| key | index));
