@@ -80,7 +80,7 @@ struct Part {
     drafts: Vec<Draft>,
     /// The sorted blocks of each.
     blocks: Vec<u32>,
-    /// By what each is sorted.
+    /// By what each is sorted, then its number; in order once it is done.
     keys: Vec<u128>,
 }
 
@@ -102,10 +102,21 @@ impl Part {
             None => 0,
         };
         let rest = u128::from(mixed(blocks));
+        let number = self.drafts.len() as u128;
         self.keys.push(
-            u128::from(draft.dof == 0) << 127 | first << 96 | after(1) << 80 | after(2) << 64 | rest << 32,
+            u128::from(draft.dof == 0) << 127
+                | first << 96
+                | after(1) << 80
+                | after(2) << 64
+                | rest << 32
+                | number,
         );
         self.drafts.push(draft);
+    }
+
+    fn done(mut self) -> Self {
+        self.keys.sort_unstable();
+        self
     }
 }
 
@@ -163,7 +174,7 @@ impl<'a> Cells<'a> {
                     slot: owner - variables.first[store as usize],
                 });
             }
-            part
+            part.done()
         };
         let parts = tasks.into_par_iter().enumerate().map(part).collect();
         let mut cells = Self { parts, entries, views };
@@ -203,7 +214,7 @@ impl<'a> Cells<'a> {
             });
             at += len;
         }
-        self.parts.push(part);
+        self.parts.push(part.done());
     }
 
     /// The sorted blocks of a cell.
@@ -223,10 +234,11 @@ impl<'a> Cells<'a> {
         let (mut keys, mut drafts) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for part in &self.parts {
             let first = drafts.len() as u128;
-            keys.extend((first..).zip(&part.keys).map(|(index, key)| key | index));
+            keys.extend(part.keys.iter().map(|key| key + first));
             drafts.extend(&part.drafts);
         }
-        keys.par_sort_unstable();
+        // Merges what is in order already.
+        keys.par_sort();
         keys.into_iter().map(|key| drafts[key as u32 as usize]).collect()
     }
 }
