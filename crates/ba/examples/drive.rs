@@ -25,13 +25,12 @@ struct SameBaseline {
 /// The right camera's centre in the left frame, t_l − R_l R_rᵀ t_r, with its derivatives by both poses.
 fn baseline(left: &Rigid3, right: &Rigid3) -> (Vector3<f64>, SMatrix<f64, 3, 6>, SMatrix<f64, 3, 6>) {
     let left_from_right = (left.rotation * right.rotation.inverse()).to_rotation_matrix().into_inner();
-    let carried = left_from_right * right.translation;
+    let centre = left.translation - left_from_right * right.translation;
     let (mut d_left, mut d_right) = (SMatrix::<f64, 3, 6>::zeros(), SMatrix::<f64, 3, 6>::zeros());
-    d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&so3::hat(&carried));
+    d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&centre));
     d_left.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
-    d_right.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-left_from_right * so3::hat(&right.translation)));
     d_right.fixed_view_mut::<3, 3>(0, 3).copy_from(&-left_from_right);
-    (left.translation - carried, d_left, d_right)
+    (centre, d_left, d_right)
 }
 
 impl Factor<3> for SameBaseline {

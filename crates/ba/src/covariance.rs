@@ -137,15 +137,16 @@ fn eliminated_columns(
     })?;
     let p = cell.dof as usize;
     let stash = CellStash::of(&system.memory, cell, chunk);
-    let factor = DMatrix::from_row_slice(p, p, stash.factor).lower_triangle();
+    let factor = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
     let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
     // A direction that is held has a one on V's diagonal, for want of anything else, and no variance.
     let moves = |k: usize| free >> k & 1 == 1;
     for k in (0..p).filter(|&k| moves(k)) {
-        if stash.diagonal[k] <= 0.0 {
+        let diagonal = stash.diagonal(k, 0.0);
+        if diagonal <= 0.0 {
             return None;
         }
-        information[at + k] = stash.diagonal[k];
+        information[at + k] = diagonal;
     }
     let pattern = &chunk.patterns[cell.pattern as usize];
     for local in &chunk.pattern_locals[pattern.locals.clone()] {

@@ -105,7 +105,9 @@ impl Problem {
         self.set_free(key, all_free(V::DOF));
     }
 
-    /// Holds the listed tangent directions of a variable constant, in addition to those already held.
+    /// Holds the listed tangent directions of a variable constant, in addition to those already held: no step moves it along them. For
+    /// a pose, that holds its centre where all three of τ are listed; one of them is a direction that turns with the camera (see
+    /// CONVENTIONS.md of `tiepoint-geometry`).
     pub fn fix_tangent<V: Manifold>(&mut self, key: Key<V>, indices: &[usize]) -> Result<(), Error> {
         let mut free = self.meta(key)?.free;
         for &index in indices {

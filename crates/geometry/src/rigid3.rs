@@ -69,19 +69,23 @@ impl Mul<Vector3<f64>> for Rigid3 {
     }
 }
 
-/// SO(3) × R³ with tangent (rotation, translation); see CONVENTIONS.md.
+/// Moved in its target frame, about that frame's origin (a camera about its own centre): tangent (rotation, translation); see CONVENTIONS.md.
 impl Manifold for Rigid3 {
     const DOF: usize = 6;
     type Tangent = SVector<f64, 6>;
     type Jacobian<const R: usize> = SMatrix<f64, R, 6>;
     fn plus(&self, delta: &Self::Tangent) -> Self {
-        let rotation = so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * self.rotation;
-        Self { rotation, translation: self.translation + delta.fixed_rows::<3>(3) }
+        let turn = so3::exp(&delta.fixed_rows::<3>(0).into_owned());
+        Self {
+            rotation: turn * self.rotation,
+            translation: turn * self.translation + delta.fixed_rows::<3>(3),
+        }
     }
     fn minus(&self, base: &Self) -> Self::Tangent {
+        let turn = self.rotation * base.rotation.inverse();
         let mut delta = SVector::<f64, 6>::zeros();
-        delta.fixed_rows_mut::<3>(0).copy_from(&self.rotation.minus(&base.rotation));
-        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - base.translation));
+        delta.fixed_rows_mut::<3>(0).copy_from(&so3::log(&turn));
+        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - turn * base.translation));
         delta
     }
 }

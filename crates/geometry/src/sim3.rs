@@ -4,7 +4,7 @@ use std::ops::Mul;
 
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
-use crate::{Manifold, Rigid3, so3};
+use crate::{Manifold, Rigid3};
 
 /// `point_in_b = scale * (rotation * point_in_a) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +27,10 @@ impl Sim3 {
     pub fn inverse(&self) -> Self {
         let (rotation, scale) = (self.rotation.inverse(), 1.0 / self.scale);
         Self { scale, rotation, translation: -(rotation * self.translation) * scale }
+    }
+
+    fn without_scale(&self) -> Rigid3 {
+        Rigid3 { rotation: self.rotation, translation: self.translation }
     }
 
     /// The pose of the same camera when the world is moved by `self`, as `new_from_old`: the image stays the same, since
@@ -57,22 +61,18 @@ impl Mul<Vector3<f64>> for Sim3 {
     }
 }
 
-/// Tangent (rotation, translation, log scale); see CONVENTIONS.md.
+/// Tangent that of a [`Rigid3`], then the logarithm of the scale; see CONVENTIONS.md.
 impl Manifold for Sim3 {
     const DOF: usize = 7;
     type Tangent = SVector<f64, 7>;
     type Jacobian<const R: usize> = SMatrix<f64, R, 7>;
     fn plus(&self, delta: &Self::Tangent) -> Self {
-        Self {
-            scale: self.scale * delta[6].exp(),
-            rotation: so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * self.rotation,
-            translation: self.translation + delta.fixed_rows::<3>(3),
-        }
+        let moved = self.without_scale().plus(&delta.fixed_rows::<6>(0).into_owned());
+        Self { scale: self.scale * delta[6].exp(), rotation: moved.rotation, translation: moved.translation }
     }
     fn minus(&self, base: &Self) -> Self::Tangent {
         let mut delta = SVector::<f64, 7>::zeros();
-        delta.fixed_rows_mut::<3>(0).copy_from(&self.rotation.minus(&base.rotation));
-        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - base.translation));
+        delta.fixed_rows_mut::<6>(0).copy_from(&self.without_scale().minus(&base.without_scale()));
         delta[6] = (self.scale / base.scale).ln();
         delta
     }

@@ -3,7 +3,7 @@
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
 use tiepoint_geometry::testing::{camera_laws, loss_laws, manifold_laws};
-use tiepoint_geometry::{CameraModelKind, Intrinsics, Loss, Rigid3, Sim3, so3};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Loss, Manifold, Rigid3, Sim3, so3};
 
 fn vector<const N: usize>(size: f64) -> impl Strategy<Value = SVector<f64, N>> {
     prop::array::uniform(-size..size).prop_map(SVector::from)
@@ -41,6 +41,20 @@ manifolds! {
     rotations: rotation(), 3;
     rigid_transforms: rigid(), 6;
     similarities: similarity(), 7;
+}
+
+proptest! {
+    /// However far from the world's origin it is, and moves along its own axes.
+    #[test]
+    fn a_camera_turns_about_its_own_centre(pose in rigid(), turn in vector::<3>(3.0), shift in vector::<3>(10.0)) {
+        let tangent = |shift: Vector3<f64>| SVector::<f64, 6>::from_fn(|i, _| if i < 3 { turn[i] } else { shift[i - 3] });
+        let turned = pose.plus(&tangent(Vector3::zeros()));
+        prop_assert!((turned.origin_in_a() - pose.origin_in_a()).norm() < 1e-13);
+        let moved = pose.plus(&tangent(shift));
+        prop_assert_eq!(moved.rotation, turned.rotation);
+        let in_cam = moved.rotation * (moved.origin_in_a() - pose.origin_in_a());
+        prop_assert!((in_cam + shift).norm() < 1e-13);
+    }
 }
 
 /// Lenses as one meets them: coefficients small enough that the field of view below is seen without a fold.

@@ -125,8 +125,8 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
     Ok(report)
 }
 
-/// Holds what no pixel depends on: the pose of the first camera, and the coordinate of another's translation that moves most when
-/// the world is scaled about the first.
+/// Holds what no pixel depends on: the pose of the first camera, and the coordinate in which another's centre moves most when the
+/// world is scaled about the first.
 fn hold_gauge(problem: &mut Problem, cameras: &[(Key<SVector<f64, 5>>, Key<Rigid3>)]) -> Result<(), Error> {
     let Some(&(_, first)) = cameras.first() else { return Ok(()) };
     let centre = problem.get(first).origin_in_a();
@@ -137,7 +137,7 @@ fn hold_gauge(problem: &mut Problem, cameras: &[(Key<SVector<f64, 5>>, Key<Rigid
     });
     let farthest = baselines.max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
     if let Some((key, baseline)) = farthest {
-        // The tangent of a pose is its rotation, then its translation.
+        // The tangent of a pose is its rotation, then how its centre moves in its frame.
         problem.fix_tangent(key, &[3 + baseline.iamax()]).map_err(sfm::Error::from)?;
     }
     Ok(())

@@ -5,12 +5,10 @@
 //! through all four, and a motion of constant twist (straight on, or around a bend) is reproduced exactly, since then η_k = (t_k − t_1) ξ
 //! and Σ ℓ_k(t) (t_k − t_1) = t − t_1.
 //!
-//! With left perturbations ε = (δ, ρ) of poses, dη_k = 𝒥⁻¹(η_k) ε_k − 𝒥⁻¹(−η_k) ε_1 and
-//! dP(t) = 𝒥(ζ) Σ ℓ_k dη_k + Ad(Exp ζ) ε_1, ζ = Σ ℓ_k η_k; dP/dt = 𝒥(ζ) Σ ℓ_k' η_k. The tangents (δ, τ) of CONVENTIONS.md have
-//! ρ = τ + [t]ₓ δ, t being the pose's translation.
+//! The tangents ε = (δ, τ) of CONVENTIONS.md are, to first order, perturbations P ← Exp(ε) P, so that dη_k = 𝒥⁻¹(η_k) ε_k − 𝒥⁻¹(−η_k) ε_1 and
+//! dP(t) = 𝒥(ζ) Σ ℓ_k dη_k + Ad(Exp ζ) ε_1, ζ = Σ ℓ_k η_k; dP/dt = 𝒥(ζ) Σ ℓ_k' η_k.
 
-use tiepoint_geometry::nalgebra::Matrix3;
-use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_geometry::Rigid3;
 
 use crate::se3::{self, Matrix6, Twist};
 
@@ -50,20 +48,14 @@ impl Knots<'_> {
         let motion = se3::exp(&zeta);
         let pose = motion * *self.poses[BASE];
         let jacobian = se3::left_jacobian(&zeta);
-        let identity = Matrix3::identity();
-        // From left perturbations to tangents, and back.
-        let to_tangent = se3::blocks(&identity, &-so3::hat(&pose.translation), &identity);
-        let from_tangent =
-            |k: usize| se3::blocks(&identity, &so3::hat(&self.poses[k].translation), &identity);
         let mut d_base = se3::adjoint(&motion);
         let mut d_knots = [Matrix6::zeros(); 4];
         for k in (0..4).filter(|&k| k != BASE) {
-            let by_knot = jacobian * se3::left_jacobian_inverse(&twists[k]) * weights[k];
+            d_knots[k] = jacobian * se3::left_jacobian_inverse(&twists[k]) * weights[k];
             d_base -= jacobian * se3::left_jacobian_inverse(&-twists[k]) * weights[k];
-            d_knots[k] = to_tangent * by_knot * from_tangent(k);
         }
-        d_knots[BASE] = to_tangent * d_base * from_tangent(BASE);
-        LinearPose { pose, d_knots, d_time: to_tangent * (jacobian * slope) }
+        d_knots[BASE] = d_base;
+        LinearPose { pose, d_knots, d_time: jacobian * slope }
     }
 
     /// η_k.

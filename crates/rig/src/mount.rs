@@ -10,7 +10,7 @@
 //! | | left (δ, τ) | right (δ, τ) | T: δ | T: τ |
 //! |---|---|---|---|---|
 //! | c | see [`crate::RelativePose`] | see there | 0 | 0 |
-//! | c_T | 0 | 0 | −R_Tᵀ [t_T]ₓ | −R_Tᵀ |
+//! | c_T | 0 | 0 | 0 | −R_Tᵀ |
 //! | φ | −J_l⁻¹(φ) R, 0 | J_l⁻¹(φ), 0 | −J_l⁻¹(φ) D | 0 |
 //!
 //! and d(e/|c_T|) = (d c − d c_T)/|c_T| − e (c_T · d c_T)/|c_T|³, the last part missing where a constant stands for |c_T|.
@@ -77,9 +77,6 @@ impl Factor<6> for Mounted {
         let d_centre = -(Matrix3::identity() + by_baseline) * scale;
         let mut d_mount = SMatrix::<f64, 6, 6>::zeros();
         let turned = mount_rotation.transpose();
-        d_mount
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&(d_centre * -(turned * so3::hat(&mount.translation))));
         d_mount.fixed_view_mut::<3, 3>(0, 3).copy_from(&(d_centre * -turned));
         d_mount.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * relative * turned));
         Some((residual, (d_left, d_right, d_mount)))

@@ -2,12 +2,12 @@
 //!
 //! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the right camera,
 //! c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the left one's frame, and a = Log(R_r R_lᵀ) is the
-//! axis-angle vector (radians) of right from left. With the perturbations of CONVENTIONS.md (R ← Exp(δ) R, t ← t + τ) and
+//! axis-angle vector (radians) of right from left. With the perturbations (δ, τ) of CONVENTIONS.md and
 //! Q = R_r R_lᵀ:
 //!
 //! | | δ_l | τ_l | δ_r | τ_r |
 //! |---|---|---|---|---|
-//! | c | −[R_l c_r]ₓ | I | −Qᵀ [t_r]ₓ | −Qᵀ |
+//! | c | −[c]ₓ | I | 0 | −Qᵀ |
 //! | a | −J_l⁻¹(a) Q | 0 | J_l⁻¹(a) | 0 |
 //!
 //! J_l is the left Jacobian of SO(3). Axis-angle wraps at π: for cameras that look in opposite directions, differences of `a`
@@ -78,14 +78,10 @@ impl RelativePose {
         let q = (right_from_world.rotation * left_from_world.rotation.inverse())
             .to_rotation_matrix()
             .into_inner();
-        let right_rotated = p.translation - left_from_world.translation;
         let mut d_left = SMatrix::<f64, 6, 6>::zeros();
         let mut d_right = SMatrix::<f64, 6, 6>::zeros();
-        d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&right_rotated));
+        d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&p.translation));
         d_left.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
-        d_right
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&(-q.transpose() * so3::hat(&right_from_world.translation)));
         d_right.fixed_view_mut::<3, 3>(0, 3).copy_from(&-q.transpose());
         LinearRelativePose { p, d_left, d_right }.with_rotation(&q)
     }

@@ -48,7 +48,7 @@ pub(crate) fn adjoint(motion: &Rigid3) -> Matrix6 {
 }
 
 /// Lower triangular, of blocks.
-pub(crate) fn blocks(a: &Matrix3<f64>, below: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix6 {
+fn blocks(a: &Matrix3<f64>, below: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix6 {
     let mut matrix = Matrix6::zeros();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(a);
     matrix.fixed_view_mut::<3, 3>(3, 0).copy_from(below);

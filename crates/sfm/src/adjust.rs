@@ -1,7 +1,7 @@
 //! Bundle adjustment of a reconstruction: into a least-squares problem, and back.
 //!
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
-//! leaving columns out: the pose of one image and the coordinate of a second image's translation that moves most with the
+//! leaving columns out: the pose of one image and, of a second image's tangent, the coordinate in which its centre moves most with the
 //! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take
 //! part; afterwards each is moved to where the adjusted poses see it.
 
@@ -64,8 +64,8 @@ pub struct AdjustOptions<'a> {
     pub focal_priors: &'a [FocalPrior],
     /// Where cameras ride together: relative poses that should be equal.
     pub links: &'a [BaselineLink],
-    /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate of the second one's
-    /// translation. By default the first and the one farthest from it.
+    /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate in which the second one's
+    /// centre moves. By default the first and the one farthest from it.
     pub gauge: Option<ImagePair>,
     /// Steps at most.
     pub max_iterations: usize,
@@ -312,7 +312,8 @@ impl Bundle {
         self.problem.fix(first_key);
         let Some(first_pose) = model.image(first_image).cam_from_world() else { return Ok(()) };
         let first_centre = first_pose.origin_in_a();
-        // Scaling the world about the first camera by 1 + ε moves the translation of another by −ε R (c − c₁).
+        // Scaling the world about the first camera by 1 + ε moves the centre of another by ε (c − c₁), which in its frame is
+        // τ = −ε R (c − c₁).
         let direction = |&(image, key): &(ImageId, Key<Rigid3>)| {
             let pose = model.image(image).cam_from_world()?;
             Some((key, pose.rotation * (pose.origin_in_a() - first_centre)))

@@ -24,8 +24,7 @@ impl Factor<2> for Snavely {
         (cam_from_world, lens, point): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 2>> {
         let rotation = cam_from_world.rotation.to_rotation_matrix().into_inner();
-        let rotated = rotation * point;
-        let in_cam = rotated + cam_from_world.translation;
+        let in_cam = rotation * point + cam_from_world.translation;
         let minus_inv_z = -1.0 / in_cam.z;
         let (u, v) = (in_cam.x * minus_inv_z, in_cam.y * minus_inv_z);
         let (f, k1, k2) = (lens[0], lens[1], lens[2]);
@@ -40,7 +39,7 @@ impl Factor<2> for Snavely {
             scale * (distortion + slope * v * v),
         );
         let (x, y) = (Vector3::new(a, b, a * u + b * v), Vector3::new(b, c, b * u + c * v));
-        let (x_turn, y_turn) = (rotated.cross(&x), rotated.cross(&y));
+        let (x_turn, y_turn) = (in_cam.cross(&x), in_cam.cross(&y));
         let (x_point, y_point) = (rotation.tr_mul(&x), rotation.tr_mul(&y));
         #[rustfmt::skip]
         let d_pose = SMatrix::<f64, 2, 6>::new(

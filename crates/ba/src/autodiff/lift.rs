@@ -64,11 +64,16 @@ impl<T: Scalar> RigidOf<T> {
     }
 }
 
+/// Exp(ε) t + τ ≈ t + ε × t + τ.
 impl Lift for Rigid3 {
     type Of<T: Scalar> = RigidOf<T>;
     #[inline]
     fn lift<T: Scalar>(&self, tangent: &[T]) -> RigidOf<T> {
-        let translation = std::array::from_fn(|i| tangent[3 + i] + self.translation[i]);
+        let (w, t) = (&tangent[..3], &self.translation);
+        let translation = std::array::from_fn(|i| {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            w[j] * t[k] - w[k] * t[j] + tangent[3 + i] + t[i]
+        });
         RigidOf { rotation: self.rotation.lift(tangent), translation }
     }
 }

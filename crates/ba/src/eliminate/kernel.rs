@@ -6,7 +6,7 @@
 use super::lanes::{Fused, Fused512};
 use super::lanes::{Isa, LANES, Portable, Stored, Task, Vector, WIDE};
 use super::product::over_lanes;
-use super::{Path, Room, cell, damping, normal, single, stash_head};
+use super::{Path, Room, cell, damping, normal, row, single, stash_head};
 use crate::structure::{Batch, Cell, Chunk, Elimination, Local, padded};
 
 /// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
@@ -151,9 +151,9 @@ fn own_block<const P: usize, I: Isa>(
     if P == 0 {
         return;
     }
-    let mut diagonal = [0.0; P];
+    let mut is_seen = [true; P];
     for i in 0..P {
-        diagonal[i] = v[i][i];
+        is_seen[i] = v[i][i] != 0.0;
         *gradient_max = gradient_max.max(g[i].abs());
         v[i][i] += damping(v[i][i], lambda);
     }
@@ -161,6 +161,9 @@ fn own_block<const P: usize, I: Isa>(
     cholesky::<P>(&mut v, &mut inverse);
     let mut y = g;
     for i in 0..P {
+        if !is_seen[i] {
+            inverse[i] = 0.0;
+        }
         for j in 0..i {
             y[i] -= v[i][j] * y[j];
         }
@@ -168,10 +171,9 @@ fn own_block<const P: usize, I: Isa>(
     }
     let head = &mut stash[cell.stash..][..stash_head(P)];
     for i in 0..P {
-        head[i * P..][..P].copy_from_slice(&v[i]);
-        for (part, numbers) in [&y, &g, &diagonal, &inverse].into_iter().enumerate() {
-            head[P * P + part * P + i] = numbers[i];
-        }
+        head[row(i)..][..i].copy_from_slice(&v[i][..i]);
+        head[row(i) + i] = inverse[i];
+        head[row(P) + i] = y[i];
     }
 }
 

@@ -36,8 +36,8 @@ use crate::variable::Values;
 /// Largest variable that can be eliminated: beyond, the reduced system is the better place.
 pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
-/// Numbers kept of a cell: L, y, g_p, the diagonal of J_pᵀJ_p, the inverses of L's diagonal, and Y: block by block, of each
-/// block a row for each direction, without padding.
+/// Numbers kept of a cell: L row by row, with the inverses of its diagonal in place of that, y, and Y: block by block, of each
+/// block a row for each direction, without padding. The rest follows: g_p = Ly, and the diagonal of V is that of LLᵀ.
 ///
 /// Y is in single precision, two in place of one, for it is most of the memory, and of what is read and written: a step of
 /// eliminated variables that is wrong in the eighth digit is as good. Not where the reduced system is made of Y, for what is
@@ -52,7 +52,13 @@ const STASH_SLACK: usize = 3;
 
 /// Those before Y.
 fn stash_head(dof: usize) -> usize {
-    dof * dof + 4 * dof
+    row(dof) + dof
+}
+
+/// Where a row of L begins.
+#[inline(always)]
+fn row(i: usize) -> usize {
+    i * (i + 1) / 2
 }
 
 /// What a chunk sums up, apart from its tiles and its stash, which live in the memory of all chunks.
@@ -169,18 +175,21 @@ impl Sums {
             let pattern = &chunk.patterns[cell.pattern as usize];
             let locals = &chunk.pattern_locals[pattern.locals.clone()];
             stash.y.multiply(locals, &kept, step);
+            // gᵀδ = (Ly)ᵀδ = −yᵀ(y + Y δ_c).
+            for (y, sum) in stash.reduced_gradient.iter().zip(&*step) {
+                promise[0] -= y * sum;
+            }
             // Lᵀ δ = −(y + Y δ_c), from the last row up.
             for k in (0..p).rev() {
                 let (this, below) = step[k..].split_first_mut().expect("k is below p");
                 let mut sum = -*this;
-                for (i, step) in below.iter().enumerate() {
-                    sum -= stash.factor[(k + 1 + i) * p + k] * step;
+                for (i, step) in (k + 1..p).zip(below) {
+                    sum -= stash.factor[row(i) + k] * *step;
                 }
-                *this = sum * stash.inverse[k];
+                *this = sum * stash.factor[row(k) + k];
             }
             for (k, component) in step.iter().enumerate() {
-                promise[0] += stash.gradient[k] * component;
-                promise[1] += lambda * stash.diagonal[k] * component * component;
+                promise[1] += lambda * stash.diagonal(k, lambda) * component * component;
             }
         }
         promise
@@ -197,16 +206,10 @@ fn most_at_once(chunk: &Chunk, need: impl Fn(&Cell) -> usize) -> usize {
 
 /// The parts of a cell's stash.
 pub(crate) struct CellStash<'a> {
-    /// L, row by row.
-    pub(crate) factor: &'a [f64],
+    /// The lower triangle of L, row by row, with the inverses of its diagonal; 0 there for a direction that no factor sees.
+    factor: &'a [f64],
     /// y.
-    pub(crate) reduced_gradient: &'a [f64],
-    /// g_p.
-    pub(crate) gradient: &'a [f64],
-    /// The diagonal of J_pᵀJ_p.
-    pub(crate) diagonal: &'a [f64],
-    /// The inverses of L's diagonal.
-    inverse: &'a [f64],
+    reduced_gradient: &'a [f64],
     pub(crate) y: Y<'a>,
 }
 
@@ -254,11 +257,28 @@ impl<'a> CellStash<'a> {
             Elimination::Implicit => Y::Double(y),
             _ => Y::Single(bytemuck::cast_slice(y)),
         };
-        let (factor, rest) = head.split_at(p * p);
-        let (reduced_gradient, rest) = rest.split_at(p);
-        let (gradient, rest) = rest.split_at(p);
-        let (diagonal, inverse) = rest.split_at(p);
-        Self { factor, reduced_gradient, gradient, diagonal, inverse, y }
+        let (factor, reduced_gradient) = head.split_at(row(p));
+        Self { factor, reduced_gradient, y }
+    }
+
+    /// A number of L's lower triangle; a one on its diagonal for a direction that no factor sees.
+    pub(crate) fn factor(&self, i: usize, j: usize) -> f64 {
+        let number = self.factor[row(i) + j];
+        match i == j {
+            true if number == 0.0 => 1.0,
+            true => 1.0 / number,
+            false => number,
+        }
+    }
+
+    /// A number of the diagonal of J_pᵀJ_p, from that of V = LLᵀ with damping `lambda`.
+    #[inline]
+    pub(crate) fn diagonal(&self, k: usize, lambda: f64) -> f64 {
+        let (before, inverse) = (&self.factor[row(k)..][..k], self.factor[row(k) + k]);
+        if inverse == 0.0 {
+            return 0.0;
+        }
+        before.iter().fold(1.0 / (inverse * inverse), |sum, l| sum + l * l) / (1.0 + lambda)
     }
 }
 
@@ -274,16 +294,18 @@ impl<const P: usize> Head<P> {
     fn of(head: &[f64]) -> Self {
         let mut this = Self { factor: [[0.0; P]; P], y: [0.0; P], inverse: [0.0; P] };
         for i in 0..P {
-            this.factor[i].copy_from_slice(&head[i * P..][..P]);
-            this.y[i] = head[P * P + i];
-            this.inverse[i] = head[P * P + 3 * P + i];
+            for j in 0..i {
+                this.factor[i][j] = head[row(i) + j];
+            }
+            this.inverse[i] = head[row(i) + i];
+            this.y[i] = head[row(P) + i];
         }
         this
     }
 }
 
 /// λD of a direction with this entry on the diagonal of JᵀJ: Marquardt's scaling, which makes the step independent of units. A
-/// direction that no factor sees gets a one, and stays where it is.
+/// direction that no factor sees gets a one for now, and stays where it is.
 #[inline(always)]
 pub(crate) fn damping(diagonal: f64, lambda: f64) -> f64 {
     if diagonal > 0.0 { lambda * diagonal } else { 1.0 }

@@ -28,21 +28,25 @@ impl Difference<3> for UnitQuaternion<f64> {
     }
 }
 
-fn rotation_and_rest<const N: usize>(rotation: &Matrix3<f64>) -> SMatrix<f64, N, N> {
+/// By a motion (δ, τ) of x, the motion (Exp r, p) that leads from the base to x becomes (Exp(δ) Exp(r), Exp(δ) p + τ). Rows and columns
+/// behind the sixth are those of the identity.
+pub(super) fn d_motion<const N: usize>(r_and_p: &SVector<f64, N>) -> SMatrix<f64, N, N> {
+    let (r, p) = (r_and_p.fixed_rows::<3>(0).into_owned(), r_and_p.fixed_rows::<3>(3).into_owned());
     let mut jacobian = SMatrix::<f64, N, N>::identity();
-    jacobian.view_mut((0, 0), (3, 3)).copy_from(rotation);
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&so3::left_jacobian_inverse(&r));
+    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-so3::hat(&p));
     jacobian
 }
 
 impl Difference<6> for Rigid3 {
     fn d_minus(&self, base: &Self) -> SMatrix<f64, 6, 6> {
-        rotation_and_rest(&self.rotation.d_minus(&base.rotation))
+        d_motion(&self.minus(base))
     }
 }
 
 impl Difference<7> for Sim3 {
     fn d_minus(&self, base: &Self) -> SMatrix<f64, 7, 7> {
-        rotation_and_rest(&self.rotation.d_minus(&base.rotation))
+        d_motion(&self.minus(base))
     }
 }
 

@@ -23,12 +23,12 @@ impl<M: CameraModel> Reprojection<M> {
     }
 }
 
-/// Derivative of R p + t by the pose that holds R and t: Exp(δ) R p ≈ R p + δ × R p.
+/// Derivative by the pose that brought the point to where it is `moved` to: Exp(δ) p + τ ≈ p + δ × p + τ.
 #[inline(always)]
-fn d_pose(d_point: &Matrix2x3<f64>, rotated: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
+fn d_pose(d_point: &Matrix2x3<f64>, moved: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
     let [x, y] = [0, 1].map(|r| Vector3::new(d_point[(r, 0)], d_point[(r, 1)], d_point[(r, 2)]));
     // d · (δ × p) = δ · (p × d).
-    let (x_turn, y_turn) = (rotated.cross(&x), rotated.cross(&y));
+    let (x_turn, y_turn) = (moved.cross(&x), moved.cross(&y));
     let x = [x_turn.x, x_turn.y, x_turn.z, x.x, x.y, x.z];
     let y = [y_turn.x, y_turn.y, y_turn.z, y.x, y.y, y.z];
     SMatrix::from_fn(|r, c| if r == 0 { x[c] } else { y[c] })
@@ -50,11 +50,11 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
         (params, cam_from_world, point): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 2>> {
         let rotation = cam_from_world.rotation.to_rotation_matrix().into_inner();
-        let rotated = rotation * point;
-        let projected = M::project_with_jacobian(params, &(rotated + cam_from_world.translation))?;
+        let in_cam = rotation * point + cam_from_world.translation;
+        let projected = M::project_with_jacobian(params, &in_cam)?;
         let weight = 1.0 / self.sigma_px;
         let d_point = projected.d_point * weight;
-        let jacobians = (scale(projected.d_params, weight), d_pose(&d_point, &rotated), d_point * rotation);
+        let jacobians = (scale(projected.d_params, weight), d_pose(&d_point, &in_cam), d_point * rotation);
         Some(((projected.pixel - self.pixel) * weight, jacobians))
     }
 
@@ -92,19 +92,19 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
         &self,
         (params, cam_from_rig, rig_from_world, point): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 2>> {
-        let in_rig = rig_from_world.rotation.to_rotation_matrix().into_inner();
-        let in_cam = cam_from_rig.rotation.to_rotation_matrix().into_inner();
-        let rotated_in_rig = in_rig * point;
-        let rotated_in_cam = in_cam * (rotated_in_rig + rig_from_world.translation);
-        let projected = M::project_with_jacobian(params, &(rotated_in_cam + cam_from_rig.translation))?;
+        let to_rig = rig_from_world.rotation.to_rotation_matrix().into_inner();
+        let to_cam = cam_from_rig.rotation.to_rotation_matrix().into_inner();
+        let in_rig = to_rig * point + rig_from_world.translation;
+        let in_cam = to_cam * in_rig + cam_from_rig.translation;
+        let projected = M::project_with_jacobian(params, &in_cam)?;
         let weight = 1.0 / self.sigma_px;
-        let d_point_in_cam = projected.d_point * weight;
-        let d_point_in_rig = d_point_in_cam * in_cam;
+        let d_in_cam = projected.d_point * weight;
+        let d_in_rig = d_in_cam * to_cam;
         let jacobians = (
             scale(projected.d_params, weight),
-            d_pose(&d_point_in_cam, &rotated_in_cam),
-            d_pose(&d_point_in_rig, &rotated_in_rig),
-            d_point_in_rig * in_rig,
+            d_pose(&d_in_cam, &in_cam),
+            d_pose(&d_in_rig, &in_rig),
+            d_in_rig * to_rig,
         );
         Some(((projected.pixel - self.pixel) * weight, jacobians))
     }

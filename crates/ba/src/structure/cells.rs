@@ -80,11 +80,19 @@ struct Part {
     drafts: Vec<Draft>,
     /// The sorted blocks of each.
     blocks: Vec<u32>,
-    /// By what each is sorted.
+    /// By what each is sorted, then its number; in order once it is done.
     keys: Vec<u128>,
 }
 
 impl Part {
+    fn with_capacity(drafts: usize, blocks: usize) -> Self {
+        Self {
+            drafts: Vec::with_capacity(drafts),
+            blocks: Vec::with_capacity(blocks),
+            keys: Vec::with_capacity(drafts),
+        }
+    }
+
     fn push(&mut self, draft: Draft) {
         let blocks = &self.blocks[draft.first_block as usize..][..draft.num_blocks as usize];
         // Block numbers are below 2³¹, for there are at most so many degrees of freedom.
@@ -94,10 +102,21 @@ impl Part {
             None => 0,
         };
         let rest = u128::from(mixed(blocks));
+        let number = self.drafts.len() as u128;
         self.keys.push(
-            u128::from(draft.dof == 0) << 127 | first << 96 | after(1) << 80 | after(2) << 64 | rest << 32,
+            u128::from(draft.dof == 0) << 127
+                | first << 96
+                | after(1) << 80
+                | after(2) << 64
+                | rest << 32
+                | number,
         );
         self.drafts.push(draft);
+    }
+
+    fn done(mut self) -> Self {
+        self.keys.sort_unstable();
+        self
     }
 }
 
@@ -134,7 +153,8 @@ impl<'a> Cells<'a> {
             tasks.extend(firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_TASK as u32))));
         }
         let part = |(number, (store, range)): (usize, (u32, Range<u32>))| {
-            let mut part = Part::default();
+            let ends = [start[range.start as usize], start[range.end as usize]];
+            let mut part = Part::with_capacity(range.len(), (ends[1] - ends[0]) as usize);
             let dof = problem.values.stores[store as usize].dof() as u32;
             for owner in range {
                 let ends = [start[owner as usize], start[owner as usize + 1]];
@@ -154,7 +174,7 @@ impl<'a> Cells<'a> {
                     slot: owner - variables.first[store as usize],
                 });
             }
-            part
+            part.done()
         };
         let parts = tasks.into_par_iter().enumerate().map(part).collect();
         let mut cells = Self { parts, entries, views };
@@ -194,7 +214,7 @@ impl<'a> Cells<'a> {
             });
             at += len;
         }
-        self.parts.push(part);
+        self.parts.push(part.done());
     }
 
     /// The sorted blocks of a cell.
@@ -210,13 +230,15 @@ impl<'a> Cells<'a> {
     /// The cells sorted by their first three blocks, those without a variable last, so that tiles, points and factors stay near;
     /// and so that equal patterns are neighbours, which are then worked on at once.
     pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
-        let (mut keys, mut drafts) = (Vec::new(), Vec::new());
+        let count = self.parts.iter().map(|part| part.drafts.len()).sum();
+        let (mut keys, mut drafts) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for part in &self.parts {
             let first = drafts.len() as u128;
-            keys.extend((first..).zip(&part.keys).map(|(index, key)| key | index));
+            keys.extend(part.keys.iter().map(|key| key + first));
             drafts.extend(&part.drafts);
         }
-        keys.par_sort_unstable();
+        // Merges what is in order already.
+        keys.par_sort();
         keys.into_iter().map(|key| drafts[key as u32 as usize]).collect()
     }
 }

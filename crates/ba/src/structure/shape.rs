@@ -64,25 +64,30 @@ impl<'a> Shapes<'a> {
         cell_blocks: &[u32],
         locals: &mut Vec<u16>,
     ) -> Result<u16, Error> {
-        let mut key = Key { run: entry.run, same_block: 0, classes: [0; MAX_VARIABLES] };
-        let (mut blocks, mut last_block, mut classes_differ) = ([NONE; MAX_VARIABLES], NONE, 0);
-        for (i, place) in self.views[entry.run as usize].places(entry.factor).enumerate() {
-            key.classes[i] = place.class;
+        let places = || self.views[entry.run as usize].places(entry.factor);
+        let (mut blocks, mut last_block) = ([NONE; MAX_VARIABLES], NONE);
+        let (mut same_block, mut classes_differ) = (0, 0);
+        for (i, place) in places().enumerate() {
             classes_differ |= place.class ^ self.last.0.classes[i];
-            key.same_block |= u8::from(place.block == last_block) << i;
+            same_block |= u8::from(place.block == last_block) << i;
             (blocks[i], last_block) = (place.block, place.block);
         }
         // Those of one run have equally many classes.
         let same = classes_differ == 0
-            && (key.run, key.same_block) == (self.last.0.run, self.last.0.same_block)
+            && (entry.run, same_block) == (self.last.0.run, self.last.0.same_block)
             && !self.shapes.is_empty();
         if !same {
+            let mut key = Key { run: entry.run, same_block, classes: [0; MAX_VARIABLES] };
+            key.classes.iter_mut().zip(places()).for_each(|(class, place)| *class = place.class);
             self.last = (key, self.number(&key)?);
         }
         let number = self.last.1;
         for &variable in &self.facts[number as usize].begins {
             let block = blocks[variable as usize];
+            // Often the one after the one before.
+            let next = locals.last().map_or(0, |&last| usize::from(last) + 1);
             let local = match cell_blocks.len() {
+                _ if cell_blocks.get(next) == Some(&block) => Some(next),
                 // Few are found sooner one by one.
                 0..=8 => cell_blocks.iter().position(|&other| other == block),
                 _ => cell_blocks.binary_search(&block).ok(),

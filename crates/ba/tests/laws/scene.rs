@@ -93,7 +93,7 @@ impl Scene {
         Self { problem, intrinsics, poses, points: keys, true_poses, true_points }
     }
 
-    /// Holds the first pose, and the largest component of the second one's translation: scale.
+    /// Holds the first pose, and the second one's centre along its axis, which is mostly scale.
     pub(crate) fn fix_gauge(&mut self) {
         self.problem.fix(self.poses[0]);
         self.problem.fix_tangent(self.poses[1], &[5]).unwrap();

@@ -142,9 +142,9 @@ struct Reprojection<'a> {
     inliers: &'a [usize],
 }
 
-/// d pixel / d (rotation, translation), the rotation perturbed on the left: X ↦ X + δ × (X − t).
-pub(super) fn d_pose(d_point: &Matrix2x3<f64>, rotated: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
-    let d_rotation = d_point * -so3::hat(rotated);
+/// d pixel / d (rotation, translation), the rotation perturbed on the left: X ↦ X + δ × X + τ.
+pub(super) fn d_pose(d_point: &Matrix2x3<f64>, point_in_cam: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
+    let d_rotation = d_point * -so3::hat(point_in_cam);
     let mut jacobian = SMatrix::<f64, 2, 6>::zeros();
     jacobian.fixed_columns_mut::<3>(0).copy_from(&d_rotation);
     jacobian.fixed_columns_mut::<3>(3).copy_from(d_point);
@@ -162,15 +162,39 @@ impl Problem<6> for Reprojection<'_> {
         let rotation = value.rotation.to_rotation_matrix();
         with_camera_model!(self.intrinsics, M, params => {
             for &i in self.inliers {
-                let rotated = rotation * self.points_in_world[i];
-                match M::project_with_jacobian(params, &(rotated + value.translation)) {
+                let point_in_cam = rotation * self.points_in_world[i] + value.translation;
+                match M::project_with_jacobian(params, &point_in_cam) {
                     Some(projection) => normal.add(
                         &(projection.pixel - self.pixels[i]),
-                        &d_pose(&projection.d_point, &rotated),
+                        &d_pose(&projection.d_point, &point_in_cam),
                     ),
                     None => normal.refuse(),
                 }
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CameraModelKind;
+    use crate::testing::jacobian_law;
+
+    /// Of the five-point rule, in radians and metres.
+    const STEP: f64 = 1e-3;
+
+    #[test]
+    fn the_derivative_by_the_pose_is_that_of_its_tangent() {
+        let pose = Rigid3::from_axis_angle(Vector3::new(0.2, -0.4, 1.0), Vector3::new(30.0, -2.0, 5.0));
+        let point = pose.inverse() * Vector3::new(0.7, -0.4, 3.0);
+        let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 1.0, 2, 2);
+        let analytic = with_camera_model!(&intrinsics, M, params => {
+            let in_cam = pose * point;
+            let projection = M::project_with_jacobian(params, &in_cam).expect("in front of the camera");
+            d_pose(&projection.d_point, &in_cam)
+        });
+        let pixel = |pose: &Rigid3| intrinsics.project(&(*pose * point));
+        assert_eq!(jacobian_law(&pose, &analytic, STEP, pixel), Ok(()));
     }
 }

@@ -114,15 +114,15 @@ impl Problem<7> for ReprojectionFocal<'_> {
         let rotation = pose.rotation.to_rotation_matrix();
         with_camera_model!(&camera, M, params => {
             for &i in self.inliers {
-                let rotated = rotation * self.data.points_in_world[i];
-                let Some(projection) = M::project_with_jacobian(params, &(rotated + pose.translation)) else {
+                let point_in_cam = rotation * self.data.points_in_world[i] + pose.translation;
+                let Some(projection) = M::project_with_jacobian(params, &point_in_cam) else {
                     normal.refuse();
                     continue;
                 };
                 // Every model is c + f · (something), so that the offset from c is the derivative by ln f.
                 let d_log_factor = projection.pixel - centre;
                 let mut jacobian = SMatrix::<f64, 2, 7>::zeros();
-                jacobian.fixed_columns_mut::<6>(0).copy_from(&d_pose(&projection.d_point, &rotated));
+                jacobian.fixed_columns_mut::<6>(0).copy_from(&d_pose(&projection.d_point, &point_in_cam));
                 jacobian.set_column(6, &d_log_factor);
                 normal.add(&(projection.pixel - self.data.pixels[i]), &jacobian);
             }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, Key, Order};
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
-use tiepoint_geometry::{Loss, Rigid3};
+use tiepoint_geometry::{Loss, Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, MountedInTime};
 use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
 
@@ -18,10 +18,10 @@ use crate::{Error, relative_noise};
 const CLOCK_SIGMA_S: f64 = 1.0;
 const DRIFT_SIGMA: f64 = 5e-5;
 
-/// What is believed of the rotation of a mounting between cameras that see nothing in common; of the translation it is the unit.
+/// What is believed of the rotation of a mounting between cameras that see nothing in common; of the centre it is the unit.
 const UNSEEN_SIGMA_RAD: f64 = 1.0;
 
-/// The covariance of each mounting's calibration (rotation, translation) and clock (offset, drift), zero where they do not move; `None`
+/// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
 /// where something is not determined. The noise of the keypoints is what the model leaves, and σ of the mountings what they say.
 pub(crate) fn mounting_covariances(
     model: &Reconstruction,
@@ -39,9 +39,10 @@ pub(crate) fn mounting_covariances(
         keys.extend(clock.map(AnyKey::from));
         let found = bundle.problem.covariance(&keys).ok()?;
         let size = found.matrix().nrows();
-        let mut covariance = MountingCovariance::zeros();
-        covariance.view_mut((0, 0), (size, size)).copy_from(&(found.matrix() * (noise * noise)));
-        Some(covariance)
+        let mut of_tangent = MountingCovariance::zeros();
+        of_tangent.view_mut((0, 0), (size, size)).copy_from(&(found.matrix() * (noise * noise)));
+        let change = d_numbers(&bundle.problem.get(*mount));
+        Some(change * of_tangent * change.transpose())
     };
     Ok(bundle.mountings.iter().map(of).collect())
 }
@@ -75,7 +76,14 @@ pub(super) fn without_points_at_infinity(model: &Reconstruction) -> Reconstructi
     near
 }
 
-/// Rotation (radians), translation (units of the model), offset (seconds), drift.
+/// How the numbers of a mounting (rotation, translation) and of a clock follow the tangents: a translation t moves by τ − [t]ₓ δ.
+fn d_numbers(right_from_left: &Rigid3) -> MountingCovariance {
+    let mut change = MountingCovariance::identity();
+    change.fixed_view_mut::<3, 3>(3, 0).copy_from(&-so3::hat(&right_from_left.translation));
+    change
+}
+
+/// Rotation (radians, R ← Exp(δ) R), translation (units of the model), offset (seconds), drift.
 pub type MountingCovariance = SMatrix<f64, 8, 8>;
 
 impl Bundle {
@@ -164,4 +172,32 @@ pub(super) fn rigid_pairs(mountings: &[Mounting], posed: &[ImageId]) -> BTreeMap
         }
     }
     rigid
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_geometry::nalgebra::{SVector, Vector3};
+    use tiepoint_geometry::testing::jacobian_law;
+
+    /// Of the five-point rule, on a turn of a radian.
+    const STEP: f64 = 1e-3;
+
+    /// What is said to be the covariance of the translation is that of the number in the file.
+    #[test]
+    fn the_numbers_of_a_mounting_follow_its_tangent() {
+        let mount = Rigid3::from_axis_angle(Vector3::new(0.3, -2.0, 0.4), Vector3::new(-0.5, 0.2, 3.0));
+        let numbers = |moved: &Rigid3| {
+            let turn = so3::log(&(moved.rotation * mount.rotation.inverse()));
+            let shift = moved.translation - mount.translation;
+            Some(SVector::<f64, 6>::from_iterator(turn.iter().chain(shift.iter()).copied()))
+        };
+        let found = d_numbers(&mount).fixed_view::<6, 6>(0, 0).into_owned();
+        assert_eq!(jacobian_law(&mount, &found, STEP, numbers), Ok(()));
+        // The clock's numbers are its tangent.
+        assert_eq!(
+            d_numbers(&mount).fixed_view::<2, 8>(6, 0),
+            MountingCovariance::identity().fixed_view::<2, 8>(6, 0)
+        );
+    }
 }
