@@ -10,6 +10,10 @@ moved before them: seen from the board, the rig moves. A chessboard's corners lo
 (2 of 26 images): both programs get the same corners, found by OpenCV, and who is who; tiepoint as keypoints and matches in its database, without
 the corners' places on the board, with a focal length that is 20 % wrong and no distortion to begin with, OpenCV with their places.
 Prints the angle between the two rotations of the mounting, the angle between the baselines, and the ratio of focal lengths.
+
+Which of the two is nearer to the truth? OpenCV believes the board to be flat and its corners to be where they should be. So a third
+calibration stands beside both: scipy's least squares over the same corners with OpenCV's lens, cameras rigid to each other and the corners' places free, begun from OpenCV's
+calibration; and the jackknife's standard deviation of OpenCV's rotation (Efron 1982: each pair left out in turn).
 """
 
 import argparse
@@ -25,6 +29,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from program import program_of
+from scipy.optimize import least_squares
+from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 CORNERS = (9, 6)
@@ -56,6 +62,69 @@ def opencv_calibration(pairs, size):
     rms, k1, d1, k2, d2, r, t, _, _ = cv2.stereoCalibrate(
         grids, lefts, rights, k1, d1, k2, d2, size, criteria=criteria, flags=cv2.CALIB_USE_INTRINSIC_GUESS)  # fmt: skip
     return rms, k1, k2, r, t.ravel()
+
+
+def degrees_between(a, b):
+    return np.degrees(np.arccos(np.clip((np.trace(a @ b.T) - 1) / 2, -1, 1)))
+
+
+def jackknife_deg(pairs, size, r):
+    """Standard deviation of the angle of OpenCV's rotation."""
+    left_out = [opencv_calibration(pairs[:k] + pairs[k + 1 :], size) for k in range(len(pairs))]
+    turns = np.array([Rotation.from_matrix(found[3] @ r.T).as_rotvec() for found in left_out])
+    return np.degrees(np.sqrt((len(pairs) - 1) / len(pairs) * ((turns - turns.mean(0)) ** 2).sum()))
+
+
+def free_board(pairs, size):
+    """Least squares over cameras (fx, fy, cx, cy, k1, k2, p1, p2), mounting, the board's poses and its corners, from OpenCV's calibration:
+    rms, principal points, R and T."""
+    count = CORNERS[0] * CORNERS[1]
+    grid = np.zeros((count, 3), np.float32)
+    grid[:, :2] = np.mgrid[0 : CORNERS[0], 0 : CORNERS[1]].T.reshape(-1, 2)
+    *_, r, t = opencv_calibration(pairs, size)
+    lenses, poses = [], []
+    for corners in zip(*pairs):
+        _, k, d, turns, places = cv2.calibrateCamera([grid] * len(pairs), corners, size, None, None, flags=cv2.CALIB_FIX_K3)
+        lenses.append([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *d.ravel()[:4]])
+        poses.append(np.hstack([np.squeeze(turns), np.squeeze(places)]))
+    # Seven coordinates hold the board's place, turn and size.
+    last, low = 3 * (CORNERS[0] - 1), 3 * (count - CORNERS[0])
+    moving = np.setdiff1d(np.arange(3 * count), [0, 1, 2, last, last + 1, last + 2, low + 2])
+    rig = np.concatenate([*lenses, Rotation.from_matrix(r).as_rotvec(), t])
+    first_pose, first_corner = len(rig), len(rig) + 6 * len(pairs)
+    start = np.concatenate([rig, poses[0].ravel(), grid.ravel()[moving]])
+
+    def project(lens, points):
+        fx, fy, cx, cy, k1, k2, p1, p2 = lens
+        a, b = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        r2 = a * a + b * b
+        radial = 1 + k1 * r2 + k2 * r2**2
+        u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+        v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+        return np.stack([fx * u + cx, fy * v + cy], 1)
+
+    def residuals(x):
+        board = grid.astype(float).ravel()
+        board[moving] = x[first_corner:]
+        rotation, rows = Rotation.from_rotvec(x[16:19]).as_matrix(), []
+        for pose, (left, right) in zip(x[first_pose:first_corner].reshape(-1, 6), pairs):
+            in_left = board.reshape(-1, 3) @ Rotation.from_rotvec(pose[:3]).as_matrix().T + pose[3:]
+            rows.append(project(x[:8], in_left) - left.reshape(-1, 2))
+            rows.append(project(x[8:16], in_left @ rotation.T + x[19:22]) - right.reshape(-1, 2))
+        return np.concatenate(rows).ravel()
+
+    pattern = lil_matrix((4 * count * len(pairs), len(start)), dtype=int)
+    for image in range(2 * len(pairs)):
+        rows = slice(2 * count * image, 2 * count * (image + 1))
+        pose = first_pose + 6 * (image // 2)
+        pattern[rows, :8], pattern[rows, 8:22], pattern[rows, pose : pose + 6] = 1 - image % 2, image % 2, 1
+        for column, coordinate in enumerate(moving):
+            row = 2 * (count * image + coordinate // 3)
+            pattern[row : row + 2, first_corner + column] = 1
+    found = least_squares(residuals, start, jac_sparsity=pattern, x_scale="jac", max_nfev=200, xtol=1e-12, ftol=1e-12)
+    rms = np.sqrt((found.fun**2).sum() / (len(found.fun) / 2))
+    x = found.x
+    return rms, (x[2:4], x[10:12]), Rotation.from_rotvec(x[16:19]).as_matrix(), x[19:22]
 
 
 def put_corners(database, corners, size):
@@ -136,8 +205,8 @@ def main():
             sys.exit("tiepoint: no mounting was found")
         camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
         own_r, own_t = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix(), np.array(camera["translation"])
-        angle = np.degrees(np.arccos(np.clip((np.trace(own_r @ r.T) - 1) / 2, -1, 1)))
-        direction = np.degrees(np.arccos(np.clip(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t), -1, 1)))
+        direction_from = lambda t: np.degrees(np.arccos(np.clip(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t), -1, 1)))
+        angle, direction = degrees_between(own_r, r), direction_from(t)
         focal = [c["params"][0] for c in model["cameras"]]
         ratio = " / ".join(f"{100 * (own / k[0, 0] - 1):+.2f} %" for own, k in zip(focal, (k1, k2)))
         print(f"rotation off by {angle:.3f} degrees, direction of the baseline by {direction:.3f} degrees, focal lengths by {ratio}")
@@ -148,7 +217,12 @@ def main():
         # What a shift of the principal points alone would turn the mounting by.
         turn = [np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]]) for own, k in zip(middles, (k1, k2))]
         print(f"of which their difference is worth {np.degrees(np.linalg.norm(turn[1] - turn[0])):.3f} degrees; "
-              f"our standard deviation {camera['rotation_sd_deg']:.3f} degrees")  # fmt: skip
+              f"our standard deviation {camera['rotation_sd_deg']:.3f} degrees, OpenCV's {jackknife_deg(pairs, size, r):.3f} by jackknife")  # fmt: skip
+        rms, free_middles, free_r, free_t = free_board(pairs, size)
+        shifts = ", ".join(f"{name} ({own[0] - 0.5 - k[0]:+.2f}, {own[1] - 0.5 - k[1]:+.2f}) px"
+                           for name, own, k in zip(("left", "right"), middles, free_middles))  # fmt: skip
+        print(f"scipy, the board's corners free: {rms:.3f} px; rotation {degrees_between(free_r, r):.3f} degrees from OpenCV's, {degrees_between(free_r, own_r):.3f} "
+              f"from ours; direction {direction_from(free_t):.3f} degrees from ours; principal points, ours less these: {shifts}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -47,6 +47,12 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 model.mean_track_length,
                 model.mean_reprojection_error_px,
             ));
+            if model.loop_pairs > 0 {
+                let pairs = model.loop_pairs;
+                line(format_args!(
+                    "          closed a loop: {pairs} pairs of images had been torn apart by drift"
+                ));
+            }
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in shutters.filter_map(|camera| Some((camera.id, camera.readout_s?))) {

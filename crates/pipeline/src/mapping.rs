@@ -66,7 +66,7 @@ pub fn map(
     }
     let name = |id| scene.image(id).name.as_str();
     let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut cameras, mut split, mut shutters) = (Vec::new(), None, Vec::new());
+    let (mut cameras, mut split, mut shutters, mut loops) = (Vec::new(), None, Vec::new(), Vec::new());
     let database = Database::open(&workspace.database())?;
     let mut unreadable = None;
     let mut descriptors = |image| match database.read_features(image) {
@@ -85,6 +85,9 @@ pub fn map(
                 bad_pairs.clear();
             }
             sfm::Event::Shutter(shutter) => shutters.push(*shutter),
+            sfm::Event::LoopClosed { num_pairs } => {
+                loops.extend(began.last().map(|&(image, _)| (image, *num_pairs)));
+            }
             sfm::Event::SplitClosed { num_images, num_pairs } => {
                 split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
             }
@@ -116,7 +119,9 @@ pub fn map(
     let reports = all.map(|((path, model), scale)| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
-        ModelReport { scale, ..ModelReport::new(path, model, &shutters, rig) }
+        let here = loops.iter().filter(|(image, _)| model.image(*image).cam_from_world().is_some());
+        let loop_pairs = here.map(|(_, pairs)| pairs).sum();
+        ModelReport { scale, loop_pairs, ..ModelReport::new(path, model, &shutters, rig) }
     });
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();

@@ -98,6 +98,9 @@ pub struct ModelReport {
     pub cameras: Vec<CameraReport>,
     /// Cameras that took images at the same moments.
     pub rig: Option<RigReport>,
+    /// Pairs of images that drift had torn apart where the way meets itself, and that are one place now.
+    #[serde(default)]
+    pub loop_pairs: usize,
     /// What a given distance of two cameras made of it.
     pub scale: Option<ScaleReport>,
 }
@@ -161,6 +164,7 @@ impl ModelReport {
                 .map(|(id, c)| CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id)))
                 .collect(),
             rig,
+            loop_pairs: 0,
             scale: None,
         }
     }

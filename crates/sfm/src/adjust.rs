@@ -58,6 +58,8 @@ pub struct AdjustOptions<'a> {
     pub principal_point_sigma: f64,
     /// Standard deviation of the prior on each distortion coefficient, around 0.
     pub distortion_sigma: f64,
+    /// Standard deviation of the keypoints, as a multiple of [`crate::keypoint_sigma_px`], against which the priors are weighed.
+    pub noise: f64,
     /// What is believed of the focal lengths; of cameras that are not listed, nothing.
     pub focal_priors: &'a [FocalPrior],
     /// Where cameras ride together: relative poses that should be equal.
@@ -78,6 +80,7 @@ impl Default for AdjustOptions<'_> {
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
             distortion_sigma: 0.2,
+            noise: 1.0,
             focal_priors: &[],
             links: &[],
             gauge: None,
@@ -229,7 +232,7 @@ impl Bundle {
         }
         bundle.hold_gauge(model, options.gauge, &moves)?;
         bundle.add_links(model, options.links, &moves)?;
-        bundle.add_mountings(model, mountings, &rigid)?;
+        bundle.add_mountings(model, mountings, &rigid, options.noise)?;
         for (id, camera) in model.cameras() {
             let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
             let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));
@@ -243,9 +246,9 @@ impl Bundle {
                 model.registered().filter(|(_, image, _)| image.camera == id).all(|(image, ..)| moves(image));
             let refine = if sees_all { options.refine } else { RefineIntrinsics::NONE };
             let shutter = match shutters {
-                Some(shutters) => {
-                    bundle.add_readout(id, shutters)?.map(|readout| (readout, shutters.keypoints))
-                }
+                Some(shutters) => bundle
+                    .add_readout(id, shutters, options.noise)?
+                    .map(|readout| (readout, shutters.keypoints)),
                 None => None,
             };
             with_camera_model!(&camera.intrinsics, M, params => {
@@ -412,7 +415,7 @@ fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> 
 }
 
 /// What is known of a camera before looking: the principal point is near the middle, distortion is small, and what the options say
-/// of the focal length.
+/// of the focal length. In units of the keypoints' noise, as residuals are.
 fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,
@@ -434,7 +437,7 @@ fn intrinsics_prior<const N: usize>(
             mean[index] = 0.0;
         }
     }
-    Prior::new(mean, &sigmas)
+    Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))
 }
 
 /// Moves each held-out point to where the poses see it now.

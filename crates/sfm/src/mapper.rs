@@ -24,7 +24,7 @@ use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
 use crate::shutter::{Detected, Readout, estimate, known, straighten};
 use crate::tracks::{complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::visibility::{Visibility, visibility};
-use crate::{Error, Event};
+use crate::{Error, Event, relative_noise};
 
 /// An image that could not be registered is tried again at most this often.
 const MAX_REGISTER_TRIALS: usize = 3;
@@ -416,6 +416,8 @@ impl<'a> Mapper<'a> {
         AdjustOptions {
             refine,
             loss: self.options.loss,
+            // While it grows, a model is worse than its keypoints.
+            noise: if self.is_final { relative_noise(&self.model).min(1.0) } else { 1.0 },
             focal_priors: self.focal_priors,
             links,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),

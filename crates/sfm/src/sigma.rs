@@ -5,6 +5,9 @@
 //! weigh by that in full costs accuracy on the road, where the large blobs are what ties frames far apart: on KITTI 04,
 //! with a squared loss, the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without; the photos hardly care.
 
+use tiepoint_geometry::numeric::median;
+use tiepoint_scene::Reconstruction;
+
 /// Localisation error of the smallest keypoints, in pixels; also the unit in which residuals are weighed.
 const FLOOR_PX: f64 = 1.0;
 /// Scale at which the error has grown by √2, in pixels.
@@ -14,4 +17,23 @@ const KNEE_SCALE_PX: f64 = 32.0;
 pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
     let relative = f64::from(scale_px) / KNEE_SCALE_PX;
     FLOOR_PX * (1.0 + relative * relative).sqrt()
+}
+
+/// Standard deviation of a model's keypoints, as a multiple of [`keypoint_sigma_px`]: from the median error, and what the fit has taken
+/// away.
+pub fn relative_noise(model: &Reconstruction) -> f64 {
+    // Of a vector of two unit normals.
+    const MEDIAN_OF_TWO: f64 = 1.177;
+    let mut errors: Vec<f64> = Vec::new();
+    let mut num_points = 0;
+    for (_, track) in model.tracks().filter(|(_, track)| !track.is_held_out) {
+        num_points += 1;
+        errors.extend(track.observations.iter().filter_map(|o| {
+            let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
+            Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
+        }));
+    }
+    let (equations, unknowns) = (2 * errors.len(), 3 * num_points + 6 * model.num_registered());
+    let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
+    median(&mut errors).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
 }

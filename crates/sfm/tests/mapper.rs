@@ -27,10 +27,20 @@ struct Truth {
     poses: Vec<Rigid3>,
 }
 
-/// Cameras `step_rad` apart on an arc, all looking at the box.
+/// Cameras on an arc, all looking at the box.
 fn truth(seed: u64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
-    let mut rng = Rng::stream(seed, &[]);
     let true_intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, FOCAL_PX, 1000, 750);
+    truth_of(seed, &true_intrinsics, NOISE_PX, guessed_focal_px, has_focal_prior)
+}
+
+fn truth_of(
+    seed: u64,
+    true_intrinsics: &Intrinsics,
+    noise_px: f64,
+    guessed_focal_px: f64,
+    has_focal_prior: bool,
+) -> Truth {
+    let mut rng = Rng::stream(seed, &[]);
     let mut scene = Reconstruction::default();
     let camera = scene.add_camera(Camera {
         intrinsics: Intrinsics::centred(CameraModelKind::SimpleRadial, guessed_focal_px, 1000, 750),
@@ -54,7 +64,7 @@ fn truth(seed: u64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
         let mut which = Vec::new();
         for (point, xyz) in points.iter().enumerate() {
             let Some(pixel) = true_intrinsics.project(&(pose * *xyz)) else { continue };
-            let pixel = pixel + Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
+            let pixel = pixel + Vector2::new(rng.normal(), rng.normal()) * noise_px;
             if (0.0..1000.0).contains(&pixel.x) && (0.0..750.0).contains(&pixel.y) {
                 keypoints.push(Keypoint { pixel, scale_px: 2.0 });
                 which.push(point);
@@ -142,6 +152,26 @@ fn an_unknown_focal_length_is_found() {
         assert!(focal_error < MAX_RELATIVE_FOCAL_ERROR, "seed {seed}: {focal_error}");
         let error = shape_error(&model, &truth.poses);
         assert!(error < MAX_SHAPE_ERROR_UNCALIBRATED, "seed {seed}: {error}");
+    }
+}
+
+/// Two standard deviations of the prior on the principal point (10 px for 1000) off the middle, in each direction.
+const FAR_CENTRE: Vector2<f64> = Vector2::new(520.0, 355.0);
+/// Corners of a chessboard are good to this, ten times better than residuals are weighed by.
+const PRECISE_NOISE_PX: f64 = 0.05;
+/// Seen: 0.2 to 1.4 px. Weighed against keypoints of 1 px, the prior keeps it 14 px nearer to the middle.
+const MAX_CENTRE_ERROR_PX: f64 = 3.0;
+
+#[test]
+fn precise_keypoints_outweigh_what_is_believed_of_the_principal_point() {
+    for seed in 0..3 {
+        let params = [FOCAL_PX, FAR_CENTRE.x, FAR_CENTRE.y, 0.0];
+        let intrinsics = Intrinsics::new(CameraModelKind::SimpleRadial, &params).unwrap();
+        let truth = truth_of(seed, &intrinsics, PRECISE_NOISE_PX, 1000.0, false);
+        let model = run(&truth, &MapperOptions { seed, ..Default::default() });
+        let (_, camera) = model.cameras().next().unwrap();
+        let error = (camera.intrinsics.principal_point() - FAR_CENTRE).norm();
+        assert!(error < MAX_CENTRE_ERROR_PX, "seed {seed}: {error}");
     }
 }
 

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, Key, Order};
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
-use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Loss, Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, MountedInTime};
 use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
@@ -13,7 +12,7 @@ use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
 use super::{AdjustOptions, Bundle, Scope};
 use crate::companion::{Left, Timing};
 use crate::mounting::{Hold, Mounting};
-use crate::{Error, keypoint_sigma_px};
+use crate::{Error, relative_noise};
 
 /// What is believed of a clock's offset beside what was found by motion, and of its drift (quartz: tens of parts per million).
 const CLOCK_SIGMA_S: f64 = 1.0;
@@ -31,6 +30,7 @@ pub(crate) fn mounting_covariances(
 ) -> Result<Vec<Option<MountingCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
     let noise = relative_noise(model);
+    let options = &AdjustOptions { noise, ..*options };
     let scaled: Vec<Mounting> =
         mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();
     let bundle = Bundle::new(model, &Scope::Global, options, &scaled, None)?;
@@ -86,31 +86,14 @@ fn d_numbers(right_from_left: &Rigid3) -> MountingCovariance {
 /// Rotation (radians, R ← Exp(δ) R), translation (units of the model), offset (seconds), drift.
 pub type MountingCovariance = SMatrix<f64, 8, 8>;
 
-/// Standard deviation of the keypoints, as a multiple of what was expected: from the median error, and what the fit has taken away.
-pub(super) fn relative_noise(model: &Reconstruction) -> f64 {
-    // Of a vector of two unit normals.
-    const MEDIAN_OF_TWO: f64 = 1.177;
-    let mut errors: Vec<f64> = Vec::new();
-    let mut num_points = 0;
-    for (_, track) in model.tracks().filter(|(_, track)| !track.is_held_out) {
-        num_points += 1;
-        errors.extend(track.observations.iter().filter_map(|o| {
-            let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
-            Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
-        }));
-    }
-    let (equations, unknowns) = (2 * errors.len(), 3 * num_points + 6 * model.num_registered());
-    let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
-    median(&mut errors).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
-}
-
 impl Bundle {
-    /// Adds the mountings as variables, soft ones with a term for each moment.
+    /// Adds the mountings as variables, soft ones with a term for each moment; what is believed of them is weighed against the noise.
     pub(super) fn add_mountings(
         &mut self,
         model: &Reconstruction,
         mountings: &[Mounting],
         rigid: &BTreeMap<ImageId, (usize, ImageId)>,
+        noise: f64,
     ) -> Result<(), Error> {
         if mountings.is_empty() {
             return Ok(());
@@ -124,7 +107,7 @@ impl Bundle {
             if let Some(clock) = clock {
                 match mounting.timing {
                     Timing::Free => {
-                        let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA];
+                        let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA].map(|sigma| sigma / noise);
                         let stamps = Clock { drift: 0.0, ..mounting.clock };
                         self.problem.add(clock, Prior::new(stamps, &sigmas)?, Loss::Trivial)?;
                     }
@@ -132,7 +115,8 @@ impl Bundle {
                 }
             }
             if let Some(unit) = mounting.unit {
-                let sigmas: [f64; 6] = std::array::from_fn(|k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit });
+                let sigma = |k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit };
+                let sigmas: [f64; 6] = std::array::from_fn(|k| sigma(k) / noise);
                 self.problem.add(mount, Prior::new(mounting.right_from_left, &sigmas)?, Loss::Trivial)?;
             }
             self.mountings.push((mount, clock));

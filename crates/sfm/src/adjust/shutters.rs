@@ -8,10 +8,10 @@ use tiepoint_geometry::Loss;
 use tiepoint_geometry::nalgebra::{Vector1, Vector2};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use super::mountings::{relative_noise, without_points_at_infinity};
+use super::mountings::without_points_at_infinity;
 use super::{AdjustOptions, Bundle, Scope, keep_going};
-use crate::Error;
 use crate::shutter::RollingShutter;
+use crate::{Error, relative_noise};
 
 /// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;
@@ -51,6 +51,7 @@ pub(crate) fn with_deviations(
     shutters: &Shutters,
 ) -> Result<Vec<RollingShutter>, Error> {
     let noise = relative_noise(model);
+    let options = &AdjustOptions { noise, ..*options };
     let bundle =
         Bundle::new(&without_points_at_infinity(model), &Scope::Global, options, &[], Some(shutters))?;
     let sd_s = |camera: CameraId| {
@@ -70,12 +71,13 @@ impl Bundle {
         &mut self,
         camera: CameraId,
         shutters: &Shutters,
+        noise: f64,
     ) -> Result<Option<Key<Vector1<f64>>>, Error> {
         let Some(shutter) = shutters.shutters.iter().find(|shutter| shutter.camera == camera) else {
             return Ok(None);
         };
         let key = self.problem.keep(Vector1::new(shutter.readout_s), Order::Shared);
-        self.problem.add(key, Prior::new(Vector1::zeros(), &[READOUT_SIGMA_S])?, Loss::Trivial)?;
+        self.problem.add(key, Prior::new(Vector1::zeros(), &[READOUT_SIGMA_S / noise])?, Loss::Trivial)?;
         self.readouts.insert(camera, key);
         Ok(Some(key))
     }
