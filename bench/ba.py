@@ -9,6 +9,7 @@ Both start from the same file; both have derivatives by hand (Ceres also by auto
 bundle_adjuster). The final costs of both are evaluated here, by one function, from the files that they write. A run's time counts
 from the problem in memory: the analysis of its structure and all steps. What is compared is the time until the cost is
 within 0.1 % of Ceres' final cost; of the repetitions, which take turns, the least counts. Ceres' quickest solver is its best.
+Where Linux leaves both threads of a run of 20 ms on one core (medians far above the least), put `chrt -f 1` before it.
 """
 import argparse
 import os
