@@ -31,7 +31,7 @@ impl Factor<6> for Between {
     type Vars = (Rigid3, Rigid3);
 
     /// With B = (R, t) = `b_from_a`: a motion (δ, τ) of b is one of B, and one of a moves B by its opposite, seen in b: to first order by
-    /// (−R δ, −R τ − [t]ₓ R δ).
+    /// `(−R δ, −R τ − [t]ₓ R δ)`.
     fn linearize(&self, (a, b): (&Rigid3, &Rigid3)) -> Option<Linear<Self::Vars, 6>> {
         let b_from_a = *b * a.inverse();
         let residual = self.error(&b_from_a);
