@@ -9,6 +9,8 @@ gives the right camera's images the times of the ones before; `interleaved` take
 camera, at their own times; `wrong` swaps one right image in ten with one from elsewhere. They change `timestamps.csv` or take matches
 away, so they need no other features. Needs numpy only. With `--peer` the rig adjuster of a program `colmap` 3.8 (`rig_bundle_adjuster`, what the paper
 compares with) gets the model of `off`: one calibration, found from it, of images of the same file name; intrinsics stay where the workspace has them known.
+With `--global-mapper 0 1 2` COLMAP's global mapper (pip install pycolmap==4.2.1) gets the same matches and KITTI's images of one name as frames of a rig of unknown
+calibration, with those seeds.
 """
 
 import argparse
@@ -138,6 +140,26 @@ def adjust_by_peer(model, cameras, known, output):
         raise SystemExit(f"rig_bundle_adjuster: {(done.stdout + done.stderr)[-2000:]}")
 
 
+def map_globally(workspace, cameras, images, seed, output):
+    """COLMAP's global mapper with a rig of unknown calibration."""
+    import pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    database = output / "database.db"
+    output.mkdir()
+    shutil.copy(workspace / "database.db", database)
+    rig = pycolmap.RigConfig(cameras=[
+        pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0) for k, name in enumerate(cameras)])  # fmt: skip
+    with pycolmap.Database.open(database) as opened:
+        pycolmap.apply_rig_config([rig], opened)
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed = 2, seed
+    adjustment = options.mapper.bundle_adjustment
+    adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
+    pycolmap.global_mapping(database, images, output, options)
+    return output / "0"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path)
@@ -148,9 +170,20 @@ def main():
     parser.add_argument("--rig", nargs="+", default=["off", "auto"])
     parser.add_argument("--seed", default="0")
     parser.add_argument("--peer", action="store_true", help="COLMAP 3.8 on the model of off")
+    parser.add_argument("--global-mapper", type=int, nargs="+", default=[], metavar="SEED", help="COLMAP's, on the matches of the workspace")
     parser.add_argument("--keep", type=Path, help="leave the workspaces here")
     options = parser.parse_args()
+    if options.global_mapper and not options.kitti:
+        parser.error("--global-mapper goes with --kitti")
     options.program = program_of(options)
+    truth = f"colmap:{options.drive / 'truth' / 'model'}" if options.drive else f"kitti:{options.kitti / 'poses.txt'}"
+    with sqlite3.connect(options.workspace / "database.db") as database:
+        cameras = sorted({name.split("/")[0] for (name,) in database.execute("SELECT name FROM images")})
+    for seed in options.global_mapper:
+        with tempfile.TemporaryDirectory() as scratch:
+            model = map_globally(options.workspace, cameras, options.kitti / "images", seed, Path(scratch) / "global")
+            evaluation = run(options.program, "evaluate", "poses", model, "--truth", truth)
+            print(f"global mapper, seed {seed}: ATE {100 * evaluation['centre_error']['rmse']:8.3f} cm", flush=True)
     for mode in options.rig:
         with tempfile.TemporaryDirectory() as scratch:
             workspace = (options.keep or Path(scratch)) / f"rig-{mode}"
@@ -159,7 +192,6 @@ def main():
             if options.variant:
                 alter(workspace, options.variant, options.kitti)
             report = run(options.program, "map", workspace, "--rig", mode, "--redo", "map", "--seed", options.seed)
-            truth = f"colmap:{options.drive / 'truth' / 'model'}" if options.drive else f"kitti:{options.kitti / 'poses.txt'}"
             evaluation = run(options.program, "evaluate", "poses", workspace, "--truth", truth)
             errors = {}
             if (workspace / "rig.json").exists():
@@ -178,8 +210,6 @@ def main():
                 report = report["report"]
             show(mode, evaluation, report, errors)
             if options.peer and mode == "off":
-                with sqlite3.connect(workspace / "database.db") as database:
-                    cameras = sorted({name.split("/")[0] for (name,) in database.execute("SELECT name FROM images")})
                 adjusted = Path(scratch) / "peer"
                 adjust_by_peer(workspace / "sparse/0", cameras, options.kitti, adjusted)
                 evaluation = run(options.program, "evaluate", "poses", adjusted, "--truth", truth)
