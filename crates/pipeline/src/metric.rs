@@ -68,8 +68,8 @@ pub(crate) fn scale_to_baseline(
 }
 
 fn companion(camera: &MountedCamera) -> Companion {
-    let MountedCamera { left, right, clock, timing, unit, .. } = *camera;
-    Companion { left, right, clock, timing, unit }
+    let MountedCamera { left, right, clock, timing, blind, .. } = *camera;
+    Companion { left, right, clock, timing, unit: None, blind }
 }
 
 /// A length in units of the model, and of what.
@@ -108,7 +108,6 @@ fn length_of_pairs(model: &Reconstruction, known: &[Companion]) -> Result<Length
 fn scale_mounting(camera: &mut MountedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.right_from_left.translation;
     camera.right_from_left.translation *= factor;
-    camera.unit = camera.unit.map(|unit| factor * unit);
     if let Some(covariance) = &mut camera.covariance {
         let across = match translation.try_normalize(0.0) {
             Some(along) if has_given_length => Matrix3::identity() - along * along.transpose(),
@@ -166,7 +165,7 @@ mod tests {
             right_from_left: Rigid3::new(UnitQuaternion::identity(), Vector3::new(-APART, 0.0, 0.0)),
             clock: Clock::default(),
             timing: Timing::Together,
-            unit: None,
+            blind: None,
             covariance: Some(MountingCovariance::identity()),
             hold: Hold::Rigid,
             num_moments: 5,

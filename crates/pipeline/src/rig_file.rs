@@ -43,27 +43,9 @@ pub struct RigCamera {
     /// Largest standard deviation of the translation in any direction.
     pub translation_sd: Option<f64>,
     /// Of cameras that see nothing in common: a direction in the rig along which the motion does not tell where the camera is, as upwards on a flat
-    /// road. Its place along it is a guess.
+    /// road. Its place along it is a guess: zero.
     #[serde(default)]
     pub unobservable: Option<[f64; 3]>,
-}
-
-/// A direction is not observable when the motion leaves more than this share of what was believed beforehand, as a standard deviation.
-const UNOBSERVABLE: f64 = 0.3;
-
-/// The direction of a camera's centre that the motion does not tell, in the rig.
-fn unobservable(camera: &MountedCamera) -> Option<[f64; 3]> {
-    let (unit, covariance) = (camera.unit?, camera.covariance?);
-    // c = -Rᵀ t; what the rotation adds is less by the baseline over a radian.
-    let rotation = camera.right_from_left.rotation.to_rotation_matrix().into_inner();
-    let of_centre = rotation.transpose() * covariance.fixed_view::<3, 3>(3, 3) * rotation;
-    let eigen = of_centre.symmetric_eigen();
-    let (index, variance) = eigen.eigenvalues.argmax();
-    (variance.max(0.0).sqrt() > UNOBSERVABLE * unit).then(|| {
-        let direction = eigen.eigenvectors.column(index);
-        // Of the two signs, that of its largest part.
-        (direction * direction[direction.iamax()].signum()).into_owned().into()
-    })
 }
 
 /// Time of the first camera = time + offset + drift (time − pivot).
@@ -146,7 +128,7 @@ impl RigCamera {
                 .map(|covariance| covariance.row_iter().map(|row| row.iter().copied().collect()).collect()),
             rotation_sd_deg: widest(0).map(f64::to_degrees),
             translation_sd: widest(3),
-            unobservable: unobservable(camera),
+            unobservable: camera.blind.map(Into::into),
         }
     }
 }

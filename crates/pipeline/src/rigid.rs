@@ -135,6 +135,7 @@ fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<
             clock: Clock { offset_s, drift, pivot_s },
             timing: Timing::Together,
             unit: None,
+            blind: None,
         };
         Ok((companion, Some(camera.cam_from_rig())))
     };

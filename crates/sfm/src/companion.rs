@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::SMatrix;
+use tiepoint_geometry::nalgebra::{SMatrix, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{
     Clock, Mounted, MountedInTime, RelativePose, Trajectory, find_offset, interval_s, jitter_s,
@@ -125,6 +125,9 @@ pub struct Companion {
     /// Where the two cameras see nothing in common, what stands for their distance, of which their motion may tell nothing: the usual distance
     /// of consecutive images of the first camera.
     pub unit: Option<f64>,
+    /// Where their motion tells nothing of the camera's place along some direction (a unit vector in the first camera's frame, upwards on a flat
+    /// road): it stays at zero along it.
+    pub blind: Option<Vector3<f64>>,
 }
 
 /// An offset is moved away from what the stamps say only if the images say so this much more likely (natural logarithm); far more
@@ -151,7 +154,7 @@ pub fn companions(model: &Reconstruction) -> Vec<Companion> {
         .filter_map(|(&right, right_images)| {
             let unit =
                 if have_common_points(model, left, right) { None } else { usual_step(model, left_images) };
-            let companion = |clock, timing| Companion { left, right, clock, timing, unit };
+            let companion = |clock, timing| Companion { left, right, clock, timing, unit, blind: None };
             let (Some(lefts), Some(rights)) = (times_of(model, left_images), times_of(model, right_images))
             else {
                 return Some(companion(Clock::default(), Timing::Together));

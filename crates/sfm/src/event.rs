@@ -1,6 +1,7 @@
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_rig::{Clock, Spread};
 use tiepoint_scene::{CameraId, ImageId};
 
@@ -103,8 +104,9 @@ pub struct MountedCamera {
     pub covariance: Option<MountingCovariance>,
     /// How firmly it is held.
     pub hold: Hold,
-    /// Where the two see nothing in common: the length by which its place was believed to be known beforehand, in any direction.
-    pub unit: Option<f64>,
+    /// Where the two see nothing in common and their motion does not tell its place along a direction: that, in the first camera's frame. Along it the
+    /// camera is where it was believed to be, at zero, and the covariance says how well that is known: to a usual step between two images.
+    pub blind: Option<Vector3<f64>>,
     /// Moments at which the two could be compared.
     pub num_moments: usize,
     /// Of the relative poses at the moments that are held.

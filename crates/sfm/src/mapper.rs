@@ -427,10 +427,15 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    /// Whether some image looks elsewhere than the first one.
+    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one mount look apart without ever turning. Where
+    /// each image has a camera of its own, photos are compared with each other.
     fn turns(&self) -> bool {
-        let mut poses = self.model.registered().map(|(.., pose)| pose.rotation);
-        poses.next().is_some_and(|first| poses.any(|rotation| rotation.angle_to(&first) > MIN_TURN_RAD))
+        let is_shared = self.model.cameras().count() < self.model.images().count();
+        let mut first = BTreeMap::new();
+        self.model.registered().any(|(_, image, pose)| {
+            let camera = is_shared.then_some(image.camera);
+            first.entry(camera).or_insert(pose.rotation).angle_to(&pose.rotation) > MIN_TURN_RAD
+        })
     }
 
     fn seed_of(&self, key: &[u64]) -> u64 {

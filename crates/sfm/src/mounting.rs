@@ -22,11 +22,14 @@ use std::ops::ControlFlow;
 
 use tiepoint_ba::Factor;
 use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{Clock, Mounted, RelativePose, spread};
 use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Reconstruction};
 
-use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going, mounting_covariances};
+use crate::adjust::{
+    AdjustOptions, MountingCovariance, Scope, adjust_mounted, keep_going, mounting_covariances,
+};
 use crate::companion::{Companion, Moment, Timing, companions};
 use crate::event::{MountedCamera, tell};
 use crate::filter::{FilterOptions, filter_all_points};
@@ -59,6 +62,8 @@ pub struct Mounting {
     pub hold: Hold,
     /// Where the two cameras see nothing in common: the length that stands for their distance ([`Companion::unit`]).
     pub unit: Option<f64>,
+    /// The direction in which the camera's place stays at zero ([`Companion::blind`]).
+    pub blind: Option<Vector3<f64>>,
     /// At these of the moments the model had the camera elsewhere, for want of matches with the first one.
     pub(crate) closed: Vec<Closed>,
 }
@@ -103,6 +108,9 @@ const RIGID_TOLERANCE: f64 = 0.01;
 const MAX_LEFT: f64 = 3.0;
 /// Where an offset's standard deviation is larger than this, its value would be an accident of the lenses.
 const MAX_CLOCK_SD_S: f64 = 0.02;
+/// The motion tells nothing of a camera's place along a direction when it leaves a standard deviation of more than this share of the unit: what
+/// the models have drifted apart would decide it.
+const MAX_PLACE_SD: f64 = 0.1;
 /// Tracks are merged across cameras that were just brought together with this many times the usual error.
 const WIDENED: f64 = 2.0;
 const ITERATIONS: usize = 50;
@@ -203,9 +211,34 @@ impl Mounting {
         }
     }
 
+    /// The direction of the camera's centre, in the first camera's frame, that the motion does not tell.
+    fn blind(&self, covariance: &MountingCovariance) -> Option<Vector3<f64>> {
+        let unit = self.unit?;
+        // c = -Rᵀ t; what the rotation adds is less by the baseline over a radian.
+        let rotation = self.right_from_left.rotation.to_rotation_matrix().into_inner();
+        let of_centre = rotation.transpose() * covariance.fixed_view::<3, 3>(3, 3) * rotation;
+        let eigen = of_centre.symmetric_eigen();
+        let (index, variance) = eigen.eigenvalues.argmax();
+        (variance.max(0.0).sqrt() > MAX_PLACE_SD * unit).then(|| {
+            let direction = eigen.eigenvectors.column(index);
+            // Of the two signs, that of its largest part.
+            direction * direction[direction.iamax()].signum()
+        })
+    }
+
+    /// Along the direction that the motion does not tell, a place is known by what was believed beforehand.
+    fn with_belief(&self, mut covariance: MountingCovariance) -> MountingCovariance {
+        if let (Some(unit), Some(blind)) = (self.unit, self.blind) {
+            let along = self.right_from_left.rotation * blind * unit;
+            let mut of_place = covariance.fixed_view_mut::<3, 3>(3, 3);
+            of_place += along * along.transpose();
+        }
+        covariance
+    }
+
     fn companion(&self) -> Companion {
-        let Self { left, right, clock, timing, unit, .. } = *self;
-        Companion { left, right, clock, timing, unit }
+        let Self { left, right, clock, timing, unit, blind, .. } = *self;
+        Companion { left, right, clock, timing, unit, blind }
     }
 }
 
@@ -222,12 +255,12 @@ impl Context<'_> {
         let judge = Judge::new(held_out, model);
         let off = model.clone();
         let mut tight = Tight::default();
-        // Once more when a clock turns out not to be observable.
+        // Once more when a clock or a place turns out not to be observable.
         for _ in 0..2 {
             *model = off.clone();
             tight = self.tighten(model, &mut companions, term, &judge)?;
             let Some(Held { mountings, .. }) = &tight.best else { break };
-            if !self.give_up_clocks(model, mountings, &mut companions)? {
+            if !self.give_up(model, mountings, &mut companions)? {
                 break;
             }
         }
@@ -279,9 +312,9 @@ impl Context<'_> {
                 right_from_left: mounting.right_from_left,
                 clock: mounting.clock,
                 timing: mounting.timing,
-                covariance,
+                covariance: covariance.map(|covariance| mounting.with_belief(covariance)),
                 hold: mounting.hold,
-                unit: mounting.unit,
+                blind: mounting.blind,
                 num_moments: all.len(),
                 spread: spread(&poses),
             };
@@ -292,14 +325,16 @@ impl Context<'_> {
         tell(watch, &Event::Mounted { hold, num_pairs, error_off_px, error_px })
     }
 
-    /// Puts clocks of which the images tell too little back to what their stamps say. Returns whether there were any.
-    fn give_up_clocks(
+    /// Puts clocks of which the images tell too little back to what their stamps say, and holds places of which the motion tells too little.
+    /// Returns whether there were any.
+    fn give_up(
         &self,
         model: &Reconstruction,
         mountings: &[Mounting],
         companions: &mut [Companion],
     ) -> Result<bool, Error> {
-        if companions.iter().all(|companion| companion.timing != Timing::Free) {
+        let is_open = |c: &Companion| c.timing == Timing::Free || c.unit.is_some() && c.blind.is_none();
+        if !companions.iter().any(is_open) {
             return Ok(false);
         }
         let covariances = mounting_covariances(model, &self.adjust, mountings)?;
@@ -313,6 +348,10 @@ impl Context<'_> {
                     companion.timing = Timing::NotObservable;
                     companion.clock = Clock { offset_s: 0.0, drift: 0.0, ..companion.clock };
                     is_any = true;
+                }
+                if companion.blind.is_none() {
+                    companion.blind = mounting.blind(&covariance);
+                    is_any |= companion.blind.is_some();
                 }
             }
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use tiepoint_ba::factors::Prior;
 use tiepoint_ba::{AnyKey, Key, Order};
-use tiepoint_geometry::nalgebra::{Matrix3, SMatrix};
+use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, Vector3};
 use tiepoint_geometry::{Loss, Rigid3, so3};
 use tiepoint_rig::{Clock, Mounted, MountedInTime};
 use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
@@ -20,6 +20,8 @@ const DRIFT_SIGMA: f64 = 5e-5;
 
 /// What is believed of the rotation of a mounting between cameras that see nothing in common; of the centre it is the unit.
 const UNSEEN_SIGMA_RAD: f64 = 1.0;
+/// How firmly a place that the motion does not tell stays at zero, as a share of what is believed of it.
+const BLIND_SIGMA: f64 = 1e-3;
 
 /// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
 /// where something is not determined. The noise of the keypoints is what the model leaves, and σ of the mountings what they say.
@@ -115,9 +117,7 @@ impl Bundle {
                 }
             }
             if let Some(unit) = mounting.unit {
-                let sigma = |k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit };
-                let sigmas: [f64; 6] = std::array::from_fn(|k| sigma(k) / noise);
-                self.problem.add(mount, Prior::new(mounting.right_from_left, &sigmas)?, Loss::Trivial)?;
+                self.problem.add(mount, belief(mounting, unit, noise)?, Loss::Trivial)?;
             }
             self.mountings.push((mount, clock));
             for moment in &mounting.moments {
@@ -158,6 +158,21 @@ impl Bundle {
         }
         Ok(())
     }
+}
+
+/// What is believed of a camera that sees nothing in common with the first one: its rotation is as it comes, its centre near the other's, and at zero
+/// where the motion does not tell it.
+fn belief(mounting: &Mounting, unit: f64, noise: f64) -> Result<Prior<Rigid3, 6>, Error> {
+    let sigmas: [f64; 6] = std::array::from_fn(|k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit } / noise);
+    let rotation = mounting.right_from_left.rotation;
+    let mut prior = Prior::new(Rigid3::new(rotation, Vector3::zeros()), &sigmas)?;
+    if let Some(blind) = mounting.blind {
+        let along = rotation * blind;
+        let firmer = Matrix3::identity() + along * along.transpose() * (1.0 / BLIND_SIGMA - 1.0);
+        let of_place = prior.sqrt_information.fixed_view::<3, 3>(3, 3) * firmer;
+        prior.sqrt_information.fixed_view_mut::<3, 3>(3, 3).copy_from(&of_place);
+    }
+    Ok(prior)
 }
 
 /// Images that take their pose from another's: by which mounting, and whose.

@@ -38,7 +38,7 @@ impl Context<'_> {
         unmatched: Unmatched,
     ) -> Vec<Mounting> {
         let mounting = |companion: &Companion| -> Option<Mounting> {
-            let Companion { left, right, clock, timing, unit } = *companion;
+            let Companion { left, right, clock, timing, unit, blind } = *companion;
             // All of a companion's moments have poses.
             let moments = companion.moments(model);
             let poses = relative_poses(model, &moments, &clock);
@@ -81,6 +81,7 @@ impl Context<'_> {
                 timing,
                 hold,
                 unit,
+                blind,
                 closed,
             })
         };

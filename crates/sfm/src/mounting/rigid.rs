@@ -63,6 +63,7 @@ impl RigidCamera {
             timing: Timing::Together,
             hold: Hold::Rigid,
             unit: None,
+            blind: None,
             closed: Vec::new(),
         }
     }
