@@ -28,7 +28,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from program import program_of
+from program import degrees, program_of
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
@@ -50,11 +50,16 @@ def corners_of(path):
     return image, cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), criteria)
 
 
-def opencv_calibration(pairs, size):
-    """Intrinsics, R and T of right_from_left; the unit is a square of the board."""
+def board():
+    """Its corners as they should be; the unit is a square."""
     grid = np.zeros((CORNERS[0] * CORNERS[1], 3), np.float32)
     grid[:, :2] = np.mgrid[0 : CORNERS[0], 0 : CORNERS[1]].T.reshape(-1, 2)
-    grids = [grid] * len(pairs)
+    return grid
+
+
+def opencv_calibration(pairs, size):
+    """Intrinsics, R and T of right_from_left; the unit is a square of the board."""
+    grids = [board()] * len(pairs)
     lefts, rights = [left for left, _ in pairs], [right for _, right in pairs]
     _, k1, d1, _, _ = cv2.calibrateCamera(grids, lefts, size, None, None)
     _, k2, d2, _, _ = cv2.calibrateCamera(grids, rights, size, None, None)
@@ -65,7 +70,7 @@ def opencv_calibration(pairs, size):
 
 
 def degrees_between(a, b):
-    return np.degrees(np.arccos(np.clip((np.trace(a @ b.T) - 1) / 2, -1, 1)))
+    return degrees((np.trace(a @ b.T) - 1) / 2)
 
 
 def jackknife_deg(pairs, size, r):
@@ -75,13 +80,11 @@ def jackknife_deg(pairs, size, r):
     return np.degrees(np.sqrt((len(pairs) - 1) / len(pairs) * ((turns - turns.mean(0)) ** 2).sum()))
 
 
-def free_board(pairs, size):
-    """Least squares over cameras (fx, fy, cx, cy, k1, k2, p1, p2), mounting, the board's poses and its corners, from OpenCV's calibration:
+def free_board(pairs, size, r, t):
+    """Least squares over cameras (fx, fy, cx, cy, k1, k2, p1, p2), mounting, the board's poses and its corners, from a calibration's R and T:
     rms, principal points, R and T."""
-    count = CORNERS[0] * CORNERS[1]
-    grid = np.zeros((count, 3), np.float32)
-    grid[:, :2] = np.mgrid[0 : CORNERS[0], 0 : CORNERS[1]].T.reshape(-1, 2)
-    *_, r, t = opencv_calibration(pairs, size)
+    grid = board()
+    count = len(grid)
     lenses, poses = [], []
     for corners in zip(*pairs):
         _, k, d, turns, places = cv2.calibrateCamera([grid] * len(pairs), corners, size, None, None, flags=cv2.CALIB_FIX_K3)
@@ -205,7 +208,7 @@ def main():
             sys.exit("tiepoint: no mounting was found")
         camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
         own_r, own_t = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix(), np.array(camera["translation"])
-        direction_from = lambda t: np.degrees(np.arccos(np.clip(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t), -1, 1)))
+        direction_from = lambda t: degrees(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t))
         angle, direction = degrees_between(own_r, r), direction_from(t)
         focal = [c["params"][0] for c in model["cameras"]]
         ratio = " / ".join(f"{100 * (own / k[0, 0] - 1):+.2f} %" for own, k in zip(focal, (k1, k2)))
@@ -218,7 +221,7 @@ def main():
         turn = [np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]]) for own, k in zip(middles, (k1, k2))]
         print(f"of which their difference is worth {np.degrees(np.linalg.norm(turn[1] - turn[0])):.3f} degrees; "
               f"our standard deviation {camera['rotation_sd_deg']:.3f} degrees, OpenCV's {jackknife_deg(pairs, size, r):.3f} by jackknife")  # fmt: skip
-        rms, free_middles, free_r, free_t = free_board(pairs, size)
+        rms, free_middles, free_r, free_t = free_board(pairs, size, r, t)
         shifts = ", ".join(f"{name} ({own[0] - 0.5 - k[0]:+.2f}, {own[1] - 0.5 - k[1]:+.2f}) px"
                            for name, own, k in zip(("left", "right"), middles, free_middles))  # fmt: skip
         print(f"scipy, the board's corners free: {rms:.3f} px; rotation {degrees_between(free_r, r):.3f} degrees from OpenCV's, {degrees_between(free_r, own_r):.3f} "

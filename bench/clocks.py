@@ -24,8 +24,9 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from colmap import largest, make_rig, map_globally
 from drift import align, run, truth_of
-from experiment import copy_database, make_rig, map_largest, with_frames
+from experiment import SEED, THREADS, copy_database, map_largest, with_frames
 from program import program_of
 
 PEERS = ("no rig", "two passes", "global mapper")
@@ -48,11 +49,7 @@ def peer(which, workspace, drive, target):
         names = with_frames(copy, drive)
     if which == "global mapper":
         make_rig(copy)
-        sparse.mkdir()
-        options = pycolmap.GlobalPipelineOptions()
-        options.num_threads = 2
-        models = pycolmap.global_mapping(copy, drive, sparse, options)
-        model = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+        model = largest(map_globally(copy, drive, sparse, None, THREADS, SEED).values())
     else:
         model = map_largest(copy, drive, sparse)
         if which == "two passes" and model:
@@ -68,7 +65,7 @@ def run_seed(seed, arguments, work):
     drive, together, made = work / "drive", work / "together", work / "off"
     rendered = run([*synth, "-o", drive, "--effects", "clocks"], log)
     focal = json.loads(rendered)["cameras"][0]["focal_px"]
-    command = lambda drive: [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, "--threads", 2, "--json"]
+    command = lambda drive: [program, "reconstruct", drive, "--timestamps", drive / "timestamps.csv", "--pairs", arguments.pairs, "--threads", THREADS, "--json"]
     centres, _ = truth_of(drive)
     run([*command(drive), "-o", made, "--focal-prior", focal, "--rig", "off"], log)
     shutil.copytree(made, work / "auto")

@@ -173,6 +173,24 @@ def map_database(database, images, sparse, known, threads, seed):
     return pycolmap.incremental_mapping(database, images, sparse, mapping)
 
 
+def make_rig(database, model=None, cameras=("left", "right")):
+    """One rig of all cameras, a folder each; its calibration is the model's, or unknown."""
+    sensors = [pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0) for k, name in enumerate(cameras)]
+    with pycolmap.Database.open(database) as opened:
+        pycolmap.apply_rig_config([pycolmap.RigConfig(cameras=sensors)], opened, *([model] if model else []))
+
+
+def map_globally(database, images, sparse, known, threads, seed):
+    """COLMAP's global mapper, with the rig that the database has."""
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed = threads, seed
+    if known:
+        adjustment = options.mapper.bundle_adjustment
+        adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
+    sparse.mkdir(parents=True, exist_ok=True)
+    return pycolmap.global_mapping(database, images, sparse, options)
+
+
 def colmap_in_process(work, dataset, known, arguments, seed):
     """Its wall seconds as a user would see them, the start of the process left out."""
     job = dict(work=str(work), images=str(dataset.images), known=known, threads=arguments.threads, seed=seed)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from colmap import largest, map_database
+from colmap import largest, make_rig, map_database
 from program import program_of
 
 THREADS, SEED = 2, 0
@@ -93,14 +93,6 @@ def with_frames(database, drive):
     connection.commit()
     connection.close()
     return {to: was for was, to in new.items()}
-
-
-def make_rig(database, model=None):
-    """One rig of both cameras; its calibration is the model's, or unknown."""
-    camera = lambda prefix, is_first: pycolmap.RigConfigCamera(image_prefix=prefix, ref_sensor=is_first)
-    rig = pycolmap.RigConfig(cameras=[camera("left/", True), camera("right/", False)])
-    with pycolmap.Database.open(database) as opened:
-        pycolmap.apply_rig_config([rig], opened, *([model] if model else []))
 
 
 def constrained(workspace, drive):

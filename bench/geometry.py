@@ -20,7 +20,7 @@ import time
 import cv2
 import numpy as np
 import poselib
-from program import TARGET
+from program import TARGET, degrees
 
 CONFIDENCE, MIN_ITERATIONS, MAX_ITERATIONS, SEED = 0.9999, 100, 10000, 1
 
@@ -179,10 +179,6 @@ def with_opencv(problems, repetitions):
 
 
 # ---- judging ----------------------------------------------------------------------------------------------------------
-
-def degrees(cosine):
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-
 
 def pose_error(p, model):
     """Degrees; for a known scale the translation counts by its length, of one."""

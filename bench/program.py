@@ -1,5 +1,6 @@
-"""Which `tiepoint` the scripts beside this measure."""
+"""What the scripts beside this share: which `tiepoint` they measure, and the angle of a cosine."""
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -14,3 +15,8 @@ def program_of(arguments=None):
     if not program.exists():
         sys.exit(f"{program} is not there: cargo build --release")
     return program
+
+
+def degrees(cosine):
+    """Of a cosine that rounding may have taken past 1."""
+    return math.degrees(math.acos(min(max(cosine, -1), 1)))

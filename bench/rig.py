@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from program import program_of
+from program import degrees, program_of
 
 
 def run(program, *arguments):
@@ -39,10 +39,6 @@ def rotation(w, x, y, z):
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ])
-
-
-def degrees(cosine):
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def true_cameras(drive):
@@ -140,26 +136,6 @@ def adjust_by_peer(model, cameras, known, output):
         raise SystemExit(f"rig_bundle_adjuster: {(done.stdout + done.stderr)[-2000:]}")
 
 
-def map_globally(workspace, cameras, images, seed, output):
-    """COLMAP's global mapper with a rig of unknown calibration."""
-    import pycolmap
-
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
-    database = output / "database.db"
-    output.mkdir()
-    shutil.copy(workspace / "database.db", database)
-    rig = pycolmap.RigConfig(cameras=[
-        pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0) for k, name in enumerate(cameras)])  # fmt: skip
-    with pycolmap.Database.open(database) as opened:
-        pycolmap.apply_rig_config([rig], opened)
-    options = pycolmap.GlobalPipelineOptions()
-    options.num_threads, options.random_seed = 2, seed
-    adjustment = options.mapper.bundle_adjustment
-    adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
-    pycolmap.global_mapping(database, images, output, options)
-    return output / "0"
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path)
@@ -179,10 +155,18 @@ def main():
     truth = f"colmap:{options.drive / 'truth' / 'model'}" if options.drive else f"kitti:{options.kitti / 'poses.txt'}"
     with sqlite3.connect(options.workspace / "database.db") as database:
         cameras = sorted({name.split("/")[0] for (name,) in database.execute("SELECT name FROM images")})
+    if options.global_mapper:
+        import pycolmap
+        from colmap import make_rig, map_globally
+
+        pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     for seed in options.global_mapper:
         with tempfile.TemporaryDirectory() as scratch:
-            model = map_globally(options.workspace, cameras, options.kitti / "images", seed, Path(scratch) / "global")
-            evaluation = run(options.program, "evaluate", "poses", model, "--truth", truth)
+            database, sparse = Path(scratch) / "database.db", Path(scratch) / "sparse"
+            shutil.copy(options.workspace / "database.db", database)
+            make_rig(database, cameras=cameras)
+            map_globally(database, options.kitti / "images", sparse, True, 2, seed)
+            evaluation = run(options.program, "evaluate", "poses", sparse / "0", "--truth", truth)
             print(f"global mapper, seed {seed}: ATE {100 * evaluation['centre_error']['rmse']:8.3f} cm", flush=True)
     for mode in options.rig:
         with tempfile.TemporaryDirectory() as scratch:

@@ -42,6 +42,17 @@ impl Rigid3 {
         -(self.rotation.inverse() * self.translation)
     }
 
+    /// How a motion of a, as a tangent, looks as one of b, to first order: (δ, τ) becomes `(R δ, R τ + [t]ₓ R δ)`. Ad, with
+    /// T Exp(ξ) = Exp(Ad ξ) T.
+    pub fn adjoint(&self) -> SMatrix<f64, 6, 6> {
+        let rotation = self.rotation.to_rotation_matrix().into_inner();
+        let mut adjoint = SMatrix::<f64, 6, 6>::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&(so3::hat(&self.translation) * rotation));
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        adjoint
+    }
+
     /// The 3×4 matrix [R | t].
     pub fn to_matrix(&self) -> Matrix3x4<f64> {
         let mut matrix = Matrix3x4::zeros();

@@ -38,7 +38,7 @@ pub(crate) fn scale_to_baseline(
 ) -> Vec<ScaleReport> {
     let mut none = Vec::new();
     let mounted = held.first_mut().map_or(&mut none, |held| &mut held.cameras);
-    let known: Vec<Companion> = mounted.iter().map(companion).collect();
+    let known: Vec<Companion> = mounted.iter().map(|camera| camera.companion).collect();
     let mut reports = Vec::new();
     for (index, model) in models.iter_mut().enumerate() {
         let mounting = mounted.first().filter(|_| index == 0);
@@ -67,16 +67,12 @@ pub(crate) fn scale_to_baseline(
     reports
 }
 
-fn companion(camera: &MountedCamera) -> Companion {
-    let MountedCamera { left, right, clock, timing, blind, .. } = *camera;
-    Companion { left, right, clock, timing, unit: None, blind }
-}
-
 /// A length in units of the model, and of what.
 type Length = (f64, String);
 
 fn length_of_mounting(model: &Reconstruction, camera: &MountedCamera) -> Result<Length, String> {
-    let [left, right] = [camera.left, camera.right].map(|camera| folder_of(model, camera));
+    let [left, right] =
+        [camera.companion.left, camera.companion.right].map(|camera| folder_of(model, camera));
     Ok((camera.right_from_left.translation.norm(), format!("the mounting of {right} beside {left}")))
 }
 
@@ -108,6 +104,7 @@ fn length_of_pairs(model: &Reconstruction, known: &[Companion]) -> Result<Length
 fn scale_mounting(camera: &mut MountedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.right_from_left.translation;
     camera.right_from_left.translation *= factor;
+    camera.companion.unit = camera.companion.unit.map(|unit| factor * unit);
     if let Some(covariance) = &mut camera.covariance {
         let across = match translation.try_normalize(0.0) {
             Some(along) if has_given_length => Matrix3::identity() - along * along.transpose(),
@@ -160,12 +157,15 @@ mod tests {
 
     fn mounted() -> MountedCamera {
         MountedCamera {
-            left: CameraId(0),
-            right: CameraId(1),
+            companion: Companion {
+                left: CameraId(0),
+                right: CameraId(1),
+                clock: Clock::default(),
+                timing: Timing::Together,
+                unit: None,
+                blind: None,
+            },
             right_from_left: Rigid3::new(UnitQuaternion::identity(), Vector3::new(-APART, 0.0, 0.0)),
-            clock: Clock::default(),
-            timing: Timing::Together,
-            blind: None,
             covariance: Some(MountingCovariance::identity()),
             hold: Hold::Rigid,
             num_moments: 5,

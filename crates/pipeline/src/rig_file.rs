@@ -75,7 +75,7 @@ impl RigFile {
 
     /// `None` without a camera that is held to the first one.
     pub(crate) fn new(model: &Reconstruction, cameras: &[MountedCamera]) -> Option<Self> {
-        let reference = folder_of(model, cameras.first()?.left);
+        let reference = folder_of(model, cameras.first()?.companion.left);
         Some(Self {
             reference,
             cameras: cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
@@ -92,16 +92,16 @@ impl RigCamera {
     }
 
     fn new(model: &Reconstruction, camera: &MountedCamera) -> Self {
-        let (pose, clock) = (&camera.right_from_left, &camera.clock);
+        let (pose, clock) = (&camera.right_from_left, &camera.companion.clock);
         let q = &pose.rotation;
         let sd = |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
         let widest = |first: usize| {
             let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
             Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
         };
-        let is_free = camera.timing == Timing::Free;
+        let is_free = camera.companion.timing == Timing::Free;
         Self {
-            name: folder_of(model, camera.right),
+            name: folder_of(model, camera.companion.right),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
@@ -111,7 +111,7 @@ impl RigCamera {
             }
             .to_owned(),
             clock: RigClock {
-                timing: match camera.timing {
+                timing: match camera.companion.timing {
                     Timing::Together => "together",
                     Timing::Free => "free",
                     Timing::NotObservable => "not observable",
@@ -128,7 +128,7 @@ impl RigCamera {
                 .map(|covariance| covariance.row_iter().map(|row| row.iter().copied().collect()).collect()),
             rotation_sd_deg: widest(0).map(f64::to_degrees),
             translation_sd: widest(3),
-            unobservable: camera.blind.map(Into::into),
+            unobservable: camera.companion.blind.map(Into::into),
         }
     }
 }

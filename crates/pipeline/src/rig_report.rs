@@ -122,7 +122,7 @@ impl RigReport {
         let mut cameras: Vec<RigCameraReport> =
             mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
         // Where clocks are not known, images nearest in time count as of one moment.
-        let is_left = |rig: &RigPairs| mounted.iter().all(|mounted| mounted.right != rig.right);
+        let is_left = |rig: &RigPairs| mounted.iter().all(|mounted| mounted.companion.right != rig.right);
         cameras.extend(
             series
                 .iter()
@@ -156,7 +156,7 @@ fn camera(
 
 /// With its clock: the moments at which it is held.
 fn mounted_camera(model: &Reconstruction, mounted: &MountedCamera) -> Option<RigCameraReport> {
-    let cameras = [mounted.left, mounted.right];
+    let cameras = [mounted.companion.left, mounted.companion.right];
     Some(camera_report(model, cameras, mounted.num_moments, &mounted.spread?))
 }
 

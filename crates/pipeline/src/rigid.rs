@@ -15,7 +15,7 @@ use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
     AdjustOptions, Companion, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigidCamera, Timing,
-    companions, hold_rigidly, relative_noise, relative_poses,
+    companions, hold_rigidly, relative_poses,
 };
 
 use crate::evaluate::read_times;
@@ -79,13 +79,9 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
     let length = cameras[0].right_from_left.translation.norm();
-    let noise = relative_noise(&model).min(1.0);
-    let options = AdjustOptions {
-        refine: refined(from)?,
-        noise,
-        max_iterations: ITERATIONS,
-        ..AdjustOptions::default()
-    };
+    let options =
+        AdjustOptions { refine: refined(from)?, max_iterations: ITERATIONS, ..AdjustOptions::default() };
+    let options = options.weighed_against(&model);
     hold_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
     let factor = length / cameras[0].right_from_left.translation.norm();

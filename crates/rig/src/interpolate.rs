@@ -48,7 +48,7 @@ impl Knots<'_> {
         let motion = se3::exp(&zeta);
         let pose = motion * *self.poses[BASE];
         let jacobian = se3::left_jacobian(&zeta);
-        let mut d_base = se3::adjoint(&motion);
+        let mut d_base = motion.adjoint();
         let mut d_knots = [Matrix6::zeros(); 4];
         for k in (0..4).filter(|&k| k != BASE) {
             d_knots[k] = jacobian * se3::left_jacobian_inverse(&twists[k]) * weights[k];

@@ -41,12 +41,6 @@ pub(crate) fn left_jacobian_inverse(twist: &Twist) -> Matrix6 {
     blocks(&inverse, &-(inverse * q(&w, &v) * inverse), &inverse)
 }
 
-/// Ad with `motion` Exp(ξ) = Exp(Ad ξ) `motion`.
-pub(crate) fn adjoint(motion: &Rigid3) -> Matrix6 {
-    let rotation = motion.rotation.to_rotation_matrix().into_inner();
-    blocks(&rotation, &(so3::hat(&motion.translation) * rotation), &rotation)
-}
-
 /// Lower triangular, of blocks.
 fn blocks(a: &Matrix3<f64>, below: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix6 {
     let mut matrix = Matrix6::zeros();
@@ -126,7 +120,7 @@ mod tests {
         #[test]
         fn the_adjoint_moves_a_motion_to_the_other_side(angle in 0.0..3.0, seed: u64) {
             let (a, xi) = (exp(&twist(angle, seed)), twist(0.3, seed ^ 1));
-            let (left, right) = (a * exp(&xi), exp(&(adjoint(&a) * xi)) * a);
+            let (left, right) = (a * exp(&xi), exp(&(a.adjoint() * xi)) * a);
             prop_assert!((left.translation - right.translation).norm() < TOLERANCE);
             prop_assert!(left.rotation.angle_to(&right.rotation) < 1e-7);
         }

@@ -7,8 +7,7 @@
 
 use std::ops::ControlFlow;
 
-use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_geometry::solvers::umeyama;
+use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 use tiepoint_sfm::{Event, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, map};
 use tiepoint_synth::{
@@ -107,17 +106,14 @@ fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<Outcome> {
         ControlFlow::Continue(())
     });
     let model = models.ok()?.into_iter().next()?;
-    let (found, truth): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
-        .registered()
-        .filter_map(|(id, _, pose)| {
-            Some((pose.origin_in_a(), scene.truth.image(id).cam_from_world()?.origin_in_a()))
-        })
-        .unzip();
-    let truth_from_model = umeyama(&found, &truth, true)?;
-    let sum: f64 = found.iter().zip(&truth).map(|(f, t)| (truth_from_model * *f - t).norm_squared()).sum();
+    let found: Vec<_> = model.images().map(|(_, image)| image.cam_from_world().copied()).collect();
+    let truth: Option<Vec<_>> =
+        scene.truth.images().map(|(_, image)| image.cam_from_world().copied()).collect();
+    let compared = compare_poses(&found, &truth?, Alignment::Similarity)?;
+    let errors: Vec<f64> = compared.centre_errors.into_iter().flatten().collect();
     Some(Outcome {
-        ate_m: (sum / found.len() as f64).sqrt(),
-        scale: truth_from_model.scale,
+        ate_m: Statistics::of(&errors)?.rmse,
+        scale: compared.truth_from_model.scale,
         right,
         held_out_px,
     })
@@ -154,14 +150,16 @@ fn main() {
                     continue;
                 };
                 let (true_mount, clock) = (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
-                let pivot_s = camera.clock.pivot_s;
-                let offset_s = camera.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+                let pivot_s = camera.companion.clock.pivot_s;
+                let offset_s = camera.companion.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
                 let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
                 let turn = camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
                 let place = (camera.right_from_left.translation * scale - true_mount.translation).norm();
                 let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
-                notes +=
-                    &format!(" {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};", camera.timing);
+                notes += &format!(
+                    " {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};",
+                    camera.companion.timing
+                );
             }
         }
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;

@@ -21,6 +21,7 @@ use tiepoint_scene::{Camera, CameraId, ImageId, ImagePair, PointId, Reconstructi
 use crate::focal::FocalPrior;
 use crate::mounting::Mounting;
 use crate::rig_pairs::BaselineLink;
+use crate::sigma::relative_noise;
 use crate::{Error, keypoint_sigma_px, triangulation};
 pub use mountings::MountingCovariance;
 pub(crate) use mountings::mounting_covariances;
@@ -90,6 +91,14 @@ impl Default for AdjustOptions<'_> {
     }
 }
 
+impl AdjustOptions<'_> {
+    /// With the priors weighed against the noise that a finished model leaves: precise keypoints decide alone. Noise beyond what was expected is the
+    /// model's own, and gives the priors no more weight.
+    pub fn weighed_against(self, model: &Reconstruction) -> Self {
+        Self { noise: relative_noise(model).min(1.0), ..self }
+    }
+}
+
 /// Which images and points an adjustment moves.
 #[derive(Clone, Debug)]
 pub enum Scope<'a> {
@@ -139,7 +148,7 @@ pub(crate) fn adjust_mounted(
     for (mounting, (mount, clock)) in mountings.iter_mut().zip(&bundle.mountings) {
         mounting.right_from_left = bundle.problem.get(*mount);
         if let Some(clock) = clock {
-            mounting.clock = bundle.problem.get(*clock);
+            mounting.companion.clock = bundle.problem.get(*clock);
         }
     }
     retriangulate_held_out(model, scope);

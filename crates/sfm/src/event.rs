@@ -1,13 +1,12 @@
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_rig::{Clock, Spread};
-use tiepoint_scene::{CameraId, ImageId};
+use tiepoint_rig::Spread;
+use tiepoint_scene::ImageId;
 
 use crate::Error;
 use crate::adjust::MountingCovariance;
-use crate::companion::Timing;
+use crate::companion::Companion;
 use crate::mounting::Hold;
 use crate::shutter::RollingShutter;
 
@@ -90,23 +89,15 @@ pub enum Event {
 /// What came out for a camera that rides with the first one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MountedCamera {
-    /// The first camera.
-    pub left: CameraId,
-    /// The other one.
-    pub right: CameraId,
+    /// Which cameras, and the other one's clock.
+    pub companion: Companion,
     /// The calibration, in units of the model.
     pub right_from_left: Rigid3,
-    /// The other one's clock.
-    pub clock: Clock,
-    /// How well that is known.
-    pub timing: Timing,
-    /// Of calibration and clock; `None` where something is not determined.
+    /// Of calibration and clock; `None` where something is not determined. Along [`Companion::blind`] the camera is where it was believed to be, and
+    /// that is known to a unit.
     pub covariance: Option<MountingCovariance>,
     /// How firmly it is held.
     pub hold: Hold,
-    /// Where the two see nothing in common and their motion does not tell its place along a direction: that, in the first camera's frame. Along it the
-    /// camera is where it was believed to be, at zero, and the covariance says how well that is known: to a usual step between two images.
-    pub blind: Option<Vector3<f64>>,
     /// Moments at which the two could be compared.
     pub num_moments: usize,
     /// Of the relative poses at the moments that are held.

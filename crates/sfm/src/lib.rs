@@ -36,7 +36,7 @@ pub use mounting::{Descriptors, Hold, Mounting, RigidCamera, hold_rigidly};
 pub use register::{RegisterOptions, register_image};
 pub use rig_pairs::{BaselineLink, RigPair, RigPairs, final_links, growing_links, relative_poses, rig_pairs};
 pub use shutter::{Readout, RollingShutter};
-pub use sigma::{keypoint_sigma_px, relative_noise};
+pub use sigma::keypoint_sigma_px;
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;

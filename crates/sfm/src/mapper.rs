@@ -24,7 +24,7 @@ use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
 use crate::shutter::{Detected, Readout, estimate, known, straighten};
 use crate::tracks::{complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::visibility::{Visibility, visibility};
-use crate::{Error, Event, relative_noise};
+use crate::{Error, Event};
 
 /// An image that could not be registered is tried again at most this often.
 const MAX_REGISTER_TRIALS: usize = 3;
@@ -413,18 +413,18 @@ impl<'a> Mapper<'a> {
         if self.model.num_registered() < 3 {
             refine = RefineIntrinsics::NONE;
         }
-        AdjustOptions {
+        let options = AdjustOptions {
             refine,
             loss: self.options.loss,
-            // While it grows, a model is worse than its keypoints.
-            noise: if self.is_final { relative_noise(&self.model).min(1.0) } else { 1.0 },
             focal_priors: self.focal_priors,
             links,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
             max_iterations,
             function_tolerance,
             ..AdjustOptions::default()
-        }
+        };
+        // While it grows, a model is worse than its keypoints.
+        if self.is_final { options.weighed_against(&self.model) } else { options }
     }
 
     /// Whether some image looks elsewhere than the first one of its camera: two cameras on one mount look apart without ever turning. Where

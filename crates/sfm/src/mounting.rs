@@ -25,7 +25,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{Clock, Mounted, RelativePose, spread};
-use tiepoint_scene::{CameraId, CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
 use crate::adjust::{
     AdjustOptions, MountingCovariance, Scope, adjust_mounted, keep_going, mounting_covariances,
@@ -46,24 +46,14 @@ use tighten::Tight;
 /// A camera's mounting beside the first one, and how firmly it holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mounting {
-    /// The first camera.
-    pub left: CameraId,
-    /// The other one.
-    pub right: CameraId,
+    /// Which cameras, and the other one's clock; that is adjusted where it is free.
+    pub companion: Companion,
     /// Where the two are held to each other.
     pub moments: Vec<Moment>,
     /// The calibration to begin with; it is adjusted.
     pub right_from_left: Rigid3,
-    /// The other camera's clock; it is adjusted where it is free.
-    pub clock: Clock,
-    /// Whether it is.
-    pub timing: Timing,
     /// How firmly.
     pub hold: Hold,
-    /// Where the two cameras see nothing in common: the length that stands for their distance ([`Companion::unit`]).
-    pub unit: Option<f64>,
-    /// The direction in which the camera's place stays at zero ([`Companion::blind`]).
-    pub blind: Option<Vector3<f64>>,
     /// At these of the moments the model had the camera elsewhere, for want of matches with the first one.
     pub(crate) closed: Vec<Closed>,
 }
@@ -176,7 +166,7 @@ struct Held {
 
 impl Held {
     fn is_anything_together(&self) -> bool {
-        self.mountings.iter().any(|mounting| mounting.timing == Timing::Together)
+        self.mountings.iter().any(|mounting| mounting.companion.timing == Timing::Together)
     }
 }
 
@@ -184,9 +174,9 @@ impl Mounting {
     /// Whether the cameras follow: half of the moments are within a few standard deviations.
     fn is_held(&self, model: &Reconstruction) -> bool {
         let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return true };
-        let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: self.unit };
+        let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: self.companion.unit };
         let residual = |moment: &Moment| {
-            let left = moment.left_from_world(model, &self.clock)?;
+            let left = moment.left_from_world(model, &self.companion.clock)?;
             let right = model.image(moment.right).cam_from_world()?;
             let residual = mounted.residual((&left, right, &self.right_from_left))?;
             Some(moment.whitening(&mounted, &left, &self.right_from_left) * residual)
@@ -205,7 +195,7 @@ impl Mounting {
     /// Moves the further camera to where a calibration has it, at every moment.
     fn place(&self, model: &mut Reconstruction, right_from_left: &Rigid3) {
         for moment in &self.moments {
-            if let Some(left) = moment.left_from_world(model, &self.clock) {
+            if let Some(left) = moment.left_from_world(model, &self.companion.clock) {
                 model.register(moment.right, *right_from_left * left);
             }
         }
@@ -213,7 +203,7 @@ impl Mounting {
 
     /// The direction of the camera's centre, in the first camera's frame, that the motion does not tell.
     fn blind(&self, covariance: &MountingCovariance) -> Option<Vector3<f64>> {
-        let unit = self.unit?;
+        let unit = self.companion.unit?;
         // c = -Rᵀ t; what the rotation adds is less by the baseline over a radian.
         let rotation = self.right_from_left.rotation.to_rotation_matrix().into_inner();
         let of_centre = rotation.transpose() * covariance.fixed_view::<3, 3>(3, 3) * rotation;
@@ -228,17 +218,12 @@ impl Mounting {
 
     /// Along the direction that the motion does not tell, a place is known by what was believed beforehand.
     fn with_belief(&self, mut covariance: MountingCovariance) -> MountingCovariance {
-        if let (Some(unit), Some(blind)) = (self.unit, self.blind) {
+        if let Companion { unit: Some(unit), blind: Some(blind), .. } = self.companion {
             let along = self.right_from_left.rotation * blind * unit;
             let mut of_place = covariance.fixed_view_mut::<3, 3>(3, 3);
             of_place += along * along.transpose();
         }
         covariance
-    }
-
-    fn companion(&self) -> Companion {
-        let Self { left, right, clock, timing, unit, blind, .. } = *self;
-        Companion { left, right, clock, timing, unit, blind }
     }
 }
 
@@ -300,21 +285,17 @@ impl Context<'_> {
             mountings.iter().zip(mounting_covariances(model, &self.adjust, &mountings)?)
         {
             let held: BTreeSet<ImageId> = mounting.moments.iter().map(|moment| moment.right).collect();
-            let all = mounting.companion().moments(model);
+            let all = mounting.companion.moments(model);
             for moment in all.iter().filter(|moment| !held.contains(&moment.right)) {
-                let left = moment.nearest_left(&mounting.clock);
+                let left = moment.nearest_left(&mounting.companion.clock);
                 tell(watch, &Event::BadPair { left, right: moment.right })?;
             }
-            let poses = relative_poses(model, &mounting.moments, &mounting.clock);
+            let poses = relative_poses(model, &mounting.moments, &mounting.companion.clock);
             let camera = MountedCamera {
-                left: mounting.left,
-                right: mounting.right,
+                companion: mounting.companion,
                 right_from_left: mounting.right_from_left,
-                clock: mounting.clock,
-                timing: mounting.timing,
                 covariance: covariance.map(|covariance| mounting.with_belief(covariance)),
                 hold: mounting.hold,
-                blind: mounting.blind,
                 num_moments: all.len(),
                 spread: spread(&poses),
             };
@@ -343,7 +324,7 @@ impl Context<'_> {
             // Where rounding leaves no covariance, the motion's word stands.
             let Some(covariance) = covariance else { continue };
             let sd_s = covariance[(6, 6)].sqrt();
-            for companion in companions.iter_mut().filter(|c| c.right == mounting.right) {
+            for companion in companions.iter_mut().filter(|c| c.right == mounting.companion.right) {
                 if companion.timing == Timing::Free && sd_s.is_nan() | (sd_s > MAX_CLOCK_SD_S) {
                     companion.timing = Timing::NotObservable;
                     companion.clock = Clock { offset_s: 0.0, drift: 0.0, ..companion.clock };

@@ -21,7 +21,7 @@ pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
 
 /// Standard deviation of a model's keypoints, as a multiple of [`keypoint_sigma_px`]: from the median error, and what the fit has taken
 /// away.
-pub fn relative_noise(model: &Reconstruction) -> f64 {
+pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
     // Of a vector of two unit normals.
     const MEDIAN_OF_TWO: f64 = 1.177;
     let mut errors: Vec<f64> = Vec::new();

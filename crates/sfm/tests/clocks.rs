@@ -75,9 +75,9 @@ fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
     let found = Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
     let turn = so3::log(&(found.rotation * truth.rotation.inverse()));
     let shift = found.translation - truth.translation;
-    let pivot_s = camera.clock.pivot_s;
-    let offset_s = camera.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
-    let drift = camera.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
+    let pivot_s = camera.companion.clock.pivot_s;
+    let offset_s = camera.companion.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let drift = camera.companion.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
     let covariance = camera.covariance.expect("all is determined");
     let sd = std::array::from_fn(|k| {
         let sd: f64 = covariance[(k, k)].sqrt();
@@ -101,7 +101,7 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     for seed in 1..4 {
         let run = run(seed, CLOCKS, RigTerm::Auto);
         let camera = run.camera.as_ref().expect("the right camera was held");
-        assert_eq!(camera.timing, Timing::Free);
+        assert_eq!(camera.companion.timing, Timing::Free);
         assert!(matches!(camera.hold, Hold::Soft { .. }), "images of different instants are not rigid");
         let (error, sd) = errors(&run);
         eprintln!("seed {seed}: errors {error:.6?}\n        deviations {sd:.6?}");
@@ -125,7 +125,10 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
 fn cameras_that_are_triggered_together_are_rigid_frames() {
     let run = run(2, ClockEffects::default(), RigTerm::Hard);
     let camera = run.camera.as_ref().expect("the right camera was held");
-    assert_eq!((camera.timing, camera.clock.offset_s, camera.hold), (Timing::Together, 0.0, Hold::Rigid));
+    assert_eq!(
+        (camera.companion.timing, camera.companion.clock.offset_s, camera.hold),
+        (Timing::Together, 0.0, Hold::Rigid)
+    );
     assert_eq!(run.model.frames.len(), FRAMES);
 }
 

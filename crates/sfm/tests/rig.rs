@@ -232,11 +232,6 @@ fn the_gauge_stays_where_it_is_held() {
     // No step goes along the axis of the camera as it was turned then: what is left is of second order.
     let along = (moved.rotation * way)[axis];
     let turn_rad = moved.rotation.angle_to(&second.rotation);
-    let size = (moved.origin_in_a() - first.origin_in_a()).norm() / apart.norm() - 1.0;
-    eprintln!(
-        "{:.2e} m on, {along:.2e} of it along the axis, turned by {turn_rad:.2e}, size by {size:.2e}",
-        way.norm()
-    );
     assert!(along.abs() <= turn_rad * way.norm(), "{along}");
     assert!(way.norm() > 0.0 && turn_rad > 0.0, "nothing else is held");
 }

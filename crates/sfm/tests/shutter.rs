@@ -1,14 +1,15 @@
 //! A camera whose rows are exposed one after the other, on the street of the synthetic world seen as features.
 
+mod common;
+
 use std::ops::ControlFlow;
 
-use tiepoint_geometry::nalgebra::Vector3;
-use tiepoint_geometry::solvers::umeyama;
-use tiepoint_scene::Reconstruction;
 use tiepoint_sfm::{Event, MapperOptions, Readout, RefineIntrinsics, RollingShutter, map};
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
 };
+
+use common::ate_m;
 
 /// Time from the first row to the last one: an action camera's.
 const READOUT_S: f64 = 0.02;
@@ -37,17 +38,7 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> (f64, Vec<RollingShutter
     });
     let model = models.expect("the scene is easy").remove(0);
     assert_eq!(model.num_registered(), 2 * FRAMES);
-    (error_m(&model, scene.truth()), shutters)
-}
-
-fn error_m(model: &Reconstruction, truth: &Reconstruction) -> f64 {
-    let centres = |scene: &Reconstruction| -> Vec<Vector3<f64>> {
-        scene.registered().map(|(.., pose)| pose.origin_in_a()).collect()
-    };
-    let (found, truth) = (centres(model), centres(truth));
-    let truth_from_model = umeyama(&found, &truth, true).expect("they are not in one place");
-    let sum: f64 = found.iter().zip(&truth).map(|(f, t)| (truth_from_model * *f - t).norm_squared()).sum();
-    (sum / found.len() as f64).sqrt()
+    (ate_m(&model, scene.truth()), shutters)
 }
 
 /// A readout is known to this, in seconds: a twentieth of it; and off by no more than so many standard deviations.

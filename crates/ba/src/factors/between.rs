@@ -1,5 +1,5 @@
 use nalgebra::{Matrix6, SVector};
-use tiepoint_geometry::{Manifold, Rigid3, so3};
+use tiepoint_geometry::{Manifold, Rigid3};
 
 use super::difference::{d_motion, from_sigmas};
 use crate::error::Error;
@@ -35,13 +35,8 @@ impl Factor<6> for Between {
     fn linearize(&self, (a, b): (&Rigid3, &Rigid3)) -> Option<Linear<Self::Vars, 6>> {
         let b_from_a = *b * a.inverse();
         let residual = self.error(&b_from_a);
-        let rotation = b_from_a.rotation.to_rotation_matrix().into_inner();
-        let mut seen_in_b = Matrix6::zeros();
-        seen_in_b.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-        seen_in_b.fixed_view_mut::<3, 3>(3, 0).copy_from(&(so3::hat(&b_from_a.translation) * rotation));
-        seen_in_b.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
         let d_b = self.sqrt_information * d_motion(&residual);
-        Some((self.sqrt_information * residual, (-d_b * seen_in_b, d_b)))
+        Some((self.sqrt_information * residual, (-d_b * b_from_a.adjoint(), d_b)))
     }
 
     fn residual(&self, (a, b): (&Rigid3, &Rigid3)) -> Option<SVector<f64, 6>> {

@@ -10,9 +10,10 @@ use tiepoint_rig::{Clock, Mounted, MountedInTime};
 use tiepoint_scene::{ImageId, PointId, Reconstruction, Track};
 
 use super::{AdjustOptions, Bundle, Scope};
+use crate::Error;
 use crate::companion::{Left, Timing};
 use crate::mounting::{Hold, Mounting};
-use crate::{Error, relative_noise};
+use crate::sigma::relative_noise;
 
 /// What is believed of a clock's offset beside what was found by motion, and of its drift (quartz: tens of parts per million).
 const CLOCK_SIGMA_S: f64 = 1.0;
@@ -105,18 +106,18 @@ impl Bundle {
         for (index, mounting) in mountings.iter().enumerate() {
             let mount = self.problem.keep(mounting.right_from_left, Order::Shared);
             let moves = mounting.moments.iter().any(|m| matches!(m.left, Left::Between { .. }));
-            let clock = moves.then(|| self.problem.keep(mounting.clock, Order::Shared));
+            let clock = moves.then(|| self.problem.keep(mounting.companion.clock, Order::Shared));
             if let Some(clock) = clock {
-                match mounting.timing {
+                match mounting.companion.timing {
                     Timing::Free => {
                         let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA].map(|sigma| sigma / noise);
-                        let stamps = Clock { drift: 0.0, ..mounting.clock };
+                        let stamps = Clock { drift: 0.0, ..mounting.companion.clock };
                         self.problem.add(clock, Prior::new(stamps, &sigmas)?, Loss::Trivial)?;
                     }
                     Timing::Together | Timing::NotObservable => self.problem.fix(clock),
                 }
             }
-            if let Some(unit) = mounting.unit {
+            if let Some(unit) = mounting.companion.unit {
                 self.problem.add(mount, belief(mounting, unit, noise)?, Loss::Trivial)?;
             }
             self.mountings.push((mount, clock));
@@ -132,7 +133,8 @@ impl Bundle {
                     }
                     (Hold::Soft { sigma_translation, sigma_rotation_rad }, Left::At(left), _) => {
                         let (Some(left), Some(right)) = (key(&left), right) else { continue };
-                        let factor = Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.unit };
+                        let factor =
+                            Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.companion.unit };
                         self.problem.add((left, right, mount), factor, Loss::Trivial)?;
                     }
                     (
@@ -144,8 +146,11 @@ impl Bundle {
                         let (Some(a), Some(b), Some(c), Some(d), Some(right)) = (a, b, c, d, right) else {
                             continue;
                         };
-                        let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.unit };
-                        let Some(left) = moment.left_from_world(model, &mounting.clock) else { continue };
+                        let mounted =
+                            Mounted { sigma_translation, sigma_rotation_rad, unit: mounting.companion.unit };
+                        let Some(left) = moment.left_from_world(model, &mounting.companion.clock) else {
+                            continue;
+                        };
                         let whitening = moment.whitening(&mounted, &left, &mounting.right_from_left);
                         let factor =
                             MountedInTime { mounted, left_times_s: times_s, right_time_s, whitening };
@@ -166,7 +171,7 @@ fn belief(mounting: &Mounting, unit: f64, noise: f64) -> Result<Prior<Rigid3, 6>
     let sigmas: [f64; 6] = std::array::from_fn(|k| if k < 3 { UNSEEN_SIGMA_RAD } else { unit } / noise);
     let rotation = mounting.right_from_left.rotation;
     let mut prior = Prior::new(Rigid3::new(rotation, Vector3::zeros()), &sigmas)?;
-    if let Some(blind) = mounting.blind {
+    if let Some(blind) = mounting.companion.blind {
         let along = rotation * blind;
         let firmer = Matrix3::identity() + along * along.transpose() * (1.0 / BLIND_SIGMA - 1.0);
         let of_place = prior.sqrt_information.fixed_view::<3, 3>(3, 3) * firmer;

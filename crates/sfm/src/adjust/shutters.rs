@@ -10,8 +10,9 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::mountings::without_points_at_infinity;
 use super::{AdjustOptions, Bundle, Scope, keep_going};
+use crate::Error;
 use crate::shutter::RollingShutter;
-use crate::{Error, relative_noise};
+use crate::sigma::relative_noise;
 
 /// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;

@@ -38,7 +38,7 @@ impl Context<'_> {
         unmatched: Unmatched,
     ) -> Vec<Mounting> {
         let mounting = |companion: &Companion| -> Option<Mounting> {
-            let Companion { left, right, clock, timing, unit, blind } = *companion;
+            let Companion { clock, timing, unit, .. } = *companion;
             // All of a companion's moments have poses.
             let moments = companion.moments(model);
             let poses = relative_poses(model, &moments, &clock);
@@ -73,15 +73,10 @@ impl Context<'_> {
             let hold = if timing == Timing::Together { hold } else { Hold::soft(sigmas) };
             let right_from_left = average.right_from_left();
             (moments.len() >= 2).then_some(Mounting {
-                left,
-                right,
+                companion: *companion,
                 moments,
                 right_from_left,
-                clock,
-                timing,
                 hold,
-                unit,
-                blind,
                 closed,
             })
         };

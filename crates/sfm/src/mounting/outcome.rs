@@ -17,7 +17,7 @@ const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 pub(super) fn make_rigid(model: &mut Reconstruction, mountings: &[Mounting]) {
     for mounting in mountings.iter().filter(|mounting| mounting.hold == Hold::Rigid) {
         // After an adjustment all moments have one relative pose, before it their average serves.
-        let poses = relative_poses(model, &mounting.moments, &mounting.clock);
+        let poses = relative_poses(model, &mounting.moments, &mounting.companion.clock);
         let Some(average) = robust_average(&poses) else { continue };
         mounting.place(model, &average.right_from_left());
     }
@@ -35,11 +35,14 @@ pub(super) fn make_frames(model: &mut Reconstruction, mountings: &[Mounting]) {
         });
         for (left, right, left_from_world, right_from_world) in both {
             if sensors.is_empty() {
-                sensors.push(RigSensor { camera: mounting.left, cam_from_rig: Some(Rigid3::identity()) });
+                sensors.push(RigSensor {
+                    camera: mounting.companion.left,
+                    cam_from_rig: Some(Rigid3::identity()),
+                });
             }
-            if sensors.iter().all(|sensor| sensor.camera != mounting.right) {
+            if sensors.iter().all(|sensor| sensor.camera != mounting.companion.right) {
                 let cam_from_rig = Some(right_from_world * left_from_world.inverse());
-                sensors.push(RigSensor { camera: mounting.right, cam_from_rig });
+                sensors.push(RigSensor { camera: mounting.companion.right, cam_from_rig });
             }
             images.entry(left).or_insert_with(|| vec![left]).push(right);
         }

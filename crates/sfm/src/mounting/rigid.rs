@@ -11,7 +11,7 @@ use tiepoint_scene::{CameraId, Reconstruction};
 use super::outcome::make_frames;
 use super::{Hold, Mounting};
 use crate::adjust::{AdjustOptions, Scope, adjust_mounted, keep_going};
-use crate::companion::{Left, Moment, Timing};
+use crate::companion::{Companion, Left, Moment, Timing};
 use crate::filter::{FilterOptions, filter_all_points};
 use crate::{Error, RigPair};
 
@@ -55,15 +55,17 @@ impl RigidCamera {
     fn mounting(&self) -> Mounting {
         let moment = |pair: &RigPair| Moment { right: pair.right, left: Left::At(pair.left) };
         Mounting {
-            left: self.left,
-            right: self.right,
+            companion: Companion {
+                left: self.left,
+                right: self.right,
+                clock: Clock::default(),
+                timing: Timing::Together,
+                unit: None,
+                blind: None,
+            },
             moments: self.pairs.iter().map(moment).collect(),
             right_from_left: self.right_from_left,
-            clock: Clock::default(),
-            timing: Timing::Together,
             hold: Hold::Rigid,
-            unit: None,
-            blind: None,
             closed: Vec::new(),
         }
     }

@@ -103,8 +103,8 @@ impl Context<'_> {
             for mounting in &mountings {
                 companions
                     .iter_mut()
-                    .filter(|companion| companion.right == mounting.right)
-                    .for_each(|companion| companion.clock = mounting.clock);
+                    .filter(|companion| companion.right == mounting.companion.right)
+                    .for_each(|companion| companion.clock = mounting.companion.clock);
             }
             let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
             if is_held || is_asked_for {
@@ -154,7 +154,10 @@ impl Context<'_> {
         for factor in CLOSING_STEPS {
             let mut loose: Vec<Mounting> = mountings
                 .iter()
-                .map(|m| Mounting { hold: m.hold.scaled(factor), timing: m.timing.held(), ..m.clone() })
+                .map(|m| {
+                    let companion = Companion { timing: m.companion.timing.held(), ..m.companion };
+                    Mounting { hold: m.hold.scaled(factor), companion, ..m.clone() }
+                })
                 .collect();
             adjust_mounted(model, &Scope::Global, &options, &mut loose, &mut keep_going)?;
             for (mounting, loose) in mountings.iter_mut().zip(loose) {
