@@ -52,7 +52,7 @@ pub struct MapperOptions {
     pub min_initial_inliers: usize,
     /// Models with fewer images are dropped, unless it is the only one.
     pub min_model_size: usize,
-    /// Of each weighted residual in an adjustment.
+    /// Of each weighted residual while the model grows.
     pub loss: Loss,
     /// Images in a local adjustment.
     pub local_images: usize,
@@ -176,7 +176,7 @@ fn held(
 ) -> Result<Option<(Reconstruction, Vec<Event>)>, Error> {
     let mut mapper = Mapper::new(graph, &model, options);
     mapper.focal_priors = focal_priors;
-    mapper.is_final = true;
+    mapper.weigh();
     let mut told = Vec::new();
     mapper.hold(descriptors, &mut |event| {
         told.push(event.clone());

@@ -22,6 +22,7 @@ use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::register::register_image;
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
 use crate::shutter::{Detected, Readout, estimate, known, straighten};
+use crate::sigma::relative_noise;
 use crate::tracks::{complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::visibility::{Visibility, visibility};
 use crate::{Error, Event};
@@ -40,6 +41,9 @@ const GOOD_START_SHARE: f64 = 0.94;
 /// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
 const GROWING_ROUNDS: usize = 1;
 const FINAL_ROUNDS: usize = 5;
+/// The last adjustments end when a step lowers the cost by less than this share. With 1e-8 a robust loss takes three times as many steps, and centres
+/// move by a thousandth of their error.
+const FINAL_TOLERANCE: f64 = 1e-6;
 /// How often loops are closed: one that is hides another.
 const MAX_CLOSURES: usize = 3;
 /// Rounds of the same between keypoints that a rolling shutter no longer shifts.
@@ -68,8 +72,8 @@ pub(crate) struct Mapper<'a> {
     initial: Option<ImagePair>,
     /// Where to stop.
     pub(crate) max_images: usize,
-    /// Whether all images that can be registered are.
-    pub(crate) is_final: bool,
+    /// Of the keypoints, as a multiple of what is expected; once all images that can be are registered.
+    noise: Option<f64>,
 }
 
 impl<'a> Mapper<'a> {
@@ -88,7 +92,7 @@ impl<'a> Mapper<'a> {
             trials: BTreeMap::new(),
             initial: None,
             max_images: usize::MAX,
-            is_final: false,
+            noise: None,
         }
     }
 
@@ -107,8 +111,8 @@ impl<'a> Mapper<'a> {
         if is_trial {
             return Ok(());
         }
-        self.is_final = true;
-        self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+        self.weigh();
+        self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)?;
         self.close_loops(watch)?;
         if let Some(readout) = self.options.readout {
             self.straighten(readout, watch)?;
@@ -116,12 +120,17 @@ impl<'a> Mapper<'a> {
         match self.options.rig {
             RigTerm::Paper => {
                 let links = final_links(&self.model, self.rigs);
-                self.adjust_globally(&links, 1e-8, 100, watch)?;
+                self.adjust_globally(&links, FINAL_TOLERANCE, 100, watch)?;
             }
             RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors, watch)?,
             RigTerm::Off => {}
         }
         Ok(())
+    }
+
+    /// From here on keypoints weigh by the noise that they have now.
+    pub(crate) fn weigh(&mut self) {
+        self.noise = Some(relative_noise(&self.model));
     }
 
     /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
@@ -133,9 +142,10 @@ impl<'a> Mapper<'a> {
             }
             let before = self.model.clone();
             join(self.graph, &mut self.model, &torn);
-            let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], 1e-6, 100) };
+            let options =
+                AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], FINAL_TOLERANCE, 100) };
             adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
-            self.refine_globally(FINAL_ROUNDS, 1e-8, 100, watch)?;
+            self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)?;
             if !is_closed(self.graph, &self.model, &before, &torn) {
                 self.model = before;
                 break;
@@ -155,7 +165,7 @@ impl<'a> Mapper<'a> {
             graph: self.graph,
             tracks: &self.options.tracks,
             filter: &self.options.filter,
-            adjust: self.adjust_options(&[], 1e-8, 100),
+            adjust: self.adjust_options(&[], FINAL_TOLERANCE, 100),
             seed: self.options.seed,
         };
         hold_to_mountings(&context, &mut self.model, self.options.rig, descriptors, watch)
@@ -171,13 +181,14 @@ impl<'a> Mapper<'a> {
         let shutters = match readout {
             Readout::Known(readout_s) => known(&self.model, readout_s),
             Readout::Estimated => {
-                let options = self.adjust_options(&[], 1e-8, 100);
+                let options = self.adjust_options(&[], FINAL_TOLERANCE, 100);
                 estimate(&mut self.model, &detected, &options)?
             }
         };
         for _ in 0..STRAIGHT_ROUNDS {
             straighten(&mut self.model, &detected, &shutters);
-            self.refine_globally(1, 1e-8, 100, watch)?;
+            self.weigh();
+            self.refine_globally(1, FINAL_TOLERANCE, 100, watch)?;
         }
         shutters.into_iter().try_for_each(|shutter| tell(watch, &Event::Shutter(shutter)))
     }
@@ -405,8 +416,8 @@ impl<'a> Mapper<'a> {
     {
         let mut refine = self.options.refine;
         let turns = self.turns();
-        refine.focal &= self.is_final || turns;
-        refine.principal_point &= self.is_final && turns;
+        refine.focal &= self.noise.is_some() || turns;
+        refine.principal_point &= self.noise.is_some() && turns;
         if self.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
             refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
         }
@@ -423,8 +434,15 @@ impl<'a> Mapper<'a> {
             function_tolerance,
             ..AdjustOptions::default()
         };
-        // While it grows, a model is worse than its keypoints.
-        if self.is_final { options.weighed_against(&self.model) } else { options }
+        match self.noise {
+            // The paper's factor stands beside plain pixels.
+            Some(noise) if self.options.rig == RigTerm::Paper => {
+                AdjustOptions { noise: noise.min(1.0), ..options }
+            }
+            Some(noise) => options.with_noise(noise),
+            // While it grows, a model is worse than its keypoints.
+            None => options,
+        }
     }
 
     /// Whether some image looks elsewhere than the first one of its camera: two cameras on one mount look apart without ever turning. Where

@@ -5,6 +5,7 @@
 //! weigh by that in full costs accuracy on the road, where the large blobs are what ties frames far apart: on KITTI 04,
 //! with a squared loss, the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without; the photos hardly care.
 
+use tiepoint_geometry::Loss;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::Reconstruction;
 
@@ -24,16 +25,50 @@ pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
 pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
     // Of a vector of two unit normals.
     const MEDIAN_OF_TWO: f64 = 1.177;
-    let mut errors: Vec<f64> = Vec::new();
-    let mut num_points = 0;
-    for (_, track) in model.tracks().filter(|(_, track)| !track.is_held_out) {
-        num_points += 1;
-        errors.extend(track.observations.iter().filter_map(|o| {
-            let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
-            Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
-        }));
+    let Errors { mut relative, freedom } = Errors::of(model);
+    median(&mut relative).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
+}
+
+/// The σ with which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss, W its weights ρ', as a multiple of [`keypoint_sigma_px`]. Of an
+/// M-estimator the covariance is E ψ² / (E ψ')² (JᵀJ)⁻¹ (Huber 1981, section 7.6), with JᵀWJ = E ρ' JᵀJ; for the plain square
+/// it is the root mean square error.
+pub(crate) fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
+    let Errors { relative, freedom } = Errors::of(model);
+    let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
+    for s in relative.iter().map(|error| error * error) {
+        let [_, d1, d2] = loss.evaluate(s);
+        // Of a residual of two coordinates, each.
+        squares += 0.5 * d1 * d1 * s;
+        slopes += d1 + d2 * s;
+        weights += d1;
     }
-    let (equations, unknowns) = (2 * errors.len(), 3 * num_points + 6 * model.num_registered());
-    let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
-    median(&mut errors).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
+    if slopes > 0.0 {
+        ((squares * weights).sqrt() / slopes / freedom.sqrt()).max(f64::MIN_POSITIVE)
+    } else {
+        1.0
+    }
+}
+
+/// How far keypoints are from where the model has them, as a multiple of [`keypoint_sigma_px`].
+struct Errors {
+    relative: Vec<f64>,
+    /// The share of the equations that the unknowns leave.
+    freedom: f64,
+}
+
+impl Errors {
+    fn of(model: &Reconstruction) -> Self {
+        let mut relative: Vec<f64> = Vec::new();
+        let mut num_points = 0;
+        for (_, track) in model.tracks().filter(|(_, track)| !track.is_held_out) {
+            num_points += 1;
+            relative.extend(track.observations.iter().filter_map(|o| {
+                let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
+                Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
+            }));
+        }
+        let (equations, unknowns) = (2 * relative.len(), 3 * num_points + 6 * model.num_registered());
+        let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
+        Self { relative, freedom }
+    }
 }

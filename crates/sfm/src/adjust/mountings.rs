@@ -13,7 +13,7 @@ use super::{AdjustOptions, Bundle, Scope};
 use crate::Error;
 use crate::companion::{Left, Timing};
 use crate::mounting::{Hold, Mounting};
-use crate::sigma::relative_noise;
+use crate::sigma::noise_of_fit;
 
 /// What is believed of a clock's offset beside what was found by motion, and of its drift (quartz: tens of parts per million).
 const CLOCK_SIGMA_S: f64 = 1.0;
@@ -25,14 +25,14 @@ const UNSEEN_SIGMA_RAD: f64 = 1.0;
 const BLIND_SIGMA: f64 = 1e-3;
 
 /// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
-/// where something is not determined. The noise of the keypoints is what the model leaves, and σ of the mountings what they say.
+/// where something is not determined. The noise of the keypoints is what the model and the loss leave, and σ of the mountings what they say.
 pub(crate) fn mounting_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
     mountings: &[Mounting],
 ) -> Result<Vec<Option<MountingCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
-    let noise = relative_noise(model);
+    let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, ..*options };
     let scaled: Vec<Mounting> =
         mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();

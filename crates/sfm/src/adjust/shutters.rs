@@ -12,7 +12,7 @@ use super::mountings::without_points_at_infinity;
 use super::{AdjustOptions, Bundle, Scope, keep_going};
 use crate::Error;
 use crate::shutter::RollingShutter;
-use crate::sigma::relative_noise;
+use crate::sigma::noise_of_fit;
 
 /// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;
@@ -51,7 +51,7 @@ pub(crate) fn with_deviations(
     options: &AdjustOptions,
     shutters: &Shutters,
 ) -> Result<Vec<RollingShutter>, Error> {
-    let noise = relative_noise(model);
+    let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, ..*options };
     let bundle =
         Bundle::new(&without_points_at_infinity(model), &Scope::Global, options, &[], Some(shutters))?;
