@@ -9,7 +9,8 @@ Both start from the same file; both have derivatives by hand (Ceres also by auto
 bundle_adjuster). The final costs of both are evaluated here, by one function, from the files that they write. A run's time counts
 from the problem in memory: the analysis of its structure and all steps. What is compared is the time until the cost is
 within 0.1 % of Ceres' final cost; of the repetitions, which take turns, the least counts. Ceres' quickest solver is its best.
-Where Linux leaves both threads of a run of 20 ms on one core (medians far above the least), put `chrt -f 1` before it.
+Linux may leave both threads of a run of 20 ms on one core (medians far above the least), so where it may the script runs both programs
+in the real-time class, as `chrt -f 1` does.
 """
 import argparse
 import os
@@ -105,6 +106,10 @@ def main():
     parser.add_argument("--stress", action="store_true", help="made problems that start badly or have gross errors, once each")
     options = parser.parse_args()
     problems = options.problems or sorted((pathlib.Path(os.environ["TIEPOINT_DATA"]) / "bal").glob("problem-*.txt"))
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except (AttributeError, PermissionError):
+        print("not in the real-time class: threads may share a core")
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
         ceres = folder / "ceres_bal"
