@@ -435,10 +435,6 @@ impl<'a> Mapper<'a> {
             ..AdjustOptions::default()
         };
         match self.noise {
-            // The paper's factor stands beside plain pixels.
-            Some(noise) if self.options.rig == RigTerm::Paper => {
-                AdjustOptions { noise: noise.min(1.0), ..options }
-            }
             Some(noise) => options.with_noise(noise),
             // While it grows, a model is worse than its keypoints.
             None => options,
