@@ -72,7 +72,7 @@ def run_seed(seed, arguments, work):
     run([*command(drive), "-o", work / "auto", "--focal-prior", focal, "--rig", "auto", "--redo", "map"], log)
     for rig in ("off", "auto"):
         rows[rig] = ate(pycolmap.Reconstruction(work / rig / "sparse/0"), centres)
-    for which in PEERS:
+    for which in arguments.peers:
         workspace, target = work / which.replace(" ", "-"), work / f"{which}.json"
         shutil.copytree(made, workspace)
         start = time.perf_counter()
@@ -101,16 +101,20 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=words, default=["1", "2", "3"])
     parser.add_argument("--length", type=float, default=160.0)
-    parser.add_argument("--rate", type=float, default=2.5)
+    parser.add_argument("--rate", type=float, default=5.0)
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--pairs", default="sequential:6+ends")
+    parser.add_argument("--peers", type=words, default=list(PEERS), help="of " + ", ".join(PEERS) + "; empty for none")
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--program", type=Path)
     parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
     arguments = parser.parse_args()
     arguments.program = program_of(arguments)
-    columns, results = ["off", "auto", *PEERS, "oracle"], []
-    print("| seed | ours, `off` | ours, `auto` | COLMAP, " + " | COLMAP, ".join(PEERS) + " | oracle |")
+    arguments.peers = [peer for peer in arguments.peers if peer]
+    if set(arguments.peers) - set(PEERS):
+        parser.error("--peers knows " + ", ".join(PEERS))
+    columns, results = ["off", "auto", *arguments.peers, "oracle"], []
+    print("| seed | ours, `off` | ours, `auto` | " + "".join(f"COLMAP, {peer} | " for peer in arguments.peers) + "oracle |")
     print("|---" * (len(columns) + 1) + "|")
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
