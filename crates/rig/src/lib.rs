@@ -21,6 +21,7 @@ pub use interpolate::Knots;
 pub use mount::Mounted;
 pub use mount_in_time::MountedInTime;
 pub use relative_pose::RelativePose;
+pub use se3::share_of;
 pub use spread::{Spread, spread};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;

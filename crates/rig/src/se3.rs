@@ -27,6 +27,11 @@ pub(crate) fn log(motion: &Rigid3) -> Twist {
     Twist::new(w.x, w.y, w.z, v.x, v.y, v.z)
 }
 
+/// A share of a motion: Exp(share · Log(motion)).
+pub fn share_of(motion: &Rigid3, share: f64) -> Rigid3 {
+    exp(&(log(motion) * share))
+}
+
 /// 𝒥.
 pub(crate) fn left_jacobian(twist: &Twist) -> Matrix6 {
     let (w, v) = parts(twist);

@@ -3,7 +3,7 @@
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::numeric::median;
 
-use crate::{Knots, se3};
+use crate::{Knots, share_of};
 
 /// Nothing is interpolated across gaps longer than so many usual intervals.
 const MAX_GAP: f64 = 2.5;
@@ -82,7 +82,7 @@ impl Trajectory {
         let around = [index - 2, index - 1, index + 1, index + 2];
         let knots = Knots { poses: around.map(|k| &self.poses[k]), times_s: around.map(|k| self.times_s[k]) };
         let motion = knots.at(self.times_s[index]) * self.poses[index].inverse();
-        Some(se3::exp(&(se3::log(&motion) * share)))
+        Some(share_of(&motion, share))
     }
 
     /// The pose at a time.

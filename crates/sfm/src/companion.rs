@@ -10,7 +10,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{SMatrix, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{
-    Clock, Mounted, MountedInTime, RelativePose, Trajectory, find_offset, interval_s, jitter_s,
+    Clock, Mounted, MountedInTime, RelativePose, Trajectory, find_offset, interval_s, jitter_s, share_of,
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
@@ -62,6 +62,14 @@ impl Moment {
     pub fn relative_pose(&self, model: &Reconstruction, clock: &Clock) -> Option<RelativePose> {
         let left = self.left_from_world(model, clock)?;
         Some(RelativePose::between(&left, model.image(self.right).cam_from_world()?))
+    }
+
+    /// What is doubtful about the first camera's pose that many times as large.
+    pub(crate) fn doubted(mut self, factor: f64) -> Self {
+        if let Left::Between { doubts, .. } = &mut self.left {
+            *doubts = doubts.map(|doubt| share_of(&doubt, factor));
+        }
+        self
     }
 
     /// What the residual of a mounting is multiplied by, for what is doubtful about the first camera's pose.

@@ -171,6 +171,12 @@ impl Held {
 }
 
 impl Mounting {
+    /// With standard deviations that many times as large, also of what is doubtful about its moments.
+    pub(crate) fn scaled(&self, factor: f64) -> Self {
+        let moments = self.moments.iter().map(|moment| moment.doubted(factor)).collect();
+        Self { hold: self.hold.scaled(factor), moments, ..self.clone() }
+    }
+
     /// Whether the cameras follow: half of the moments are within a few standard deviations.
     fn is_held(&self, model: &Reconstruction) -> bool {
         let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return true };

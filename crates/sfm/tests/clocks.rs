@@ -95,6 +95,9 @@ const BASELINE_M: f64 = 0.5;
 /// Degrees of freedom of three seeds: mean squares over them within these are chance with 99 % for 18 independent numbers.
 const NORMALISED: std::ops::Range<f64> = 0.35..2.0;
 
+/// Chance leaves one in fifteen thousand beyond.
+const MAX_DEVIATIONS: f64 = 4.0;
+
 #[test]
 fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     let (mut sum, mut count) = (0.0, 0);
@@ -119,6 +122,21 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     let normalised = sum / f64::from(count);
     eprintln!("normalised error a degree of freedom: {normalised:.2}");
     assert!(NORMALISED.contains(&normalised), "{normalised}");
+}
+
+/// How far below the truth a spread of some 90 stamps may be told, from the median of their second differences.
+const TOLD: f64 = 0.8;
+
+/// However precise keypoints are: of stamps that are off by so much, no mean is known better.
+#[test]
+fn no_clock_is_known_better_than_its_stamps() {
+    let jitter_s = 0.002;
+    let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigTerm::Auto);
+    let camera = run.camera.as_ref().expect("the right camera was held");
+    let floor_s = 2f64.sqrt() * jitter_s / (camera.num_moments as f64).sqrt();
+    let (error, sd) = errors(&run);
+    assert!(sd[6] > TOLD * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
+    assert!(error[6].abs() < MAX_DEVIATIONS * sd[6], "{} ± {}", error[6], sd[6]);
 }
 
 #[test]

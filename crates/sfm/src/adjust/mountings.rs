@@ -25,7 +25,8 @@ const UNSEEN_SIGMA_RAD: f64 = 1.0;
 const BLIND_SIGMA: f64 = 1e-3;
 
 /// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
-/// where something is not determined. The noise of the keypoints is what the model and the loss leave, and σ of the mountings what they say.
+/// where something is not determined. The noise of the keypoints is what the model and the loss leave; σ of the mountings and of the times
+/// of images are what they say.
 pub(crate) fn mounting_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
@@ -34,8 +35,7 @@ pub(crate) fn mounting_covariances(
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, ..*options };
-    let scaled: Vec<Mounting> =
-        mountings.iter().map(|m| Mounting { hold: m.hold.scaled(1.0 / noise), ..m.clone() }).collect();
+    let scaled: Vec<Mounting> = mountings.iter().map(|mounting| mounting.scaled(1.0 / noise)).collect();
     let bundle = Bundle::new(model, &Scope::Global, options, &scaled, None)?;
     let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*mount).into()];
