@@ -141,18 +141,30 @@ impl<'a> Mapper<'a> {
                 break;
             }
             let before = self.model.clone();
-            join(self.graph, &mut self.model, &torn);
-            let options =
-                AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], FINAL_TOLERANCE, 100) };
-            adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
-            self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)?;
-            if !is_closed(self.graph, &self.model, &before, &torn) {
-                self.model = before;
-                break;
+            match self.close_loop(&torn, watch) {
+                Ok(()) if is_closed(self.graph, &self.model, &before, &torn) => {}
+                Err(Error::Cancelled) => return Err(Error::Cancelled),
+                // What tears them is not drift: no lens of the model fits them together, perhaps so little that nothing is left.
+                Ok(()) | Err(_) => {
+                    self.model = before;
+                    break;
+                }
             }
             tell(watch, &Event::LoopClosed { num_pairs: torn.len() })?;
         }
         Ok(())
+    }
+
+    /// Makes the matches of some pairs one point each, and spreads what that costs over the model.
+    fn close_loop(
+        &mut self,
+        torn: &[ImagePair],
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<(), Error> {
+        join(self.graph, &mut self.model, torn);
+        let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], FINAL_TOLERANCE, 100) };
+        adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
+        self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)
     }
 
     /// Holds the cameras of the finished model to their mountings.
@@ -464,5 +476,56 @@ impl<'a> Mapper<'a> {
             num_points: self.model.num_tracks(),
         };
         tell(watch, &event)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_scene::{Match, TwoView, TwoViewKind};
+    use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
+
+    use super::*;
+
+    const IMAGES: usize = 8;
+    const OBSERVATIONS: usize = 200;
+
+    /// Every pair of images is said to see the same where it does not: nothing is left of the model then, but what was before.
+    #[test]
+    fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
+        let mut drive =
+            Drive::new(&DriveOptions { rate_hz: 4.0, ..DriveOptions::default() }).expect("a drive");
+        drive.keep_first(IMAGES);
+        let features =
+            FeatureOptions { observations: 2 * IMAGES * OBSERVATIONS, ..FeatureOptions::default() };
+        let scene = FeatureScene::new(&drive, &features).expect("sound options");
+        let graph = scene.graph(&MatchOptions::default());
+        let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
+        let blank = scene.without_poses();
+        let mut mapper = Mapper::new(&graph, &blank, &options);
+        let watch = &mut |_: &Event| ControlFlow::Continue(());
+        mapper.run(&mut |_| Vec::new(), watch).expect("an easy scene");
+        let model = mapper.model.clone();
+
+        let seen = |id: ImageId| -> Vec<u32> {
+            let image = model.image(id);
+            (0..image.keypoints.len() as u32).filter(|&k| image.point_of(k).is_some()).collect()
+        };
+        let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
+        let wrong = images
+            .iter()
+            .flat_map(|&a| images.iter().map(move |&b| (a, b)))
+            .filter(|(a, b)| a < b)
+            .map(|(a, b)| {
+                // What one sees first, the other sees last.
+                let matches =
+                    seen(a).into_iter().zip(seen(b).into_iter().rev()).map(|(a, b)| Match { a, b }).collect();
+                let pair = ImagePair::new(a, b).expect("two images");
+                (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
+            });
+        let graph = graph.extended(wrong);
+        let mut mapper = Mapper { model: model.clone(), ..Mapper::new(&graph, &blank, &options) };
+        assert!(!torn_pairs(&graph, &model).is_empty());
+        mapper.close_loops(watch).expect("no reason to end the run");
+        assert!(mapper.model == model);
     }
 }
