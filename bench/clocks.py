@@ -104,15 +104,12 @@ def main():
     parser.add_argument("--rate", type=float, default=5.0)
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--pairs", default="sequential:6+ends")
-    parser.add_argument("--peers", type=words, default=list(PEERS), help="of " + ", ".join(PEERS) + "; empty for none")
+    parser.add_argument("--peers", nargs="*", choices=PEERS, default=list(PEERS), help="of COLMAP; none for no peer")
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--program", type=Path)
     parser.add_argument("--work", type=Path, help="where to put workspaces (default: the system's)")
     arguments = parser.parse_args()
     arguments.program = program_of(arguments)
-    arguments.peers = [peer for peer in arguments.peers if peer]
-    if set(arguments.peers) - set(PEERS):
-        parser.error("--peers knows " + ", ".join(PEERS))
     columns, results = ["off", "auto", *arguments.peers, "oracle"], []
     print("| seed | ours, `off` | ours, `auto` | " + "".join(f"COLMAP, {peer} | " for peer in arguments.peers) + "oracle |")
     print("|---" * (len(columns) + 1) + "|")

@@ -64,12 +64,11 @@ impl Moment {
         Some(RelativePose::between(&left, model.image(self.right).cam_from_world()?))
     }
 
-    /// What is doubtful about the first camera's pose that many times as large.
-    pub(crate) fn doubted(mut self, factor: f64) -> Self {
+    /// Makes what is doubtful about the first camera's pose that many times as large.
+    pub(crate) fn scale_doubts(&mut self, factor: f64) {
         if let Left::Between { doubts, .. } = &mut self.left {
             *doubts = doubts.map(|doubt| share_of(&doubt, factor));
         }
-        self
     }
 
     /// What the residual of a mounting is multiplied by, for what is doubtful about the first camera's pose.

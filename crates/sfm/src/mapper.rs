@@ -144,7 +144,7 @@ impl<'a> Mapper<'a> {
             match self.close_loop(&torn, watch) {
                 Ok(()) if is_closed(self.graph, &self.model, &before, &torn) => {}
                 Err(Error::Cancelled) => return Err(Error::Cancelled),
-                // What tears them is not drift: no lens of the model fits them together, perhaps so little that nothing is left.
+                // What tears them is not drift. Where the pairs are wrong, or the lens is, closing may leave nothing to adjust.
                 Ok(()) | Err(_) => {
                     self.model = before;
                     break;
@@ -507,21 +507,14 @@ mod tests {
         let model = mapper.model.clone();
 
         let seen = |id: ImageId| -> Vec<u32> {
-            let image = model.image(id);
-            (0..image.keypoints.len() as u32).filter(|&k| image.point_of(k).is_some()).collect()
+            (0..).zip(model.image(id).points()).filter_map(|(k, point)| point.map(|_| k)).collect()
         };
-        let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
-        let wrong = images
-            .iter()
-            .flat_map(|&a| images.iter().map(move |&b| (a, b)))
-            .filter(|(a, b)| a < b)
-            .map(|(a, b)| {
-                // What one sees first, the other sees last.
-                let matches =
-                    seen(a).into_iter().zip(seen(b).into_iter().rev()).map(|(a, b)| Match { a, b }).collect();
-                let pair = ImagePair::new(a, b).expect("two images");
-                (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
-            });
+        let wrong = graph.pairs().keys().map(|&pair| {
+            // What one sees first, the other sees last.
+            let (a, b) = (seen(pair.a).into_iter(), seen(pair.b).into_iter().rev());
+            let matches = a.zip(b).map(|(a, b)| Match { a, b }).collect();
+            (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
+        });
         let graph = graph.extended(wrong);
         let mut mapper = Mapper { model: model.clone(), ..Mapper::new(&graph, &blank, &options) };
         assert!(!torn_pairs(&graph, &model).is_empty());

@@ -173,8 +173,9 @@ impl Held {
 impl Mounting {
     /// With standard deviations that many times as large, also of what is doubtful about its moments.
     pub(crate) fn scaled(&self, factor: f64) -> Self {
-        let moments = self.moments.iter().map(|moment| moment.doubted(factor)).collect();
-        Self { hold: self.hold.scaled(factor), moments, ..self.clone() }
+        let mut scaled = Self { hold: self.hold.scaled(factor), ..self.clone() };
+        scaled.moments.iter_mut().for_each(|moment| moment.scale_doubts(factor));
+        scaled
     }
 
     /// Whether the cameras follow: half of the moments are within a few standard deviations.

@@ -95,9 +95,6 @@ const BASELINE_M: f64 = 0.5;
 /// Degrees of freedom of three seeds: mean squares over them within these are chance with 99 % for 18 independent numbers.
 const NORMALISED: std::ops::Range<f64> = 0.35..2.0;
 
-/// Chance leaves one in fifteen thousand beyond.
-const MAX_DEVIATIONS: f64 = 4.0;
-
 #[test]
 fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     let (mut sum, mut count) = (0.0, 0);
@@ -126,6 +123,8 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
 
 /// How far below the truth a spread of some 90 stamps may be told, from the median of their second differences.
 const TOLD: f64 = 0.8;
+/// Chance leaves one in fifteen thousand beyond.
+const MAX_DEVIATIONS: f64 = 4.0;
 
 /// However precise keypoints are: of stamps that are off by so much, no mean is known better.
 #[test]
