@@ -26,6 +26,7 @@ pub enum Loss {
 
 impl Loss {
     /// ρ(s), ρ'(s), ρ''(s) of a squared norm s ≥ 0.
+    #[inline]
     pub fn evaluate(&self, s: f64) -> [f64; 3] {
         match *self {
             Loss::Trivial => [s, 1.0, 0.0],

@@ -3,7 +3,7 @@
 //! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]). The gauge is held by
 //! leaving columns out: the pose of one image and, of a second image's tangent, the coordinate in which its centre moves most with the
 //! scale. Links between the relative poses of cameras that ride together are further terms. Points that are held out do not take
-//! part; afterwards each is moved to where the adjusted poses see it.
+//! part, nor do those that are not needed; afterwards each is moved to where the adjusted poses see it.
 
 mod mountings;
 mod shutters;
@@ -11,6 +11,7 @@ mod shutters;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
+use rayon::prelude::*;
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection, ShiftedReprojection};
 use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector1, Vector3};
@@ -22,6 +23,7 @@ use crate::focal::FocalPrior;
 use crate::mounting::Mounting;
 use crate::rig_pairs::BaselineLink;
 use crate::sigma::relative_noise;
+use crate::spread::spread_points;
 use crate::{Error, keypoint_sigma_px, triangulation};
 pub use mountings::MountingCovariance;
 pub(crate) use mountings::mounting_covariances;
@@ -53,6 +55,8 @@ impl RefineIntrinsics {
 pub struct AdjustOptions<'a> {
     /// What may move of the cameras.
     pub refine: RefineIntrinsics,
+    /// Whether points that are enough to place the images take part alone: those seen most often, all over every image.
+    pub spread: bool,
     /// Of the weighted residual.
     pub loss: Loss,
     /// Standard deviation of the principal point's prior, as a share of the image's larger side.
@@ -78,6 +82,7 @@ impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
+            spread: false,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
             distortion_sigma: 0.2,
@@ -126,7 +131,7 @@ impl Scope<'_> {
         }
     }
 
-    /// The points that the images see, held out or not.
+    /// The points that the images see, held out or not, in order.
     fn points(&self, model: &Reconstruction) -> Vec<PointId> {
         match self {
             Self::Global => model.tracks().map(|(point, _)| point).collect(),
@@ -161,7 +166,7 @@ pub(crate) fn adjust_mounted(
             mounting.companion.clock = bundle.problem.get(*clock);
         }
     }
-    retriangulate_held_out(model, scope);
+    retriangulate_others(model, scope, &bundle.points);
     Ok(summary)
 }
 
@@ -216,8 +221,13 @@ impl Bundle {
         let mut observations_of_image: Vec<Vec<(u32, Key<Vector3<f64>>)>> =
             vec![Vec::new(); model.images().count()];
         let mut num_observations = 0;
-        for point in scope.points(model) {
-            let Some(track) = model.track(point).filter(|track| !track.is_held_out) else { continue };
+        let mut points = scope.points(model);
+        points.retain(|point| model.track(*point).is_some_and(|track| !track.is_held_out));
+        if options.spread {
+            points = spread_points(model, points, moves);
+        }
+        for point in points {
+            let Some(track) = model.track(point) else { continue };
             let key = bundle.problem.eliminate(track.xyz);
             bundle.points.push((point, key));
             num_observations += track.observations.len();
@@ -459,14 +469,22 @@ fn intrinsics_prior<const N: usize>(
     Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))
 }
 
-/// Moves each held-out point to where the poses see it now.
-fn retriangulate_held_out(model: &mut Reconstruction, scope: &Scope) {
-    for point in scope.points(model) {
-        let Some(track) = model.track(point).filter(|track| track.is_held_out) else { continue };
-        let sights: Vec<_> =
-            track.observations.iter().filter_map(|o| triangulation::Sight::of(model, o)).collect();
-        let xyz = triangulation::nearest_to_rays(sights.iter());
-        if let (Some(xyz), Some(track)) = (xyz, model.track_mut(point)) {
+/// Moves each point that took no part to where the poses see it now; those that did come in order.
+fn retriangulate_others(
+    model: &mut Reconstruction,
+    scope: &Scope,
+    adjusted: &[(PointId, Key<Vector3<f64>>)],
+) {
+    let took_no_part = |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
+    let others: Vec<PointId> = scope.points(model).into_iter().filter(took_no_part).collect();
+    let nearest = |point: &PointId| {
+        let observations = &model.track(*point)?.observations;
+        let sights: Vec<_> = observations.iter().filter_map(|o| triangulation::Sight::of(model, o)).collect();
+        triangulation::nearest_to_rays(sights.iter())
+    };
+    let places: Vec<_> = others.par_iter().map(nearest).collect();
+    for (point, place) in others.into_iter().zip(places) {
+        if let (Some(xyz), Some(track)) = (place, model.track_mut(point)) {
             track.xyz = xyz;
         }
     }

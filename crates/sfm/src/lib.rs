@@ -2,6 +2,7 @@
 
 mod adjust;
 mod companion;
+mod effort;
 mod error;
 mod event;
 mod filter;
@@ -18,6 +19,7 @@ mod register;
 mod rig_pairs;
 mod shutter;
 mod sigma;
+mod spread;
 mod tracks;
 mod triangulation;
 mod verify;

@@ -11,6 +11,7 @@ use tiepoint_geometry::{Loss, Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
+use crate::effort::Effort;
 use crate::event::tell;
 use crate::filter::{filter_all_points, filter_images, filter_points};
 use crate::focal::FocalPrior;
@@ -38,15 +39,9 @@ const MAX_START_IMAGES: usize = 7;
 const MAX_STARTS: usize = 6;
 /// A start that explains this share is taken at once: its rms error is below 0.5 px.
 const GOOD_START_SHARE: f64 = 0.94;
-/// Rounds of re-triangulation and adjustment in a global refinement while mapping, and at the end.
-const GROWING_ROUNDS: usize = 1;
-const FINAL_ROUNDS: usize = 5;
-/// The last adjustments end when a step lowers the cost by less than this share. With 1e-8 a robust loss takes three times as many steps, and centres
-/// move by a thousandth of their error.
-const FINAL_TOLERANCE: f64 = 1e-6;
 /// How often loops are closed: one that is hides another.
 const MAX_CLOSURES: usize = 3;
-/// Rounds of the same between keypoints that a rolling shutter no longer shifts.
+/// How often keypoints are straightened by the model, and the model made by them.
 const STRAIGHT_ROUNDS: usize = 3;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
@@ -112,15 +107,17 @@ impl<'a> Mapper<'a> {
             return Ok(());
         }
         self.weigh();
-        self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)?;
+        self.refine_globally(&Effort::GROWN, watch)?;
         self.close_loops(watch)?;
+        self.weigh();
+        self.refine_globally(&Effort::FINAL, watch)?;
         if let Some(readout) = self.options.readout {
             self.straighten(readout, watch)?;
         }
         match self.options.rig {
             RigTerm::Paper => {
                 let links = final_links(&self.model, self.rigs);
-                self.adjust_globally(&links, FINAL_TOLERANCE, 100, watch)?;
+                self.adjust_globally(&links, &Effort::FINAL, watch)?;
             }
             RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors, watch)?,
             RigTerm::Off => {}
@@ -162,9 +159,9 @@ impl<'a> Mapper<'a> {
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
         join(self.graph, &mut self.model, torn);
-        let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], FINAL_TOLERANCE, 100) };
+        let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], &Effort::CLOSING) };
         adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
-        self.refine_globally(FINAL_ROUNDS, FINAL_TOLERANCE, 100, watch)
+        self.refine_globally(&Effort::CLOSED, watch)
     }
 
     /// Holds the cameras of the finished model to their mountings.
@@ -177,7 +174,7 @@ impl<'a> Mapper<'a> {
             graph: self.graph,
             tracks: &self.options.tracks,
             filter: &self.options.filter,
-            adjust: self.adjust_options(&[], FINAL_TOLERANCE, 100),
+            adjust: self.adjust_options(&[], &Effort::HOLDING),
             seed: self.options.seed,
         };
         hold_to_mountings(&context, &mut self.model, self.options.rig, descriptors, watch)
@@ -193,14 +190,14 @@ impl<'a> Mapper<'a> {
         let shutters = match readout {
             Readout::Known(readout_s) => known(&self.model, readout_s),
             Readout::Estimated => {
-                let options = self.adjust_options(&[], FINAL_TOLERANCE, 100);
+                let options = self.adjust_options(&[], &Effort::FINAL);
                 estimate(&mut self.model, &detected, &options)?
             }
         };
         for _ in 0..STRAIGHT_ROUNDS {
             straighten(&mut self.model, &detected, &shutters);
             self.weigh();
-            self.refine_globally(1, FINAL_TOLERANCE, 100, watch)?;
+            self.refine_globally(&Effort::STRAIGHTENED, watch)?;
         }
         shutters.into_iter().try_for_each(|shutter| tell(watch, &Event::Shutter(shutter)))
     }
@@ -217,13 +214,13 @@ impl<'a> Mapper<'a> {
                 let (images, points) = (self.model.num_registered(), self.model.num_tracks());
                 let grown = |now: usize, then: usize| now as f64 >= self.options.global_growth * then as f64;
                 if grown(images, images_at_global) || grown(points, points_at_global) {
-                    self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
+                    self.refine_globally(&Effort::GROWING, watch)?;
                     (images_at_global, points_at_global) =
                         (self.model.num_registered(), self.model.num_tracks());
                 }
             }
             // What fails before the last refinement may succeed after it.
-            self.refine_globally(GROWING_ROUNDS, 1e-5, 30, watch)?;
+            self.refine_globally(&Effort::GROWING, watch)?;
             self.trials.clear();
             if !self.try_remaining()? {
                 return Ok(());
@@ -309,7 +306,7 @@ impl<'a> Mapper<'a> {
             self.model.register(pair.b, cam2_from_cam1);
             self.initial = Some(pair);
             triangulate_image(self.graph, &mut self.model, pair.a, &self.options.tracks);
-            let options = self.adjust_options(&[], 1e-5, 50);
+            let options = self.adjust_options(&[], &Effort::INITIAL);
             let adjusted = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going);
             filter_all_points(&mut self.model, &self.options.filter);
             most = most.max(self.model.num_tracks());
@@ -364,7 +361,7 @@ impl<'a> Mapper<'a> {
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
         let links = growing_links(&self.model, self.rigs);
-        let options = self.adjust_options(&links, 1e-4, 25);
+        let options = self.adjust_options(&links, &Effort::LOCAL);
         match adjust(&mut self.model, &Scope::Local(&bundle), &options, &mut keep_going) {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
@@ -380,16 +377,14 @@ impl<'a> Mapper<'a> {
     /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.
     fn refine_globally(
         &mut self,
-        rounds: usize,
-        function_tolerance: f64,
-        max_iterations: usize,
+        effort: &Effort,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
         let mut before = (self.model.num_observations(), f64::INFINITY);
-        for _ in 0..rounds {
+        for _ in 0..effort.rounds {
             recreate_tracks(self.graph, &mut self.model, &self.options.tracks);
             let links = growing_links(&self.model, self.rigs);
-            let after = self.adjust_globally(&links, function_tolerance, max_iterations, watch)?;
+            let after = self.adjust_globally(&links, effort, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
                 break;
@@ -403,11 +398,10 @@ impl<'a> Mapper<'a> {
     fn adjust_globally(
         &mut self,
         links: &[BaselineLink],
-        function_tolerance: f64,
-        max_iterations: usize,
+        effort: &Effort,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(usize, f64), Error> {
-        let options = self.adjust_options(links, function_tolerance, max_iterations);
+        let options = self.adjust_options(links, effort);
         let summary = adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
         filter_all_points(&mut self.model, &self.options.filter);
         filter_images(&mut self.model, self.options.register.min_num_inliers / 2);
@@ -417,12 +411,7 @@ impl<'a> Mapper<'a> {
         Ok((num_observations, cost))
     }
 
-    fn adjust_options<'l>(
-        &self,
-        links: &'l [BaselineLink],
-        function_tolerance: f64,
-        max_iterations: usize,
-    ) -> AdjustOptions<'l>
+    fn adjust_options<'l>(&self, links: &'l [BaselineLink], effort: &Effort) -> AdjustOptions<'l>
     where
         Self: 'l,
     {
@@ -438,12 +427,13 @@ impl<'a> Mapper<'a> {
         }
         let options = AdjustOptions {
             refine,
+            spread: effort.spread,
             loss: self.options.loss,
             focal_priors: self.focal_priors,
             links,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
-            max_iterations,
-            function_tolerance,
+            max_iterations: effort.max_iterations,
+            function_tolerance: effort.tolerance,
             ..AdjustOptions::default()
         };
         match self.noise {

@@ -286,7 +286,8 @@ impl Context<'_> {
             None => *model = off,
         }
         hold_out_tracks(model, 0.0, self.seed);
-        self.refine(model, &mut mountings, 1.0)?;
+        let all = Context { adjust: AdjustOptions { spread: false, ..self.adjust }, ..*self };
+        all.refine(model, &mut mountings, 1.0)?;
         make_frames(model, &mountings);
         for (mounting, covariance) in
             mountings.iter().zip(mounting_covariances(model, &self.adjust, &mountings)?)

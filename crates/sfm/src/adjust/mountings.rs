@@ -34,7 +34,7 @@ pub(crate) fn mounting_covariances(
 ) -> Result<Vec<Option<MountingCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
-    let options = &AdjustOptions { noise, ..*options };
+    let options = &AdjustOptions { noise, spread: false, ..*options };
     let scaled: Vec<Mounting> = mountings.iter().map(|mounting| mounting.scaled(1.0 / noise)).collect();
     let bundle = Bundle::new(model, &Scope::Global, options, &scaled, None)?;
     let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {

@@ -1,0 +1,35 @@
+//! How hard a model is worked on, at each stage of its making.
+
+/// What a refinement or an adjustment may take.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Effort {
+    /// Rounds of re-triangulation and adjustment at most.
+    pub(crate) rounds: usize,
+    /// An adjustment ends when a step lowers the cost by less than this share,
+    pub(crate) tolerance: f64,
+    /// or after so many steps.
+    pub(crate) max_iterations: usize,
+    /// Whether points that are enough to place the images take part alone.
+    pub(crate) spread: bool,
+}
+
+impl Effort {
+    /// For the pair that a model begins with.
+    pub(crate) const INITIAL: Self = Self { rounds: 1, tolerance: 1e-5, max_iterations: 50, spread: true };
+    /// For a new image with its neighbours.
+    pub(crate) const LOCAL: Self = Self { rounds: 1, tolerance: 1e-4, max_iterations: 25, spread: true };
+    /// For everything while it grows.
+    pub(crate) const GROWING: Self = Self { rounds: 1, tolerance: 1e-5, max_iterations: 30, spread: true };
+    /// For everything that has grown, to see where it does not hang together.
+    pub(crate) const GROWN: Self = Self { rounds: 1, spread: true, ..Self::FINAL };
+    /// To pull a loop together; the robust loss, which lets go of points that do not fit, comes after.
+    pub(crate) const CLOSING: Self = Self { tolerance: 1e-3, spread: true, ..Self::FINAL };
+    /// For a loop that has just been closed.
+    pub(crate) const CLOSED: Self = Self { rounds: 3, spread: true, ..Self::FINAL };
+    /// To find how cameras are mounted.
+    pub(crate) const HOLDING: Self = Self { spread: true, ..Self::FINAL };
+    /// At the end. With a tolerance of 1e-8 a robust loss takes three times as many steps, and centres move by a thousandth of their error.
+    pub(crate) const FINAL: Self = Self { rounds: 5, tolerance: 1e-6, max_iterations: 100, spread: false };
+    /// Between keypoints that a rolling shutter no longer shifts.
+    pub(crate) const STRAIGHTENED: Self = Self { rounds: 1, ..Self::FINAL };
+}
