@@ -477,12 +477,8 @@ fn retriangulate_others(
 ) {
     let took_no_part = |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
     let others: Vec<PointId> = scope.points(model).into_iter().filter(took_no_part).collect();
-    let nearest = |point: &PointId| {
-        let observations = &model.track(*point)?.observations;
-        let sights: Vec<_> = observations.iter().filter_map(|o| triangulation::Sight::of(model, o)).collect();
-        triangulation::nearest_to_rays(sights.iter())
-    };
-    let places: Vec<_> = others.par_iter().map(nearest).collect();
+    let place = |point: &PointId| triangulation::seen_at(model, &model.track(*point)?.observations);
+    let places: Vec<_> = others.par_iter().map(place).collect();
     for (point, place) in others.into_iter().zip(places) {
         if let (Some(xyz), Some(track)) = (place, model.track_mut(point)) {
             track.xyz = xyz;

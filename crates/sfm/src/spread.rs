@@ -5,6 +5,8 @@
 
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
+use crate::visibility;
+
 /// Each image is divided into so many cells on a side; a cell that sees anything has one of the points.
 const CELLS: usize = 10;
 /// So many points are taken of every image that has them.
@@ -39,10 +41,9 @@ pub(crate) fn spread_points(
 
 /// The number of the cell that a keypoint is in, among those of all images.
 fn cell(model: &Reconstruction, observation: &Observation) -> usize {
-    let camera = model.camera_of(observation.image);
-    let pixel = model.image(observation.image).keypoints[observation.keypoint as usize].pixel;
-    let along = |v: f64, size: u32| ((v / f64::from(size) * CELLS as f64) as usize).min(CELLS - 1);
-    (observation.image.index() * CELLS + along(pixel.y, camera.height)) * CELLS + along(pixel.x, camera.width)
+    let pixel = &model.image(observation.image).keypoints[observation.keypoint as usize].pixel;
+    let of_image = visibility::cell(model.camera_of(observation.image), pixel, CELLS);
+    observation.image.index() * CELLS * CELLS + of_image
 }
 
 #[cfg(test)]

@@ -94,6 +94,12 @@ pub fn triangulate(sights: &[Sight], max_error_px: f64, min_angle_rad: f64) -> O
     (inliers.len() >= 2 && has_angle).then_some(Triangulated { xyz, inliers })
 }
 
+/// Where the poses of now see a point, by all its observations; `None` where their rays do not meet.
+pub(crate) fn seen_at(model: &Reconstruction, observations: &[Observation]) -> Option<Vector3<f64>> {
+    let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
+    nearest_to_rays(sights.iter())
+}
+
 /// Cosine of the angle under which two cameras see a point.
 fn angle_cosine(a: &Sight, b: &Sight, xyz: &Vector3<f64>) -> f64 {
     (a.centre_in_world - xyz).normalize().dot(&(b.centre_in_world - xyz).normalize())
@@ -101,9 +107,7 @@ fn angle_cosine(a: &Sight, b: &Sight, xyz: &Vector3<f64>) -> f64 {
 
 /// The point nearest to all rays, each weighed by the inverse square of its distance once that is known, so that what is small
 /// is the angle and not the length: Σ w (I − d dᵀ)(x − c) = 0, twice.
-pub(crate) fn nearest_to_rays<'a>(
-    sights: impl Iterator<Item = &'a Sight<'a>> + Clone,
-) -> Option<Vector3<f64>> {
+fn nearest_to_rays<'a>(sights: impl Iterator<Item = &'a Sight<'a>> + Clone) -> Option<Vector3<f64>> {
     let mut xyz: Option<Vector3<f64>> = None;
     for _ in 0..2 {
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());

@@ -3,7 +3,8 @@
 //! Schönberger & Frahm 2016, section 4.2: the image is divided into 2ˡ × 2ˡ cells for l = 1..=L; every occupied cell of level l
 //! counts 2ˡ × 2ˡ, so that many points in one corner score less than as many all over.
 
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction};
+use tiepoint_geometry::nalgebra::Vector2;
+use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, Reconstruction};
 
 /// Levels of the pyramid; the finest has 2⁶ × 2⁶ cells (COLMAP's).
 const NUM_LEVELS: u32 = 6;
@@ -27,12 +28,16 @@ pub(crate) fn visibility(graph: &CorrespondenceGraph, model: &Reconstruction, im
         let targets = graph.correspondences(Observation { image, keypoint: index as u32 });
         if targets.iter().any(|t| model.image(t.image).point_of(t.keypoint).is_some()) {
             num_points += 1;
-            let cell = |v: f64, size: u32| ((v / f64::from(size) * side as f64) as usize).min(side - 1);
-            occupied[cell(keypoint.pixel.y, camera.height) * side + cell(keypoint.pixel.x, camera.width)] =
-                true;
+            occupied[cell(camera, &keypoint.pixel, side)] = true;
         }
     }
     Visibility { num_points, score: spread(occupied, side) }
+}
+
+/// The number of the cell that a pixel is in, of `side` × `side` that an image is divided into, row by row.
+pub(crate) fn cell(camera: &Camera, pixel: &Vector2<f64>, side: usize) -> usize {
+    let along = |v: f64, size: u32| ((v / f64::from(size) * side as f64) as usize).min(side - 1);
+    along(pixel.y, camera.height) * side + along(pixel.x, camera.width)
 }
 
 /// Σ over levels of occupied cells × cells of that level.

@@ -8,7 +8,7 @@ use tiepoint_scene::{Frame, ImageId, Observation, Reconstruction, Rig, RigId, Ri
 
 use super::{Hold, Mounting, relative_poses};
 use crate::companion::Left;
-use crate::triangulation::{Sight, nearest_to_rays};
+use crate::triangulation::seen_at;
 
 /// Held-out observations count up to this error, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
@@ -86,8 +86,7 @@ impl Judge {
     pub(super) fn error_px(&self, model: &Reconstruction) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);
         for observations in &self.tracks {
-            let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
-            let xyz = nearest_to_rays(sights.iter());
+            let xyz = seen_at(model, observations);
             for observation in observations {
                 let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
                 sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
