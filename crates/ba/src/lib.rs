@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod autodiff;
+mod carry;
 mod covariance;
 mod damping;
 mod eliminate;

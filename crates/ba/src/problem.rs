@@ -2,9 +2,10 @@
 
 use std::any::{TypeId, type_name};
 
-use nalgebra::SVector;
-use tiepoint_geometry::{Loss, Manifold};
+use nalgebra::{SVector, Vector3};
+use tiepoint_geometry::{Loss, Manifold, Rigid3};
 
+use crate::carry::Carriers;
 use crate::error::Error;
 use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
 use crate::run::{AnyRun, Run};
@@ -19,6 +20,7 @@ pub struct Problem {
     pub(crate) runs: Vec<Box<dyn AnyRun>>,
     /// Counts what a solver's structure depends on.
     pub(crate) revision: u64,
+    pub(crate) carriers: Carriers,
 }
 
 /// The cost of all factors at the current values.
@@ -92,6 +94,22 @@ impl Problem {
         check_slots::<F>(&self.metas, run.stores(), slots.as_ref())?;
         run.push(slots, factor, loss);
         self.revision += 1;
+        Ok(())
+    }
+
+    /// Lets steps carry along what hangs together: poses (`cam_from_world`) move relative to others that see the same points, and points
+    /// relative to a pose that sees them, so that a long chain bends where a step would tear it. To first order steps are the same; of a long
+    /// drive far fewer are needed. `sights` are which pose sees which point, as the factors have it; poses that are to hold still should do so
+    /// already. One of which only some directions are held moves along these by second order in the step.
+    pub fn carry(&mut self, sights: &[(Key<Rigid3>, Key<Vector3<f64>>)]) -> Result<(), Error> {
+        for &(pose, point) in sights {
+            self.locate(&pose.into())?;
+            self.locate(&point.into())?;
+        }
+        let slots: Vec<(u32, u32)> = sights.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
+        let poses = self.values.find(TypeId::of::<Rigid3>()).map(|store| &self.metas[store]);
+        let is_fixed = |slot: u32| poses.is_some_and(|poses| poses[slot as usize].free == 0);
+        self.carriers = Carriers::new(&slots, is_fixed);
         Ok(())
     }
 

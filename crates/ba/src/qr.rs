@@ -6,6 +6,7 @@ use std::time::Instant;
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsqCore;
 
+use crate::carry::Carry;
 use crate::eliminate::damping;
 use crate::error::Error;
 use crate::problem::Problem;
@@ -130,14 +131,21 @@ impl System for QrSystem {
         lambda: f64,
         times: &mut Times,
     ) -> Option<Attempt> {
-        let promise = self.step(values, trial, lambda, times)?;
+        let promise = self.step(problem, values, trial, lambda, times)?;
         let cost = self.trial_cost(problem, trial, times);
         Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY), lost: 0 })
     }
 }
 
 impl QrSystem {
-    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
+    fn step(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Option<f64> {
         let begin = Instant::now();
         let columns = self.structure.columns;
         let (mut diagonal, gradient) = self.normal();
@@ -166,6 +174,8 @@ impl QrSystem {
         {
             trial.plus_all(&**values, &self.step, at);
         }
+        let step_at = &self.structure.step_at;
+        Carry { carriers: &problem.carriers, values, step: &self.step, step_at }.all(trial);
         let promise = 0.5 * (damped - g_step);
         promise.is_finite().then_some(promise)
     }

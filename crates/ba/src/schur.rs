@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::carry::Carry;
 use crate::eliminate::Sums;
 use crate::error::Error;
 use crate::memory::Memory;
@@ -145,7 +146,8 @@ impl SchurSystem {
             if this.cells[cell].dof == 0 {
                 return None;
             }
-            if !shorten(problem, values, trial, this, cell, step, (counted, costs)) {
+            let carry = Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at };
+            if !shorten(problem, &carry, trial, this, cell, (counted, costs)) {
                 lost += let_go(this.factors_of(cell), counted, costs)?;
             }
             refine.leave_out(chunk, cell, structure);
@@ -158,21 +160,21 @@ impl SchurSystem {
 /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
 fn shorten(
     problem: &Problem,
-    values: &Values,
+    carry: &Carry,
     trial: &mut Values,
     chunk: &Chunk,
     cell: usize,
-    step: &[f64],
     costs: (&[f64], &mut [f64]),
 ) -> bool {
     let factors = chunk.factors_of(cell);
     let cell = &chunk.cells[cell];
-    let step = &step[cell.step..][..cell.dof as usize];
+    let step = &carry.step[cell.step..][..cell.dof as usize];
     let (store, slot) = (cell.store as usize, cell.slot as usize);
     for halving in 1..=HALVINGS {
         let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
         let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
-        trial.stores[store].plus_one(&*values.stores[store], slot, &shorter);
+        trial.stores[store].plus_one(&*carry.values.stores[store], slot, &shorter);
+        carry.one(trial, store, slot, &shorter);
         for i in factors.clone() {
             let run = chunk.run_of(i);
             let at = chunk.factors[i];
@@ -248,7 +250,7 @@ impl System for SchurSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         Self::on_pool(self.shared(), || {
-            let promise = self.step(values, trial, lambda, times)?;
+            let promise = self.step(problem, values, trial, lambda, times)?;
             let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
             Some(Attempt { promise, cost, lost })
         })
@@ -303,7 +305,14 @@ impl SchurSystem {
     }
 
     /// Solves for the step from `values` and writes where it leads. Gives by how much the linear model says the cost will fall.
-    fn step(&mut self, values: &Values, trial: &mut Values, lambda: f64, times: &mut Times) -> Option<f64> {
+    fn step(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        trial: &mut Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Option<f64> {
         let begin = Instant::now();
         let structure = &self.structure;
         let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);
@@ -338,6 +347,8 @@ impl SchurSystem {
         for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&structure.step_at) {
             trial.plus_all(&**values, &self.step, at);
         }
+        Carry { carriers: &problem.carriers, values, step: &self.step, step_at: &structure.step_at }
+            .all(trial);
         times.back_substitute += begin.elapsed();
         let promise = 0.5 * (damped - g_step);
         promise.is_finite().then_some(promise)

@@ -262,6 +262,15 @@ impl Bundle {
         bundle.hold_gauge(model, options.gauge, &moves)?;
         bundle.add_links(model, options.links, &moves)?;
         bundle.add_mountings(model, mountings, &rigid, options.noise)?;
+        let own = bundle.poses.iter().copied();
+        let lefts = bundle.held.iter().map(|(image, _, left)| (*image, *left));
+        let sights: Vec<_> = own
+            .chain(lefts)
+            .flat_map(|(image, pose)| {
+                observations_of_image[image.index()].iter().map(move |(_, point)| (pose, *point))
+            })
+            .collect();
+        bundle.problem.carry(&sights)?;
         for (id, camera) in model.cameras() {
             let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
             let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));

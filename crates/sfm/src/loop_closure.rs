@@ -2,12 +2,18 @@
 //!
 //! A drive that comes back is mapped from both sides towards where the two meet. If it has drifted by more than points may be off
 //! there, the images on both sides stay apart although their matches say that they see the same: the model is torn. Such pairs are
-//! easily told from others: nearly none of their matches became one point. So these points are made one, whatever their errors, and
+//! easily told from others: nearly none of their matches became one point, and no chain of few images that do see points in common leads
+//! from one to the other (where it does, the pair is a wrong one: windows of a facade, seen from places that differ by their distance,
+//! agree with the epipolar geometry of a camera that drives along it). So these points are made one, whatever their errors, and
 //! everything is adjusted without a robust loss (which would let go of what it should bring together), so that the drift spreads over the
 //! whole loop; then all tracks are made anew. The loop stays closed if that makes more of all verified matches one point, about as many
 //! as were torn: wrong pairs, which look alike and are not, cost others what they gain.
 
-use tiepoint_scene::{CorrespondenceGraph, ImagePair, Observation, PointId, Reconstruction, TwoView};
+use std::collections::{BTreeMap, BTreeSet};
+
+use tiepoint_scene::{
+    CorrespondenceGraph, ImageId, ImagePair, Observation, PointId, Reconstruction, TwoView,
+};
 
 use crate::tracks::middle;
 
@@ -17,6 +23,8 @@ const MIN_MATCHES: usize = 15;
 const MAX_JOINED: f64 = 0.1;
 /// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One or two are pairs that look alike.
 const MIN_PAIRS: usize = 3;
+/// A model cannot tear between images that so few pairs in a row join, which see points in common.
+const MAX_STEPS: usize = 4;
 /// A loop is closed when so many of the torn matches have become one point, in total.
 const MIN_GAIN: f64 = 0.5;
 
@@ -31,16 +39,38 @@ fn points<'a>(
 
 /// Pairs whose images see the same by their matches, and not by their points; none where these are too few to be a loop.
 pub(crate) fn torn_pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Vec<ImagePair> {
-    let is_torn = |pair: &(&ImagePair, &TwoView)| {
-        let (mut joined, mut seen) = (0, 0);
-        for (a, b) in points(model, *pair) {
-            joined += usize::from(a == b);
+    let mut torn = Vec::new();
+    let mut joined: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
+    for pair in graph.pairs() {
+        let (mut same, mut seen) = (0, 0);
+        for (a, b) in points(model, pair) {
+            same += usize::from(a == b);
             seen += 1;
         }
-        seen >= MIN_MATCHES && joined as f64 <= MAX_JOINED * seen as f64
-    };
-    let torn: Vec<ImagePair> = graph.pairs().iter().filter(is_torn).map(|(pair, _)| *pair).collect();
+        let ImagePair { a, b } = *pair.0;
+        if seen < MIN_MATCHES {
+            continue;
+        } else if same as f64 <= MAX_JOINED * seen as f64 {
+            torn.push(*pair.0);
+        } else {
+            joined.entry(a).or_default().push(b);
+            joined.entry(b).or_default().push(a);
+        }
+    }
+    torn.retain(|pair| !is_near(&joined, *pair));
     if torn.len() < MIN_PAIRS { Vec::new() } else { torn }
+}
+
+/// Whether at most [`MAX_STEPS`] pairs that see points in common lead from one image to the other.
+fn is_near(joined: &BTreeMap<ImageId, Vec<ImageId>>, pair: ImagePair) -> bool {
+    let neighbours = |of: &ImageId| joined.get(of).into_iter().flatten().copied();
+    let mut reached = BTreeSet::from([pair.a]);
+    let mut last = reached.clone();
+    for _ in 0..MAX_STEPS {
+        last = last.iter().flat_map(neighbours).filter(|image| !reached.contains(image)).collect();
+        reached.extend(&last);
+    }
+    reached.contains(&pair.b)
 }
 
 /// Whether a model that was made of another one by closing loops has made enough more matches one point.
@@ -73,5 +103,61 @@ pub(crate) fn join(graph: &CorrespondenceGraph, model: &mut Reconstruction, pair
             let xyz = middle(track, other_track);
             model.merge_tracks(one, other, xyz);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_scene::{Camera, Image, Keypoint, Match, Track, TwoViewKind};
+
+    use super::*;
+
+    /// Images in a row, of which each sees points with the next one; the last ones are so many pairs from the first ones.
+    const IMAGES: usize = 12;
+    /// Pairs that look alike: so many pairs apart, from each image that has one.
+    const ALIKE: usize = 3;
+
+    /// Every image has as many keypoints for the one before as for the one behind, and a point for each two that match.
+    fn row() -> (Reconstruction, Vec<ImageId>) {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
+        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let keypoint = Keypoint { pixel: Vector2::new(320.0, 240.0), scale_px: 1.0 };
+        let images: Vec<ImageId> = (0..IMAGES)
+            .map(|i| model.add_image(Image::new(i.to_string(), camera, vec![keypoint; 2 * MIN_MATCHES])))
+            .collect();
+        images.iter().for_each(|&image| model.register(image, Rigid3::identity()));
+        for pair in images.windows(2) {
+            for k in 0..MIN_MATCHES as u32 {
+                let behind = Observation { image: pair[0], keypoint: MIN_MATCHES as u32 + k };
+                let before = Observation { image: pair[1], keypoint: k };
+                model.add_track(Track::new(Vector3::z(), vec![behind, before]));
+            }
+        }
+        (model, images)
+    }
+
+    /// The pairs of neighbours, whose matches are points, and others, whose matches see other points on each side.
+    fn graph(images: &[ImageId], others: impl Iterator<Item = (usize, usize)>) -> CorrespondenceGraph {
+        let pair = |a: usize, b: usize, from: u32| {
+            let matches = (0..MIN_MATCHES as u32).map(|k| Match { a: from + k, b: k }).collect();
+            let two_view = TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() };
+            Some((ImagePair::new(images[a], images[b])?, two_view))
+        };
+        let neighbours = (1..IMAGES).filter_map(|i| pair(i - 1, i, MIN_MATCHES as u32));
+        let others = others.filter_map(|(a, b)| pair(a, b, MIN_MATCHES as u32));
+        CorrespondenceGraph::new(&[2 * MIN_MATCHES; IMAGES], neighbours.chain(others))
+    }
+
+    #[test]
+    fn images_that_few_pairs_join_only_look_alike() {
+        let (model, images) = row();
+        let alike = || (0..IMAGES - ALIKE).map(|i| (i, i + ALIKE));
+        assert_eq!(torn_pairs(&graph(&images, alike()), &model), []);
+        let ends = || (0..MIN_PAIRS).map(|i| (i, IMAGES - 1 - i));
+        let torn: Vec<_> = ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
+        assert_eq!(torn_pairs(&graph(&images, alike().chain(ends())), &model), torn);
     }
 }

@@ -4,6 +4,7 @@
 
 mod bad_input;
 mod bal;
+mod carry;
 mod covariance;
 #[path = "../../examples/bal/file.rs"]
 mod file;
