@@ -8,7 +8,7 @@
 //! Mei, Reid & Newman 2009 — for moving alone; the linear system remains that of the world's frame, which is sparse.)
 
 use std::any::TypeId;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -67,25 +67,22 @@ fn heaviest_tree(
     neighbours: &BTreeMap<u32, Vec<(usize, u32)>>,
     is_fixed: impl Fn(u32) -> bool,
 ) -> Vec<(u32, u32)> {
-    let (mut roots, others): (Vec<u32>, Vec<u32>) = neighbours.keys().partition(|&&pose| is_fixed(pose));
-    let mut reached: BTreeMap<u32, bool> = neighbours.keys().map(|&pose| (pose, is_fixed(pose))).collect();
-    let mut tree = Vec::new();
-    let mut next = BinaryHeap::new();
+    let (fixed, others): (Vec<u32>, Vec<u32>) = neighbours.keys().partition(|&&pose| is_fixed(pose));
+    let edges = |from: u32| neighbours[&from].iter().map(move |&(weight, pose)| (weight, pose, from));
+    let mut next: BinaryHeap<_> = fixed.iter().flat_map(|&pose| edges(pose)).collect();
+    let mut reached: BTreeSet<u32> = fixed.into_iter().collect();
     let mut others = others.into_iter();
+    let mut tree = Vec::new();
     loop {
-        for root in roots.drain(..) {
-            next.extend(neighbours[&root].iter().map(|&(weight, pose)| (weight, pose, root)));
-        }
         while let Some((_, pose, from)) = next.pop() {
-            if reached.insert(pose, true) == Some(true) {
-                continue;
+            if reached.insert(pose) {
+                tree.push((pose, from));
+                next.extend(edges(pose));
             }
-            tree.push((pose, from));
-            next.extend(neighbours[&pose].iter().map(|&(weight, other)| (weight, other, pose)));
         }
         // What has no points in common with those before leads itself.
-        let Some(root) = others.find(|pose| reached.insert(*pose, true) == Some(false)) else { return tree };
-        roots.push(root);
+        let Some(root) = others.find(|&pose| reached.insert(pose)) else { return tree };
+        next.extend(edges(root));
     }
 }
 
