@@ -14,7 +14,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use tiepoint_geometry::{Rigid3, so3};
 
-use crate::variable::{FIXED, Store, Values};
+use crate::variable::{FIXED, PARALLEL_VALUES, Values};
 
 /// In place of the number of a pose.
 const NOBODY: u32 = u32::MAX;
@@ -36,16 +36,13 @@ impl Carriers {
         by_point.par_sort_unstable();
         by_point.dedup();
         let mut points = vec![NOBODY; by_point.last().map_or(0, |(point, _)| *point as usize + 1)];
-        for &(point, pose) in &by_point {
-            let carrier = &mut points[point as usize];
-            *carrier = (*carrier).min(pose);
+        let mut pairs: Vec<(u32, u32)> = Vec::new();
+        for seen in by_point.chunk_by(|a, b| a.0 == b.0) {
+            let (point, first) = seen[0];
+            points[point as usize] = first;
+            // Those next to each other suffice, of all pairs that share a point.
+            pairs.extend(seen.windows(2).map(|pair| (pair[0].1, pair[1].1)));
         }
-        // Those next to each other suffice, of all pairs that share a point.
-        let mut pairs: Vec<(u32, u32)> = by_point
-            .windows(2)
-            .filter(|pair| pair[0].0 == pair[1].0)
-            .map(|pair| (pair[0].1, pair[1].1))
-            .collect();
         pairs.par_sort_unstable();
         let mut neighbours: BTreeMap<u32, Vec<(usize, u32)>> =
             by_point.iter().map(|&(_, pose)| (pose, Vec::new())).collect();
@@ -103,11 +100,14 @@ pub(crate) struct Carry<'a> {
 }
 
 impl Carry<'_> {
-    /// Moves to `trial`, where everything is that the step has moved in straight lines, what is carried.
+    /// Moves everything to `trial`: in straight lines, but for what is carried.
     pub(crate) fn all(&self, trial: &mut Values) {
+        for ((trial, values), at) in trial.stores.iter_mut().zip(&self.values.stores).zip(self.step_at) {
+            trial.plus_all(&**values, self.step, at);
+        }
         let Some((poses, points)) = self.stores() else { return };
         let before = self.values.slice::<Rigid3>(poses as u16);
-        let mut after = std::mem::take(&mut typed_mut::<Rigid3>(trial, poses).0);
+        let mut after = std::mem::take(trial.store_mut::<Rigid3>().1);
         for &(pose, carrier) in &self.carriers.poses {
             let (pose, carrier) = (pose as usize, carrier as usize);
             if self.step_at[poses][pose] == FIXED {
@@ -135,15 +135,17 @@ impl Carry<'_> {
                 *point = self.moved(poses, points, &after, slot, step).unwrap_or(*point);
             }
         };
-        typed_mut::<Vector3<f64>>(trial, points).0.par_iter_mut().enumerate().for_each(move_point);
-        typed_mut::<Rigid3>(trial, poses).0 = after;
+        let places = trial.store_mut::<Vector3<f64>>().1;
+        places.par_iter_mut().enumerate().with_min_len(PARALLEL_VALUES / 8).for_each(move_point);
+        *trial.store_mut::<Rigid3>().1 = after;
     }
 
-    /// Moves one variable to `trial` by another step than that of all, if it is a point that is carried.
+    /// Moves one variable to `trial` by another step than that of all.
     pub(crate) fn one(&self, trial: &mut Values, store: usize, slot: usize, step: &[f64]) {
+        trial.stores[store].plus_one(&*self.values.stores[store], slot, step);
         let Some((poses, points)) = self.stores().filter(|(_, points)| *points == store) else { return };
         if let Some(point) = self.moved(poses, points, trial.slice(poses as u16), slot, step) {
-            typed_mut::<Vector3<f64>>(trial, points).0[slot] = point;
+            trial.store_mut::<Vector3<f64>>().1[slot] = point;
         }
     }
 
@@ -196,10 +198,6 @@ fn carried(
     let seen = *before * *place;
     let moved = seen + motion.turn.cross(&seen) + before.rotation * (shift - motion.centre);
     after.rotation.inverse() * (moved - after.translation)
-}
-
-fn typed_mut<V: tiepoint_geometry::Manifold>(values: &mut Values, store: usize) -> &mut Store<V> {
-    values.stores[store].as_any_mut().downcast_mut().expect("found by its type")
 }
 
 #[cfg(test)]

@@ -131,21 +131,16 @@ impl System for QrSystem {
         lambda: f64,
         times: &mut Times,
     ) -> Option<Attempt> {
-        let promise = self.step(problem, values, trial, lambda, times)?;
+        let promise = self.step(lambda, times)?;
+        let step_at = &self.structure.step_at;
+        Carry { carriers: &problem.carriers, values, step: &self.step, step_at }.all(trial);
         let cost = self.trial_cost(problem, trial, times);
         Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY), lost: 0 })
     }
 }
 
 impl QrSystem {
-    fn step(
-        &mut self,
-        problem: &Problem,
-        values: &Values,
-        trial: &mut Values,
-        lambda: f64,
-        times: &mut Times,
-    ) -> Option<f64> {
+    fn step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let columns = self.structure.columns;
         let (mut diagonal, gradient) = self.normal();
@@ -170,12 +165,6 @@ impl QrSystem {
             damped += lambda * diagonal[j] * step * step;
         }
         times.solve += begin.elapsed();
-        for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&self.structure.step_at)
-        {
-            trial.plus_all(&**values, &self.step, at);
-        }
-        let step_at = &self.structure.step_at;
-        Carry { carriers: &problem.carriers, values, step: &self.step, step_at }.all(trial);
         let promise = 0.5 * (damped - g_step);
         promise.is_finite().then_some(promise)
     }

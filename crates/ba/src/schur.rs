@@ -173,7 +173,6 @@ fn shorten(
     for halving in 1..=HALVINGS {
         let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
         let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
-        trial.stores[store].plus_one(&*carry.values.stores[store], slot, &shorter);
         carry.one(trial, store, slot, &shorter);
         for i in factors.clone() {
             let run = chunk.run_of(i);
@@ -250,7 +249,11 @@ impl System for SchurSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         Self::on_pool(self.shared(), || {
-            let promise = self.step(problem, values, trial, lambda, times)?;
+            let promise = self.step(lambda, times)?;
+            let begin = Instant::now();
+            let Self { structure, step, .. } = self;
+            Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at }.all(trial);
+            times.back_substitute += begin.elapsed();
             let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
             Some(Attempt { promise, cost, lost })
         })
@@ -304,15 +307,8 @@ impl SchurSystem {
         linearised
     }
 
-    /// Solves for the step from `values` and writes where it leads. Gives by how much the linear model says the cost will fall.
-    fn step(
-        &mut self,
-        problem: &Problem,
-        values: &Values,
-        trial: &mut Values,
-        lambda: f64,
-        times: &mut Times,
-    ) -> Option<f64> {
+    /// Solves for the step. Gives by how much the linear model says the cost will fall.
+    fn step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let structure = &self.structure;
         let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);
@@ -344,11 +340,6 @@ impl SchurSystem {
             g_step += gradient * step;
             damped += lambda * diagonal * step * step;
         }
-        for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&structure.step_at) {
-            trial.plus_all(&**values, &self.step, at);
-        }
-        Carry { carriers: &problem.carriers, values, step: &self.step, step_at: &structure.step_at }
-            .all(trial);
         times.back_substitute += begin.elapsed();
         let promise = 0.5 * (damped - g_step);
         promise.is_finite().then_some(promise)

@@ -11,7 +11,7 @@ use tiepoint_geometry::{Block, Manifold};
 pub(crate) const MAX_DOF: usize = 64;
 
 /// Stores longer than this are moved in parallel: below, waking a thread costs more than the work.
-const PARALLEL_VALUES: usize = 4_000;
+pub(crate) const PARALLEL_VALUES: usize = 4_000;
 
 /// In [`AnyStore::plus_all`]: this variable does not move.
 pub(crate) const FIXED: u32 = u32::MAX;

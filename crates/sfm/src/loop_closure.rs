@@ -50,7 +50,8 @@ pub(crate) fn torn_pairs(graph: &CorrespondenceGraph, model: &Reconstruction) ->
         let ImagePair { a, b } = *pair.0;
         if seen < MIN_MATCHES {
             continue;
-        } else if same as f64 <= MAX_JOINED * seen as f64 {
+        }
+        if same as f64 <= MAX_JOINED * seen as f64 {
             torn.push(*pair.0);
         } else {
             joined.entry(a).or_default().push(b);
@@ -141,13 +142,14 @@ mod tests {
 
     /// The pairs of neighbours, whose matches are points, and others, whose matches see other points on each side.
     fn graph(images: &[ImageId], others: impl Iterator<Item = (usize, usize)>) -> CorrespondenceGraph {
-        let pair = |a: usize, b: usize, from: u32| {
-            let matches = (0..MIN_MATCHES as u32).map(|k| Match { a: from + k, b: k }).collect();
+        let pair = |a: usize, b: usize| {
+            let matches =
+                (0..MIN_MATCHES as u32).map(|k| Match { a: MIN_MATCHES as u32 + k, b: k }).collect();
             let two_view = TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() };
             Some((ImagePair::new(images[a], images[b])?, two_view))
         };
-        let neighbours = (1..IMAGES).filter_map(|i| pair(i - 1, i, MIN_MATCHES as u32));
-        let others = others.filter_map(|(a, b)| pair(a, b, MIN_MATCHES as u32));
+        let neighbours = (1..IMAGES).filter_map(|i| pair(i - 1, i));
+        let others = others.filter_map(|(a, b)| pair(a, b));
         CorrespondenceGraph::new(&[2 * MIN_MATCHES; IMAGES], neighbours.chain(others))
     }
 
