@@ -35,7 +35,7 @@ from program import ROOT, program_of
 
 EFFECTS = ["none", "lens", "rolling-shutter", "vibration", "mounting", "traffic", "clocks", "photometry", "all"]
 # The action camera's lens is no perspective lens with a little distortion; this is the nearest family that both programs fit.
-MODELS = {"lens": "OPENCV_FISHEYE", "all": "OPENCV_FISHEYE"}
+MODELS = {"lens": "THIN_PRISM_FISHEYE", "all": "THIN_PRISM_FISHEYE"}
 
 
 def run(command, log):

@@ -149,7 +149,7 @@ pub(crate) struct Cameras {
     /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else 1.2 times the larger side.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE [default: SIMPLE_RADIAL].
     #[arg(long, value_name = "NAME", value_parser = camera_model)]
     pub(crate) camera_model: Option<CameraModelKind>,
 }

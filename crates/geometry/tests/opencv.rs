@@ -1,4 +1,4 @@
-//! Pixel-centre, axis and matrix conventions against numbers computed by OpenCV (`data/make_opencv.py`).
+//! Pixel-centre, axis and matrix conventions against numbers computed by OpenCV and COLMAP (`data/make_opencv.py`).
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, epipolar, triangulate};

@@ -38,6 +38,7 @@ fn camera(kind: CameraModelKind) -> Intrinsics {
         CameraModelKind::Radial => &[-0.1, 0.02],
         CameraModelKind::Opencv => &[-0.1, 0.02, 0.001, -0.002],
         CameraModelKind::OpencvFisheye => &[0.02, -0.01, 0.005, -0.001],
+        CameraModelKind::ThinPrismFisheye => &[0.02, -0.01, 0.001, -0.002, 0.005, -0.001, 0.001, -0.001],
     };
     let first = camera.params().len() - distortion.len();
     camera.params_mut()[first..].copy_from_slice(distortion);

@@ -69,6 +69,11 @@ fn lens_lines(intrinsics: &Intrinsics) -> String {
         CameraModelKind::Radial => ("radtan", vec![p[3], p[4], 0.0, 0.0]),
         CameraModelKind::Opencv => ("radtan", p[4..8].to_vec()),
         CameraModelKind::OpencvFisheye => ("equidistant", p[4..8].to_vec()),
+        // Kalibr has no such lens, and half of one would mislead.
+        CameraModelKind::ThinPrismFisheye => {
+            let params: Vec<String> = p.iter().map(f64::to_string).collect();
+            return format!("  # {}: {}\n", intrinsics.kind().name(), params.join(", "));
+        }
     };
     let focal = intrinsics.kind().focal_indices();
     let (fx, fy) = (p[focal[0]], p[focal[focal.len() - 1]]);
@@ -93,8 +98,9 @@ mod tests {
         let mut model = Reconstruction::default();
         let names = ["left", "right", "rear"];
         for name in names {
-            let intrinsics =
-                Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
+            let radial = Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
+            let prism = Intrinsics::centred(CameraModelKind::ThinPrismFisheye, 500.0, 640, 480);
+            let intrinsics = if name == "rear" { prism } else { radial };
             let camera =
                 model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
             model.add_image(Image::new(format!("{name}/0.png"), camera, Vec::new()));
@@ -120,6 +126,8 @@ mod tests {
                      distortion_model: radtan\n  distortion_coeffs: [-0.1, 0, 0, 0]\ncam1:\n";
         assert!(text.starts_with(first), "{text}");
         assert!(text.contains("  T_cn_cnm1:\n  - [1, 0, 0, -0.5]\n"), "{text}");
+        let last = "cam2:\n  rostopic: /rear\n  resolution: [640, 480]\n  # THIN_PRISM_FISHEYE: 500, 500, 320, 240, 0, 0, 0, 0, 0, 0, 0, 0\n  T_cn_cnm1:\n";
+        assert!(text.contains(last), "{text}");
         // From the one before, not from the first.
         assert!(text.ends_with("  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n  timeshift_cam0: -1\n"), "{text}");
     }

@@ -285,7 +285,7 @@ impl Drive {
     }
 
     /// The poses of all images at their middle rows, with the pinhole that equals each lens on its axis (exact for the ideal
-    /// lens; the action lens is in no family) and the stamps as times; no points. Images are ordered by camera, then time.
+    /// lens; the action lens is in no family of COLMAP's) and the stamps as times; no points. Images are ordered by camera, then time.
     pub fn truth(&self) -> Reconstruction {
         let mut truth = Reconstruction::default();
         for (index, camera) in self.cameras.iter().enumerate() {

@@ -6,8 +6,8 @@
 //!
 //! u' = u + p₁ (m² + 2u²) + 2 p₂ uv,  v' = v + p₂ (m² + 2v²) + 2 p₁ uv,  pixel = c + f (u', v').
 //!
-//! The odd aⱼ (even powers of θ) and decentring on that plane are in none of COLMAP's families: an estimator is left with a
-//! residual, as with a real lens.
+//! The odd aⱼ (even powers of θ) are in none of COLMAP's families, and decentring on that plane is in its THIN_PRISM_FISHEYE alone: an
+//! estimator is left with a residual, as with a real lens.
 
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};

@@ -4,10 +4,12 @@
 //! implements [`CameraModel`], and add one line to the `camera_models!` list below. Text names, dispatch, files and the laws in
 //! the tests follow from the list.
 
+mod equidistant;
 mod opencv;
 mod opencv_fisheye;
 mod pinhole;
 mod radial;
+mod thin_prism_fisheye;
 mod undistort;
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
@@ -17,6 +19,7 @@ pub use opencv::Opencv;
 pub use opencv_fisheye::OpencvFisheye;
 pub use pinhole::{Pinhole, SimplePinhole};
 pub use radial::{Radial, SimpleRadial};
+pub use thin_prism_fisheye::ThinPrismFisheye;
 
 /// A projected point with its derivatives.
 #[derive(Clone, Copy, Debug)]
@@ -140,6 +143,7 @@ camera_models! { $;
     Radial 5,
     Opencv 8,
     OpencvFisheye 8,
+    ThinPrismFisheye 12,
 }
 
 impl CameraModelKind {

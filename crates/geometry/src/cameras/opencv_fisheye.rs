@@ -4,26 +4,14 @@
 //! Written as two steps that are smooth on the axis: the equidistant point w = θ (x, y)/r, then a radial polynomial of w.
 //! Unlike OpenCV and COLMAP, points with z ≤ 0 are seen too, as far as θ_d still grows there.
 
-use nalgebra::{Matrix2, Matrix2x3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
-use super::{CameraModel, MIN_DEPTH, Projection, undistort::undistort};
+use super::equidistant::{angle_over_radius, d_equidistant, ray};
+use super::{CameraModel, Projection, undistort::undistort};
 
 /// Two focal lengths and a polynomial of the angle: fx, fy, cx, cy, k1, k2, k3, k4.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpencvFisheye;
-
-/// Below this squared tangent of θ its functions are replaced by their series, which neglect terms of order tan⁴ θ ≤ 1e-16.
-const SMALL_TAN2: f64 = 1e-8;
-
-/// θ/r, so that w = (x, y) · θ/r; `None` at the centre of the camera and on the axis behind it.
-fn angle_over_radius(point_in_cam: &Vector3<f64>) -> Option<f64> {
-    let (r2, z) = (point_in_cam.xy().norm_squared(), point_in_cam.z);
-    if z > MIN_DEPTH && r2 < SMALL_TAN2 * z * z {
-        return Some((1.0 - r2 / (3.0 * z * z)) / z);
-    }
-    let r = r2.sqrt();
-    (r > MIN_DEPTH).then(|| r.atan2(z) / r)
-}
 
 /// θ_d/θ.
 fn factor(params: &SVector<f64, 8>, angle2: f64) -> f64 {
@@ -43,22 +31,6 @@ fn distort(params: &SVector<f64, 8>, w: &Vector2<f64>) -> (Vector2<f64>, Matrix2
     let factor = factor(params, angle2);
     let d_factor = 2.0 * (k1 + angle2 * (2.0 * k2 + angle2 * (3.0 * k3 + angle2 * 4.0 * k4)));
     (w * factor, Matrix2::identity() * factor + w * w.transpose() * d_factor)
-}
-
-/// dw / d point.
-fn d_equidistant(point_in_cam: &Vector3<f64>, angle_over_radius: f64) -> Matrix2x3<f64> {
-    let (xy, z) = (point_in_cam.xy(), point_in_cam.z);
-    let r2 = xy.norm_squared();
-    let inv_norm2 = 1.0 / (r2 + z * z);
-    // (d(θ/r)/dr)/r = (z/(r² + z²) − θ/r)/r²
-    let c = if z > MIN_DEPTH && r2 < SMALL_TAN2 * z * z {
-        (-2.0 / 3.0 + 0.8 * r2 / (z * z)) / (z * z * z)
-    } else {
-        (z * inv_norm2 - angle_over_radius) / r2
-    };
-    let d_xy = Matrix2::identity() * angle_over_radius + xy * xy.transpose() * c;
-    let d_z = -xy * inv_norm2;
-    Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z])
 }
 
 /// The equidistant point w and θ/r, where the model sees the point.
@@ -106,13 +78,6 @@ impl CameraModel for OpencvFisheye {
 
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let distorted = Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
-        let w = undistort(distorted, |w| distort(params, w))?;
-        let angle = w.norm();
-        if angle > std::f64::consts::PI {
-            return None;
-        }
-        // sin θ / θ, by its series near the axis.
-        let sinc = if angle * angle < SMALL_TAN2 { 1.0 - angle * angle / 6.0 } else { angle.sin() / angle };
-        Some((w * sinc).push(angle.cos()))
+        ray(&undistort(distorted, |w| distort(params, w))?)
     }
 }

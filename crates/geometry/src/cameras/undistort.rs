@@ -1,8 +1,8 @@
 //! The inverse of a distortion of the plane, by Newton's method that stays on the branch through the centre.
 //!
 //! Polynomial distortions fold back: beyond some radius a growing angle gives a shrinking pixel distance, and a pixel has
-//! further, meaningless pre-images. All distortions here have a symmetric derivative, which is positive definite from the
-//! centre up to the fold and loses that at the fold, so steps are shortened until they stay where it holds.
+//! further, meaningless pre-images. All distortions here have a derivative that is symmetric (but for a thin prism, a little) and
+//! positive definite from the centre up to the fold, where it loses that, so steps are shortened until they stay where it holds.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -52,6 +52,7 @@ pub(super) fn undistort(
     None
 }
 
+/// Of a matrix that is nearly symmetric.
 fn is_positive_definite(m: &Matrix2<f64>) -> bool {
     m.trace() > 0.0 && m.determinant() > 0.0
 }

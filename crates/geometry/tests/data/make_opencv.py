@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Writes opencv.txt: numbers computed by OpenCV, in our conventions, that tests/opencv.rs compares with ours.
+"""Writes opencv.txt: numbers computed by OpenCV, in our conventions, that tests/opencv.rs compares with ours; a lens that OpenCV
+does not have is COLMAP's.
 
-    pip install numpy opencv-python-headless
+    pip install numpy opencv-python-headless pycolmap
     python make_opencv.py > opencv.txt
 
 Our pixel centre is (0.5, 0.5), OpenCV's (0, 0): 0.5 is added to cx, cy and to every pixel.
 """
 import cv2
 import numpy as np
+import pycolmap
 
 rng = np.random.default_rng(1)
 
@@ -16,7 +18,7 @@ def row(tag, *values):
     print(tag, *[f"{v:.17g}" for value in values for v in np.ravel(value)])
 
 
-print(f"# OpenCV {cv2.__version__}, make_opencv.py")
+print(f"# OpenCV {cv2.__version__}, COLMAP {pycolmap.__version__}, make_opencv.py")
 
 
 # project MODEL: parameters, rotation vector, translation, point in world, pixel
@@ -62,3 +64,11 @@ normal /= np.linalg.norm(normal)
 h = r + np.outer(translation / 5.0, normal)
 _, rotations, translations, normals = cv2.decomposeHomographyMat(h, np.eye(3))
 row("homography", h, *[v for s in zip([cv2.Rodrigues(m)[0] for m in rotations], translations, normals) for v in s])
+
+# as project, by COLMAP: the world's frame is the camera's
+rng = np.random.default_rng(2)
+lens = [*f, *c_ours, 0.03, -0.02, 0.002, -0.004, 0.01, -0.002, 0.003, -0.001]
+camera = pycolmap.Camera(model="THIN_PRISM_FISHEYE", width=1280, height=960, params=lens)
+for _ in range(8):
+    point = np.array([rng.uniform(-3, 3), rng.uniform(-2, 2), rng.uniform(4, 6)])
+    row("project THIN_PRISM_FISHEYE", lens, np.zeros(6), point, camera.img_from_cam(point))

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
+use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
     CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, RigCamera, reconstruct,
 };
@@ -184,7 +184,9 @@ impl Task<'_> {
     }
 
     fn reconstruct(&self, progress: &mut Progress) -> Result<Report, Error> {
-        let Scenery { pairs, seed, .. } = self.scenery;
+        let Scenery { pairs, seed, effects, .. } = self.scenery;
+        // That a sensor is read row by row is known of a camera, and how fast is not.
+        let readout = (effects.readout_s > 0.0).then_some(Readout::Estimated);
         let options = Options {
             features: FeatureOptions {
                 calibration: calibration(self.scenery, self.drive),
@@ -193,7 +195,7 @@ impl Task<'_> {
             },
             matching: MatchOptions { pairs: *pairs, seed: *seed, ..MatchOptions::default() },
             mapping: MapOptions {
-                mapper: MapperOptions { rig: self.rig, seed: *seed, ..MapperOptions::default() },
+                mapper: MapperOptions { rig: self.rig, readout, seed: *seed, ..MapperOptions::default() },
                 baseline_m: None,
             },
             ..Options::default()

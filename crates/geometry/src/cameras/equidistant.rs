@@ -1,0 +1,46 @@
+//! The equidistant point w = θ (x, y)/r of the plane on which fisheye lenses distort, with θ the angle from the optical axis and
+//! r = √(x² + y²): smooth on the axis, and defined behind the camera too.
+
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+
+use super::MIN_DEPTH;
+
+/// Below this squared tangent of θ its functions are replaced by their series, which neglect terms of order tan⁴ θ ≤ 1e-16.
+const SMALL_TAN2: f64 = 1e-8;
+
+/// θ/r, so that w = (x, y) · θ/r; `None` at the centre of the camera and on the axis behind it.
+pub(super) fn angle_over_radius(point_in_cam: &Vector3<f64>) -> Option<f64> {
+    let (r2, z) = (point_in_cam.xy().norm_squared(), point_in_cam.z);
+    if z > MIN_DEPTH && r2 < SMALL_TAN2 * z * z {
+        return Some((1.0 - r2 / (3.0 * z * z)) / z);
+    }
+    let r = r2.sqrt();
+    (r > MIN_DEPTH).then(|| r.atan2(z) / r)
+}
+
+/// dw / d point.
+pub(super) fn d_equidistant(point_in_cam: &Vector3<f64>, angle_over_radius: f64) -> Matrix2x3<f64> {
+    let (xy, z) = (point_in_cam.xy(), point_in_cam.z);
+    let r2 = xy.norm_squared();
+    let inv_norm2 = 1.0 / (r2 + z * z);
+    // (d(θ/r)/dr)/r = (z/(r² + z²) − θ/r)/r²
+    let c = if z > MIN_DEPTH && r2 < SMALL_TAN2 * z * z {
+        (-2.0 / 3.0 + 0.8 * r2 / (z * z)) / (z * z * z)
+    } else {
+        (z * inv_norm2 - angle_over_radius) / r2
+    };
+    let d_xy = Matrix2::identity() * angle_over_radius + xy * xy.transpose() * c;
+    let d_z = -xy * inv_norm2;
+    Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z])
+}
+
+/// The unit ray of w; `None` where no angle is that large.
+pub(super) fn ray(w: &Vector2<f64>) -> Option<Vector3<f64>> {
+    let angle = w.norm();
+    if angle > std::f64::consts::PI {
+        return None;
+    }
+    // sin θ / θ, by its series near the axis.
+    let sinc = if angle * angle < SMALL_TAN2 { 1.0 - angle * angle / 6.0 } else { angle.sin() / angle };
+    Some((w * sinc).push(angle.cos()))
+}
