@@ -53,6 +53,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                     "          closed a loop: {pairs} pairs of images had been torn apart by drift"
                 ));
             }
+            for what in &model.failed {
+                line(format_args!("          {what}"));
+            }
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in shutters.filter_map(|camera| Some((camera.id, camera.readout_s?))) {

@@ -98,7 +98,8 @@ mod tests {
         let mut model = Reconstruction::default();
         let names = ["left", "right", "rear"];
         for name in names {
-            let radial = Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
+            let radial =
+                Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
             let prism = Intrinsics::centred(CameraModelKind::ThinPrismFisheye, 500.0, 640, 480);
             let intrinsics = if name == "rear" { prism } else { radial };
             let camera =

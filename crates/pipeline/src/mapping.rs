@@ -10,7 +10,7 @@ use tiepoint_io::colmap::{Format, write_model};
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
-use tiepoint_sfm::{self as sfm, MapperOptions, RefineIntrinsics, RigTerm, VerifyOptions, rig_pairs};
+use tiepoint_sfm::{self as sfm, Finish, MapperOptions, RefineIntrinsics, RigTerm, VerifyOptions, rig_pairs};
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
@@ -66,7 +66,8 @@ pub fn map(
     }
     let name = |id| scene.image(id).name.as_str();
     let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut cameras, mut split, mut shutters, mut loops) = (Vec::new(), None, Vec::new(), Vec::new());
+    let (mut cameras, mut split, mut shutters) = (Vec::new(), None, Vec::new());
+    let (mut loops, mut failed) = (Vec::new(), Vec::new());
     let database = Database::open(&workspace.database())?;
     let mut unreadable = None;
     let mut descriptors = |image| match database.read_features(image) {
@@ -87,6 +88,12 @@ pub fn map(
             sfm::Event::Shutter(shutter) => shutters.push(*shutter),
             sfm::Event::LoopClosed { num_pairs } => {
                 loops.extend(began.last().map(|&(image, _)| (image, *num_pairs)));
+            }
+            sfm::Event::Failed { finish, why } => {
+                if *finish == Finish::Held {
+                    (cameras, split) = (Vec::new(), None);
+                }
+                failed.extend(began.last().map(|&(image, _)| (image, what_failed(*finish, why))));
             }
             sfm::Event::SplitClosed { num_images, num_pairs } => {
                 split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
@@ -119,9 +126,11 @@ pub fn map(
     let reports = all.map(|((path, model), scale)| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
-        let here = loops.iter().filter(|(image, _)| model.image(*image).cam_from_world().is_some());
-        let loop_pairs = here.map(|(_, pairs)| pairs).sum();
-        ModelReport { scale, loop_pairs, ..ModelReport::new(path, model, &shutters, rig) }
+        let is_here = |image: ImageId| model.image(image).cam_from_world().is_some();
+        let loop_pairs = loops.iter().filter(|(image, _)| is_here(*image)).map(|(_, pairs)| pairs).sum();
+        let failed =
+            failed.iter().filter(|(image, _)| is_here(*image)).map(|(_, what)| what.clone()).collect();
+        ModelReport { scale, loop_pairs, failed, ..ModelReport::new(path, model, &shutters, rig) }
     });
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
@@ -131,6 +140,15 @@ pub fn map(
     })?;
     workspace.complete(STAGE)?;
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// A sentence.
+fn what_failed(finish: Finish, why: &str) -> String {
+    let what = match finish {
+        Finish::Straightened => "what a rolling shutter did could not be taken off the keypoints",
+        Finish::Held => "the cameras could not be held to each other",
+    };
+    format!("{what}, and the model is as it was before: {why}")
 }
 
 /// The scene without poses, and what relates its images, as they stand in the database.
@@ -175,6 +193,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // These are for the report.
         sfm::Event::BadPair { .. }
+        | sfm::Event::Failed { .. }
         | sfm::Event::Joined { .. }
         | sfm::Event::Shutter(_)
         | sfm::Event::SplitClosed { .. }

@@ -101,6 +101,9 @@ pub struct ModelReport {
     /// Pairs of images that drift had torn apart where the way meets itself, and that are one place now.
     #[serde(default)]
     pub loop_pairs: usize,
+    /// What was asked for and failed, as sentences; the model is as it would be without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<String>,
     /// What a given distance of two cameras made of it.
     pub scale: Option<ScaleReport>,
 }
@@ -165,6 +168,7 @@ impl ModelReport {
                 .collect(),
             rig,
             loop_pairs: 0,
+            failed: Vec::new(),
             scale: None,
         }
     }

@@ -56,6 +56,13 @@ pub enum Event {
         /// Of the other one.
         right: ImageId,
     },
+    /// What was to be made of the finished model failed; it is as it was.
+    Failed {
+        /// What.
+        finish: Finish,
+        /// Why, as a sentence.
+        why: String,
+    },
     /// What the shutter of a camera does, where that was asked for.
     Shutter(RollingShutter),
     /// Images that had no matches with their partners and stood elsewhere were brought back to where their mounting has them.
@@ -84,6 +91,15 @@ pub enum Event {
         /// The same as it is now.
         error_px: f64,
     },
+}
+
+/// What is made of a model that is finished otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finish {
+    /// What a rolling shutter did is taken off the keypoints.
+    Straightened,
+    /// Cameras are held to each other.
+    Held,
 }
 
 /// What came out for a camera that rides with the first one.

@@ -153,8 +153,9 @@ fn join(
     let mut index = 1;
     while index < models.len() {
         let whole = joined(&models[0], &models[index]);
-        let held = whole.map(|model| held(graph, model, focal_priors, options, descriptors)).transpose()?;
-        let Some((model, told)) = held.flatten() else {
+        // What cannot be held stays apart.
+        let held = whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
+        let Some((model, told)) = held else {
             index += 1;
             continue;
         };

@@ -28,7 +28,7 @@ mod visibility;
 pub use adjust::{AdjustOptions, MountingCovariance, RefineIntrinsics, Scope, adjust};
 pub use companion::{Companion, Left, Moment, Timing, companions};
 pub use error::Error;
-pub use event::{Event, MountedCamera};
+pub use event::{Event, Finish, MountedCamera};
 pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};

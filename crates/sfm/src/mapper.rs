@@ -12,7 +12,7 @@ use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
 use crate::effort::Effort;
-use crate::event::tell;
+use crate::event::{Finish, tell};
 use crate::filter::{filter_all_points, filter_images, filter_points};
 use crate::focal::FocalPrior;
 use crate::focal_trials::explained;
@@ -112,17 +112,36 @@ impl<'a> Mapper<'a> {
         self.weigh();
         self.refine_globally(&Effort::FINAL, watch)?;
         if let Some(readout) = self.options.readout {
-            self.straighten(readout, watch)?;
+            self.finish(Finish::Straightened, watch, |mapper, watch| mapper.straighten(readout, watch))?;
         }
         match self.options.rig {
-            RigTerm::Paper => {
-                let links = final_links(&self.model, self.rigs);
-                self.adjust_globally(&links, &Effort::FINAL, watch)?;
+            RigTerm::Paper => self.finish(Finish::Held, watch, |mapper, watch| {
+                let links = final_links(&mapper.model, mapper.rigs);
+                mapper.adjust_globally(&links, &Effort::FINAL, watch).map(|_| ())
+            }),
+            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => {
+                self.finish(Finish::Held, watch, |mapper, watch| mapper.hold(descriptors, watch))
             }
-            RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors, watch)?,
-            RigTerm::Off => {}
+            RigTerm::Off => Ok(()),
         }
-        Ok(())
+    }
+
+    /// Makes something more of a finished model, which stays as it was where that fails.
+    fn finish(
+        &mut self,
+        finish: Finish,
+        watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+        work: impl FnOnce(&mut Self, &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let (model, noise) = (self.model.clone(), self.noise);
+        match work(self, watch) {
+            Ok(()) => Ok(()),
+            Err(Error::Cancelled) => Err(Error::Cancelled),
+            Err(error) => {
+                (self.model, self.noise) = (model, noise);
+                tell(watch, &Event::Failed { finish, why: error.to_string() })
+            }
+        }
     }
 
     /// From here on keypoints weigh by the noise that they have now.

@@ -4,7 +4,7 @@ mod common;
 
 use std::ops::ControlFlow;
 
-use tiepoint_sfm::{Event, MapperOptions, Readout, RefineIntrinsics, RollingShutter, map};
+use tiepoint_sfm::{Event, Finish, MapperOptions, Readout, RefineIntrinsics, RollingShutter, map};
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
 };
@@ -17,8 +17,16 @@ const FRAMES: usize = 30;
 /// Distance of the cameras, in metres.
 const BASELINE_M: f64 = 0.5;
 
-/// The drive of two cameras, mapped without a rig term: root mean square error of their centres in metres, and the shutters found.
-fn run(mounting: Mounting, readout: Option<Readout>) -> (f64, Vec<RollingShutter>) {
+/// What became of a drive.
+struct Outcome {
+    /// Root mean square error of the centres.
+    error_m: f64,
+    shutters: Vec<RollingShutter>,
+    failures: usize,
+}
+
+/// The drive of two cameras, mapped without a rig term.
+fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
     let effects = Effects { readout_s: READOUT_S, ..Effects::default() };
     let mounts = Mount::stereo(mounting, BASELINE_M).to_vec();
     let options = DriveOptions { seed: 2, rate_hz: 5.0, effects, mounts, ..DriveOptions::default() };
@@ -29,16 +37,30 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> (f64, Vec<RollingShutter
     let matching = MatchOptions { window: Some(4), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
-    let mut shutters = Vec::new();
+    let (mut shutters, mut failures) = (Vec::new(), 0);
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        if let Event::Shutter(shutter) = event {
-            shutters.push(*shutter);
+        match event {
+            Event::Shutter(shutter) => shutters.push(*shutter),
+            Event::Failed { finish: Finish::Straightened, .. } => failures += 1,
+            _ => {}
         }
         ControlFlow::Continue(())
     });
     let model = models.expect("the scene is easy").remove(0);
     assert_eq!(model.num_registered(), 2 * FRAMES);
-    (ate_m(&model, scene.truth()), shutters)
+    Outcome { error_m: ate_m(&model, scene.truth()), shutters, failures }
+}
+
+/// In seconds: in that time the vehicle leaves the street, and no keypoint stays in sight.
+const ABSURD_READOUT_S: f64 = 10.0;
+
+#[test]
+fn a_shutter_that_leaves_nothing_leaves_the_model_as_it_was() {
+    let without = run(Mounting::Front, None);
+    assert_eq!(without.failures, 0);
+    let absurd = run(Mounting::Front, Some(Readout::Known(ABSURD_READOUT_S)));
+    assert_eq!(absurd.failures, 1);
+    assert_eq!(absurd.error_m, without.error_m);
 }
 
 /// A readout is known to this, in seconds: a twentieth of it; and off by no more than so many standard deviations.
@@ -50,17 +72,24 @@ const MAX_SHARE: f64 = 0.5;
 #[test]
 fn a_rolling_shutter_is_found_and_taken_off_the_keypoints() {
     for mounting in [Mounting::Front, Mounting::Right] {
-        let (error_off_m, none) = run(mounting, None);
-        assert_eq!(none, []);
-        let (error_known_m, _) = run(mounting, Some(Readout::Known(READOUT_S)));
-        let (error_m, shutters) = run(mounting, Some(Readout::Estimated));
+        let off = run(mounting, None);
+        assert_eq!(off.shutters, []);
+        let known = run(mounting, Some(Readout::Known(READOUT_S)));
+        let found = run(mounting, Some(Readout::Estimated));
         eprintln!(
-            "{mounting:?}: {error_off_m:.4} m off, {error_known_m:.4} known, {error_m:.4} found: {shutters:?}"
+            "{mounting:?}: {:.4} m off, {:.4} known, {:.4} found: {:?}",
+            off.error_m, known.error_m, found.error_m, found.shutters
         );
-        assert!(error_known_m < MAX_SHARE * error_off_m, "{error_known_m} m, {error_off_m} without");
-        assert!(error_m < MAX_SHARE * error_off_m, "{error_m} m, {error_off_m} without");
-        assert_eq!(shutters.len(), 2);
-        for shutter in shutters {
+        for outcome in [&known, &found] {
+            assert!(
+                outcome.error_m < MAX_SHARE * off.error_m,
+                "{} m, {} without",
+                outcome.error_m,
+                off.error_m
+            );
+        }
+        assert_eq!(found.shutters.len(), 2);
+        for shutter in found.shutters {
             let sd_s = shutter.readout_sd_s.expect("it was estimated");
             assert!(sd_s < MAX_READOUT_SD_S, "{shutter:?}");
             assert!((shutter.readout_s - READOUT_S).abs() < MAX_DEVIATIONS * sd_s, "{shutter:?}");
