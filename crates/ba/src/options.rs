@@ -5,7 +5,7 @@ use crate::error::Error;
 pub struct Options {
     /// Stop after so many attempted steps.
     pub max_iterations: usize,
-    /// Stop when a step lowers the cost by less than this fraction of it.
+    /// Stop when a step lowers the cost by less than this fraction of it, and the linear model did not promise much more.
     pub function_tolerance: f64,
     /// Stop when no component of the gradient is larger, in units of cost per unit of the variable.
     pub gradient_tolerance: f64,

@@ -17,6 +17,10 @@ use crate::variable::{Role, Values};
 /// Up to so many numbers in a dense Jacobian, with nothing to eliminate, it is factorised itself rather than squared.
 const QR_NUMBERS: usize = 100_000;
 
+/// A step that gains next to nothing ends a solve, unless the linear model promised that many times as much: then it was a bad step,
+/// and a shorter one may gain something.
+const MIN_GAIN_RATIO: f64 = 0.1;
+
 /// The structure of a problem — which blocks there are, in which order they are eliminated, who works on what — found once,
 /// and the memory to solve it as often as wanted with changing values.
 pub struct Solver {
@@ -110,7 +114,8 @@ impl Solver {
             if iterations.last().is_some_and(|record| watch(record).is_break()) {
                 break Termination::Cancelled;
             }
-            if accepted && decrease <= self.options.function_tolerance * before.cost {
+            let has_settled = decrease <= self.options.function_tolerance * before.cost;
+            if accepted && has_settled && gain_ratio >= MIN_GAIN_RATIO {
                 break Termination::FunctionTolerance;
             }
             if damping.exhausted() {

@@ -5,6 +5,7 @@
 mod bad_input;
 mod bal;
 mod carry;
+mod convergence;
 mod covariance;
 #[path = "../../examples/bal/file.rs"]
 mod file;
