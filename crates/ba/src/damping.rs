@@ -14,11 +14,12 @@ const RANGE: (f64, f64) = (1e-16, 1e32);
 pub(crate) struct Damping {
     lambda: f64,
     increase: f64,
+    least: f64,
 }
 
 impl Damping {
     pub(crate) fn new(lambda: f64) -> Self {
-        Self { lambda, increase: 2.0 }
+        Self { lambda, increase: 2.0, least: RANGE.0 }
     }
 
     pub(crate) fn lambda(&self) -> f64 {
@@ -29,8 +30,14 @@ impl Damping {
     pub(crate) fn accepted(&mut self, gain_ratio: f64) {
         let bold = BOLD.iter().find(|(from, _)| gain_ratio >= *from).map(|(_, factor)| *factor);
         let factor = bold.unwrap_or_else(|| (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE));
-        self.lambda = (self.lambda * factor).max(RANGE.0);
+        self.lambda = (self.lambda * factor).max(self.least);
         self.increase = 2.0;
+    }
+
+    /// Where the system could not be solved: so little damping is not tried again.
+    pub(crate) fn failed(&mut self) {
+        self.rejected();
+        self.least = self.least.max(self.lambda);
     }
 
     /// After a step that did not lower the cost.

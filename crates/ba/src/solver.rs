@@ -93,6 +93,8 @@ impl Solver {
                 damping.accepted(gain_ratio);
                 // Exact where the same factors exist before and after.
                 (now.cost, now.missing) = (attempt.cost, before.missing + attempt.lost);
+            } else if attempt.promise.is_infinite() {
+                damping.failed();
             } else {
                 damping.rejected();
             }

@@ -13,6 +13,7 @@
 
 mod members;
 mod outcome;
+mod persistence;
 mod rematch;
 mod rigid;
 mod tighten;
@@ -22,7 +23,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_ba::Factor;
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_geometry::nalgebra::{Vector3, Vector6};
 use tiepoint_geometry::numeric::median;
 use tiepoint_rig::{Clock, Mounted, RelativePose, spread};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
@@ -38,6 +39,7 @@ use crate::tracks::{TrackOptions, recreate_tracks};
 use crate::{Error, Event, RigTerm};
 use members::Unmatched;
 use outcome::{Judge, held_out, make_frames, make_rigid};
+use persistence::persistence;
 pub use rematch::Descriptors;
 use rematch::{Closed, rematch};
 pub use rigid::{RigidCamera, hold_rigidly};
@@ -94,8 +96,8 @@ const HELD_OUT_SHARE: f64 = 0.1;
 /// it costs 0.2 %, on KITTI 01 0.8 %, where the trajectory is a sixth better for it; a mount that gives has not reached the floor.
 const RIGID_TOLERANCE: f64 = 0.01;
 /// Cameras are held when their relative poses end within this many standard deviations of the mounting. Where clocks disagree or a mount
-/// gives, they do not follow, and the firmest deviations at which they did are kept.
-const MAX_LEFT: f64 = 3.0;
+/// gives, they do not follow, and the firmest deviations at which they did are kept. With 3 a mount that swings passed, and pulled the clock by 6 ms.
+const MAX_LEFT: f64 = 2.0;
 /// Where an offset's standard deviation is larger than this, its value would be an accident of the lenses.
 const MAX_CLOCK_SD_S: f64 = 0.02;
 /// The motion tells nothing of a camera's place along a direction when it leaves a standard deviation of more than this share of the unit: what
@@ -165,6 +167,12 @@ struct Held {
 }
 
 impl Held {
+    /// Whether all cameras follow in translation, and in rotation.
+    fn follows(&self) -> [bool; 2] {
+        let each = self.mountings.iter().map(|mounting| mounting.follows(&self.model));
+        each.fold([true; 2], |all, one| [all[0] && one[0], all[1] && one[1]])
+    }
+
     fn is_anything_together(&self) -> bool {
         self.mountings.iter().any(|mounting| mounting.companion.timing == Timing::Together)
     }
@@ -178,25 +186,41 @@ impl Mounting {
         scaled
     }
 
-    /// Whether the cameras follow: half of the moments are within a few standard deviations.
-    fn is_held(&self, model: &Reconstruction) -> bool {
-        let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return true };
+    /// What is left between the cameras at each moment, in standard deviations: of the translation, then of the rotation; none of cameras
+    /// that are held exactly.
+    fn left(&self, model: &Reconstruction) -> Vec<Vector6<f64>> {
+        let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return Vec::new() };
         let mounted = Mounted { sigma_translation, sigma_rotation_rad, unit: self.companion.unit };
-        let residual = |moment: &Moment| {
+        let left_over = |moment: &Moment| {
             let left = moment.left_from_world(model, &self.companion.clock)?;
             let right = model.image(moment.right).cam_from_world()?;
             let residual = mounted.residual((&left, right, &self.right_from_left))?;
             Some(moment.whitening(&mounted, &left, &self.right_from_left) * residual)
         };
-        let (mut ts, mut rs): (Vec<f64>, Vec<f64>) = self
-            .moments
-            .iter()
-            .filter_map(residual)
-            .map(|r| (r.fixed_rows::<3>(0).norm(), r.fixed_rows::<3>(3).norm()))
-            .unzip();
-        [&mut ts, &mut rs]
-            .into_iter()
-            .all(|norms| median(norms).is_none_or(|norm| norm <= MAX_LEFT * MEDIAN_OF_THREE))
+        self.moments.iter().filter_map(left_over).collect()
+    }
+
+    /// Whether the cameras follow in translation, and in rotation: half of the moments are within a few standard deviations.
+    fn follows(&self, model: &Reconstruction) -> [bool; 2] {
+        let left = self.left(model);
+        [0, 3].map(|first| {
+            let mut norms: Vec<f64> = left.iter().map(|r| r.fixed_rows::<3>(first).norm()).collect();
+            median(&mut norms).is_none_or(|norm| norm <= MAX_LEFT * MEDIAN_OF_THREE)
+        })
+    }
+
+    /// With standard deviations so large that moments count as if what is left at one told nothing of the next: what a mount that swings leaves goes
+    /// on from moment to moment, and n of them tell less than n would.
+    pub(crate) fn as_if_independent(&self, model: &Reconstruction) -> Self {
+        let Hold::Soft { sigma_translation, sigma_rotation_rad } = self.hold else { return self.clone() };
+        let left = self.left(model);
+        let [translation, rotation] = [0, 3].map(|first| {
+            let series: Vec<Vector3<f64>> =
+                left.iter().map(|r| r.fixed_rows::<3>(first).into_owned()).collect();
+            persistence(&series).sqrt()
+        });
+        let hold = Hold::soft((translation * sigma_translation, rotation * sigma_rotation_rad));
+        Self { hold, ..self.clone() }
     }
 
     /// Moves the further camera to where a calibration has it, at every moment.

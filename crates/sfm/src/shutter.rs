@@ -45,6 +45,9 @@ pub struct RollingShutter {
 /// The readouts are found when a step moves them by less than this, in seconds, or after so many steps.
 const MIN_STEP_S: f64 = 5e-5;
 const MAX_STEPS: usize = 6;
+/// The share of its images that a camera takes while it is slower than what counts as fast, and how many times as fast it may be.
+const FAST: f64 = 0.9;
+const MAX_SPEED: f64 = 3.0;
 /// Velocities are differences over this time, in seconds.
 const DIFFERENCE_S: f64 = 1e-3;
 
@@ -68,20 +71,27 @@ struct Motion {
     angular_velocity: Vector3<f64>,
 }
 
-/// Of the images of which times and neighbours are known.
+/// Of the images of which times and neighbours are known, and that do not stand where their camera cannot have been: next to one that was
+/// registered at the wrong place cameras fly, and a few such images outweigh thousands in what the readout is.
 fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
     let mut motions = Vec::new();
     for (camera, _) in model.cameras() {
         let posed = posed_in_time(model, camera);
         let trajectory = Trajectory::new(posed.iter().map(|(time_s, _, pose)| (*time_s, *pose)));
+        let mut of_camera = Vec::new();
         for (time_s, id, _) in posed {
             let Some(first) = trajectory.knots_around(time_s) else { continue };
             let knots = trajectory.knots(first);
             let [before, after] = [-0.5, 0.5].map(|side| knots.at(time_s + side * DIFFERENCE_S));
             let velocity = (after.origin_in_a() - before.origin_in_a()) / DIFFERENCE_S;
             let angular_velocity = so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
-            motions.push((id, Motion { velocity, angular_velocity }));
+            of_camera.push((id, Motion { velocity, angular_velocity }));
         }
+        let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
+        let mut speeds: Vec<f64> = of_camera.iter().map(speed).collect();
+        speeds.sort_by(f64::total_cmp);
+        let usual = speeds.get((FAST * speeds.len() as f64) as usize).copied().unwrap_or(0.0);
+        motions.extend(of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual));
     }
     motions
 }
@@ -179,4 +189,44 @@ pub(crate) fn estimate(
     let shutters = Shutters { shutters: &shutters, keypoints: &keypoints };
     take_off(model, &shutters);
     with_deviations(model, options, &shutters)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_scene::{Camera, Image};
+
+    const IMAGES: usize = 100;
+    const RATE_HZ: f64 = 10.0;
+    const SPEED: f64 = 2.0;
+    const MISPLACED: usize = 50;
+    /// The cubics through it give these images a speed.
+    const BESIDE: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
+
+    /// A camera at constant speed, one of whose images stands far off.
+    fn drive(off_by: f64) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        for i in 0..IMAGES {
+            let id = model.add_image(Image::new(format!("{i}.png"), camera, Vec::new()));
+            let time_s = i as f64 / RATE_HZ;
+            let along = SPEED * time_s + if i == MISPLACED { off_by } else { 0.0 };
+            model.set_time(id, Some(time_s));
+            model.register(id, Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-along, 0.0, 0.0)));
+        }
+        model
+    }
+
+    #[test]
+    fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
+        let of = |off_by: f64| {
+            let motions = motions(&drive(off_by));
+            motions.into_iter().map(|(id, motion)| (id.index(), motion.velocity.x)).collect::<Vec<_>>()
+        };
+        assert_eq!(of(0.0).len(), IMAGES);
+        let around: Vec<usize> = of(30.0).into_iter().map(|(index, _)| index).collect();
+        assert_eq!(around, (0..IMAGES).filter(|index| !BESIDE.contains(index)).collect::<Vec<_>>());
+    }
 }

@@ -26,7 +26,7 @@ const BLIND_SIGMA: f64 = 1e-3;
 
 /// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
 /// where something is not determined. The noise of the keypoints is what the model and the loss leave; σ of the mountings and of the times
-/// of images are what they say.
+/// of images are what they say, widened by how what is left between the cameras goes on from moment to moment.
 pub(crate) fn mounting_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
@@ -35,7 +35,8 @@ pub(crate) fn mounting_covariances(
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
     let options = &AdjustOptions { noise, spread: false, ..*options };
-    let scaled: Vec<Mounting> = mountings.iter().map(|mounting| mounting.scaled(1.0 / noise)).collect();
+    let scaled: Vec<Mounting> =
+        mountings.iter().map(|mounting| mounting.as_if_independent(model).scaled(1.0 / noise)).collect();
     let bundle = Bundle::new(model, &Scope::Global, options, &scaled, None)?;
     let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
         let mut keys: Vec<AnyKey> = vec![(*mount).into()];

@@ -85,11 +85,12 @@ impl Context<'_> {
             let (mut held, tolerance) =
                 self.hold_softly(model, companions, sigmas, unmatched, widened, judge)?;
             if let Some((last_px, last_rotation)) = last.filter(|_| !gives)
-                && judge.share(held.error_px - last_px) > ROTATION_TOLERANCE
+                && (judge.share(held.error_px - last_px) > ROTATION_TOLERANCE || !held.follows()[1])
             {
                 let looser = (sigmas.0, last_rotation);
                 let (loose, _) = self.hold_softly(model, companions, looser, unmatched, widened, judge)?;
-                gives = judge.share(held.error_px - loose.error_px) > ROTATION_TOLERANCE;
+                let costs = judge.share(held.error_px - loose.error_px) > ROTATION_TOLERANCE;
+                gives = costs || !held.follows()[1];
                 if gives {
                     (held, sigmas) = (loose, looser);
                 }
@@ -106,9 +107,9 @@ impl Context<'_> {
                     .filter(|companion| companion.right == mounting.companion.right)
                     .for_each(|companion| companion.clock = mounting.companion.clock);
             }
-            let is_held = mountings.iter().all(|mounting| mounting.is_held(&candidate));
-            if is_held || is_asked_for {
-                tight.best = Some(Held { model: candidate.clone(), mountings, error_px, sigmas });
+            let held = Held { model: candidate.clone(), mountings, error_px, sigmas };
+            if held.follows() == [true; 2] || is_asked_for {
+                tight.best = Some(held);
                 tight.is_firm = sigmas == SIGMA_FLOOR;
             }
             *model = candidate;
