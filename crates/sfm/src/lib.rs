@@ -2,6 +2,7 @@
 
 mod adjust;
 mod companion;
+mod continuity;
 mod effort;
 mod error;
 mod event;
@@ -15,6 +16,7 @@ mod join;
 mod loop_closure;
 mod mapper;
 mod mounting;
+mod next_image;
 mod register;
 mod rig_pairs;
 mod shutter;

@@ -6,7 +6,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use rayon::prelude::*;
 use tiepoint_geometry::{Loss, Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
@@ -20,16 +19,13 @@ use crate::incremental::{MapperOptions, RigTerm};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
 use crate::loop_closure::{is_closed, join, torn_pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
-use crate::register::register_image;
+use crate::next_image::Queue;
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
 use crate::shutter::{Detected, Readout, estimate, known, straighten};
 use crate::sigma::relative_noise;
 use crate::tracks::{complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
-use crate::visibility::{Visibility, visibility};
 use crate::{Error, Event};
 
-/// An image that could not be registered is tried again at most this often.
-const MAX_REGISTER_TRIALS: usize = 3;
 /// How many initial pairs are tried before giving up.
 const MAX_INITIAL_TRIALS: usize = 20;
 /// Initial pairs considered.
@@ -61,8 +57,7 @@ pub(crate) struct Mapper<'a> {
     pub(crate) rigs: &'a [RigPairs],
     /// Images of earlier models.
     pub(crate) taken: BTreeSet<ImageId>,
-    /// How often each image failed to register.
-    trials: BTreeMap<ImageId, usize>,
+    queue: Queue,
     /// The pair that the model began with.
     initial: Option<ImagePair>,
     /// Where to stop.
@@ -84,7 +79,7 @@ impl<'a> Mapper<'a> {
             focal_priors: &[],
             rigs: &[],
             taken: BTreeSet::new(),
-            trials: BTreeMap::new(),
+            queue: Queue::new(scene, options.seed),
             initial: None,
             max_images: usize::MAX,
             noise: None,
@@ -240,7 +235,7 @@ impl<'a> Mapper<'a> {
             }
             // What fails before the last refinement may succeed after it.
             self.refine_globally(&Effort::GROWING, watch)?;
-            self.trials.clear();
+            self.queue.forgive();
             if !self.try_remaining()? {
                 return Ok(());
             }
@@ -342,27 +337,13 @@ impl<'a> Mapper<'a> {
         })
     }
 
-    /// Registers the image that sees the most of the model, best spread; `None` when none can be.
+    /// Registers one more image; `None` when none can be.
     fn register_next(&mut self) -> Option<ImageId> {
         if self.model.num_registered() >= self.max_images {
             return None;
         }
-        let mut candidates: Vec<(Visibility, ImageId)> = self
-            .frontier()
-            .into_par_iter()
-            .filter(|id| self.trials.get(id).copied().unwrap_or(0) < MAX_REGISTER_TRIALS)
-            .map(|id| (visibility(self.graph, &self.model, id), id))
-            .filter(|(seen, _)| seen.num_points >= self.options.register.min_num_inliers)
-            .collect();
-        candidates.sort_by_key(|(seen, id)| (std::cmp::Reverse(seen.score), *id));
-        for (_, image) in candidates {
-            let seed = self.seed_of(&[u64::from(image.0), self.model.num_registered() as u64]);
-            if register_image(self.graph, &mut self.model, image, &self.options.register, seed).is_some() {
-                return Some(image);
-            }
-            *self.trials.entry(image).or_insert(0) += 1;
-        }
-        None
+        let images = self.frontier();
+        self.queue.register_next(self.graph, &mut self.model, images, &self.options.register)
     }
 
     /// Adjusts a new image with the images that share most points with it.

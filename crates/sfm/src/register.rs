@@ -7,13 +7,13 @@
 use std::collections::BTreeSet;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
+use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
+use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
 /// A second pose is looked at when it has at least this share of the first one's inliers, and taken when the share that it has of what it
-/// ought to see is this much greater. On the street that this was found on, right poses had 0.24 to 0.39 of it, wrong ones 0.05 to 0.14.
+/// ought to see is this much greater. On streets that this was found on, right poses had 1.28 times the share of wrong ones and more.
 const MIN_RIVAL_SHARE: f64 = 0.5;
-const MIN_ADVANTAGE: f64 = 2.0;
+const MIN_ADVANTAGE: f64 = 1.25;
 /// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk & Schmid 2005).
 const SAME_ANGLE_RAD: f64 = 0.175;
 const SAME_DISTANCE: f64 = 1.25;
@@ -44,68 +44,115 @@ pub fn register_image(
     options: &RegisterOptions,
     seed: u64,
 ) -> Option<usize> {
-    let candidates = candidates(graph, model, image);
-    if candidates.len() < options.min_num_inliers {
-        return None;
+    let placement = place_image(graph, model, image, options, seed, &|_| true)?;
+    placement.apply(model);
+    Some(placement.seen.len())
+}
+
+/// Where an image is.
+pub(crate) struct Placement {
+    pub(crate) image: ImageId,
+    cam_from_world: Rigid3,
+    /// Its keypoints that agree with that, and their points.
+    seen: Vec<(u32, PointId)>,
+    /// How many of the points that it ought to see it does,
+    num_found: usize,
+    /// and their share of those.
+    pub(crate) share: f64,
+    /// Whether it may be there.
+    pub(crate) is_plausible: bool,
+}
+
+impl Placement {
+    pub(crate) fn apply(&self, model: &mut Reconstruction) {
+        model.register(self.image, self.cam_from_world);
+        for &(keypoint, point) in &self.seen {
+            model.add_observation(point, Observation { image: self.image, keypoint });
+        }
     }
-    let pixels: Vec<Vector2<f64>> = candidates
-        .iter()
-        .map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel)
-        .collect();
-    let points: Vec<Vector3<f64>> =
-        candidates.iter().filter_map(|(_, point)| model.track(*point)).map(|track| track.xyz).collect();
+}
+
+/// The pose that agrees with what an image sees; `None` where too few do. One that is not plausible only where no other is.
+pub(crate) fn place_image(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    image: ImageId,
+    options: &RegisterOptions,
+    seed: u64,
+    is_plausible: &dyn Fn(&Rigid3) -> bool,
+) -> Option<Placement> {
+    let candidates = candidates(graph, model, image);
+    let neighbours = graph.neighbours(image).iter();
+    let mut around: Vec<PointId> =
+        neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
+    around.sort_unstable();
+    around.dedup();
     let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
-    let intrinsics = &model.camera_of(image).intrinsics;
-    let mut report = estimate::absolute_pose(&pixels, &points, intrinsics, &ransac)?;
-    let share = report.num_inliers as f64 / candidates.len() as f64;
-    if report.num_inliers < options.min_num_inliers || share < options.min_inlier_share {
+    let camera = model.camera_of(image);
+    let place = |candidates: &[(u32, PointId)], least: usize| {
+        if candidates.len() < least {
+            return None;
+        }
+        let pixels: Vec<Vector2<f64>> = candidates
+            .iter()
+            .map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel)
+            .collect();
+        let points: Vec<Vector3<f64>> =
+            candidates.iter().filter_map(|(_, point)| model.track(*point)).map(|track| track.xyz).collect();
+        let report = estimate::absolute_pose(&pixels, &points, &camera.intrinsics, &ransac)?;
+        let inliers = candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier);
+        let seen: Vec<(u32, PointId)> = inliers.map(|(candidate, _)| *candidate).collect();
+        let is_found: BTreeSet<PointId> = seen.iter().map(|(_, point)| *point).collect();
+        let expected: Vec<&PointId> =
+            around.iter().filter(|point| is_expected(model, camera, &report.model, **point)).collect();
+        let num_found = expected.iter().filter(|point| is_found.contains(point)).count();
+        let placement = Placement {
+            image,
+            cam_from_world: report.model,
+            seen,
+            num_found,
+            share: num_found as f64 / expected.len().max(1) as f64,
+            is_plausible: is_plausible(&report.model),
+        };
+        (placement.seen.len() >= least).then_some(placement)
+    };
+    let best = place(&candidates, options.min_num_inliers)?;
+    if (best.seen.len() as f64) < options.min_inlier_share * candidates.len() as f64 {
         return None;
     }
     // What the best pose leaves may agree on another one.
-    let others: Vec<usize> = (0..candidates.len()).filter(|&i| !report.inliers[i]).collect();
-    let least = options.min_num_inliers.max((MIN_RIVAL_SHARE * report.num_inliers as f64) as usize);
-    if others.len() >= least {
-        let (pixels, points): (Vec<_>, Vec<_>) = others.iter().map(|&i| (pixels[i], points[i])).unzip();
-        let rival = estimate::absolute_pose(&pixels, &points, intrinsics, &ransac);
-        if let Some(rival) = rival.filter(|rival| rival.num_inliers >= least) {
-            let found = |report: &Report<Rigid3>| {
-                report.num_inliers as f64 / num_expected(model, image, &report.model).max(1) as f64
-            };
-            if found(&rival) > MIN_ADVANTAGE * found(&report) {
-                let mut inliers = vec![false; candidates.len()];
-                others.iter().zip(&rival.inliers).for_each(|(&i, inlier)| inliers[i] = *inlier);
-                report = Report { inliers, ..rival };
-            }
+    let is_seen: BTreeSet<&(u32, PointId)> = best.seen.iter().collect();
+    let others: Vec<(u32, PointId)> =
+        candidates.iter().filter(|candidate| !is_seen.contains(candidate)).copied().collect();
+    let least = if best.is_plausible { (MIN_RIVAL_SHARE * best.seen.len() as f64) as usize } else { 0 };
+    let rival = place(&others, least.max(options.min_num_inliers));
+    let is_better = |rival: &Placement| match (best.is_plausible, rival.is_plausible) {
+        (true, true) => {
+            rival.num_found >= options.min_num_inliers && rival.share > MIN_ADVANTAGE * best.share
         }
-    }
-    model.register(image, report.model);
-    for ((keypoint, point), _) in candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier) {
-        model.add_observation(*point, Observation { image, keypoint: *keypoint });
-    }
-    Some(report.num_inliers)
+        (of_best, of_rival) => of_rival && !of_best,
+    };
+    let rival = rival.filter(is_better);
+    Some(rival.unwrap_or(best))
 }
 
-/// How many points an image with this pose ought to see: those that project into it and that some image sees from nearly the same
-/// direction and distance.
-fn num_expected(model: &Reconstruction, image: ImageId, cam_from_world: &Rigid3) -> usize {
-    let camera = model.camera_of(image);
-    let centre = cam_from_world.origin_in_a();
-    let is_expected = |track: &Track| {
-        let is_inside = camera
-            .intrinsics
-            .project(&(*cam_from_world * track.xyz))
-            .is_some_and(|pixel| camera.contains(&pixel));
-        let ray = track.xyz - centre;
-        let looks_alike = |observation: &Observation| {
-            model.image(observation.image).cam_from_world().is_some_and(|pose| {
-                let seen = track.xyz - pose.origin_in_a();
-                let ratio = ray.norm() / seen.norm();
-                ray.angle(&seen) < SAME_ANGLE_RAD && ratio.max(1.0 / ratio) < SAME_DISTANCE
-            })
-        };
-        is_inside && track.observations.iter().any(looks_alike)
+/// Whether an image with this pose ought to see a point: it projects into it, and some image sees it from nearly the same direction and
+/// distance.
+fn is_expected(model: &Reconstruction, camera: &Camera, cam_from_world: &Rigid3, point: PointId) -> bool {
+    let Some(track) = model.track(point) else { return false };
+    let is_inside = camera
+        .intrinsics
+        .project(&(*cam_from_world * track.xyz))
+        .is_some_and(|pixel| camera.contains(&pixel));
+    let ray = track.xyz - cam_from_world.origin_in_a();
+    let looks_alike = |observation: &Observation| {
+        model.image(observation.image).cam_from_world().is_some_and(|pose| {
+            let seen = track.xyz - pose.origin_in_a();
+            let ratio = ray.norm() / seen.norm();
+            ray.angle(&seen) < SAME_ANGLE_RAD && ratio.max(1.0 / ratio) < SAME_DISTANCE
+        })
     };
-    model.tracks().filter(|(_, track)| is_expected(track)).count()
+    is_inside && track.observations.iter().any(looks_alike)
 }
 
 /// Keypoints with the points that their correspondences see; a keypoint may have several.
