@@ -21,7 +21,7 @@ use crate::loop_closure::{is_closed, join, torn_pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::next_image::Queue;
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
-use crate::shutter::{Detected, Readout, estimate, known, straighten};
+use crate::shutter::RollingShutters;
 use crate::sigma::relative_noise;
 use crate::tracks::{complete_tracks, merge_tracks, recreate_tracks, triangulate_image};
 use crate::{Error, Event};
@@ -37,7 +37,7 @@ const MAX_STARTS: usize = 6;
 const GOOD_START_SHARE: f64 = 0.94;
 /// How often loops are closed: one that is hides another.
 const MAX_CLOSURES: usize = 3;
-/// How often keypoints are straightened by the model, and the model made by them.
+/// How often keypoints are straightened by the model in the end, and the model made by them.
 const STRAIGHT_ROUNDS: usize = 3;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
@@ -103,11 +103,15 @@ impl<'a> Mapper<'a> {
         }
         self.weigh();
         self.refine_globally(&Effort::GROWN, watch)?;
+        let mut shutters = self.options.readout.map(|readout| RollingShutters::new(&self.model, readout));
+        // Before loops are closed: a rolling shutter makes a drive grow or shrink on its way, sevenfold in 2 km, and no loop closes over that.
+        self.straighten(&mut shutters, &Effort::GROWN, watch)?;
         self.close_loops(watch)?;
         self.weigh();
         self.refine_globally(&Effort::FINAL, watch)?;
-        if let Some(readout) = self.options.readout {
-            self.finish(Finish::Straightened, watch, |mapper, watch| mapper.straighten(readout, watch))?;
+        self.straighten(&mut shutters, &Effort::STRAIGHTENED, watch)?;
+        if let Some(shutters) = &shutters {
+            shutters.get().iter().try_for_each(|shutter| tell(watch, &Event::Shutter(*shutter)))?;
         }
         match self.options.rig {
             RigTerm::Paper => self.finish(Finish::Held, watch, |mapper, watch| {
@@ -194,26 +198,39 @@ impl<'a> Mapper<'a> {
         hold_to_mountings(&context, &mut self.model, self.options.rig, descriptors, watch)
     }
 
-    /// Takes off the keypoints what a rolling shutter did to them, and refines the model with what is left.
+    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what is left. Shutters of which that fails are
+    /// left alone from then on.
     fn straighten(
         &mut self,
-        readout: Readout,
+        shutters: &mut Option<RollingShutters>,
+        effort: &Effort,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
-        let detected = Detected::of(&self.model);
-        let shutters = match readout {
-            Readout::Known(readout_s) => known(&self.model, readout_s),
-            Readout::Estimated => {
-                let options = self.adjust_options(&[], &Effort::FINAL);
-                estimate(&mut self.model, &detected, &options)?
+        let Some(mut found) = shutters.take() else { return Ok(()) };
+        self.finish(Finish::Straightened, watch, |mapper, watch| {
+            let (options, before) = (mapper.adjust_options(&[], effort), mapper.model.num_registered());
+            found.find(&mut mapper.model, &options)?;
+            if !effort.spread {
+                found.find_deviations(&mapper.model, &options)?;
             }
-        };
-        for _ in 0..STRAIGHT_ROUNDS {
-            straighten(&mut self.model, &detected, &shutters);
-            self.weigh();
-            self.refine_globally(&Effort::STRAIGHTENED, watch)?;
-        }
-        shutters.into_iter().try_for_each(|shutter| tell(watch, &Event::Shutter(shutter)))
+            let rounds = if effort.spread { 1 } else { STRAIGHT_ROUNDS };
+            for _ in 0..rounds {
+                found.take_off(&mut mapper.model);
+                mapper.weigh();
+                mapper.refine_globally(effort, watch)?;
+            }
+            // A readout that cannot be leaves hardly any image where it sees something.
+            let (images, points) = (mapper.model.num_registered(), mapper.model.num_tracks());
+            if 2 * images < before {
+                return Err(Error::NothingToAdjust {
+                    images,
+                    points,
+                    observations: mapper.model.num_observations(),
+                });
+            }
+            *shutters = Some(found);
+            Ok(())
+        })
     }
 
     /// Registers all images that can be, adjusting as the model grows.

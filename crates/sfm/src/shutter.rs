@@ -52,14 +52,81 @@ const MAX_SPEED: f64 = 3.0;
 const DIFFERENCE_S: f64 = 1e-3;
 
 /// The keypoints as they were detected.
-pub(crate) struct Detected(BTreeMap<ImageId, Vec<Vector2<f64>>>);
+struct Detected(BTreeMap<ImageId, Vec<Vector2<f64>>>);
 
-impl Detected {
-    pub(crate) fn of(model: &Reconstruction) -> Self {
+/// The shutters of a model's cameras, and what they did to its keypoints.
+pub(crate) struct RollingShutters {
+    readout: Readout,
+    detected: Detected,
+    shutters: Vec<RollingShutter>,
+}
+
+impl RollingShutters {
+    /// Of a model whose keypoints are as they were detected.
+    pub(crate) fn new(model: &Reconstruction, readout: Readout) -> Self {
         let pixels = |(id, image): (ImageId, &tiepoint_scene::Image)| {
             (id, image.keypoints.iter().map(|keypoint| keypoint.pixel).collect())
         };
-        Self(model.images().map(pixels).collect())
+        let readout_s = match readout {
+            Readout::Known(readout_s) => readout_s,
+            Readout::Estimated => 0.0,
+        };
+        let shutter = |camera| RollingShutter { camera, readout_s, readout_sd_s: None };
+        Self {
+            readout,
+            detected: Detected(model.images().map(pixels).collect()),
+            shutters: model.cameras().map(|(camera, _)| shutter(camera)).collect(),
+        }
+    }
+
+    /// What is known of each shutter.
+    pub(crate) fn get(&self) -> &[RollingShutter] {
+        &self.shutters
+    }
+
+    /// Finds the readouts where they are not given, from those that were found before; the model is left adjusted for them.
+    pub(crate) fn find(&mut self, model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
+        if self.readout != Readout::Estimated {
+            return Ok(());
+        }
+        for _ in 0..MAX_STEPS {
+            let keypoints = shifted(model, &self.detected, &self.shutters);
+            let shutters = Shutters { shutters: &self.shutters, keypoints: &keypoints };
+            let found = adjust_readouts(model, options, &shutters)?;
+            let has_moved =
+                |(a, b): (&RollingShutter, &RollingShutter)| (a.readout_s - b.readout_s).abs() > MIN_STEP_S;
+            let is_over = !self.shutters.iter().zip(&found).any(has_moved);
+            self.shutters = found;
+            if is_over {
+                break;
+            }
+        }
+        self.take_off(model);
+        Ok(())
+    }
+
+    /// Says how well the readouts that were found are known.
+    pub(crate) fn find_deviations(
+        &mut self,
+        model: &Reconstruction,
+        options: &AdjustOptions,
+    ) -> Result<(), Error> {
+        if self.readout == Readout::Estimated {
+            let keypoints = shifted(model, &self.detected, &self.shutters);
+            let shutters = Shutters { shutters: &self.shutters, keypoints: &keypoints };
+            self.shutters = with_deviations(model, options, &shutters)?;
+        }
+        Ok(())
+    }
+
+    /// Puts the keypoints where a global shutter would have them, as the cameras move in the model.
+    pub(crate) fn take_off(&self, model: &mut Reconstruction) {
+        for (id, keypoints) in shifted(model, &self.detected, &self.shutters) {
+            let readout_s = readout_s(&self.shutters, model.image(id).camera);
+            let pixels: Vec<Vector2<f64>> =
+                keypoints.iter().map(|keypoint| keypoint.pixel - keypoint.shift * readout_s).collect();
+            model.move_keypoints(id, &pixels);
+        }
     }
 }
 
@@ -146,49 +213,6 @@ fn shifts(
         shift: shift(k, pixel).unwrap_or_default(),
     };
     pixels.iter().enumerate().map(shifted).collect()
-}
-
-/// Puts every keypoint to where it would be seen if all rows were exposed with the middle one.
-pub(crate) fn straighten(model: &mut Reconstruction, detected: &Detected, shutters: &[RollingShutter]) {
-    let keypoints = shifted(model, detected, shutters);
-    take_off(model, &Shutters { shutters, keypoints: &keypoints });
-}
-
-fn take_off(model: &mut Reconstruction, shutters: &Shutters) {
-    for (id, keypoints) in shutters.keypoints {
-        let readout_s = readout_s(shutters.shutters, model.image(*id).camera);
-        let pixels: Vec<Vector2<f64>> =
-            keypoints.iter().map(|keypoint| keypoint.pixel - keypoint.shift * readout_s).collect();
-        model.move_keypoints(*id, &pixels);
-    }
-}
-
-/// The same readout for every camera.
-pub(crate) fn known(model: &Reconstruction, readout_s: f64) -> Vec<RollingShutter> {
-    model.cameras().map(|(camera, _)| RollingShutter { camera, readout_s, readout_sd_s: None }).collect()
-}
-
-/// Finds the readout of each camera, and how well it is known; the model is left adjusted for it.
-pub(crate) fn estimate(
-    model: &mut Reconstruction,
-    detected: &Detected,
-    options: &AdjustOptions,
-) -> Result<Vec<RollingShutter>, Error> {
-    let mut shutters = known(model, 0.0);
-    let mut keypoints = shifted(model, detected, &shutters);
-    for _ in 0..MAX_STEPS {
-        let before = shutters;
-        shutters = adjust_readouts(model, options, &Shutters { shutters: &before, keypoints: &keypoints })?;
-        keypoints = shifted(model, detected, &shutters);
-        let has_moved =
-            |(a, b): (&RollingShutter, &RollingShutter)| (a.readout_s - b.readout_s).abs() > MIN_STEP_S;
-        if !before.iter().zip(&shutters).any(has_moved) {
-            break;
-        }
-    }
-    let shutters = Shutters { shutters: &shutters, keypoints: &keypoints };
-    take_off(model, &shutters);
-    with_deviations(model, options, &shutters)
 }
 
 #[cfg(test)]

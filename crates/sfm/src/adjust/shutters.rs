@@ -9,7 +9,7 @@ use tiepoint_geometry::nalgebra::{Vector1, Vector2};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::mountings::without_points_at_infinity;
-use super::{AdjustOptions, Bundle, Scope, keep_going};
+use super::{AdjustOptions, Bundle, Scope, keep_going, retriangulate_others};
 use crate::Error;
 use crate::shutter::RollingShutter;
 use crate::sigma::noise_of_fit;
@@ -38,6 +38,7 @@ pub(crate) fn adjust_readouts(
 ) -> Result<Vec<RollingShutter>, Error> {
     let mut bundle = Bundle::new(model, &Scope::Global, options, &[], Some(shutters))?;
     bundle.solve(model, options, &mut keep_going)?;
+    retriangulate_others(model, &Scope::Global, &bundle.points);
     let found = |shutter: &RollingShutter| RollingShutter {
         readout_s: bundle.readouts.get(&shutter.camera).map_or(0.0, |key| bundle.problem.get(*key).x),
         ..*shutter
