@@ -8,11 +8,12 @@
 What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database: keypoints, matches, camera model and first focal
 length are ours. For Traditional it knows of no rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown
 rig: without, then with the rig that the first run gives (`apply_rig_config`), whose frames are the images nearest to each other by their
-stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Models are put into `colmap/sparse/0` of the
+stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Each of its mappings gets so many minutes. Models are put into `colmap/sparse/0` of the
 workspaces, where `tiepoint experiment` finds and judges them like its own.
 """
 
 import argparse
+import multiprocessing
 import shutil
 import sqlite3
 import subprocess
@@ -57,6 +58,17 @@ def write(model, folder, names=None):
     model.write(target)
 
 
+def ended(minutes, function, *arguments):
+    """Calls it in a process of its own, which is killed after so many minutes; whether it came to its end."""
+    process = multiprocessing.Process(target=function, args=arguments)
+    process.start()
+    process.join(60 * minutes)
+    alive = process.is_alive()
+    process.kill()
+    process.join()
+    return not alive
+
+
 def copy_database(workspace):
     """COLMAP does not map a fisheye unless it is told that the focal length is known roughly."""
     copy = workspace / "colmap.db"
@@ -78,7 +90,6 @@ def traditional(workspace, drive):
     model = map_largest(copy, drive, workspace / "colmap.sparse")
     if model:
         write(model, workspace)
-    return model
 
 
 def with_frames(database, drive):
@@ -100,12 +111,11 @@ def constrained(workspace, drive):
     names = with_frames(copy, drive)
     first = map_largest(copy, drive, workspace / "colmap.sparse")
     if first is None:
-        return None
+        return
     make_rig(copy, first)
     model = map_largest(copy, drive, workspace / "colmap.sparse")
     if model:
         write(model, workspace, names)
-    return model
 
 
 def main():
@@ -114,6 +124,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("tiepoint-experiment"))
     parser.add_argument("--only", choices=["mounting", "baseline"])
+    parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--program", type=Path)
     arguments = parser.parse_args(own)
     program = program_of(arguments)
@@ -132,9 +143,8 @@ def main():
             if (workspace / "colmap/sparse/0").exists():
                 continue
             start = time.perf_counter()
-            model = run(workspace, drive)
-            images = model.num_reg_images() if model else 0
-            print(f"{workspace}: COLMAP {images} images, {time.perf_counter() - start:.0f} s", file=sys.stderr)
+            how = "" if ended(arguments.minutes, run, workspace, drive) else ", not done"
+            print(f"{workspace}: COLMAP, {time.perf_counter() - start:.0f} s{how}", file=sys.stderr)
         subprocess.run(list(map(str, command)), check=True)
 
 

@@ -6,14 +6,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-/// Of a camera of which fewer steps are known nothing is known.
-const MIN_STEPS: usize = 10;
-/// A camera is as fast as it is nine times in ten; who is this many times as fast jumps. Rows of windows move a camera by six frames.
+/// A camera is as fast as it is nine times in ten, among so many steps before and behind: the scale of a long drive drifts until its lens and its
+/// shutter are known. Of a camera of which fewer steps are known nothing is known.
 const USUAL: f64 = 0.9;
-const MAX_SPEED: f64 = 3.0;
-/// An image waits for those between it and the model when they are no more than this.
+const KNOWN_STEPS: usize = 300;
+const MIN_STEPS: usize = 10;
+/// Who is not where its neighbours' motion leads, by more than this many times the way that the camera makes meanwhile, jumps: to turn back at
+/// once it would take twice that way. Windows 8.7 m apart moved a camera that makes 1 m a frame by 8.7 times, next to a frame that was lost
+/// by 4.
+const MAX_CHANGE: f64 = 2.0;
+/// The nearest image of the model is looked for among so many before and behind.
 const MAX_WAITING: usize = 20;
 /// How many images before and behind may tell that one jumps.
 const MAX_STEPS: usize = 3;
@@ -62,18 +67,13 @@ impl Timelines {
             .is_some_and(|(steps, side)| side[..steps].iter().any(|(_, other)| candidates.contains(other)))
     }
 
-    /// How fast the camera of an image is, in units a second; `None` where too little is known of it.
+    /// How fast the camera of an image is about then, in units a second; `None` where too little is known of it.
     pub(crate) fn usual_speed(&self, model: &Reconstruction, image: ImageId) -> Option<f64> {
-        let images = self.cameras.get(&model.image(image).camera)?;
-        let centre = |image: ImageId| Some(model.image(image).cam_from_world()?.origin_in_a());
-        let speed = |pair: &[(f64, ImageId)]| {
-            let [(before_s, before), (after_s, after)] = [pair[0], pair[1]];
-            let speed = (centre(after)? - centre(before)?).norm() / (after_s - before_s);
-            speed.is_finite().then_some(speed)
-        };
-        let mut speeds: Vec<f64> = images.windows(2).filter_map(speed).collect();
-        speeds.sort_by(f64::total_cmp);
-        (speeds.len() >= MIN_STEPS).then(|| speeds[(USUAL * speeds.len() as f64) as usize])
+        let (images, place) = (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
+        let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
+        let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
+        let speeds: Vec<f64> = images[around].windows(2).filter_map(speed).collect();
+        if speeds.len() < MIN_STEPS { None } else { usual(speeds) }
     }
 
     /// Whether a camera of this usual speed would have to jump from the images next to this one to be here.
@@ -87,13 +87,33 @@ impl Timelines {
         let Some(sides) = self.sides(model, image) else { return false };
         let Some(time_s) = model.image(image).time_s else { return false };
         let centre = cam_from_world.origin_in_a();
-        let is_far = |(other_s, other): &&(f64, ImageId)| {
-            let pose = model.image(*other).cam_from_world();
-            let furthest = MAX_SPEED * usual_speed * (time_s - other_s).abs();
-            pose.is_some_and(|pose| (pose.origin_in_a() - centre).norm() > furthest)
+        let is_off = |side: &[&(f64, ImageId)], step: usize| {
+            let near = side[step];
+            let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else { return false };
+            // Where nothing further on that side tells of its motion, it stands.
+            let way =
+                side.get(step + 1).and_then(|further| velocity(model, further, near)).unwrap_or_default();
+            elapsed_s != 0.0
+                && (centre - from - way * elapsed_s).norm() > MAX_CHANGE * usual_speed * elapsed_s.abs()
         };
-        sides.iter().any(|side| side.iter().take(MAX_STEPS).any(is_far))
+        sides.iter().any(|side| (0..side.len().min(MAX_STEPS)).any(|step| is_off(side, step)))
     }
+}
+
+/// How fast a camera of these speeds is nine times in ten.
+pub(crate) fn usual(mut speeds: Vec<f64>) -> Option<f64> {
+    speeds.sort_by(f64::total_cmp);
+    speeds.get((USUAL * speeds.len().saturating_sub(1) as f64) as usize).copied()
+}
+
+fn centre_of(model: &Reconstruction, image: ImageId) -> Option<Vector3<f64>> {
+    Some(model.image(image).cam_from_world()?.origin_in_a())
+}
+
+/// Between two images with a pose, at different times; in units a second.
+fn velocity(model: &Reconstruction, from: &(f64, ImageId), to: &(f64, ImageId)) -> Option<Vector3<f64>> {
+    let velocity = (centre_of(model, to.1)? - centre_of(model, from.1)?) / (to.0 - from.0);
+    velocity.iter().all(|number| number.is_finite()).then_some(velocity)
 }
 
 #[cfg(test)]
@@ -156,8 +176,13 @@ mod tests {
         let speed = timelines.usual_speed(&model, images[last]).expect("steps enough");
         assert!((speed - 1.0).abs() < 1e-12);
         let jumps = |x: f64| timelines.jumps(&model, images[last], &at(last as f64 + x), speed);
-        assert!(!jumps(0.0) && !jumps(1.5) && !jumps(-3.5));
-        assert!(jumps(2.5) && jumps(-5.0));
+        // Where it stops, turns back and comes twice as far, and where it does not.
+        assert!(!jumps(0.0) && !jumps(-1.0) && !jumps(-1.9) && !jumps(1.0));
+        assert!(jumps(2.1) && jumps(-2.1));
+        // Of an image of the same moment the motion tells nothing.
+        let mut twice = model.clone();
+        twice.set_time(images[last], Some((last - 1) as f64));
+        assert!(!Timelines::new(&twice).jumps(&twice, images[last], &at(last as f64), speed));
         let (model, images) = drive(last - 1);
         assert_eq!(Timelines::new(&model).usual_speed(&model, images[last]), None);
     }

@@ -22,8 +22,6 @@ impl Effort {
     pub(crate) const GROWING: Self = Self { rounds: 1, tolerance: 1e-5, max_iterations: 30, spread: true };
     /// For everything that has grown, to see where it does not hang together.
     pub(crate) const GROWN: Self = Self { rounds: 1, spread: true, ..Self::FINAL };
-    /// To pull a loop together; the robust loss, which lets go of points that do not fit, comes after.
-    pub(crate) const CLOSING: Self = Self { tolerance: 1e-3, spread: true, ..Self::FINAL };
     /// For a loop that has just been closed.
     pub(crate) const CLOSED: Self = Self { rounds: 3, spread: true, ..Self::FINAL };
     /// To find how cameras are mounted.

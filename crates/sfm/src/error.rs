@@ -24,6 +24,14 @@ pub enum Error {
         /// Observations.
         observations: usize,
     },
+    /// What was taken off the keypoints cannot have been done to them.
+    #[error("without it {after} of {before} images still saw anything")]
+    ImagesLost {
+        /// Images with a pose before,
+        before: usize,
+        /// and after.
+        after: usize,
+    },
     /// The optimiser refused the problem.
     #[error(transparent)]
     Adjustment(#[from] tiepoint_ba::Error),

@@ -56,7 +56,7 @@ pub enum Event {
         /// Of the other one.
         right: ImageId,
     },
-    /// What was to be made of the finished model failed; it is as it was.
+    /// What was to be made of the model failed; it is as it was.
     Failed {
         /// What.
         finish: Finish,

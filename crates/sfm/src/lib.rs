@@ -17,6 +17,7 @@ mod loop_closure;
 mod mapper;
 mod mounting;
 mod next_image;
+mod pose_graph;
 mod register;
 mod rig_pairs;
 mod shutter;

@@ -4,10 +4,10 @@
 //! there, the images on both sides stay apart although their matches say that they see the same: the model is torn. Such pairs are
 //! easily told from others: nearly none of their matches became one point, and no chain of few images that do see points in common leads
 //! from one to the other (where it does, the pair is a wrong one: windows of a facade, seen from places that differ by their distance,
-//! agree with the epipolar geometry of a camera that drives along it). So these points are made one, whatever their errors, and
-//! everything is adjusted without a robust loss (which would let go of what it should bring together), so that the drift spreads over the
-//! whole loop; then all tracks are made anew. The loop stays closed if that makes more of all verified matches one point, about as many
-//! as were torn: wrong pairs, which look alike and are not, cost others what they gain.
+//! agree with the epipolar geometry of a camera that drives along it). What their matches say of how they stand to each other is brought
+//! about by moving all images a little ([`crate::pose_graph`]); then these points are made one, everything is adjusted, and all tracks are made
+//! anew. The loop stays closed if that makes more of all verified matches one point, about as many as were torn: wrong pairs, which look alike
+//! and are not, cost others what they gain.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,7 +22,7 @@ const MIN_MATCHES: usize = 15;
 /// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and more.
 const MAX_JOINED: f64 = 0.1;
 /// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One or two are pairs that look alike.
-const MIN_PAIRS: usize = 3;
+pub(crate) const MIN_PAIRS: usize = 3;
 /// A model cannot tear between images that so few pairs in a row join, which see points in common.
 const MAX_STEPS: usize = 4;
 /// A loop is closed when so many of the torn matches have become one point, in total.
@@ -37,41 +37,73 @@ fn points<'a>(
     two_view.matches.iter().filter_map(|m| Some((a.point_of(m.a)?, b.point_of(m.b)?)))
 }
 
-/// Pairs whose images see the same by their matches, and not by their points; none where these are too few to be a loop.
-pub(crate) fn torn_pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Vec<ImagePair> {
-    let mut torn = Vec::new();
-    let mut joined: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
+/// Pairs of images whose matches see points.
+pub(crate) struct Pairs {
+    /// Whose images see the same by their matches, and not by their points; none where these are too few to be a loop.
+    pub(crate) torn: Vec<ImagePair>,
+    /// Whose images see points in common.
+    pub(crate) joined: Joined,
+}
+
+/// Which images see points in common with which others.
+#[derive(Default)]
+pub(crate) struct Joined(BTreeMap<ImageId, Vec<ImageId>>);
+
+impl Joined {
+    fn insert(&mut self, pair: ImagePair) {
+        self.0.entry(pair.a).or_default().push(pair.b);
+        self.0.entry(pair.b).or_default().push(pair.a);
+    }
+
+    /// Each pair once.
+    pub(crate) fn pairs(&self) -> impl Iterator<Item = ImagePair> {
+        let of = |(a, others): (&ImageId, &Vec<ImageId>)| {
+            let a = *a;
+            others
+                .iter()
+                .filter(move |b| a < **b)
+                .filter_map(move |b| ImagePair::new(a, *b))
+                .collect::<Vec<_>>()
+        };
+        self.0.iter().flat_map(of)
+    }
+
+    /// The images that at most [`MAX_STEPS`] pairs lead to from an image, itself among them.
+    pub(crate) fn near(&self, image: ImageId) -> BTreeSet<ImageId> {
+        let others = |of: &ImageId| self.0.get(of).into_iter().flatten().copied();
+        let mut reached = BTreeSet::from([image]);
+        let mut last = reached.clone();
+        for _ in 0..MAX_STEPS {
+            last = last.iter().flat_map(others).filter(|image| !reached.contains(image)).collect();
+            reached.extend(&last);
+        }
+        reached
+    }
+}
+
+/// Tells the pairs that are torn from the others.
+pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pairs {
+    let (mut torn, mut joined) = (Vec::new(), Joined::default());
     for pair in graph.pairs() {
         let (mut same, mut seen) = (0, 0);
         for (a, b) in points(model, pair) {
             same += usize::from(a == b);
             seen += 1;
         }
-        let ImagePair { a, b } = *pair.0;
         if seen < MIN_MATCHES {
             continue;
         }
         if same as f64 <= MAX_JOINED * seen as f64 {
             torn.push(*pair.0);
         } else {
-            joined.entry(a).or_default().push(b);
-            joined.entry(b).or_default().push(a);
+            joined.insert(*pair.0);
         }
     }
-    torn.retain(|pair| !is_near(&joined, *pair));
-    if torn.len() < MIN_PAIRS { Vec::new() } else { torn }
-}
-
-/// Whether at most [`MAX_STEPS`] pairs that see points in common lead from one image to the other.
-fn is_near(joined: &BTreeMap<ImageId, Vec<ImageId>>, pair: ImagePair) -> bool {
-    let neighbours = |of: &ImageId| joined.get(of).into_iter().flatten().copied();
-    let mut reached = BTreeSet::from([pair.a]);
-    let mut last = reached.clone();
-    for _ in 0..MAX_STEPS {
-        last = last.iter().flat_map(neighbours).filter(|image| !reached.contains(image)).collect();
-        reached.extend(&last);
+    torn.retain(|pair| !joined.near(pair.a).contains(&pair.b));
+    if torn.len() < MIN_PAIRS {
+        torn.clear();
     }
-    reached.contains(&pair.b)
+    Pairs { torn, joined }
 }
 
 /// Whether a model that was made of another one by closing loops has made enough more matches one point.
@@ -92,9 +124,13 @@ fn num_joined(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
 }
 
 /// Makes the two points of every match of these pairs one, in the middle of their observations.
-pub(crate) fn join(graph: &CorrespondenceGraph, model: &mut Reconstruction, pairs: &[ImagePair]) {
+pub(crate) fn join(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    pairs: impl IntoIterator<Item = ImagePair>,
+) {
     for pair in pairs {
-        let Some(two_view) = graph.pairs().get(pair) else { continue };
+        let Some(two_view) = graph.pairs().get(&pair) else { continue };
         for m in &two_view.matches {
             let point = |o: Observation| model.image(o.image).point_of(o.keypoint);
             let (a, b) =
@@ -157,9 +193,9 @@ mod tests {
     fn images_that_few_pairs_join_only_look_alike() {
         let (model, images) = row();
         let alike = || (0..IMAGES - ALIKE).map(|i| (i, i + ALIKE));
-        assert_eq!(torn_pairs(&graph(&images, alike()), &model), []);
+        assert_eq!(pairs(&graph(&images, alike()), &model).torn, []);
         let ends = || (0..MIN_PAIRS).map(|i| (i, IMAGES - 1 - i));
         let torn: Vec<_> = ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
-        assert_eq!(torn_pairs(&graph(&images, alike().chain(ends())), &model), torn);
+        assert_eq!(pairs(&graph(&images, alike().chain(ends())), &model).torn, torn);
     }
 }

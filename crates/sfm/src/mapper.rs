@@ -6,7 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-use tiepoint_geometry::{Loss, Rigid3, Rng};
+use rayon::prelude::*;
+use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, adjust, keep_going};
@@ -17,9 +18,10 @@ use crate::focal::FocalPrior;
 use crate::focal_trials::explained;
 use crate::incremental::{MapperOptions, RigTerm};
 use crate::initial_pair::{self, InitialPair, initial_pairs};
-use crate::loop_closure::{is_closed, join, torn_pairs};
+use crate::loop_closure::{Joined, MIN_PAIRS, Pairs, is_closed, join, pairs};
 use crate::mounting::{Context, Descriptors, hold_to_mountings};
 use crate::next_image::Queue;
+use crate::pose_graph::{Meeting, agreeing, spread_drift};
 use crate::rig_pairs::{BaselineLink, RigPairs, final_links, growing_links};
 use crate::shutter::RollingShutters;
 use crate::sigma::relative_noise;
@@ -39,6 +41,8 @@ const GOOD_START_SHARE: f64 = 0.94;
 const MAX_CLOSURES: usize = 3;
 /// How often keypoints are straightened by the model in the end, and the model made by them.
 const STRAIGHT_ROUNDS: usize = 3;
+/// Of the images at least this share is left then: a readout that cannot be leaves hardly any, since what it shifts agrees with nothing.
+const MIN_STRAIGHTENED: f64 = 0.5;
 /// A refinement is over when a round changes the number of observations and the cost by less than this share.
 const MIN_CHANGE: f64 = 5e-4;
 /// With fewer images the distortion is too weakly determined to be moved.
@@ -105,11 +109,11 @@ impl<'a> Mapper<'a> {
         self.refine_globally(&Effort::GROWN, watch)?;
         let mut shutters = self.options.readout.map(|readout| RollingShutters::new(&self.model, readout));
         // Before loops are closed: a rolling shutter makes a drive grow or shrink on its way, sevenfold in 2 km, and no loop closes over that.
-        self.straighten(&mut shutters, &Effort::GROWN, watch)?;
+        self.straighten(&mut shutters, &Effort::GROWN, false, watch)?;
         self.close_loops(watch)?;
         self.weigh();
         self.refine_globally(&Effort::FINAL, watch)?;
-        self.straighten(&mut shutters, &Effort::STRAIGHTENED, watch)?;
+        self.straighten(&mut shutters, &Effort::STRAIGHTENED, true, watch)?;
         if let Some(shutters) = &shutters {
             shutters.get().iter().try_for_each(|shutter| tell(watch, &Event::Shutter(*shutter)))?;
         }
@@ -151,12 +155,14 @@ impl<'a> Mapper<'a> {
     /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
     fn close_loops(&mut self, watch: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<(), Error> {
         for _ in 0..MAX_CLOSURES {
-            let torn = torn_pairs(self.graph, &self.model);
-            if torn.is_empty() {
+            let Pairs { torn, joined } = pairs(self.graph, &self.model);
+            let meetings = self.meetings(&torn, &joined);
+            if meetings.len() < MIN_PAIRS {
                 break;
             }
+            let torn: Vec<ImagePair> = meetings.iter().map(|meeting| meeting.pair).collect();
             let before = self.model.clone();
-            match self.close_loop(&torn, watch) {
+            match self.close_loop(&joined, &meetings, watch) {
                 Ok(()) if is_closed(self.graph, &self.model, &before, &torn) => {}
                 Err(Error::Cancelled) => return Err(Error::Cancelled),
                 // What tears them is not drift. Where the pairs are wrong, or the lens is, closing may leave nothing to adjust.
@@ -170,15 +176,25 @@ impl<'a> Mapper<'a> {
         Ok(())
     }
 
-    /// Makes the matches of some pairs one point each, and spreads what that costs over the model.
+    /// How the images of torn pairs should stand to each other.
+    fn meetings(&self, torn: &[ImagePair], joined: &Joined) -> Vec<Meeting> {
+        let meeting = |pair: &ImagePair| {
+            let seed = Rng::stream(self.options.seed, &[pair.a.0.into(), pair.b.0.into()]).next_u64();
+            Meeting::new(&self.model, *pair, self.graph.pairs().get(pair)?, seed)
+        };
+        let meetings: Vec<Meeting> = torn.par_iter().filter_map(meeting).collect();
+        agreeing(&self.model, &meetings, joined)
+    }
+
+    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point each.
     fn close_loop(
         &mut self,
-        torn: &[ImagePair],
+        joined: &Joined,
+        meetings: &[Meeting],
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
-        join(self.graph, &mut self.model, torn);
-        let options = AdjustOptions { loss: Loss::Trivial, ..self.adjust_options(&[], &Effort::CLOSING) };
-        adjust(&mut self.model, &Scope::Global, &options, &mut keep_going)?;
+        spread_drift(&mut self.model, joined, meetings)?;
+        join(self.graph, &mut self.model, meetings.iter().map(|meeting| meeting.pair));
         self.refine_globally(&Effort::CLOSED, watch)
     }
 
@@ -198,39 +214,43 @@ impl<'a> Mapper<'a> {
         hold_to_mountings(&context, &mut self.model, self.options.rig, descriptors, watch)
     }
 
-    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what is left. Shutters of which that fails are
-    /// left alone from then on.
+    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what is left. Where that fails, the shutters are left
+    /// alone from then on, or as they were found before.
     fn straighten(
         &mut self,
         shutters: &mut Option<RollingShutters>,
         effort: &Effort,
+        is_last: bool,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
         let Some(mut found) = shutters.take() else { return Ok(()) };
+        let (earlier, mut is_done) = (found.get().to_vec(), false);
         self.finish(Finish::Straightened, watch, |mapper, watch| {
             let (options, before) = (mapper.adjust_options(&[], effort), mapper.model.num_registered());
             found.find(&mut mapper.model, &options)?;
-            if !effort.spread {
+            if is_last {
                 found.find_deviations(&mapper.model, &options)?;
             }
-            let rounds = if effort.spread { 1 } else { STRAIGHT_ROUNDS };
-            for _ in 0..rounds {
-                found.take_off(&mut mapper.model);
+            for round in 0..if is_last { STRAIGHT_ROUNDS } else { 1 } {
+                if round > 0 {
+                    found.take_off(&mut mapper.model);
+                }
                 mapper.weigh();
                 mapper.refine_globally(effort, watch)?;
             }
-            // A readout that cannot be leaves hardly any image where it sees something.
-            let (images, points) = (mapper.model.num_registered(), mapper.model.num_tracks());
-            if 2 * images < before {
-                return Err(Error::NothingToAdjust {
-                    images,
-                    points,
-                    observations: mapper.model.num_observations(),
-                });
+            let after = mapper.model.num_registered();
+            if (after as f64) < MIN_STRAIGHTENED * before as f64 {
+                return Err(Error::ImagesLost { before, after });
             }
-            *shutters = Some(found);
+            is_done = true;
             Ok(())
-        })
+        })?;
+        if !is_done && is_last {
+            // What was taken off before still is.
+            found.set(earlier);
+        }
+        *shutters = (is_done || is_last).then_some(found);
+        Ok(())
     }
 
     /// Registers all images that can be, adjusting as the model grows.
@@ -524,7 +544,7 @@ mod tests {
         });
         let graph = graph.extended(wrong);
         let mut mapper = Mapper { model: model.clone(), ..Mapper::new(&graph, &blank, &options) };
-        assert!(!torn_pairs(&graph, &model).is_empty());
+        assert!(!pairs(&graph, &model).torn.is_empty());
         mapper.close_loops(watch).expect("no reason to end the run");
         assert!(mapper.model == model);
     }

@@ -2,7 +2,8 @@
 //!
 //! Where texture repeats (windows of a facade), images that should see nothing of the model yet see it by matches that are wrong and agree with
 //! each other, and drag all that follow along. The right neighbours settle that, so they come first: images wait for those that are between
-//! them and the model in time; and who finds less of what it ought to see than those around it did, or jumps, waits for all others.
+//! them and the model in time; and who finds less of what it ought to see than those around it did, or jumps, waits for all others that do not
+//! wait for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,8 +16,10 @@ use crate::continuity::Timelines;
 use crate::register::{Placement, RegisterOptions, place_image};
 use crate::visibility::{Visibility, visibility};
 
-/// An image that could not be registered is tried again at most this often.
+/// An image that could not be registered is tried again at most this often; and one that was, and was taken out again since.
 const MAX_TRIALS: usize = 3;
+/// An image that waits is placed again when it sees so many times as much of the model.
+const MIN_GROWTH: f64 = 1.1;
 /// An image waits when it finds less than this share of what it ought to see, relative to the images around it. Where all is well that is
 /// 0.76 and more; where windows were taken for others, 0.49 to 0.75.
 const MIN_SHARE_OF_USUAL: f64 = 0.75;
@@ -27,6 +30,8 @@ pub(crate) struct Queue {
     timelines: Timelines,
     /// How often each image failed to register.
     trials: BTreeMap<ImageId, usize>,
+    /// How often each image was registered: what is filtered out every time would be for ever.
+    registrations: BTreeMap<ImageId, usize>,
     /// Of what each image ought to have seen when it was registered, how much it did.
     shares: BTreeMap<ImageId, f64>,
     /// Images that could have been registered, and had better wait.
@@ -44,8 +49,14 @@ struct Poor {
 
 impl Queue {
     pub(crate) fn new(scene: &Reconstruction, seed: u64) -> Self {
-        let timelines = Timelines::new(scene);
-        Self { seed, timelines, trials: BTreeMap::new(), shares: BTreeMap::new(), poor: BTreeMap::new() }
+        Self {
+            seed,
+            timelines: Timelines::new(scene),
+            trials: BTreeMap::new(),
+            registrations: BTreeMap::new(),
+            shares: BTreeMap::new(),
+            poor: BTreeMap::new(),
+        }
     }
 
     /// Images that failed are tried again.
@@ -61,9 +72,13 @@ impl Queue {
         images: Vec<ImageId>,
         options: &RegisterOptions,
     ) -> Option<ImageId> {
+        let may_try = |image: &ImageId| {
+            let tried = [&self.trials, &self.registrations].map(|times| times.get(image));
+            tried.into_iter().flatten().all(|times| *times < MAX_TRIALS)
+        };
         let mut candidates: Vec<(Visibility, ImageId)> = images
             .into_par_iter()
-            .filter(|image| self.trials.get(image).is_none_or(|trials| *trials < MAX_TRIALS))
+            .filter(may_try)
             .map(|image| (visibility(graph, model, image), image))
             .filter(|(seen, _)| seen.num_points >= options.min_num_inliers)
             .collect();
@@ -72,7 +87,6 @@ impl Queue {
             let placement = match self.choose(graph, model, &candidates, options) {
                 Ok(placement) => placement,
                 Err(failed) => {
-                    // Others may have waited for these.
                     candidates.retain(|(_, image)| !failed.contains(image));
                     if failed.is_empty() || candidates.is_empty() {
                         return None;
@@ -81,13 +95,14 @@ impl Queue {
                 }
             };
             placement.apply(model);
+            *self.registrations.entry(placement.image).or_insert(0) += 1;
             self.shares.insert(placement.image, placement.share);
             self.poor.remove(&placement.image);
             return Some(placement.image);
         }
     }
 
-    /// The first of the candidates, or the best of those that had better wait; or those that have no pose, where nothing is left.
+    /// The first of the candidates; or those that have no pose, if any; or the best of those that had better wait.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -102,24 +117,29 @@ impl Queue {
             if self.timelines.waits(model, image, &open) {
                 continue;
             }
-            // Who sees what it saw has no other pose.
-            let known = self.poor.get(&image).filter(|poor| poor.num_points == num_points);
-            let share = match known {
+            // Who sees hardly more than it saw has hardly another pose.
+            let is_known = |poor: &&Poor| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
+            let share = match self.poor.get(&image).filter(is_known) {
                 Some(known) => known.share,
                 None => {
                     let Some(placement) = self.place(graph, model, image, options) else {
                         failed.insert(image);
                         continue;
                     };
-                    let usual = self.usual_share(graph, image);
+                    let usual = self.usual_share(graph, model, image);
                     if placement.is_plausible && placement.share >= MIN_SHARE_OF_USUAL * usual {
                         return Ok(placement);
                     }
-                    if placement.is_plausible { placement.share / usual } else { 0.0 }
+                    let share = if placement.is_plausible { placement.share / usual } else { 0.0 };
+                    self.poor.insert(image, Poor { num_points, share });
+                    share
                 }
             };
-            self.poor.insert(image, Poor { num_points, share });
             waiting.push((share, image));
+        }
+        // Others may have waited for these alone, and come before those that had better wait.
+        if !failed.is_empty() {
+            return Err(failed);
         }
         waiting.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
         for (_, image) in waiting {
@@ -151,9 +171,10 @@ impl Queue {
         placement
     }
 
-    /// Of what images with verified pairs with this one ought to have seen, how much they did: the median.
-    fn usual_share(&self, graph: &CorrespondenceGraph, image: ImageId) -> f64 {
-        let around = graph.neighbours(image).iter();
+    /// Of what images of the model with verified pairs with this one ought to have seen, how much they did: the median.
+    fn usual_share(&self, graph: &CorrespondenceGraph, model: &Reconstruction, image: ImageId) -> f64 {
+        let has_pose = |other: &&ImageId| model.image(**other).cam_from_world().is_some();
+        let around = graph.neighbours(image).iter().filter(has_pose);
         let mut shares: Vec<f64> = around.filter_map(|other| self.shares.get(other)).copied().collect();
         median(&mut shares).unwrap_or(0.0)
     }

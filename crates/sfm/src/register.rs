@@ -11,7 +11,7 @@ use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
 /// A second pose is looked at when it has at least this share of the first one's inliers, and taken when the share that it has of what it
-/// ought to see is this much greater. On streets that this was found on, right poses had 1.28 times the share of wrong ones and more.
+/// ought to see is this much greater; or greater at all, where the first one is not plausible and it is. On streets that this was found on, right poses had 1.28 times the share of wrong ones and more.
 const MIN_RIVAL_SHARE: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
 /// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk & Schmid 2005).
@@ -106,12 +106,14 @@ pub(crate) fn place_image(
         let expected: Vec<&PointId> =
             around.iter().filter(|point| is_expected(model, camera, &report.model, **point)).collect();
         let num_found = expected.iter().filter(|point| is_found.contains(point)).count();
+        // Where hardly anything is expected, nothing lacks.
+        let tells = expected.len() >= options.min_num_inliers.max(1);
         let placement = Placement {
             image,
             cam_from_world: report.model,
             seen,
             num_found,
-            share: num_found as f64 / expected.len().max(1) as f64,
+            share: if tells { num_found as f64 / expected.len() as f64 } else { 1.0 },
             is_plausible: is_plausible(&report.model),
         };
         (placement.seen.len() >= least).then_some(placement)
@@ -124,15 +126,18 @@ pub(crate) fn place_image(
     let is_seen: BTreeSet<&(u32, PointId)> = best.seen.iter().collect();
     let others: Vec<(u32, PointId)> =
         candidates.iter().filter(|candidate| !is_seen.contains(candidate)).copied().collect();
-    let least = if best.is_plausible { (MIN_RIVAL_SHARE * best.seen.len() as f64) as usize } else { 0 };
-    let rival = place(&others, least.max(options.min_num_inliers));
-    let is_better = |rival: &Placement| match (best.is_plausible, rival.is_plausible) {
-        (true, true) => {
-            rival.num_found >= options.min_num_inliers && rival.share > MIN_ADVANTAGE * best.share
-        }
-        (of_best, of_rival) => of_rival && !of_best,
+    // Against one that is not plausible any other pose will do that is one.
+    let least = if best.is_plausible {
+        MIN_RIVAL_SHARE * best.seen.len() as f64
+    } else {
+        options.min_inlier_share * others.len() as f64
     };
-    let rival = rival.filter(is_better);
+    let rival = place(&others, options.min_num_inliers.max(least.ceil() as usize)).filter(|rival| {
+        let advantage = if rival.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
+        (rival.is_plausible || !best.is_plausible)
+            && rival.num_found >= options.min_num_inliers
+            && rival.share > advantage * best.share
+    });
     Some(rival.unwrap_or(best))
 }
 

@@ -20,6 +20,7 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::Error;
 use crate::adjust::{AdjustOptions, Shifted, Shutters, adjust_readouts, with_deviations};
+use crate::continuity::usual;
 use crate::rig_pairs::posed_in_time;
 
 /// Time from the first row of an image to the last one, in seconds.
@@ -45,8 +46,7 @@ pub struct RollingShutter {
 /// The readouts are found when a step moves them by less than this, in seconds, or after so many steps.
 const MIN_STEP_S: f64 = 5e-5;
 const MAX_STEPS: usize = 6;
-/// The share of its images that a camera takes while it is slower than what counts as fast, and how many times as fast it may be.
-const FAST: f64 = 0.9;
+/// A camera is no more than so many times as fast as it usually is.
 const MAX_SPEED: f64 = 3.0;
 /// Velocities are differences over this time, in seconds.
 const DIFFERENCE_S: f64 = 1e-3;
@@ -84,12 +84,16 @@ impl RollingShutters {
         &self.shutters
     }
 
-    /// Finds the readouts where they are not given, from those that were found before; the model is left adjusted for them.
+    /// Back to what was known before.
+    pub(crate) fn set(&mut self, shutters: Vec<RollingShutter>) {
+        self.shutters = shutters;
+    }
+
+    /// Finds the readouts where they are not given, from those that were found before, and takes off the keypoints what they did. The model is
+    /// left adjusted for them.
     pub(crate) fn find(&mut self, model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
-        if self.readout != Readout::Estimated {
-            return Ok(());
-        }
-        for _ in 0..MAX_STEPS {
+        let steps = if self.readout == Readout::Estimated { MAX_STEPS } else { 0 };
+        for _ in 0..steps {
             let keypoints = shifted(model, &self.detected, &self.shutters);
             let shutters = Shutters { shutters: &self.shutters, keypoints: &keypoints };
             let found = adjust_readouts(model, options, &shutters)?;
@@ -100,6 +104,8 @@ impl RollingShutters {
             if is_over {
                 break;
             }
+            // Points that take no part in the next step are put where its keypoints say.
+            self.take_off(model);
         }
         self.take_off(model);
         Ok(())
@@ -155,9 +161,7 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
             of_camera.push((id, Motion { velocity, angular_velocity }));
         }
         let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
-        let mut speeds: Vec<f64> = of_camera.iter().map(speed).collect();
-        speeds.sort_by(f64::total_cmp);
-        let usual = speeds.get((FAST * speeds.len() as f64) as usize).copied().unwrap_or(0.0);
+        let usual = usual(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
         motions.extend(of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual));
     }
     motions

@@ -1,45 +1,45 @@
-use nalgebra::{Matrix6, SVector};
-use tiepoint_geometry::{Manifold, Rigid3};
+use nalgebra::{SMatrix, SVector};
+use tiepoint_geometry::{Block, Manifold, Rigid3};
 
-use super::difference::{d_motion, from_sigmas};
+use super::difference::{Difference, from_sigmas};
+use super::relative::Relative;
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
 /// The relative pose of two frames was measured: variables (`a_from_world`, `b_from_world`), residual
-/// A (`b_from_world · world_from_a` ⊖ `b_from_a`), rotation first.
+/// A (`b_from_world · world_from_a` ⊖ `b_from_a`), rotation first. What a pose graph is made of, of rigid poses (6 numbers) or of
+/// similarities (7, the logarithm of the scale last).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Between {
+pub struct Between<V = Rigid3, const N: usize = 6> {
     /// The measurement.
-    pub b_from_a: Rigid3,
-    /// A, with AᵀA the inverse covariance of the tangent (rotation, translation) of `b_from_a`.
-    pub sqrt_information: Matrix6<f64>,
+    pub b_from_a: V,
+    /// A, with AᵀA the inverse covariance of the tangent of `b_from_a`.
+    pub sqrt_information: SMatrix<f64, N, N>,
 }
 
-impl Between {
-    /// From standard deviations of the rotation (radians, about the axes of b) and of the place of b's origin, along the axes of b;
-    /// infinite ones say nothing.
-    pub fn new(b_from_a: Rigid3, sigmas: &[f64; 6]) -> Result<Self, Error> {
+impl<V: Difference<N>, const N: usize> Between<V, N> {
+    /// From standard deviations of the rotation (radians, about the axes of b), of the place of b's origin, along the axes of b, and of what
+    /// else the tangent has; infinite ones say nothing.
+    pub fn new(b_from_a: V, sigmas: &[f64; N]) -> Result<Self, Error> {
         Ok(Self { b_from_a, sqrt_information: from_sigmas(sigmas)? })
     }
-
-    fn error(&self, b_from_a: &Rigid3) -> SVector<f64, 6> {
-        b_from_a.minus(&self.b_from_a)
-    }
 }
 
-impl Factor<6> for Between {
-    type Vars = (Rigid3, Rigid3);
+impl<V: Relative<N>, const N: usize> Factor<N> for Between<V, N> {
+    type Vars = (V, V);
 
-    /// With B = (R, t) = `b_from_a`: a motion (δ, τ) of b is one of B, and one of a moves B by its opposite, seen in b: to first order by
-    /// `(−R δ, −R τ − [t]ₓ R δ)`.
-    fn linearize(&self, (a, b): (&Rigid3, &Rigid3)) -> Option<Linear<Self::Vars, 6>> {
-        let b_from_a = *b * a.inverse();
-        let residual = self.error(&b_from_a);
-        let d_b = self.sqrt_information * d_motion(&residual);
-        Some((self.sqrt_information * residual, (-d_b * b_from_a.adjoint(), d_b)))
+    fn linearize(&self, (a, b): (&V, &V)) -> Option<Linear<Self::Vars, N>> {
+        let b_from_a = b.relative_to(a);
+        let by_relative = self.sqrt_information * b_from_a.d_minus(&self.b_from_a);
+        let [by_a, by_b] = b.d_relative_to(a).map(|d_relative| {
+            let mut jacobian = <V as Manifold>::Jacobian::<N>::zeros();
+            jacobian.as_mut_slice().copy_from_slice((by_relative * d_relative).as_slice());
+            jacobian
+        });
+        Some((self.sqrt_information * b_from_a.minus(&self.b_from_a), (by_a, by_b)))
     }
 
-    fn residual(&self, (a, b): (&Rigid3, &Rigid3)) -> Option<SVector<f64, 6>> {
-        Some(self.sqrt_information * self.error(&(*b * a.inverse())))
+    fn residual(&self, (a, b): (&V, &V)) -> Option<SVector<f64, N>> {
+        Some(self.sqrt_information * b.relative_to(a).minus(&self.b_from_a))
     }
 }

@@ -30,7 +30,7 @@ impl Difference<3> for UnitQuaternion<f64> {
 
 /// By a motion (δ, τ) of x, the motion (Exp r, p) that leads from the base to x becomes (Exp(δ) Exp(r), Exp(δ) p + τ). Rows and columns
 /// behind the sixth are those of the identity.
-pub(super) fn d_motion<const N: usize>(r_and_p: &SVector<f64, N>) -> SMatrix<f64, N, N> {
+fn d_motion<const N: usize>(r_and_p: &SVector<f64, N>) -> SMatrix<f64, N, N> {
     let (r, p) = (r_and_p.fixed_rows::<3>(0).into_owned(), r_and_p.fixed_rows::<3>(3).into_owned());
     let mut jacobian = SMatrix::<f64, N, N>::identity();
     jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&so3::left_jacobian_inverse(&r));

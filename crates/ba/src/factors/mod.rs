@@ -3,9 +3,11 @@
 mod between;
 mod difference;
 mod prior;
+mod relative;
 mod reprojection;
 
 pub use between::Between;
 pub use difference::Difference;
 pub use prior::Prior;
+pub use relative::Relative;
 pub use reprojection::{Reprojection, RigReprojection, ShiftedReprojection};

@@ -26,6 +26,10 @@ fn in_view() -> impl Strategy<Value = Vector3<f64>> {
     (-1.0..1.0, -1.0..1.0, 2.0..20.0).prop_map(|(x, y, z): (f64, f64, f64)| Vector3::new(x * z, y * z, z))
 }
 
+fn similarity(rigid: Rigid3, scale: f64) -> Sim3 {
+    Sim3 { rotation: rigid.rotation, translation: rigid.translation, scale }
+}
+
 fn check_reprojections<M: CameraModel>(
     params: M::Params,
     cam_from_rig: Rigid3,
@@ -85,6 +89,17 @@ proptest! {
     }
 
     #[test]
+    fn relative_similarities(
+        (a, b_from_a) in (rigid(3.0), rigid(2.0)),
+        off in rigid(MAX_TURN),
+        [scale_of_a, scale_of_b, scale_off] in prop::array::uniform3(0.5..2.0f64),
+    ) {
+        let (a, b_from_a) = (similarity(a, scale_of_a), similarity(b_from_a, scale_of_b));
+        let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
+        prop_assert_eq!(check_jacobians(&factor, (a, similarity(off, scale_off) * b_from_a * a), TOLERANCE), Ok(()));
+    }
+
+    #[test]
     fn priors(mean in rigid(3.0), off in rigid(MAX_TURN), scale in 0.5..2.0f64) {
         let pose = Prior::new(mean, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
         prop_assert_eq!(check_jacobians(&pose, (off * mean,), TOLERANCE), Ok(()));
@@ -92,7 +107,6 @@ proptest! {
         prop_assert_eq!(check_jacobians(&rotation, (off.rotation * mean.rotation,), TOLERANCE), Ok(()));
         let vector = Prior::<SVector<f64, 3>, 3>::new(mean.translation, &[1.0, 2.0, 0.5]).unwrap();
         prop_assert_eq!(check_jacobians(&vector, (off.translation,), TOLERANCE), Ok(()));
-        let similarity = |rigid: Rigid3, scale| Sim3 { rotation: rigid.rotation, translation: rigid.translation, scale };
         let prior = Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
         prop_assert_eq!(check_jacobians(&prior, (similarity(off * mean, scale),), TOLERANCE), Ok(()));
     }
