@@ -8,8 +8,8 @@
 What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database: keypoints, matches, camera model and first focal
 length are ours. For Traditional it knows of no rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown
 rig: without, then with the rig that the first run gives (`apply_rig_config`), whose frames are the images nearest to each other by their
-stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Each of its mappings gets so many minutes. Models are put into `colmap/sparse/0` of the
-workspaces, where `tiepoint experiment` finds and judges them like its own.
+stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Each of its rows gets so many minutes. Models are put
+into `colmap/sparse/0` of the workspaces, where `tiepoint experiment` finds and judges them like its own.
 """
 
 import argparse

@@ -29,7 +29,8 @@ impl Sim3 {
         Self { scale, rotation, translation: -(rotation * self.translation) * scale }
     }
 
-    fn without_scale(&self) -> Rigid3 {
+    /// Its rotation and translation.
+    pub fn without_scale(&self) -> Rigid3 {
         Rigid3 { rotation: self.rotation, translation: self.translation }
     }
 

@@ -118,7 +118,6 @@ fn velocity(model: &Reconstruction, from: &(f64, ImageId), to: &(f64, ImageId)) 
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_geometry::nalgebra::Vector3;
     use tiepoint_geometry::{CameraModelKind, Intrinsics};
     use tiepoint_scene::{Camera, Image};
 

@@ -57,15 +57,9 @@ impl Joined {
 
     /// Each pair once.
     pub(crate) fn pairs(&self) -> impl Iterator<Item = ImagePair> {
-        let of = |(a, others): (&ImageId, &Vec<ImageId>)| {
-            let a = *a;
-            others
-                .iter()
-                .filter(move |b| a < **b)
-                .filter_map(move |b| ImagePair::new(a, *b))
-                .collect::<Vec<_>>()
-        };
-        self.0.iter().flat_map(of)
+        self.0.iter().flat_map(|(a, others)| {
+            others.iter().filter_map(|b| ImagePair::new(*a, *b)).filter(|pair| pair.a == *a)
+        })
     }
 
     /// The images that at most [`MAX_STEPS`] pairs lead to from an image, itself among them.

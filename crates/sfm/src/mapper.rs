@@ -109,11 +109,11 @@ impl<'a> Mapper<'a> {
         self.refine_globally(&Effort::GROWN, watch)?;
         let mut shutters = self.options.readout.map(|readout| RollingShutters::new(&self.model, readout));
         // Before loops are closed: a rolling shutter makes a drive grow or shrink on its way, sevenfold in 2 km, and no loop closes over that.
-        self.straighten(&mut shutters, &Effort::GROWN, false, watch)?;
+        self.straighten(&mut shutters, false, watch)?;
         self.close_loops(watch)?;
         self.weigh();
         self.refine_globally(&Effort::FINAL, watch)?;
-        self.straighten(&mut shutters, &Effort::STRAIGHTENED, true, watch)?;
+        self.straighten(&mut shutters, true, watch)?;
         if let Some(shutters) = &shutters {
             shutters.get().iter().try_for_each(|shutter| tell(watch, &Event::Shutter(*shutter)))?;
         }
@@ -179,7 +179,7 @@ impl<'a> Mapper<'a> {
     /// How the images of torn pairs should stand to each other.
     fn meetings(&self, torn: &[ImagePair], joined: &Joined) -> Vec<Meeting> {
         let meeting = |pair: &ImagePair| {
-            let seed = Rng::stream(self.options.seed, &[pair.a.0.into(), pair.b.0.into()]).next_u64();
+            let seed = self.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
             Meeting::new(&self.model, *pair, self.graph.pairs().get(pair)?, seed)
         };
         let meetings: Vec<Meeting> = torn.par_iter().filter_map(meeting).collect();
@@ -219,11 +219,12 @@ impl<'a> Mapper<'a> {
     fn straighten(
         &mut self,
         shutters: &mut Option<RollingShutters>,
-        effort: &Effort,
         is_last: bool,
         watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<(), Error> {
         let Some(mut found) = shutters.take() else { return Ok(()) };
+        let (effort, rounds) =
+            if is_last { (&Effort::STRAIGHTENED, STRAIGHT_ROUNDS) } else { (&Effort::GROWN, 1) };
         let (earlier, mut is_done) = (found.get().to_vec(), false);
         self.finish(Finish::Straightened, watch, |mapper, watch| {
             let (options, before) = (mapper.adjust_options(&[], effort), mapper.model.num_registered());
@@ -231,7 +232,7 @@ impl<'a> Mapper<'a> {
             if is_last {
                 found.find_deviations(&mapper.model, &options)?;
             }
-            for round in 0..if is_last { STRAIGHT_ROUNDS } else { 1 } {
+            for round in 0..rounds {
                 if round > 0 {
                     found.take_off(&mut mapper.model);
                 }

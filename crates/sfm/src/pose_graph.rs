@@ -12,7 +12,7 @@ use tiepoint_ba::{Factor, Key, Options, Order, Problem, Solver};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Loss, RansacOptions, Rigid3, Sim3, estimate};
-use tiepoint_scene::{Image, ImageId, ImagePair, Match, PointId, Reconstruction, TwoView};
+use tiepoint_scene::{ImageId, ImagePair, Match, PointId, Reconstruction, TwoView};
 
 use crate::Error;
 use crate::adjust::keep_going;
@@ -77,18 +77,19 @@ impl Meeting {
 /// Without those that others contradict, which more matches speak for. Where windows of a facade repeat, pairs on both sides of a seam meet a
 /// period off; beside each other, right ones and wrong ones do not agree.
 pub(crate) fn agreeing(model: &Reconstruction, meetings: &[Meeting], joined: &Joined) -> Vec<Meeting> {
-    let (poses, depths) = (similarities(model), depths(model));
+    let images: BTreeSet<ImageId> = meetings.iter().flat_map(|m| [m.pair.a, m.pair.b]).collect();
+    let (poses, depths) = (similarities(model, &images), depths(model, &images));
     let near: BTreeMap<ImageId, BTreeSet<ImageId>> =
-        meetings.iter().flat_map(|m| [m.pair.a, m.pair.b]).map(|id| (id, joined.near(id))).collect();
+        images.iter().map(|id| (*id, joined.near(*id))).collect();
     let is_near = |one: ImageId, other: ImageId| near.get(&one).is_some_and(|near| near.contains(&other));
     // Whether what one meeting says of another's images is what that one says; nothing where it is at another place.
     let agrees = |one: &Meeting, other: &Meeting| {
         let ImagePair { a, b } = one.pair;
-        let b_world_from_a_world = poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?;
+        let b_world_from_a_world = || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
         let sides = if is_near(a, other.pair.a) && is_near(b, other.pair.b) {
-            b_world_from_a_world
+            b_world_from_a_world()?
         } else if is_near(b, other.pair.a) && is_near(a, other.pair.b) {
-            b_world_from_a_world.inverse()
+            b_world_from_a_world()?.inverse()
         } else {
             return None;
         };
@@ -115,7 +116,8 @@ pub(crate) fn spread_drift(
     joined: &Joined,
     meetings: &[Meeting],
 ) -> Result<(), Error> {
-    let (before, depths) = (similarities(model), depths(model));
+    let images: BTreeSet<ImageId> = model.registered().map(|(id, ..)| id).collect();
+    let (before, depths) = (similarities(model, &images), depths(model, &images));
     let as_it_is = |pair: ImagePair| Some((pair, before.get(&pair.b)?.relative_to(before.get(&pair.a)?)));
     let wanted = meetings.iter().map(|meeting| (meeting.pair, meeting.b_from_a));
     let mut problem = Problem::new();
@@ -155,13 +157,14 @@ pub(crate) fn spread_drift(
 }
 
 /// How far the points that an image sees are from it, in the median.
-fn depths(model: &Reconstruction) -> BTreeMap<ImageId, f64> {
-    let depth = |(id, image, pose): (ImageId, &Image, &Rigid3)| {
+fn depths(model: &Reconstruction, images: &BTreeSet<ImageId>) -> BTreeMap<ImageId, f64> {
+    let depth = |id: &ImageId| {
+        let (image, pose) = (model.image(*id), model.image(*id).cam_from_world()?);
         let tracks = image.points().iter().flatten().filter_map(|point| model.track(*point));
         let mut distances: Vec<f64> = tracks.map(|track| (*pose * track.xyz).norm()).collect();
-        Some((id, median(&mut distances)?))
+        Some((*id, median(&mut distances)?))
     };
-    model.registered().filter_map(depth).collect()
+    images.iter().filter_map(depth).collect()
 }
 
 /// A radian, the distance of what is seen, and a factor of e weigh the same.
@@ -169,8 +172,9 @@ fn sigmas(depth: f64) -> [f64; 7] {
     [1.0, 1.0, 1.0, depth, depth, depth, 1.0]
 }
 
-fn similarities(model: &Reconstruction) -> BTreeMap<ImageId, Sim3> {
-    model.registered().map(|(id, _, pose)| (id, similarity(pose))).collect()
+fn similarities(model: &Reconstruction, images: &BTreeSet<ImageId>) -> BTreeMap<ImageId, Sim3> {
+    let pose = |id: &ImageId| Some((*id, similarity(model.image(*id).cam_from_world()?)));
+    images.iter().filter_map(pose).collect()
 }
 
 fn similarity(pose: &Rigid3) -> Sim3 {
@@ -184,7 +188,7 @@ mod tests {
     use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion};
     use tiepoint_geometry::solvers::umeyama;
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng, so3};
-    use tiepoint_scene::{Camera, CorrespondenceGraph, Keypoint, Observation, Track, TwoViewKind};
+    use tiepoint_scene::{Camera, CorrespondenceGraph, Image, Keypoint, Observation, Track, TwoViewKind};
 
     use super::*;
     use crate::loop_closure::pairs;
@@ -275,7 +279,8 @@ mod tests {
     /// How far the cameras on both sides of the seam are from where they meet.
     fn off_at_seam(model: &Reconstruction, meeting: &Meeting) -> f64 {
         let [a, b] = [meeting.pair.a, meeting.pair.b].map(|id| *model.image(id).cam_from_world().unwrap());
-        let off = Between::new(meeting.b_from_a, &sigmas(depths(model)[&meeting.pair.b])).unwrap();
+        let depth = depths(model, &BTreeSet::from([meeting.pair.b]))[&meeting.pair.b];
+        let off = Between::new(meeting.b_from_a, &sigmas(depth)).unwrap();
         off.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
     }
 

@@ -11,7 +11,8 @@ use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
 /// A second pose is looked at when it has at least this share of the first one's inliers, and taken when the share that it has of what it
-/// ought to see is this much greater; or greater at all, where the first one is not plausible and it is. On streets that this was found on, right poses had 1.28 times the share of wrong ones and more.
+/// ought to see is this much greater; or greater at all, where the first one is not plausible and it is. On streets that this was found on,
+/// right poses had 1.28 times the share of wrong ones and more.
 const MIN_RIVAL_SHARE: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
 /// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk & Schmid 2005).

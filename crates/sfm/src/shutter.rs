@@ -92,8 +92,11 @@ impl RollingShutters {
     /// Finds the readouts where they are not given, from those that were found before, and takes off the keypoints what they did. The model is
     /// left adjusted for them.
     pub(crate) fn find(&mut self, model: &mut Reconstruction, options: &AdjustOptions) -> Result<(), Error> {
-        let steps = if self.readout == Readout::Estimated { MAX_STEPS } else { 0 };
-        for _ in 0..steps {
+        if self.readout != Readout::Estimated {
+            self.take_off(model);
+            return Ok(());
+        }
+        for _ in 0..MAX_STEPS {
             let keypoints = shifted(model, &self.detected, &self.shutters);
             let shutters = Shutters { shutters: &self.shutters, keypoints: &keypoints };
             let found = adjust_readouts(model, options, &shutters)?;
@@ -101,13 +104,12 @@ impl RollingShutters {
                 |(a, b): (&RollingShutter, &RollingShutter)| (a.readout_s - b.readout_s).abs() > MIN_STEP_S;
             let is_over = !self.shutters.iter().zip(&found).any(has_moved);
             self.shutters = found;
+            // In each step, for points that take no part in the next one are put where the keypoints say.
+            self.take_off(model);
             if is_over {
                 break;
             }
-            // Points that take no part in the next step are put where its keypoints say.
-            self.take_off(model);
         }
-        self.take_off(model);
         Ok(())
     }
 

@@ -31,7 +31,7 @@ impl<V: Relative<N>, const N: usize> Factor<N> for Between<V, N> {
     fn linearize(&self, (a, b): (&V, &V)) -> Option<Linear<Self::Vars, N>> {
         let b_from_a = b.relative_to(a);
         let by_relative = self.sqrt_information * b_from_a.d_minus(&self.b_from_a);
-        let [by_a, by_b] = b.d_relative_to(a).map(|d_relative| {
+        let [by_a, by_b] = b.d_relative(&b_from_a).map(|d_relative| {
             let mut jacobian = <V as Manifold>::Jacobian::<N>::zeros();
             jacobian.as_mut_slice().copy_from_slice((by_relative * d_relative).as_slice());
             jacobian

@@ -9,8 +9,8 @@ use super::difference::Difference;
 pub trait Relative<const N: usize>: Difference<N> {
     /// `b_from_a`, of `a_from_world`.
     fn relative_to(&self, a: &Self) -> Self;
-    /// The tangent of `b_from_a` by those of `a_from_world` and of `b_from_world`.
-    fn d_relative_to(&self, a: &Self) -> [SMatrix<f64, N, N>; 2];
+    /// The tangent of that `b_from_a` by those of `a_from_world` and of `b_from_world`.
+    fn d_relative(&self, b_from_a: &Self) -> [SMatrix<f64, N, N>; 2];
 }
 
 /// A motion of b is one of `b_from_a`, and one of a moves it by its opposite, seen in b.
@@ -18,8 +18,8 @@ impl Relative<6> for Rigid3 {
     fn relative_to(&self, a: &Self) -> Self {
         *self * a.inverse()
     }
-    fn d_relative_to(&self, a: &Self) -> [SMatrix<f64, 6, 6>; 2] {
-        [-self.relative_to(a).adjoint(), SMatrix::identity()]
+    fn d_relative(&self, b_from_a: &Self) -> [SMatrix<f64, 6, 6>; 2] {
+        [-b_from_a.adjoint(), SMatrix::identity()]
     }
 }
 
@@ -29,21 +29,17 @@ impl Relative<7> for Sim3 {
     fn relative_to(&self, a: &Self) -> Self {
         *self * a.inverse()
     }
-    fn d_relative_to(&self, a: &Self) -> [SMatrix<f64, 7, 7>; 2] {
-        let b_from_a = self.relative_to(a);
-        let rigid = Rigid3 { rotation: b_from_a.rotation, translation: b_from_a.translation };
-        let from_world = b_from_a.translation - self.translation;
+    fn d_relative(&self, b_from_a: &Self) -> [SMatrix<f64, 7, 7>; 2] {
+        let mut by_scale = SVector::<f64, 7>::zeros();
+        by_scale.fixed_rows_mut::<3>(3).copy_from(&(b_from_a.translation - self.translation));
+        by_scale[6] = 1.0;
         let mut by_a = SMatrix::<f64, 7, 7>::zeros();
-        by_a.fixed_view_mut::<6, 6>(0, 0).copy_from(&-rigid.adjoint());
+        by_a.fixed_view_mut::<6, 6>(0, 0).copy_from(&-b_from_a.without_scale().adjoint());
         let mut lengths = by_a.fixed_view_mut::<3, 3>(3, 3);
         lengths *= b_from_a.scale;
+        by_a.set_column(6, &-by_scale);
         let mut by_b = SMatrix::<f64, 7, 7>::identity();
-        for (by, sign) in [(&mut by_a, -1.0), (&mut by_b, 1.0)] {
-            let mut column = SVector::<f64, 7>::zeros();
-            column.fixed_rows_mut::<3>(3).copy_from(&from_world);
-            column[6] = 1.0;
-            by.set_column(6, &(column * sign));
-        }
+        by_b.set_column(6, &by_scale);
         [by_a, by_b]
     }
 }
