@@ -173,9 +173,11 @@ def map_database(database, images, sparse, known, threads, seed):
     return pycolmap.incremental_mapping(database, images, sparse, mapping)
 
 
-def make_rig(database, model=None, cameras=("left", "right")):
-    """One rig of all cameras, a folder each; its calibration is the model's, or unknown."""
+def make_rig(database, model=None, cameras=("left", "right"), calibration=None):
+    """One rig of all cameras, a folder each; its calibration is given (cam_from_rig of each camera), the model's, or unknown."""
     sensors = [pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0) for k, name in enumerate(cameras)]
+    for sensor, name in list(zip(sensors, cameras))[1:] if calibration else []:
+        sensor.cam_from_rig = calibration[name]
     with pycolmap.Database.open(database) as opened:
         pycolmap.apply_rig_config([pycolmap.RigConfig(cameras=sensors)], opened, *([model] if model else []))
 

@@ -149,7 +149,8 @@ pub(crate) struct Cameras {
     /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else 1.2 times the larger side.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE. Pixels count as square where it has two focal lengths
+    /// [default: SIMPLE_RADIAL].
     #[arg(long, value_name = "NAME", value_parser = camera_model)]
     pub(crate) camera_model: Option<CameraModelKind>,
 }

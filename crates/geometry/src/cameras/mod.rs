@@ -46,6 +46,9 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const FOCAL: &'static [usize];
     /// Indices of cx and cy.
     const PRINCIPAL_POINT: [usize; 2];
+    /// Indices of distortion that a turn of the camera does as well, together with the other parameters: with the pose unknown, images do
+    /// not tell them.
+    const TURN: &'static [usize] = &[];
 
     /// The pixel of a point in the camera's frame; `None` where the model does not see it (behind a perspective camera).
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>>;
@@ -88,6 +91,8 @@ macro_rules! camera_models {
             }
             /// Indices of the focal lengths.
             pub fn focal_indices(self) -> &'static [usize] { match self { $(Self::$model => <$model as CameraModel>::FOCAL),* } }
+            /// Indices of distortion that a turn of the camera does as well.
+            pub fn turn_indices(self) -> &'static [usize] { match self { $(Self::$model => <$model as CameraModel>::TURN),* } }
             /// Indices of the principal point.
             pub fn principal_point_indices(self) -> [usize; 2] {
                 match self { $(Self::$model => <$model as CameraModel>::PRINCIPAL_POINT),* }

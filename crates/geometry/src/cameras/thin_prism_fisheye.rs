@@ -3,7 +3,8 @@
 //! g = 1 + k₁ ρ² + k₂ ρ⁴ + k₃ ρ⁶ + k₄ ρ⁸,
 //! u' = g u + 2 p₁ u v + p₂ (ρ² + 2u²) + s₁ ρ², v' = g v + 2 p₂ u v + p₁ (ρ² + 2v²) + s₂ ρ², pixel = (fx u' + cx, fy v' + cy).
 //!
-//! Decentring with a prism is to first order a lens that is turned, so that only a prior tells the principal point from it.
+//! Where poses are unknown, images hardly tell the prism. A turn by ε moves v by ε (1 − u²/3) and u by ε uv/3, up to the fourth order of ρ: with the
+//! lens, a shift of cy by fy ε together with p₁ = ε (1/6 + k₁) and s₂ = −ε/2. Likewise the other way.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -66,6 +67,7 @@ impl CameraModel for ThinPrismFisheye {
         &["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: [usize; 2] = [2, 3];
+    const TURN: &'static [usize] = &[10, 11];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         let (w, _) = equidistant(params, point_in_cam)?;
@@ -101,5 +103,43 @@ impl CameraModel for ThinPrismFisheye {
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let distorted = Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
         ray(&undistort(distorted, |w| (distort(params, w), d_distort(params, w)))?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Rotation3;
+
+    use super::*;
+
+    /// In radians: small enough that its square does not count.
+    const TURN_RAD: f64 = 1e-6;
+    /// Of what is left of a turn, as a share of it, at ρ = 1; it goes with ρ⁴. Of that order are 5 k₂ and terms of hundredths.
+    const MAX_LEFT: f64 = 0.3;
+    const K: [f64; 2] = [0.03, -0.05];
+
+    #[test]
+    fn what_a_turn_does_the_other_parameters_do_up_to_the_fourth_order() {
+        let lens = |shift: Vector2<f64>| {
+            let [p2, p1] = [shift.x, shift.y].map(|turn| turn * (1.0 / 6.0 + K[0]));
+            let prism = shift * -0.5;
+            let shifted = shift * 500.0;
+            SVector::from([
+                500.0, 500.0, shifted.x, shifted.y, K[0], K[1], p1, p2, 0.0, 0.0, prism.x, prism.y,
+            ])
+        };
+        for (axis, shift) in [(Vector3::x(), Vector2::new(0.0, -1.0)), (Vector3::y(), Vector2::new(1.0, 0.0))]
+        {
+            for (rho, azimuth) in
+                [0.05, 0.1, 0.3].into_iter().flat_map(|rho| (0..8).map(move |k| (rho, f64::from(k))))
+            {
+                let w = Vector2::new(azimuth.cos(), azimuth.sin()) * rho;
+                let turned = Rotation3::from_scaled_axis(axis * TURN_RAD) * ray(&w).unwrap();
+                let by_turn = ThinPrismFisheye::project(&lens(Vector2::zeros()), &turned).unwrap();
+                let by_lens = ThinPrismFisheye::project(&lens(shift * TURN_RAD), &ray(&w).unwrap()).unwrap();
+                let left = (by_turn - by_lens).norm() / (500.0 * TURN_RAD);
+                assert!(left < MAX_LEFT * rho.powi(4) + 1e-5, "{left} at {w}, about {axis}");
+            }
+        }
     }
 }
