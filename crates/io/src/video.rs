@@ -1,6 +1,6 @@
 //! Pictures of a video, decoded by the `ffmpeg` program.
 //!
-//! ffmpeg turns each picture as the file says and writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that
+//! ffmpeg turns each picture as the file says, stretches it where its pixels are not square, and writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that
 //! variable rates are respected. When the recording began, in whole seconds, is read from the file's metadata; its sound is there too.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -20,6 +20,8 @@ use crate::{Error, Result, Rgb};
 const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
 /// Lines of ffmpeg's that an error quotes.
 const QUOTED_LINES: usize = 3;
+/// Pixels that are not square are made so by stretching the side that they are too short along; then the time is told.
+const FILTERS: &str = "scale=w='iw*max(sar,1)':h='ih/min(sar,1)',setsar=1,showinfo";
 /// ffmpeg took `-vsync` for what it calls `-fps_mode` since 5.1.
 const FIRST_WITH_FPS_MODE: (u32, u32) = (5, 1);
 
@@ -120,7 +122,7 @@ impl VideoReader {
         let mut child = Command::new("ffmpeg")
             .args(["-nostdin", "-hide_banner", "-loglevel", "info", "-nostats", "-i"])
             .arg(path)
-            .args(["-map", "0:v:0", "-vf", "showinfo"])
+            .args(["-map", "0:v:0", "-vf", FILTERS])
             .args(passthrough)
             .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
             .stdin(Stdio::null())

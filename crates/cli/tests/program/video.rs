@@ -74,6 +74,30 @@ fn a_video_is_a_camera_whose_frames_have_times() {
     assert_eq!(again.json()["stages"]["features"]["images"], 3);
 }
 
+#[test]
+fn pixels_that_are_not_square_are_made_so() {
+    if !is_there() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    film(dir.path(), "front.mov", 3);
+    for (name, squeezed) in
+        [("narrow.mov", "scale=iw/2:ih,setsar=2/1"), ("low.mov", "scale=iw:ih/2,setsar=1/2")]
+    {
+        let made = Command::new("ffmpeg")
+            .args(["-v", "error", "-i"])
+            .arg(dir.path().join("front.mov"))
+            .args(["-vf", squeezed, "-c:v", "mjpeg", "-q:v", "2"])
+            .arg(dir.path().join(name))
+            .status();
+        assert!(made.unwrap().success());
+        tiepoint_in(dir.path(), &format!("features {{}}/{name} -o {{}}/{name}.ws --every 1")).done();
+        let stem = name.split('.').next().unwrap();
+        let frame = dir.path().join(format!("{name}.ws/frames/{stem}/000000.jpg"));
+        assert_eq!(image::image_dimensions(frame).unwrap(), (photos::WIDTH, photos::HEIGHT), "{name}");
+    }
+}
+
 /// Eight seconds of knocks at uneven times, from some time on, as a WAV of one channel.
 fn knocks(path: &Path, from_s: f64) {
     const RATE: u32 = 8000;
