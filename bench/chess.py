@@ -81,14 +81,14 @@ def jackknife_deg(pairs, size, r):
 
 
 def free_board(pairs, size, r, t):
-    """Least squares over cameras (fx, fy, cx, cy, k1, k2, p1, p2), mounting, the board's poses and its corners, from a calibration's R and T:
+    """Least squares over cameras (f, cx, cy, k1, k2, p1, p2; pixels are square), mounting, the board's poses and its corners, from a calibration's R and T:
     rms, principal points, R and T."""
     grid = board()
     count = len(grid)
     lenses, poses = [], []
     for corners in zip(*pairs):
         _, k, d, turns, places = cv2.calibrateCamera([grid] * len(pairs), corners, size, None, None, flags=cv2.CALIB_FIX_K3)
-        lenses.append([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *d.ravel()[:4]])
+        lenses.append([k[0, 0], k[0, 2], k[1, 2], *d.ravel()[:4]])
         poses.append(np.hstack([np.squeeze(turns), np.squeeze(places)]))
     # Seven coordinates hold the board's place, turn and size.
     last, low = 3 * (CORNERS[0] - 1), 3 * (count - CORNERS[0])
@@ -98,36 +98,36 @@ def free_board(pairs, size, r, t):
     start = np.concatenate([rig, poses[0].ravel(), grid.ravel()[moving]])
 
     def project(lens, points):
-        fx, fy, cx, cy, k1, k2, p1, p2 = lens
+        f, cx, cy, k1, k2, p1, p2 = lens
         a, b = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         r2 = a * a + b * b
         radial = 1 + k1 * r2 + k2 * r2**2
         u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
         v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
-        return np.stack([fx * u + cx, fy * v + cy], 1)
+        return np.stack([f * u + cx, f * v + cy], 1)
 
     def residuals(x):
         board = grid.astype(float).ravel()
         board[moving] = x[first_corner:]
-        rotation, rows = Rotation.from_rotvec(x[16:19]).as_matrix(), []
+        rotation, rows = Rotation.from_rotvec(x[14:17]).as_matrix(), []
         for pose, (left, right) in zip(x[first_pose:first_corner].reshape(-1, 6), pairs):
             in_left = board.reshape(-1, 3) @ Rotation.from_rotvec(pose[:3]).as_matrix().T + pose[3:]
-            rows.append(project(x[:8], in_left) - left.reshape(-1, 2))
-            rows.append(project(x[8:16], in_left @ rotation.T + x[19:22]) - right.reshape(-1, 2))
+            rows.append(project(x[:7], in_left) - left.reshape(-1, 2))
+            rows.append(project(x[7:14], in_left @ rotation.T + x[17:20]) - right.reshape(-1, 2))
         return np.concatenate(rows).ravel()
 
     pattern = lil_matrix((4 * count * len(pairs), len(start)), dtype=int)
     for image in range(2 * len(pairs)):
         rows = slice(2 * count * image, 2 * count * (image + 1))
         pose = first_pose + 6 * (image // 2)
-        pattern[rows, :8], pattern[rows, 8:22], pattern[rows, pose : pose + 6] = 1 - image % 2, image % 2, 1
+        pattern[rows, :7], pattern[rows, 7:20], pattern[rows, pose : pose + 6] = 1 - image % 2, image % 2, 1
         for column, coordinate in enumerate(moving):
             row = 2 * (count * image + coordinate // 3)
             pattern[row : row + 2, first_corner + column] = 1
     found = least_squares(residuals, start, jac_sparsity=pattern, x_scale="jac", max_nfev=200, xtol=1e-12, ftol=1e-12)
     rms = np.sqrt((found.fun**2).sum() / (len(found.fun) / 2))
     x = found.x
-    return rms, (x[2:4], x[10:12]), Rotation.from_rotvec(x[16:19]).as_matrix(), x[19:22]
+    return rms, (x[1:3], x[8:10]), Rotation.from_rotvec(x[14:17]).as_matrix(), x[17:20]
 
 
 def put_corners(database, corners, size):
