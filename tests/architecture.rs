@@ -4,6 +4,7 @@
 //! synthesiser, which makes scenes for tests of everything above the nouns. What Cargo resolved is asked of Cargo.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
@@ -148,4 +149,61 @@ fn pure_crates_carry_no_c() {
         }
         assert!(tree.contains(&package), "cargo tree lists {package} itself");
     }
+}
+
+/// Functions of the standard library that change files.
+const CHANGES_FILES: [&str; 11] = [
+    "fs::write(",
+    "fs::copy(",
+    "fs::rename(",
+    "fs::remove_",
+    "fs::create_dir",
+    "fs::hard_link(",
+    "fs::set_permissions(",
+    "File::create",
+    "OpenOptions::new()",
+    "symlink(",
+    "set_len(",
+];
+/// Where they may be called: the one module for it, what locks files, and the renderer, which knows no other crate.
+const MAY_CHANGE_FILES: [&str; 5] = [
+    "crates/io/src/disk/mod.rs",
+    "crates/io/src/atomic.rs",
+    "crates/io/src/database/create.rs",
+    "crates/pipeline/src/workspace.rs",
+    "crates/synth/src/write.rs",
+];
+
+#[test]
+fn files_are_changed_in_one_place() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut folders = vec![root.join("crates")];
+    let mut looked_at = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(&root).unwrap().to_str().unwrap().replace('\\', "/");
+            if path.is_dir() {
+                let is_source = !["tests", "benches", "examples"].iter().any(|other| name.ends_with(other));
+                folders.extend(is_source.then_some(path));
+            } else if name.ends_with(".rs") && !MAY_CHANGE_FILES.contains(&name.as_str()) {
+                looked_at += 1;
+                let text = std::fs::read_to_string(&path).unwrap();
+                let code = text.split("#[cfg(test)]").next().unwrap();
+                for call in CHANGES_FILES {
+                    // A word, and no part of another one such as AtomicFile.
+                    let is_called = |line: &str| {
+                        let line = line.trim_start();
+                        let mut before =
+                            line.match_indices(call).map(|(at, _)| line[..at].chars().next_back());
+                        let is_word = |c: char| c.is_alphanumeric() || c == '_';
+                        !line.starts_with("//") && before.any(|before| !before.is_some_and(is_word))
+                    };
+                    let at = code.lines().position(is_called).map(|at| at + 1);
+                    assert_eq!(at, None, "{name}: {call} is for tiepoint_io::disk alone");
+                }
+            }
+        }
+    }
+    assert!(looked_at > 100, "only {looked_at} files");
 }

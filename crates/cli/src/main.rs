@@ -2,16 +2,20 @@
 
 mod args;
 mod commands;
+mod interrupt;
 mod output;
 mod progress;
 mod summary;
 
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
 
 use args::Cli;
+use commands::Failure;
+use interrupt::Interrupt;
 use output::Output;
 
 /// The work could not be done.
@@ -24,33 +28,44 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };
-    let output = Output { json: cli.json };
+    let output = Output::new(cli.json);
+    let go_on = interrupt::how_to_go_on(&cli.command);
+    if let Err(error) = Interrupt::listen(&output, go_on) {
+        output.error(&format!("cannot listen for SIGINT and SIGTERM: {error}"));
+        return ExitCode::from(COULD_NOT);
+    }
     if let Some(threads) = cli.threads
         && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
     {
         output.error(&format!("cannot start {threads} threads: {error}"));
         return ExitCode::from(COULD_NOT);
     }
-    match commands::run(cli.command, &output) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(commands::Failure::Usage(message)) => {
-            output.error(&message);
-            ExitCode::from(BAD_USAGE)
+    let outcome = commands::run(cli.command, &output);
+    output.interrupt.end();
+    let (message, code) = match outcome {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Usage(message)) => (message, BAD_USAGE),
+        Err(Failure::CouldNot(message)) => (message, COULD_NOT),
+        Err(Failure::Cancelled) => {
+            let cancelled = || (tiepoint_pipeline::Error::Cancelled.to_string(), COULD_NOT);
+            output.interrupt.last_words(go_on).unwrap_or_else(cancelled)
         }
-        Err(commands::Failure::CouldNot(message)) => {
-            output.error(&message);
-            ExitCode::from(COULD_NOT)
-        }
-    }
+    };
+    output.error(&message);
+    ExitCode::from(code)
 }
 
 /// Help and version as clap writes them; what is wrong with a command line as one sentence.
 fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
-            // A closed pipe is no reason to fail.
-            let _ = error.print();
-            ExitCode::SUCCESS
+            match output::written(error.print().and_then(|()| io::stdout().flush())) {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(cause) => {
+                    Output::new(false).error(&output::not_written("this text", &cause));
+                    ExitCode::from(COULD_NOT)
+                }
+            }
         }
         ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             let _ = error.print();
@@ -58,7 +73,7 @@ fn usage(error: &clap::Error) -> ExitCode {
         }
         _ => {
             let json = std::env::args_os().any(|argument| argument == "--json");
-            Output { json }.error(&output::one_sentence(&error.render().to_string()));
+            Output::new(json).error(&output::one_sentence(&error.render().to_string()));
             ExitCode::from(BAD_USAGE)
         }
     }

@@ -1,24 +1,44 @@
 //! What goes to stdout and stderr.
 
-use std::io::{self, Write};
+use std::borrow::Cow;
+use std::io::{self, ErrorKind, Write};
+use std::sync::Arc;
 
 use serde::Serialize;
 
-/// How to speak: to people, or in JSON to programs.
+use crate::commands::Failure;
+use crate::interrupt::Interrupt;
+
+/// How to speak: to people, or in JSON to programs; and whether to go on.
+#[derive(Clone, Debug)]
 pub(crate) struct Output {
     pub(crate) json: bool,
+    pub(crate) interrupt: Arc<Interrupt>,
 }
 
 impl Output {
+    pub(crate) fn new(json: bool) -> Self {
+        Self { json, interrupt: Arc::default() }
+    }
+
     /// The result, on stdout: one JSON object, or lines for people.
-    pub(crate) fn result(&self, value: &impl Serialize, text: impl FnOnce() -> String) {
+    ///
+    /// # Errors
+    ///
+    /// Stdout does not take it.
+    pub(crate) fn result(
+        &self,
+        value: &impl Serialize,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
         let text = if self.json {
             serde_json::to_string(value).expect("our own types are JSON: string keys") + "\n"
         } else {
             text()
         };
-        // A reader that closed the pipe has read enough.
-        let _ = io::stdout().write_all(text.as_bytes());
+        let mut stdout = io::stdout();
+        written(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
+            .map_err(|cause| Failure::CouldNot(not_written("the result", &cause)))
     }
 
     /// The one sentence that says why nothing more came, on stderr.
@@ -26,10 +46,32 @@ impl Output {
         let line = if self.json {
             serde_json::json!({ "event": "error", "message": message }).to_string()
         } else {
-            format!("tiepoint: {message}")
+            printable(&format!("tiepoint: {message}")).into_owned()
         };
         line_to_stderr(&line);
     }
+}
+
+/// What became of a text for stdout. A reader that closed the pipe has read enough.
+pub(crate) fn written(outcome: io::Result<()>) -> io::Result<()> {
+    outcome.or_else(|cause| if cause.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(cause) })
+}
+
+/// A sentence on a text that stdout did not take.
+pub(crate) fn not_written(what: &str, cause: &io::Error) -> String {
+    format!(
+        "cannot write {what} to stdout: {cause}; files that were made are kept, so give the same command again"
+    )
+}
+
+/// A line for people. Names of files may have control characters, which would tear the line or command
+/// the terminal: escapes take their place.
+pub(crate) fn printable(line: &str) -> Cow<'_, str> {
+    if !line.contains(char::is_control) {
+        return Cow::Borrowed(line);
+    }
+    let escaped = |c: char| if c.is_control() { c.escape_debug().to_string() } else { c.to_string() };
+    Cow::Owned(line.chars().map(escaped).collect())
 }
 
 /// Writes a line to stderr, if anybody reads it.
@@ -49,7 +91,13 @@ pub(crate) fn one_sentence(message: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::one_sentence;
+    use super::{one_sentence, printable};
+
+    #[test]
+    fn a_line_for_people_is_one_line() {
+        assert_eq!(printable("photos/ä b.jpg is empty"), "photos/ä b.jpg is empty");
+        assert_eq!(printable("a\nb\u{1b}[31m\r\u{7f}\u{85}"), r"a\nb\u{1b}[31m\r\u{7f}\u{85}");
+    }
 
     #[test]
     fn a_message_of_clap_becomes_one_sentence() {

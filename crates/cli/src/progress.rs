@@ -1,54 +1,66 @@
 //! Draws events: a bar on a terminal, JSON lines for programs.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use tiepoint_pipeline::Event;
 
-use crate::output::{Output, line_to_stderr};
+use crate::interrupt::Interrupt;
+use crate::output::{Output, line_to_stderr, printable};
 
 /// Watches a run.
 pub(crate) struct Progress {
     json: bool,
     /// Hidden where stderr is no terminal.
     bar: ProgressBar,
+    interrupt: Arc<Interrupt>,
 }
 
 impl Progress {
     pub(crate) fn new(output: &Output) -> Self {
-        Self { json: output.json, bar: ProgressBar::hidden() }
+        let interrupt = Arc::clone(&output.interrupt);
+        Self { json: output.json, bar: ProgressBar::hidden(), interrupt }
     }
 
+    /// Tells an event. The run is to stop where this breaks.
     pub(crate) fn watch(&mut self, event: &Event) -> ControlFlow<()> {
         if self.json {
             line_to_stderr(&serde_json::to_string(event).expect("events are JSON: numbers and strings"));
         } else {
             self.draw(event);
         }
-        ControlFlow::Continue(())
+        self.interrupt.flow()
     }
 
-    /// An image of a drive is about to be rendered, `done` of `total` being there.
-    pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) {
+    /// An image of a drive is about to be rendered, `done` of `total` being there. The run is to stop
+    /// where this breaks.
+    pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
         if self.json {
             let event =
                 serde_json::json!({ "event": "rendering", "image": image, "done": done, "total": total });
             line_to_stderr(&event.to_string());
-            return;
+            return self.interrupt.flow();
         }
         if done == 0 {
             self.begin("render", total, 0);
         }
         self.bar.set_message(image.to_owned());
         self.bar.set_position(done as u64);
+        self.interrupt.flow()
     }
 
     /// A new bar.
     fn begin(&mut self, what: &'static str, total: usize, done: usize) {
         let style = ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
         self.bar.finish_and_clear();
-        self.bar = ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64);
+        self.set_bar(ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64));
         self.bar.set_style(style.expect("the template is sound"));
+    }
+
+    fn set_bar(&mut self, bar: ProgressBar) {
+        self.interrupt.set_bar(&bar);
+        self.bar = bar;
     }
 
     fn draw(&mut self, event: &Event) {
@@ -69,7 +81,7 @@ impl Progress {
             )),
             Event::FrameKept { image, read } => {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
-                    self.bar = ProgressBar::new_spinner();
+                    self.set_bar(ProgressBar::new_spinner());
                 }
                 self.bar.set_message(format!("{image}: {read} frames read"));
                 self.bar.tick();
@@ -100,7 +112,7 @@ impl Progress {
             }
             Event::AdjustmentStep { step, cost } => {
                 if self.bar.is_hidden() {
-                    self.bar = ProgressBar::new_spinner();
+                    self.set_bar(ProgressBar::new_spinner());
                 }
                 self.bar.set_message(format!("step {step}: cost {cost:.6e}"));
                 self.bar.tick();
@@ -111,7 +123,7 @@ impl Progress {
 
     /// A line that stays, above the bar.
     fn say(&self, line: &str) {
-        self.bar.suspend(|| line_to_stderr(line));
+        self.bar.suspend(|| line_to_stderr(&printable(line)));
     }
 }
 

@@ -4,13 +4,20 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use crate::regular::require_regular_file;
 use crate::text::{Lines, Number};
 use crate::{AtomicFile, Result};
 
 const HEADER: &str = "image,seconds";
 
 /// Reads the times of images, in seconds on their cameras' clocks, by name. A name may hold commas: the last one divides.
+/// White space around it does not count.
+///
+/// # Errors
+///
+/// The file cannot be read, or a line of it is none of a name and a number.
 pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
+    require_regular_file(path)?;
     let mut lines = Lines::open(path)?;
     let mut times = BTreeMap::new();
     // A byte order mark is what spreadsheets leave.

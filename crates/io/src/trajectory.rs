@@ -53,7 +53,7 @@ pub fn read_tum(path: &Path) -> Result<Vec<TimedPose>> {
 /// Writes a trajectory in the TUM format.
 pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
-        writeln!(file, "# timestamp tx ty tz qx qy qz qw")?;
+        writeln!(file, "# tiepoint: timestamp tx ty tz qx qy qz qw")?;
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();
             writeln!(file, "{} {}", Number(pose.time_s), Numbers(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w]))

@@ -4,6 +4,7 @@
 //! variable rates are respected. When the recording began, in whole seconds, is read from the file's metadata; its sound is there too.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -14,6 +15,7 @@ use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
 use crate::images::has_extension;
 use crate::pixels::check_size;
+use crate::regular::require_regular_file;
 use crate::{Error, Result, Rgb};
 
 /// Names of files with these endings, in any case, are taken for videos.
@@ -33,7 +35,8 @@ pub fn is_video(path: &Path) -> bool {
 /// One recording by one camera: files that follow each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recording {
-    /// The stem of its first file's name.
+    /// The stem of its first file's name, as the folder of its frames can be called: without white space
+    /// around it, and with `_` for control characters and for a point at its beginning.
     pub name: String,
     /// Its files, the first one first.
     pub chapters: Vec<PathBuf>,
@@ -54,7 +57,7 @@ pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
         }
         chapters.entry(key).or_default().insert(chapter, file.clone());
     }
-    let name_of = |file: &PathBuf| file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let name_of = |file: &PathBuf| file.file_stem().map(|stem| folder_name(&stem.to_string_lossy()));
     order
         .iter()
         .filter_map(|key| {
@@ -62,6 +65,16 @@ pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
             Some(Recording { name: chapters.first().and_then(name_of)?, chapters })
         })
         .collect()
+}
+
+/// A name that images may begin with. A folder that begins with a point would be hidden.
+fn folder_name(stem: &str) -> String {
+    let name: String = stem.trim().chars().map(|c| if c.is_control() { '_' } else { c }).collect();
+    match name.strip_prefix('.') {
+        Some(rest) => format!("_{rest}"),
+        None if name.is_empty() => "_".to_owned(),
+        None => name,
+    }
 }
 
 /// Which recording a file belongs to, and its place in it.
@@ -112,6 +125,7 @@ pub struct VideoReader {
 impl VideoReader {
     /// Starts ffmpeg on a file.
     pub fn open(path: &Path) -> Result<Self> {
+        require_regular_file(path)?;
         // ffmpeg's own words for this are many.
         std::fs::File::open(path).map_err(Error::io(path))?;
         let passthrough = if version(path)? >= FIRST_WITH_FPS_MODE {
@@ -119,9 +133,9 @@ impl VideoReader {
         } else {
             ["-vsync", "0"]
         };
-        let mut child = Command::new("ffmpeg")
+        let mut child = ffmpeg()
             .args(["-nostdin", "-hide_banner", "-loglevel", "info", "-nostats", "-i"])
-            .arg(path)
+            .arg(input(path))
             .args(["-map", "0:v:0", "-vf", FILTERS])
             .args(passthrough)
             .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
@@ -196,9 +210,10 @@ impl Drop for VideoReader {
 
 /// The sound of a video file in one channel at a rate, from when its pictures begin; empty where it has none.
 pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
-    let done = Command::new("ffmpeg")
+    require_regular_file(path)?;
+    let done = ffmpeg()
         .args(["-nostdin", "-v", "error", "-i"])
-        .arg(path)
+        .arg(input(path))
         // Silence takes the place of what is missing, so that the sound keeps time with the pictures.
         .args([
             "-map",
@@ -218,6 +233,23 @@ pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
     Ok(done.stdout.chunks_exact(2).map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]])).collect())
 }
 
+/// The program. Ctrl-C on a terminal goes to this process and not to ffmpeg: a stream that ffmpeg broke
+/// off would pass for the whole video. ffmpeg ends when nobody reads its pipe any more.
+fn ffmpeg() -> Command {
+    let mut command = Command::new("ffmpeg");
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    command
+}
+
+/// A file as ffmpeg takes it for one, whatever its name: `12:30.mp4` alone would be a protocol, and
+/// `-x.mp4` an option.
+fn input(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
+}
+
 fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
     move |cause| {
         Error::content(
@@ -229,8 +261,7 @@ fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
 
 /// The version of ffmpeg. One built from its repository, which has no number, is newer than any that matters here.
 fn version(video: &Path) -> Result<(u32, u32)> {
-    let said =
-        Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output().map_err(missing(video))?;
+    let said = ffmpeg().arg("-version").stdin(Stdio::null()).output().map_err(missing(video))?;
     Ok(parse_version(&String::from_utf8_lossy(&said.stdout)).unwrap_or((u32::MAX, 0)))
 }
 
@@ -317,6 +348,19 @@ mod tests {
         assert_eq!(names(&["left.mp4", "right.mp4", "IMG_0042.MOV", "DJI_0042.MP4"]).len(), 4);
         let files = [PathBuf::from("GX020042.MP4"), PathBuf::from("GX010042.MP4")];
         assert_eq!(recordings(&files)[0].chapters, [files[1].clone(), files[0].clone()]);
+    }
+
+    #[test]
+    fn recordings_are_called_as_folders_can_be() {
+        for (file, expected) in [
+            (" a b .mp4", "a b"),
+            ("a\nb.mp4", "a_b"),
+            (".a.mp4", "_a"),
+            ("12:30.mp4", "12:30"),
+            (" .mp4", "_"),
+        ] {
+            assert_eq!(names(&[file]), [(expected.to_owned(), 1)]);
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use tiepoint_features::{Features, Keypoint};
 use tiepoint_geometry::nalgebra::Matrix3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
-use tiepoint_io::database::{Database, Moment};
+use tiepoint_io::database::{Database, Moment, StageRow, read_stage_rows};
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Rig, RigId, RigSensor, TwoView, TwoViewKind,
 };
@@ -226,4 +226,159 @@ fn what_is_no_database_is_refused() {
     db.write_images(&images()).unwrap();
     let error = db.write_features([(ImageId(9), &Features::default())]).unwrap_err().to_string();
     assert!(error.contains("there are 4 images, and none of index 9"), "{error}");
+}
+
+fn stage(name: &str, is_complete: bool) -> StageRow {
+    StageRow { stage: name.to_owned(), is_complete, recipe: format!("{{\"of\": \"{name}\"}}") }
+}
+
+fn names(dir: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).unwrap();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_path_is_never_an_address() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("file:w");
+    std::fs::create_dir(&folder).unwrap();
+    let path = folder.join("a ?mode=memory#%41ä.db");
+    let mut db = filled(&path);
+    db.write_stage_rows(&[stage("features", true)]).unwrap();
+    db.finish().unwrap();
+    assert_eq!(names(&folder), ["a ?mode=memory#%41ä.db"]);
+    assert_eq!(Database::open(&path).unwrap().num_images(), 4);
+    assert_eq!(read_stage_rows(&path).unwrap(), Some(vec![stage("features", true)]));
+}
+
+#[test]
+fn a_new_database_replaces_the_old_one_once_it_is_filled() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    filled(&path).finish().unwrap();
+    let part = dir.path().join(".database.db.tiepoint-part");
+    let error = Database::create_with(&path, |db| {
+        db.write_cameras(&cameras())?;
+        assert!(Database::create(&path).unwrap_err().to_string().contains("another run"));
+        assert_eq!(names(dir.path()), [".database.db.tiepoint-part", "database.db"]);
+        db.write_images(&[Image::new("x", CameraId(7), vec![])])
+    });
+    assert!(error.unwrap_err().to_string().starts_with(&format!("{}: image x", path.display())));
+    assert_eq!(names(dir.path()), ["database.db"]);
+    assert_eq!(Database::open(&path).unwrap().read_images().unwrap(), images());
+
+    // A run that is killed leaves its log and a half-made database.
+    let mut db = Database::open(&path).unwrap();
+    db.write_images(&images()[..1]).unwrap();
+    let copy = dir.path().join("killed");
+    std::fs::create_dir(&copy).unwrap();
+    for suffix in ["", "-wal", "-shm"] {
+        let name = format!("database.db{suffix}");
+        std::fs::copy(dir.path().join(&name), copy.join(&name)).unwrap();
+    }
+    assert!(Database::create(&path).is_err(), "it is open");
+    drop(db);
+    let path = copy.join("database.db");
+    std::fs::write(copy.join(".database.db.tiepoint-part"), "half").unwrap();
+    let failed = Database::create_with(&path, |db| db.write_images(&images()));
+    assert!(failed.is_err());
+    assert_eq!(Database::open(&path).unwrap().num_images(), 1);
+    Database::create_with(&path, |db| db.write_cameras(&cameras())).unwrap().finish().unwrap();
+    assert_eq!(names(&copy), ["database.db"]);
+    let db = Database::open(&path).unwrap();
+    assert_eq!((db.num_cameras(), db.num_images()), (2, 0));
+    drop(db);
+
+    // What stands beside something that is no database goes with it.
+    for suffix in ["", "-wal", "-shm", "-journal"] {
+        std::fs::write(copy.join(format!("database.db{suffix}")), "x".repeat(5000)).unwrap();
+    }
+    Database::create(&path).unwrap().finish().unwrap();
+    assert_eq!(names(&copy), ["database.db"]);
+    #[cfg(unix)]
+    {
+        let link = dir.path().join("link.db");
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        Database::create_with(&link, |db| db.write_cameras(&cameras())).unwrap().finish().unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(Database::open(&path).unwrap().num_cameras(), 2);
+        std::os::unix::fs::symlink(&path, &part).unwrap();
+        let path = dir.path().join("database.db");
+        assert!(Database::create(&path).unwrap_err().to_string().contains("in the way"));
+    }
+}
+
+#[test]
+fn rows_on_stages_go_with_what_they_are_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    let mut db = filled(&path);
+    assert_eq!(db.stage_rows().unwrap(), None);
+    assert_eq!(read_stage_rows(&path).unwrap(), None);
+    let rows = [stage("matching", false), stage("features", true)];
+    db.write_stage_rows(&rows).unwrap();
+    let pair = ImagePair::new(ImageId(0), ImageId(1)).unwrap();
+    let view = random_two_view(&mut Rng::stream(1, &[]));
+    db.write_pairs([(pair, &[Match { a: 1, b: 2 }][..], &view)]).unwrap();
+    assert_eq!(db.read_matches().unwrap(), [(pair, vec![Match { a: 1, b: 2 }])]);
+    assert_eq!(db.read_two_views().unwrap(), [(pair, view)]);
+    // Two rows of one name: nothing is done.
+    assert!(db.clear_matches_for(&[stage("x", true), stage("x", false)]).is_err());
+    assert_eq!(db.matched_pairs().unwrap(), [pair]);
+    assert_eq!(db.stage_rows().unwrap(), Some(rows.to_vec()));
+    db.clear_matches_for(&rows[1..]).unwrap();
+    assert!(db.matched_pairs().unwrap().is_empty() && db.read_two_views().unwrap().is_empty());
+
+    // While it is open, after a kill with and without the index of the log, and closed.
+    let expected = Some(rows[1..].to_vec());
+    assert_eq!(read_stage_rows(&path).unwrap(), expected);
+    for (index, suffixes) in [&["", "-wal", "-shm"][..], &["", "-wal"]].into_iter().enumerate() {
+        let copy = dir.path().join(index.to_string());
+        std::fs::create_dir(&copy).unwrap();
+        let list: Vec<String> = suffixes.iter().map(|suffix| format!("database.db{suffix}")).collect();
+        for name in &list {
+            std::fs::copy(dir.path().join(name), copy.join(name)).unwrap();
+        }
+        let mut sorted = list.clone();
+        sorted.sort();
+        for is_read_only in [false, true] {
+            set_read_only(&copy, is_read_only);
+            let before = std::fs::read(copy.join("database.db")).unwrap();
+            let log = std::fs::read(copy.join("database.db-wal")).unwrap();
+            assert_eq!(read_stage_rows(&copy.join("database.db")).unwrap(), expected);
+            assert_eq!(names(&copy), sorted);
+            assert_eq!(std::fs::read(copy.join("database.db")).unwrap(), before);
+            assert_eq!(std::fs::read(copy.join("database.db-wal")).unwrap(), log);
+        }
+        set_read_only(&copy, false);
+        assert_eq!(Database::open(&copy.join("database.db")).unwrap().stage_rows().unwrap(), expected);
+    }
+    // Closed by others, a database may say that it has a log and have none.
+    drop(db);
+    let alone = dir.path().join("alone");
+    std::fs::create_dir(&alone).unwrap();
+    std::fs::copy(&path, alone.join("database.db")).unwrap();
+    for is_read_only in [false, true] {
+        set_read_only(&alone, is_read_only);
+        assert_eq!(read_stage_rows(&alone.join("database.db")).unwrap(), expected);
+        assert_eq!(names(&alone), ["database.db"]);
+    }
+    set_read_only(&alone, false);
+    Database::open(&path).unwrap().finish().unwrap();
+    assert_eq!(read_stage_rows(&path).unwrap(), expected);
+    assert!(names(dir.path()).iter().all(|name| !name.contains('-')));
+    assert!(read_stage_rows(&dir.path().join("none.db")).is_err());
+    std::fs::write(&path, "this is no database").unwrap();
+    assert!(read_stage_rows(&path).is_err());
+}
+
+fn set_read_only(dir: &Path, is_read_only: bool) {
+    for path in std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).chain([dir.to_owned()]) {
+        let mut permissions = std::fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(is_read_only);
+        std::fs::set_permissions(&path, permissions).unwrap();
+    }
 }

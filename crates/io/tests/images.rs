@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use exif::{In, Rational, Tag, Value};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma as Grey, Rgb as Pixel, RgbImage};
 use tiepoint_io::features::{self, Features, GrayView};
-use tiepoint_io::{ImageFolder, ImageSource, Luma, Rgb, timestamps};
+use tiepoint_io::{ImageFolder, ImageSource, Luma, MANIFEST, Rgb, timestamps};
 
 /// JPEG at quality 95 of a smooth image: a few grey levels.
 const JPEG_TOLERANCE: i32 = 6;
@@ -96,6 +96,91 @@ fn cameras_are_folders_and_names_are_in_byte_order() {
     assert!(open(empty.path()).unwrap_err().to_string().contains("holds no images"));
     assert!(open(&empty.path().join("absent")).unwrap_err().to_string().contains("absent"));
     assert!(open(&empty.path().join("notes.txt")).is_err());
+}
+
+fn manifest(names: &[&str]) -> Vec<u8> {
+    let files: Vec<String> = names.iter().map(|name| format!("\"{name}\":[\"0123\"]")).collect();
+    format!("{{\"program\":\"tiepoint\",\"files\":{{{}}}}}", files.join(",")).into_bytes()
+}
+
+#[test]
+fn images_that_this_program_made_are_passed_over() {
+    let names = |dir: &Path| -> Vec<String> {
+        open(dir).unwrap().images().iter().map(|image| image.name.clone()).collect()
+    };
+    let with = |own: Vec<u8>, of_ws: Vec<u8>, of_deep: Vec<u8>| {
+        folder(&[
+            (MANIFEST, own),
+            ("cam/1.png", vec![]),
+            ("cam/2.png", vec![]),
+            (&format!("ws/{MANIFEST}"), of_ws),
+            ("ws/frames/a/1.jpg", vec![]),
+            ("ws/theirs.jpg", vec![]),
+            (&format!("ws/export/{MANIFEST}"), of_deep),
+            ("ws/export/images/1.png", vec![]),
+        ])
+    };
+    let cam = ["cam/1.png", "cam/2.png"];
+    let (export, theirs) = ("ws/export/images/1.png", "ws/theirs.jpg");
+    let of_ws = || manifest(&["frames/a/1.jpg", "report.json"]);
+
+    let dir = with(vec![], of_ws(), manifest(&["images/1.png"]));
+    assert_eq!(names(dir.path()), [cam[0], cam[1], theirs]);
+    // By whoever is above.
+    let dir = with(vec![], manifest(&["frames/a/1.jpg", "export/images/1.png"]), vec![]);
+    assert_eq!(names(dir.path()), [cam[0], cam[1], theirs]);
+    for foreign in [
+        b"no JSON".to_vec(),
+        b"[]".to_vec(),
+        br#"{"program":"other","files":{"images/1.png":[]}}"#.to_vec(),
+        br#"{"program":"tiepoint","files":["images/1.png"]}"#.to_vec(),
+    ] {
+        let dir = with(foreign.clone(), of_ws(), foreign);
+        assert_eq!(names(dir.path()), [cam[0], cam[1], export, theirs]);
+    }
+
+    // An input's own manifest counts as long as it leaves images.
+    let dir = with(manifest(&["cam/1.png"]), of_ws(), vec![]);
+    assert_eq!(names(dir.path()), [cam[1], export, theirs]);
+    let error = open(&dir.path().join("ws")).unwrap_err().to_string();
+    assert!(error.contains("holds both images and a folder of images, `export`"), "{error}");
+    fs::remove_file(dir.path().join("ws").join(theirs.trim_start_matches("ws/"))).unwrap();
+    assert_eq!(names(&dir.path().join("ws")), ["export/images/1.png"]);
+}
+
+#[test]
+fn an_input_of_nothing_but_made_images_is_meant() {
+    let dir =
+        folder(&[(MANIFEST, manifest(&["a/1.png", "a/2.png"])), ("a/1.png", vec![]), ("a/2.png", vec![])]);
+    assert_eq!(names(&open(dir.path()).unwrap()), [("a/1.png", 0), ("a/2.png", 0)]);
+    // From above they are not.
+    let above = folder(&[
+        ("cam/1.png", vec![]),
+        (&format!("ws/{MANIFEST}"), manifest(&["a/1.png"])),
+        ("ws/a/1.png", vec![]),
+    ]);
+    assert_eq!(names(&open(above.path()).unwrap()), [("cam/1.png", 0)]);
+}
+
+#[test]
+#[cfg(unix)]
+fn what_is_skipped_has_a_name_and_a_reason() {
+    let dir =
+        folder(&[("l/1.png", vec![]), ("l/a\u{7f}.png", vec![]), (" r/1.png", vec![]), ("m /1.png", vec![])]);
+    let source = open(dir.path()).unwrap();
+    assert_eq!(names(&source), [("l/1.png", 0), ("m /1.png", 1)]);
+    let skipped: Vec<&str> = source.skipped().iter().map(|file| file.name.as_str()).collect();
+    assert_eq!(skipped, [" r", "l/a\\u{7f}.png"]);
+    let why = &source.skipped()[0].why;
+    assert!(why.contains("/ r: its name begins with white space, with 1 image below it: rename"), "{why}");
+    // Behind the name of an input, a space is within.
+    let inputs = [dir.path().join(" r"), dir.path().join("l")];
+    let error = ImageFolder::open(&inputs, None).unwrap_err().to_string();
+    assert!(error.contains("/ r: its name begins with white space"), "{error}");
+    fs::create_dir(dir.path().join("s")).unwrap();
+    fs::write(dir.path().join("s/ 1.png"), "").unwrap();
+    let source = ImageFolder::open(&[dir.path().join("s"), dir.path().join("m ")], None).unwrap();
+    assert_eq!(names(&source), [("m /1.png", 0), ("s/ 1.png", 1)]);
 }
 
 #[test]
@@ -353,7 +438,12 @@ fn masks_go_by_name_and_must_fit() {
 fn timestamps_are_read_as_written() {
     let dir = tempfile::tempdir().unwrap();
     let path: PathBuf = dir.path().join("timestamps.csv");
-    let times = [("left/a,b.png", 1_403_636_579.763_555_5), ("right/1.png", -1e-9), ("x", 0.1 + 0.2)];
+    let times = [
+        ("left/a, b  c.png", 5.0),
+        ("left/a,b.png", 1_403_636_579.763_555_5),
+        ("right/1.png", -1e-9),
+        ("x", 0.1 + 0.2),
+    ];
     timestamps::write(&path, times).unwrap();
     let read = timestamps::read(&path).unwrap();
     assert_eq!(read.iter().map(|(name, seconds)| (name.as_str(), *seconds)).collect::<Vec<_>>(), times);

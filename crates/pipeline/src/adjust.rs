@@ -13,6 +13,8 @@ use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vect
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_sfm::{self as sfm, AdjustOptions, Scope};
 
+use crate::export::{model_files, write_colmap};
+use crate::output_file::write_file;
 use crate::{Error, Event, Watch, model_folder};
 
 /// What an adjustment came to.
@@ -56,7 +58,7 @@ const MAX_ITERATIONS: usize = 100;
 /// the input.
 pub fn adjust(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
     if path.is_dir() {
-        adjust_colmap(&model_folder(path), output, watch)
+        adjust_colmap(&model_folder(path)?, output, watch)
     } else {
         adjust_bal(path, output, watch)
     }
@@ -72,7 +74,8 @@ fn adjust_colmap(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adj
     let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
     if let Some(output) = output {
         let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
-        colmap::write_model(output, &model, if is_text { Format::Text } else { Format::Binary })?;
+        let format = if is_text { Format::Text } else { Format::Binary };
+        write_colmap(output, &model, format, &model_files(path))?;
     }
     Ok(report)
 }
@@ -120,7 +123,7 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
             };
         }
         bal.points = points.iter().map(|point| problem.get(*point)).collect();
-        bal.write(output)?;
+        write_file(output, [path], None, |output| Ok(bal.write(output)?))?;
     }
     Ok(report)
 }

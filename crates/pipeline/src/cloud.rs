@@ -73,7 +73,7 @@ fn sample(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
 /// The points of a PLY file, of a LAS or LAZ one (with the feature `las`), or of a model (a folder, or a workspace).
 pub fn read_cloud(path: &Path) -> Result<Vec<Vector3<f64>>, Error> {
     if path.is_dir() {
-        let model = read_model(&model_folder(path))?;
+        let model = read_model(&model_folder(path)?)?;
         return Ok(model.tracks().map(|(_, track)| track.xyz).collect());
     }
     let is_las =

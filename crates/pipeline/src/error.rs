@@ -35,7 +35,7 @@ pub enum Error {
     },
     /// A COLMAP project of somebody else.
     #[error(
-        "{path} holds {found} but no stages.json, so this program did not make it: choose another workspace, or move it away"
+        "{path} holds {found}, and this program did not make it: choose another folder for the workspace, or move {found} away"
     )]
     ForeignWorkspace {
         /// The folder.
@@ -50,6 +50,65 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong.
         what: String,
+    },
+    /// The record of the stages is damaged, and no database tells what they were made from.
+    #[error(
+        "{path} is damaged ({what}), and nothing else tells what the workspace was made from: choose another workspace, or move all \
+         of this one's files away"
+    )]
+    BrokenRecord {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// The database is damaged.
+    #[error("{cause}: give --redo features to make {path} anew")]
+    BrokenDatabase {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        cause: Box<tiepoint_io::Error>,
+    },
+    /// A file is in the way that is not this program's.
+    #[error(
+        "{path} is there, and this program did not make it, or somebody has changed it since: move it away, or choose another place"
+    )]
+    NotOurs {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// The result would be written onto an input.
+    #[error("{path} is read by this command, so the result cannot be written there: choose another place")]
+    IsInput {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// A name that leads out of the folder of the results.
+    #[error("the name {name:?} leads out of {path}: rename the image")]
+    NotInside {
+        /// The folder.
+        path: PathBuf,
+        /// The name.
+        name: String,
+    },
+    /// The models are those of other matches, or were about to be replaced.
+    #[error(
+        "the models in {path} were made before its features or matches were made anew: run `tiepoint map {path}`, or give \
+         {path}/sparse/0 to take them as they are"
+    )]
+    StaleModels {
+        /// The workspace.
+        path: PathBuf,
+    },
+    /// The times of the images are not those that the first stage wrote.
+    #[error(
+        "{path} has been changed or removed since it was written: move it away, and give your times to `tiepoint features` with \
+         --timestamps FILE.csv --redo features, from a file outside the workspace"
+    )]
+    ChangedTimes {
+        /// The file.
+        path: PathBuf,
     },
     /// A stage is missing on which the asked one builds.
     #[error("{path} has no {products} yet: run `tiepoint {stage}` first", products = stage.products())]
@@ -93,7 +152,11 @@ pub enum Error {
         how: String,
     },
     /// Too little to reconstruct.
-    #[error("{path} gives {usable} usable photo{s} of {found}: at least two that overlap are needed", s = if *usable == 1 { "" } else { "s" })]
+    #[error(
+        "{path} gives {usable} usable photo{s} of {found}: at least two that overlap are needed{also}",
+        s = if *usable == 1 { "" } else { "s" },
+        also = skipped.first().map_or_else(String::new, |why| format!("; {} skipped, first {why}", skipped.len()))
+    )]
     TooFewPhotos {
         /// The input.
         path: PathBuf,
@@ -101,6 +164,8 @@ pub enum Error {
         found: usize,
         /// Photos that could be read.
         usable: usize,
+        /// Files that are named like photos and are none that could be used: why, one sentence for each.
+        skipped: Vec<String>,
     },
     /// Photos beside videos.
     #[error("{photos} holds photos and {video} is a video: give folders of photos or videos, not both")]

@@ -10,7 +10,9 @@ use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relati
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
-use crate::Error;
+use crate::output_folder::OutputFolder;
+use crate::workspace::{current_records, is_workspace};
+use crate::{Error, Stage, Workspace};
 
 /// Poses known to be true.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -136,9 +138,27 @@ struct TruePose {
 }
 
 /// The folder of a COLMAP model: `path` itself, or its `sparse/0` where `path` is a workspace.
-pub fn model_folder(path: &Path) -> PathBuf {
+///
+/// # Errors
+///
+/// Where a workspace is given whose models are not made from what is in it now.
+pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
+    if OutputFolder::is_unfinished(path) {
+        // A killed run left the models on their way to their places.
+        if is_workspace(path) {
+            drop(Workspace::open(path)?);
+        } else {
+            drop(OutputFolder::open(path)?);
+        }
+    }
     let largest = path.join("sparse/0");
-    if largest.is_dir() { largest } else { path.to_owned() }
+    if !largest.is_dir() {
+        return Ok(path.to_owned());
+    }
+    if is_workspace(path) && !current_records(path)?.is_complete(Stage::Map) {
+        return Err(Error::StaleModels { path: path.to_owned() });
+    }
+    Ok(largest)
 }
 
 /// Gives the images of a model their times from a file, if it is there.
@@ -155,7 +175,7 @@ pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), 
 /// Compares the images of a model (a folder, or a workspace) with the truth: those whose names begin with `prefix`; without it,
 /// all that the truth knows by name, or, where the truth is one trajectory, those of the camera of the first image.
 pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Result<PoseEvaluation, Error> {
-    let folder = model_folder(path);
+    let folder = model_folder(path)?;
     let model = colmap::read_model(&folder)?;
     let is_trajectory = matches!(truth.format, TruthFormat::Kitti | TruthFormat::Tum);
     let prefix = match prefix {
@@ -233,7 +253,7 @@ fn associate_images<'a>(
                 .collect(),
         ),
         TruthFormat::Colmap => {
-            let model = colmap::read_model(&model_folder(path))?;
+            let model = colmap::read_model(&model_folder(path)?)?;
             let poses = model.registered().map(|(id, image, cam_from_world)| {
                 let focal_px = Some(model.camera_of(id).intrinsics.mean_focal_px());
                 (image.name.clone(), TruePose { cam_from_world: *cam_from_world, focal_px })

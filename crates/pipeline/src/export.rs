@@ -8,7 +8,8 @@ use std::str::FromStr;
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_io::bal::Bal;
-use tiepoint_io::colmap::{self, Format, read_model};
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::trajectory::{self, TimedPose};
 use tiepoint_io::{
     AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort,
@@ -19,9 +20,10 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
 use crate::kalibr;
-use crate::records::Records;
+use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
+use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::{RIG, STAGES};
+use crate::workspace::{RIG, current_records, is_workspace};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,13 +80,15 @@ pub struct Exported {
     pub poses: usize,
     /// How many points, where the format has any.
     pub points: usize,
+    /// Photos that lay in their places already, and were left as they are.
+    pub photos_in_place: usize,
     /// What it took to make the cameras rigid, where that was asked for.
     pub rigid: Option<RigidReport>,
 }
 
 /// Writes a model (a folder, or a workspace) in another format.
 pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    write_as(from, &read_model(&model_folder(from))?, format, to)
+    write_as(from, &read_model(&model_folder(from)?)?, format, to)
 }
 
 /// Adjusts a model with its cameras held exactly to one calibration first, whatever it was held to before; its moments are frames of a rig
@@ -98,33 +102,41 @@ pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Expo
 }
 
 fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    let folder = model_folder(from);
-    let (mut poses, mut points) = (model.num_registered(), model.num_tracks());
+    let folder = model_folder(from)?;
+    let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
+    let inputs = model_files(&folder);
+    let file = |mark, write: &dyn Fn(&Path) -> Result<(), Error>| {
+        write_file(to, inputs.iter().map(PathBuf::as_path), mark, write)
+    };
     match format {
-        ExportFormat::Colmap => colmap::write_model(to, model, Format::Binary)?,
-        ExportFormat::ColmapText => colmap::write_model(to, model, Format::Text)?,
+        ExportFormat::Colmap => write_colmap(to, model, Format::Binary, &inputs)?,
+        ExportFormat::ColmapText => write_colmap(to, model, Format::Text, &inputs)?,
         ExportFormat::Bal => {
             let bal = Bal::from_reconstruction(model).map_err(|error| error.of(&folder))?;
-            bal.write(to)?;
+            file(None, &|to| Ok(bal.write(to)?))?;
         }
         ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
-        ExportFormat::Nerfstudio => export_nerfstudio(from, model, to)?,
+        ExportFormat::Nerfstudio => in_place = export_nerfstudio(from, model, to)?,
         ExportFormat::Kalibr => {
             let (text, cameras) = kalibr::camchain(model, &folder.join("../..").join(RIG))?;
-            AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?;
+            let text = format!("{COMMENT_MARK}\n{text}");
+            file(Some(COMMENT_MARK), &|to| {
+                Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
+            })?;
             (poses, points) = (cameras, 0);
         }
         ExportFormat::Ply => {
-            ply::write(to, &ply::points(model))?;
+            file(Some(PLY_MARK), &|to| Ok(ply::write(to, &ply::points(model))?))?;
             poses = 0;
         }
         ExportFormat::Kitti => {
             let trajectory: Vec<Rigid3> = trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
-            trajectory::write_kitti(to, &trajectory)?;
+            file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
-            let times = timestamps::read(&folder.join("../../timestamps.csv"))?;
+            let times = folder.join("../../timestamps.csv");
+            let times = if times.is_file() { timestamps::read(&times)? } else { BTreeMap::new() };
             let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
                 Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })
             });
@@ -133,65 +145,106 @@ fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path
             if timed.is_empty() {
                 return Err(Error::NoTimes { model: folder });
             }
-            trajectory::write_tum(to, &timed)?;
+            file(Some(COMMENT_MARK), &|to| Ok(trajectory::write_tum(to, &timed)?))?;
             (poses, points) = (timed.len(), 0);
         }
     }
-    Ok(Exported { path: to.to_owned(), poses, points, rigid: None })
+    Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// Writes a COLMAP model into a folder; what is there under a model's names must be this program's.
+pub(crate) fn write_colmap(
+    to: &Path,
+    model: &Reconstruction,
+    format: Format,
+    inputs: &[PathBuf],
+) -> Result<(), Error> {
+    let mut folder = OutputFolder::open(to)?;
+    folder.protect(inputs.iter().map(PathBuf::as_path));
+    let names = model_names(None);
+    folder.refuse_foreign(names.iter().map(String::as_str))?;
+    let staged = folder.stage_model(None, model, format)?;
+    // A model in the other format would be taken for this one.
+    let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();
+    folder.publish(&staged, &removed).map(drop)
+}
+
+/// The files that a model is read from.
+pub(crate) fn model_files(folder: &Path) -> Vec<PathBuf> {
+    model_names(None).iter().map(|name| folder.join(name)).collect()
 }
 
 /// Where the images lie in the folder of an export.
 const IMAGES: &str = "images";
 
+fn image_name(image: &Image) -> String {
+    format!("{IMAGES}/{}", image.name)
+}
+
 /// OpenMVS takes images to be free of distortion: they are written anew, as pinhole cameras would have taken them.
 fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
+    const SCENE: &str = "scene.mvs";
+    let photos = photos_of(from, model)?;
+    let mut folder = OutputFolder::open(to)?;
+    folder.protect(photos.iter().map(|(_, path)| path.as_path()));
+    let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
+    names.push(SCENE.to_owned());
+    folder.refuse_foreign(names.iter().map(String::as_str))?;
     let undistorted = undistort::undistort_model(model);
-    for_each_photo(from, model, |image, path| {
+    photos.par_iter().try_for_each(|(image, path)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
-        let target = place(to, image)?;
+        let target = folder.stage(&image_name(image))?;
         Ok(undistort::undistort_image(&Rgb::read(path)?, old, new).write(&target)?)
     })?;
-    Ok(openmvs::write(&to.join("scene.mvs"), &undistorted, IMAGES)?)
+    openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
+    folder.publish(&names, &[]).map(drop)
 }
 
-/// nerfstudio knows distortion: the photos are copied as they are.
-fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
-    for_each_photo(from, model, |image, path| {
-        let target = place(to, image)?;
-        std::fs::copy(path, &target).map(|_| ()).map_err(|cause| Error::Output { path: target, cause })
+/// nerfstudio knows distortion: the photos are copied as they are. Those that lie in their places already stay; gives how many.
+fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<usize, Error> {
+    const CLOUD: &str = "points.ply";
+    const TRANSFORMS: &str = "transforms.json";
+    let photos = photos_of(from, model)?;
+    let mut folder = OutputFolder::open(to)?;
+    let is_in_place = |image: &Image, path: &Path| {
+        let there = FileId::of(&to.join(image_name(image)));
+        there.is_some() && there == FileId::of(path)
+    };
+    let copied: Vec<&(&Image, PathBuf)> =
+        photos.iter().filter(|(image, path)| !is_in_place(image, path)).collect();
+    let mut names: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
+    names.extend([CLOUD, TRANSFORMS].map(str::to_owned));
+    if is_workspace(to) {
+        // The cloud there is that of its model.
+        return Err(Error::IsInput { path: to.join(CLOUD) });
+    }
+    folder.protect(photos.iter().map(|(_, path)| path.as_path()));
+    folder.refuse_foreign([CLOUD, TRANSFORMS])?;
+    copied.par_iter().try_for_each(|(image, path)| {
+        let target = folder.stage(&image_name(image))?;
+        disk::copy_new(path, &target).map_err(output(&to.join(image_name(image))))
     })?;
-    ply::write(&to.join("points.ply"), &ply::points(model))?;
-    Ok(nerfstudio::write(&to.join("transforms.json"), model, IMAGES, Some("points.ply"))?)
+    ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
+    nerfstudio::write(&folder.stage(TRANSFORMS)?, model, IMAGES, Some(CLOUD))?;
+    folder.publish(&names, &[])?;
+    Ok(photos.len() - copied.len())
 }
 
-/// Where an image goes, its folder being made.
-fn place(to: &Path, image: &Image) -> Result<PathBuf, Error> {
-    let path = to.join(IMAGES).join(&image.name);
-    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
-    made.map_err(|cause| Error::Output { path: path.clone(), cause })?;
-    Ok(path)
-}
-
-/// Calls `work` with each registered image and its file, in parallel.
-fn for_each_photo(
-    from: &Path,
-    model: &Reconstruction,
-    work: impl Fn(&Image, &Path) -> Result<(), Error> + Sync,
-) -> Result<(), Error> {
-    let stages = from.join(STAGES);
-    if !stages.is_file() {
+/// The registered images with their files.
+fn photos_of<'a>(from: &Path, model: &'a Reconstruction) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
+    if !is_workspace(from) {
         return Err(Error::NoPhotos { path: from.to_owned() });
     }
-    let inputs = Records::read(&stages)?.inputs;
+    let inputs = current_records(from)?.inputs;
     let folder = ImageFolder::open(&inputs, None)?;
     let by_name: BTreeMap<&str, usize> =
         folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
-    let images: Vec<&Image> = model.registered().map(|(_, image, _)| image).collect();
-    images.par_iter().try_for_each(|image| {
+    let photo = |image: &'a Image| {
         let missing = || Error::NoPhoto { image: image.name.clone(), inputs: inputs.clone() };
         let index = by_name.get(image.name.as_str()).ok_or_else(missing)?;
-        work(image, folder.path(*index))
-    })
+        Ok((image, folder.path(*index).to_owned()))
+    };
+    model.registered().map(|(_, image, _)| photo(image)).collect()
 }
 
 /// The registered images of the first camera, by name.

@@ -1,11 +1,13 @@
 //! First stage: keypoints and descriptors of every image, into the database.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use tiepoint_io::ImageSource;
-use tiepoint_io::database::Database;
+use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
 use tiepoint_io::{Luma, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
@@ -15,6 +17,7 @@ use crate::fingerprint::of_text;
 use crate::ordered::for_each_in_order;
 use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
+use crate::workspace::TIMESTAMPS;
 use crate::{
     CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace, tell,
 };
@@ -64,18 +67,31 @@ pub fn extract_features(
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Features;
     options.detector.validate()?;
-    workspace.records.inputs = photos.inputs.clone();
+    let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
     let recipe = options.recipe(photos)?;
     let (usable, mut skipped) = photos.survey()?;
     let times = times(photos, &usable, options)?;
+    workspace.folder.protect(photos.files().chain(options.timestamps.as_deref()));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
+        if workspace.records.inputs != inputs_before {
+            // The photos have moved: exports look for them there.
+            workspace.note(|_| {})?;
+        }
         return tell(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
-    timestamps::write(&workspace.timestamps(), times.iter().map(|(name, time_s)| (*name, *time_s)))?;
     let cameras = cameras(&usable, &options.calibration);
-    let mut database = open(workspace, photos, &usable, &cameras, progress)?;
+    // Refused, if at all, before anything is replaced.
+    let staged = workspace.folder.stage(TIMESTAMPS)?;
+    timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
+    workspace.folder.refuse_unless_same(TIMESTAMPS)?;
+    let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
+    workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
+    if !workspace.folder.is_as_left(TIMESTAMPS)? {
+        // Somebody wrote the same times there.
+        workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
+    }
     let mut counts = database.keypoint_counts()?;
     let tasks: Vec<(ImageId, &Photo)> = usable
         .iter()
@@ -107,11 +123,10 @@ pub fn extract_features(
             }
         }
     });
-    database.finish()?;
-    taken?;
-
     let found: Vec<usize> = counts.into_iter().flatten().collect();
-    if found.len() < 2 {
+    if taken.is_err() || found.len() < 2 {
+        database.finish()?;
+        taken?;
         return Err(photos.too_few(found.len()));
     }
     let seconds = start.elapsed().as_secs_f64();
@@ -125,8 +140,11 @@ pub fn extract_features(
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
     };
-    workspace.update_report(|all| all.stages.features = Some(report))?;
-    workspace.complete(STAGE)?;
+    // The report first: a database that says that all is there is the last word.
+    workspace.complete(STAGE);
+    workspace.note(|all| all.stages.features = Some(report))?;
+    database.write_stage_rows(&workspace.records.rows())?;
+    database.finish()?;
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
@@ -170,23 +188,44 @@ fn open(
     usable: &[Photo],
     cameras: &[Camera],
     progress: Progress,
+    redo: Option<Stage>,
 ) -> Result<Database, Error> {
     let path = workspace.database();
-    if progress == Progress::Continue && path.is_file() {
-        let database = Database::open(&path)?;
-        // An interruption may have come before the images were written.
-        if database.num_images() == usable.len() {
-            return Ok(database);
+    if path.is_file() {
+        match read_stage_rows(&path) {
+            // It is complete but for features: it got its name when cameras, images and rigs were there.
+            Ok(Some(_)) if progress == Progress::Continue => {
+                let database = Database::open(&path)?;
+                if database.num_images() == usable.len() {
+                    return Ok(database);
+                }
+            }
+            Ok(Some(_)) => {}
+            Ok(None) => return Err(Error::NotOurs { path }),
+            Err(_) if !is_sqlite(&path) => return Err(Error::NotOurs { path }),
+            Err(cause) if redo != Some(Stage::Features) => {
+                return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
+            }
+            Err(_) => {}
         }
     }
     let image =
         |photo: &Photo| Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new());
     let images: Vec<Image> = usable.iter().map(image).collect();
-    let mut database = Database::create(&path)?;
-    database.write_cameras(cameras)?;
-    database.write_images(&images)?;
-    database.write_rigs(&[], &[])?;
-    Ok(database)
+    Ok(Database::create_with(&path, |database| {
+        database.write_cameras(cameras)?;
+        database.write_images(&images)?;
+        database.write_rigs(&[], &[])?;
+        database.write_stage_rows(&workspace.records.rows())
+    })?)
+}
+
+/// Whether a file begins as SQLite's do.
+fn is_sqlite(path: &Path) -> bool {
+    const HEADER: &[u8] = b"SQLite format 3\0";
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
+    read.is_ok() && head == HEADER
 }
 
 /// Extractors keep their memory from image to image: as many as images that are worked on at once.

@@ -9,7 +9,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tiepoint_io::{ImageFolder, ImageSource};
+use tiepoint_io::{ImageFolder, ImageSource, require_regular_file};
 
 use crate::Error;
 
@@ -31,6 +31,7 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 
 /// Of one small file, whole.
 pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
+    require_regular_file(path)?;
     let bytes = std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
@@ -39,6 +40,7 @@ pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
 pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
+        require_regular_file(path)?;
         all.update(&of_file(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
     }
     Ok(all.finalize().to_hex().to_string())

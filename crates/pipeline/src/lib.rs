@@ -15,6 +15,8 @@ mod mapping;
 mod matching;
 mod metric;
 mod ordered;
+mod output_file;
+mod output_folder;
 mod photos;
 mod reconstruct;
 mod records;
@@ -45,6 +47,7 @@ pub use features::{FeatureOptions, extract_features};
 pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
 pub use metric::ScaleReport;
+pub use output_file::{refuse_foreign_page, write_page};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{

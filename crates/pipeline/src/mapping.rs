@@ -1,12 +1,10 @@
 //! Third stage: poses and points, from the database to `sparse/`, `points.ply` and the report.
 
-use std::collections::BTreeMap;
-use std::fs;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::time::Instant;
 
-use tiepoint_io::colmap::{Format, write_model};
+use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
@@ -15,9 +13,11 @@ use tiepoint_sfm::{self as sfm, Finish, MapperOptions, RefineIntrinsics, RigTerm
 use crate::colors::color_points;
 use crate::matching::keypoint;
 use crate::metric::{ScaleReport, scale_to_baseline};
-use crate::records::{Progress, Recipe, write_json};
+use crate::output_folder::model_names;
+use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
 use crate::rig_report::{Held, History, SplitReport};
+use crate::workspace::{POINTS, RIG, SPARSE};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// How to map.
@@ -50,6 +50,9 @@ pub fn map(
         return tell(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
+    // Refused, if at all, before hours of work. What is there stays until the new models are.
+    let replaced = replaced_names(workspace);
+    workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let (graph, scene) = load(workspace)?;
     let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
     tell(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
@@ -120,9 +123,9 @@ pub fn map(
     let scales: Vec<Option<ScaleReport>> =
         scales.map_or(vec![None; models.len()], |scales| scales.into_iter().map(Some).collect());
     let history = History { began, bad_pairs, held };
-    let paths = write_models(workspace, &models)?;
-    write_rig(workspace, models.first(), &history)?;
-    let all = paths.into_iter().zip(&models).zip(scales);
+    let staged = stage_models(workspace, &models, &history)?;
+    let paths = (0..models.len()).map(model_path);
+    let all = paths.zip(&models).zip(scales);
     let reports = all.map(|((path, model), scale)| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
@@ -134,11 +137,12 @@ pub fn map(
     });
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
-    workspace.update_report(|all| {
+    let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
+    workspace.complete(STAGE);
+    workspace.publish(staged, &removed, |all| {
         all.stages.map = Some(MapReport { seconds });
         all.models = reports;
     })?;
-    workspace.complete(STAGE)?;
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
@@ -158,8 +162,8 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
     for camera in database.read_cameras()? {
         scene.add_camera(camera);
     }
-    let path = workspace.timestamps();
-    let times = if path.is_file() { timestamps::read(&path)? } else { BTreeMap::new() };
+    let times = workspace.timestamps_as_left()?;
+    let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     for (index, image) in database.read_images()?.into_iter().enumerate() {
         let keypoints = database.read_keypoints(ImageId::from_index(index))?;
         let mut image = Image::new(image.name, image.camera, keypoints.iter().map(keypoint).collect());
@@ -222,48 +226,40 @@ fn is_timed(scene: &Reconstruction) -> bool {
     scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
-/// Writes all models beside the old ones, then puts them in their place. Returns their folders, relative to the workspace.
-fn write_models(workspace: &Workspace, models: &[Reconstruction]) -> Result<Vec<String>, Error> {
-    let sparse = workspace.sparse();
-    let (new, old) = (workspace.root().join(".sparse.new"), workspace.root().join(".sparse.old"));
-    remove(&new)?;
-    for (index, model) in models.iter().enumerate() {
-        write_model(&new.join(index.to_string()), model, Format::Binary)?;
-    }
-    if sparse.exists() {
-        remove(&old)?;
-        rename(&sparse, &old)?;
-    }
-    rename(&new, &sparse)?;
-    remove(&old)?;
-    if let Some(largest) = models.first() {
-        ply::write(&workspace.points(), &ply::points(largest))?;
-    }
-    Ok((0..models.len()).map(|index| format!("sparse/{index}")).collect())
+/// The folder of a model, relative to the workspace.
+fn model_path(index: usize) -> String {
+    format!("{SPARSE}/{index}")
 }
 
-/// `rig.json` of the largest model; gone where no camera is held to another.
-fn write_rig(workspace: &Workspace, model: Option<&Reconstruction>, history: &History) -> Result<(), Error> {
-    let path = workspace.rig();
+/// What new models take the place of: all files of models that are there, and what tells of them.
+fn replaced_names(workspace: &Workspace) -> Vec<String> {
+    let prefix = format!("{SPARSE}/");
+    let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
+    let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
+    let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
+    names.extend(models.flat_map(|model| model_names(Some(&model))));
+    names.extend([POINTS, RIG].map(str::to_owned));
+    names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
+    names.into_iter().collect()
+}
+
+/// Writes all models, the cloud of the largest, and its rig where cameras are held to each other. Gives the files' names.
+fn stage_models(
+    workspace: &Workspace,
+    models: &[Reconstruction],
+    history: &History,
+) -> Result<Vec<String>, Error> {
+    let mut names = Vec::new();
+    let Some(largest) = models.first() else { return Ok(names) };
+    ply::write(&workspace.folder.stage(POINTS)?, &ply::points(largest))?;
+    names.push(POINTS.to_owned());
     let held = history.held.first();
-    match model.zip(held).and_then(|(model, held)| RigFile::new(model, &held.cameras)) {
-        Some(rig) => write_json(&path, &rig),
-        None => match fs::remove_file(&path) {
-            Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => Err(Error::Output { path, cause }),
-            _ => Ok(()),
-        },
+    if let Some(rig) = held.and_then(|held| RigFile::new(largest, &held.cameras)) {
+        workspace.folder.stage_bytes(RIG, &json(&rig))?;
+        names.push(RIG.to_owned());
     }
-}
-
-fn rename(from: &Path, to: &Path) -> Result<(), Error> {
-    fs::rename(from, to).map_err(|cause| Error::Output { path: to.to_owned(), cause })
-}
-
-fn remove(dir: &Path) -> Result<(), Error> {
-    match fs::remove_dir_all(dir) {
-        Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => {
-            Err(Error::Output { path: dir.to_owned(), cause })
-        }
-        _ => Ok(()),
+    for (index, model) in models.iter().enumerate() {
+        names.extend(workspace.folder.stage_model(Some(&model_path(index)), model, Format::Binary)?);
     }
+    Ok(names)
 }

@@ -94,7 +94,8 @@ pub fn match_images(
     let start = Instant::now();
     let mut database = Database::open(&workspace.database())?;
     if progress == Progress::Begin {
-        database.clear_matches()?;
+        database.clear_matches_for(&workspace.records.rows())?;
+        workspace.note(|_| {})?;
     }
     let (cameras, images) = (database.read_cameras()?, database.read_images()?);
     let all = select_pairs(workspace, &database, &images, options)?;
@@ -123,11 +124,13 @@ pub fn match_images(
         write(&mut database, &mut batch)?;
         taken?;
     }
-    database.finish()?;
     let seconds = start.elapsed().as_secs_f64();
     report.seconds = seconds;
-    workspace.update_report(|all| all.stages.matches = Some(report))?;
-    workspace.complete(STAGE)?;
+    // The report first: a database that says that all is there is the last word.
+    workspace.complete(STAGE);
+    workspace.note(|all| all.stages.matches = Some(report))?;
+    database.write_stage_rows(&workspace.records.rows())?;
+    database.finish()?;
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
@@ -139,8 +142,8 @@ fn select_pairs(
     images: &[Image],
     options: &MatchOptions,
 ) -> Result<Vec<ImagePair>, Error> {
-    let path = workspace.timestamps();
-    let times = if path.is_file() { timestamps::read(&path)? } else { BTreeMap::new() };
+    let times = workspace.timestamps_as_left()?;
+    let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     let mut cameras: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
     let are_timed = images.iter().all(|image| times.contains_key(&image.name));
     for (id, image) in (0..).zip(images) {
@@ -243,9 +246,7 @@ fn match_pair(
 
 /// Writes pairs; the list is empty afterwards.
 fn write(database: &mut Database, batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>) -> Result<(), Error> {
-    // The matches last: a pair counts as done when they are there.
-    database.write_two_views(batch.iter().map(|(pair, _, two_view)| (*pair, two_view)))?;
-    database.write_matches(batch.iter().map(|(pair, matches, _)| (*pair, matches.as_slice())))?;
+    database.write_pairs(batch.iter().map(|(pair, matches, view)| (*pair, matches.as_slice(), view)))?;
     batch.clear();
     Ok(())
 }

@@ -45,7 +45,13 @@ impl Photos {
 
     pub(crate) fn too_few(&self, usable: usize) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
-        Error::TooFewPhotos { path, found: self.folder.images().len(), usable }
+        let skipped = self.folder.skipped().iter().map(|file| file.why.clone()).collect::<Vec<_>>();
+        Error::TooFewPhotos { path, found: self.folder.images().len() + skipped.len(), usable, skipped }
+    }
+
+    /// The files that are read.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        (0..self.folder.images().len()).map(|index| self.folder.path(index))
     }
 
     pub(crate) fn name(&self, photo: &Photo) -> &str {
@@ -61,10 +67,17 @@ impl Photos {
     }
 
     /// Reads all headers: the photos that can be used, and those that cannot. Those of one camera must be of one size.
+    ///
+    /// # Errors
+    ///
+    /// Photos of one camera have two sizes, or there are fewer than two.
     pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
         let infos: Vec<_> = (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
-        let (mut photos, mut skipped) = (Vec::<Photo>::new(), Vec::new());
+        let mut photos = Vec::<Photo>::new();
+        let files = self.folder.skipped().iter();
+        let mut skipped: Vec<SkippedImage> =
+            files.map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() }).collect();
         let mut first_of_camera: Vec<Option<usize>> = vec![None; self.folder.camera_names().len()];
         let mut num_cameras = 0;
         for (index, (image, info)) in images.iter().zip(infos).enumerate() {

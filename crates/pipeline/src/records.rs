@@ -1,4 +1,7 @@
-//! `stages.json`: what each stage was made from, so that a later run can tell whether to keep it, to go on with it, or to ask.
+//! What each stage was made from, so that a later run can tell whether to keep it, to go on with it, or to ask.
+//!
+//! The database holds this for its own two stages, written in the transactions that change them; `stages.json` holds it for
+//! all. Where they differ, the database is right.
 //!
 //! The input of the first stage is a fingerprint of the photos; that of a later stage stands for everything before it. Options
 //! are kept as words, so that a difference can be named.
@@ -7,12 +10,16 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tiepoint_io::AtomicFile;
+use tiepoint_io::database::StageRow;
 
 use crate::{Error, Stage};
 
 /// Raised when the meaning of the file changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// Databases of this version know nothing of stages.
+const VERSION_WITHOUT_ROWS: u32 = 1;
+/// The stages whose products lie in the database.
+const IN_DATABASE: [Stage; 2] = [Stage::Features, Stage::Match];
 /// Longer values of options are not quoted in a message.
 const MAX_QUOTED: usize = 48;
 
@@ -97,22 +104,73 @@ impl Default for Records {
 }
 
 impl Records {
-    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let broken = |what: String| Error::Broken { path: path.to_owned(), what };
+    /// Reads the file; `None` where there is none.
+    pub(crate) fn read(path: &Path) -> Result<Option<Self>, Error> {
+        let broken = |what: String| Error::BrokenRecord { path: path.to_owned(), what };
         let text = match std::fs::read(path) {
-            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
+            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),
             Ok(text) => text,
         };
         let records: Self = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
-        if records.version != VERSION {
+        if ![VERSION_WITHOUT_ROWS, VERSION].contains(&records.version) {
             return Err(broken(format!("it is of version {} and not {VERSION}", records.version)));
         }
-        Ok(records)
+        Ok(Some(records))
     }
 
-    pub(crate) fn write(&self, path: &Path) -> Result<(), Error> {
-        write_json(path, self)
+    pub(crate) fn to_json(&self) -> Vec<u8> {
+        json(self)
+    }
+
+    /// Whether the database may not know its stages yet.
+    pub(crate) fn is_without_rows(&self) -> bool {
+        self.version == VERSION_WITHOUT_ROWS
+    }
+
+    /// The file as this version writes it.
+    pub(crate) fn upgraded(mut self) -> Self {
+        self.version = VERSION;
+        self
+    }
+
+    /// What the database is to hold.
+    pub(crate) fn rows(&self) -> Vec<StageRow> {
+        let row = |stage: &Stage| {
+            let Record { is_complete, recipe } = self.stages.get(stage)?;
+            let recipe = String::from_utf8(json(recipe)).ok()?;
+            Some(StageRow { stage: stage.name().to_owned(), is_complete: *is_complete, recipe })
+        };
+        IN_DATABASE.iter().filter_map(row).collect()
+    }
+
+    /// Takes what the database holds; models of matches that are gone are forgotten.
+    pub(crate) fn take_rows(&mut self, rows: &[StageRow]) {
+        for stage in IN_DATABASE {
+            let row = rows.iter().find(|row| row.stage == stage.name());
+            let recipe = row.and_then(|row| serde_json::from_str(&row.recipe).ok());
+            match row.zip(recipe) {
+                Some((row, recipe)) => {
+                    self.stages.insert(stage, Record { is_complete: row.is_complete, recipe });
+                }
+                None => drop(self.stages.remove(&stage)),
+            }
+        }
+        let made_from = self.stages.get(&Stage::Map).map(|record| record.recipe.input.clone());
+        let matches = self.stages.get(&Stage::Match).filter(|record| record.is_complete);
+        if made_from.is_some() && made_from != matches.map(|record| record.recipe.fingerprint()) {
+            self.forget_from(Stage::Map);
+        }
+    }
+
+    /// Forgets what a database held that is no longer there. The models stay what they were.
+    pub(crate) fn forget_database(&mut self) {
+        IN_DATABASE.iter().for_each(|stage| drop(self.stages.remove(stage)));
+    }
+
+    /// Whether all of a stage is there.
+    pub(crate) fn is_complete(&self, stage: Stage) -> bool {
+        self.stages.get(&stage).is_some_and(|record| record.is_complete)
     }
 
     /// Compares what was with what is asked for, and notes that the stage is to be made where it is. Later stages are forgotten
@@ -164,12 +222,12 @@ impl Records {
     }
 }
 
-/// Writes a file of ours, complete or not at all.
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
+/// A text of ours.
+pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
     let mut text =
         serde_json::to_vec_pretty(value).expect("our own types are JSON: string keys, finite numbers");
     text.push(b'\n');
-    Ok(AtomicFile::write_with(path, |file| std::io::Write::write_all(file, &text))?)
+    text
 }
 
 #[cfg(test)]
@@ -222,15 +280,43 @@ mod tests {
     fn the_file_comes_back_and_a_broken_one_is_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("stages.json");
-        let mut records = Records::read(&path).unwrap();
+        assert!(Records::read(&path).unwrap().is_none());
+        let mut records = Records::default();
         records.begin(dir.path(), Stage::Features, &recipe("a", "b"), None).unwrap();
         records.complete(Stage::Features);
-        records.write(&path).unwrap();
-        let mut back = Records::read(&path).unwrap();
+        std::fs::write(&path, records.to_json()).unwrap();
+        let mut back = Records::read(&path).unwrap().unwrap();
         let kept = back.begin(dir.path(), Stage::Features, &recipe("a", "b"), None).unwrap();
         assert_eq!(kept, Progress::Kept);
         assert_eq!(back.option(Stage::Features, "pairs"), Some("b"));
         std::fs::write(&path, "{").unwrap();
         assert!(Records::read(&path).unwrap_err().to_string().contains("stages.json"));
+    }
+
+    #[test]
+    fn the_database_is_right() {
+        let (dir, mut records) = (Path::new("ws"), Records::default());
+        let mut add = |stage, recipe: &Recipe| {
+            records.begin(dir, stage, recipe, None).unwrap();
+            records.complete(stage);
+        };
+        let matching = recipe("f", "exhaustive");
+        add(Stage::Features, &recipe("photos", "-"));
+        add(Stage::Match, &matching);
+        add(Stage::Map, &recipe(&matching.fingerprint(), "-"));
+        let same = records.clone();
+        let mut rows = records.rows();
+        records.take_rows(&rows);
+        assert_eq!(records.to_json(), same.to_json());
+        // Its matches are not complete, so the models are none of them.
+        rows[1].is_complete = false;
+        records.take_rows(&rows);
+        assert!(!records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
+        let mut records = same.clone();
+        records.take_rows(&rows[..1]);
+        assert!(records.is_complete(Stage::Features) && !records.is_complete(Stage::Map));
+        let mut records = same;
+        records.forget_database();
+        assert!(records.is_complete(Stage::Map), "models need no database");
     }
 }

@@ -186,16 +186,18 @@ impl Report {
         }
     }
 
-    /// Drops what a stage and the later ones said.
-    pub(crate) fn forget_from(&mut self, stage: Stage) {
+    /// Drops what is said of stages that are not there.
+    pub(crate) fn keep_only(&mut self, is_there: impl Fn(Stage) -> bool) {
         let Self { stages, models, .. } = self;
-        models.clear();
-        stages.map = None;
-        if stage <= Stage::Match {
+        if !is_there(Stage::Features) {
+            stages.features = None;
+        }
+        if !is_there(Stage::Match) {
             stages.matches = None;
         }
-        if stage <= Stage::Features {
-            stages.features = None;
+        if !is_there(Stage::Map) {
+            stages.map = None;
+            models.clear();
         }
     }
 }

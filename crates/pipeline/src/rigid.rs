@@ -19,9 +19,8 @@ use tiepoint_sfm::{
 };
 
 use crate::evaluate::read_times;
-use crate::records::Records;
 use crate::rig_over_time::{camera_of_folder, folder_of};
-use crate::workspace::{REPORT, RIG, STAGES};
+use crate::workspace::{REPORT, RIG, current_records};
 use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
 
 /// What it took to make a model rigid.
@@ -54,7 +53,7 @@ const ITERATIONS: usize = 100;
 
 /// Reads a model (a folder, or a workspace) and makes it rigid.
 pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
-    let folder = model_folder(from);
+    let folder = model_folder(from)?;
     let mut model = read_model(&folder)?;
     read_times(&mut model, &folder.join("../../timestamps.csv"))?;
     let rig = folder.join("../..").join(RIG);
@@ -107,7 +106,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 
 /// What was calibrated stays.
 fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
-    let records = Records::read(&from.join(STAGES))?;
+    let records = current_records(from)?;
     let is_known = records.option(Stage::Features, features::INTRINSICS).is_some();
     Ok(if is_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine })
 }

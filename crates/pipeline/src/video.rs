@@ -16,7 +16,8 @@ use tiepoint_io::timestamps;
 use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_sound, recordings};
 
 use crate::fingerprint::of_files;
-use crate::records::write_json;
+use crate::output_folder::OutputFolder;
+use crate::records::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
 use choice::{Candidate, Chooser};
 
@@ -24,6 +25,9 @@ use choice::{Candidate, Chooser};
 pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
 const FRAMES: &str = "frames";
 const RECORD: &str = "videos.json";
+const TIMES: &str = "timestamps.csv";
+/// Frames are named by their numbers in their recordings.
+const FRAME_DIGITS: usize = 6;
 
 /// What the frames were made from; written last.
 #[derive(Debug, Serialize, Deserialize, PartialEq, Eq)]
@@ -43,8 +47,9 @@ pub struct Opened {
     pub timestamps: Option<PathBuf>,
 }
 
-/// Opens the input of a workspace: folders of photos, or videos (files, or folders of them), of which the frames worth having are put
-/// into the workspace first, one of `every`. With `redo` they are taken anew.
+/// Opens the input of a workspace: folders of photos, or videos (files, or folders of them), of which the frames worth having
+/// are put into the workspace first, one of `every`. Frames of other videos, or another choice, are replaced where features
+/// are to be redone.
 pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
@@ -65,18 +70,56 @@ pub fn open_input(
     let record = Record { every, videos: videos.collect::<Result<_, Error>>()? };
     let workspace = Workspace::create(root)?;
     let folder = workspace.root().join(FRAMES);
-    let times = folder.join("timestamps.csv");
-    let before =
-        fs::read(folder.join(RECORD)).ok().and_then(|bytes| serde_json::from_slice::<Record>(&bytes).ok());
-    if before.as_ref() != Some(&record) || redo == Some(Stage::Features) {
+    let (mut frames, before) = open_frames(&folder)?;
+    let times = folder.join(TIMES);
+    if before.as_ref() != Some(&record) {
         if before.is_some() && redo != Some(Stage::Features) {
             return Err(Error::OtherFrames { path: folder });
         }
-        extract(&recordings, &folder, &times, every, watch)?;
-        write_json(&folder.join(RECORD), &record)?;
+        let earlier: Vec<String> = frames.names().map(str::to_owned).collect();
+        frames.protect(recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path));
+        frames.refuse_foreign(earlier.iter().map(String::as_str))?;
+        let mut names = extract(&recordings, &frames, every, watch)?;
+        frames.stage_bytes(RECORD, &json(&record))?;
+        names.push(RECORD.to_owned());
+        let removed: Vec<String> = earlier.into_iter().filter(|name| !names.contains(name)).collect();
+        frames.publish(&names, &removed)?;
     }
+    drop(frames);
     let photos = Photos::open(&[folder], masks)?;
     Ok(Opened { workspace, photos, timestamps: Some(times) })
+}
+
+/// The folder of the frames, and what they were made from where it is this program's and complete.
+fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
+    let read = || {
+        let text = fs::read(folder.join(RECORD)).ok()?;
+        serde_json::from_slice::<Record>(&text).ok()
+    };
+    if OutputFolder::is_ours(folder) || !folder.exists() {
+        return Ok((OutputFolder::open(folder)?, read()));
+    }
+    let unreadable = |cause| Error::Unreadable { path: folder.to_owned(), cause };
+    let Some(record) = read() else {
+        let is_empty = fs::read_dir(folder).map_err(unreadable)?.next().is_none();
+        let theirs = || Error::NotOurs { path: folder.to_owned() };
+        return if is_empty { Ok((OutputFolder::open(folder)?, None)) } else { Err(theirs()) };
+    };
+    // An earlier version kept no list of its frames: they are named by their numbers.
+    let mut names = vec![TIMES.to_owned(), RECORD.to_owned()];
+    for (video, _) in &record.videos {
+        let Ok(entries) = fs::read_dir(folder.join(video)) else { continue };
+        for entry in entries {
+            let file = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
+            let number = file.strip_suffix(".jpg").filter(|number| number.len() == FRAME_DIGITS);
+            if number.is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit())) {
+                names.push(format!("{video}/{file}"));
+            }
+        }
+    }
+    let mut frames = OutputFolder::open(folder)?;
+    frames.claim(&names)?;
+    Ok((frames, Some(record)))
 }
 
 /// The video files that are meant: inputs themselves, or what lies in a folder without images. Empty where photos are meant.
@@ -122,21 +165,13 @@ fn named_apart(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> 
     Ok(recordings)
 }
 
-/// Writes the frames of all recordings, and when they were taken.
+/// Stages the frames of all recordings, and when they were taken. Gives the names of these files.
 fn extract(
     recordings: &[Recording],
-    folder: &Path,
-    times: &Path,
+    frames: &OutputFolder,
     every: NonZeroUsize,
     watch: Watch,
-) -> Result<(), Error> {
-    let output = |path: &Path| {
-        let path = path.to_owned();
-        move |cause| Error::Output { path, cause }
-    };
-    if folder.exists() {
-        fs::remove_dir_all(folder).map_err(output(folder))?;
-    }
+) -> Result<Vec<String>, Error> {
     let mut taken: Vec<(String, f64)> = Vec::new();
     let after_s = heard_after_s(recordings, watch)?;
     // When the first recording began, and when its frames were taken that are kept.
@@ -146,8 +181,6 @@ fn extract(
         if is_moving.flatten() == Some(true) {
             tell(watch, &Event::Stabilised { recording: &recording.name })?;
         }
-        let own = folder.join(&recording.name);
-        fs::create_dir_all(&own).map_err(output(&own))?;
         let moments_s = if after_s.is_some() { first_moments_s.clone() } else { Vec::new() };
         let mut choice = Chooser::new(every, moments_s);
         let heard_s = after_s.and_then(|after_s| Some(first_began_s? + after_s));
@@ -155,9 +188,8 @@ fn extract(
         let of_recording = taken.len();
         let mut keep = |frame: Option<Candidate>, watch: Watch, read: usize| -> Result<(), Error> {
             let Some(frame) = frame else { return Ok(()) };
-            let file = format!("{:06}.jpg", frame.index);
-            frame.image.write(&own.join(&file))?;
-            let name = format!("{}/{file}", recording.name);
+            let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
+            frame.image.write(&frames.stage(&name)?)?;
             tell(watch, &Event::FrameKept { image: &name, read })?;
             taken.push((name, frame.time_s));
             Ok(())
@@ -184,8 +216,8 @@ fn extract(
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0));
-    timestamps::write(times, taken.iter().map(|(name, time_s)| (name.as_str(), *time_s)))?;
-    Ok(())
+    timestamps::write(&frames.stage(TIMES)?, taken.iter().map(|(name, time_s)| (name.as_str(), *time_s)))?;
+    Ok(taken.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect())
 }
 
 /// By how many seconds each recording began after the first one, where their sound tells it.

@@ -11,14 +11,16 @@ use serde::Serialize;
 use tiepoint_eval::geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_eval::geometry::numeric::median;
 use tiepoint_eval::geometry::{Rigid3, Sim3};
-use tiepoint_io::AtomicFile;
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::evaluate::{model_folder, read_times};
+use crate::output_file::{refuse_foreign_page, write_page};
 use crate::workspace::{REPORT, RIG};
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
+/// The name of the page.
+const PAGE: &str = "report.html";
 const TEMPLATE: &str = include_str!("view.html");
 /// Where the data stand in the template.
 const PLACE: &str = "{{DATA}}";
@@ -157,7 +159,8 @@ pub fn report_html(
 /// Writes `report.html` into a workspace: its largest model, with what `report.json` and `rig.json` say. `path` may also be a
 /// folder with a COLMAP model. Gives the file's path.
 pub fn view(path: &Path) -> Result<PathBuf, Error> {
-    let folder = model_folder(path);
+    refuse_foreign_page(&path.join(PAGE))?;
+    let folder = model_folder(path)?;
     let mut model = read_model(&folder)?;
     read_times(&mut model, &path.join("timestamps.csv"))?;
     let report = path.join("report.json");
@@ -178,8 +181,8 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
     let html = report_html(&format!("tiepoint: {name}"), &[exhibit], &[table], files);
-    let file = path.join("report.html");
-    AtomicFile::write_with(&file, |out| std::io::Write::write_all(out, html.as_bytes()))?;
+    let file = path.join(PAGE);
+    write_page(&file, &html)?;
     Ok(file)
 }
 

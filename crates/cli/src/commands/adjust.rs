@@ -33,6 +33,5 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
             report.seconds,
         );
         text
-    });
-    Ok(())
+    })
 }

@@ -12,7 +12,7 @@ use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
     CloudEvaluation, Exhibit, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation, Report,
     RigCamera, RigEvaluation, SurfaceEvaluation, Table, TableRow, Whereabouts, Workspace, reconstruct,
-    report_html,
+    refuse_foreign_page, report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
@@ -66,6 +66,8 @@ struct Run {
 pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     let start = Instant::now();
     let plan = plan(args)?;
+    let page = args.output.join("report.html");
+    refuse_foreign_page(&page)?;
     let drive = plan.drive()?;
     let mut progress = Progress::new(output);
     let rendered = render(&plan, &drive, &mut progress)?;
@@ -102,12 +104,11 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
         runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
     }
     drop(progress);
-    let (page, seconds) = (args.output.join("report.html"), start.elapsed().as_secs_f64());
+    let seconds = start.elapsed().as_secs_f64();
     let true_offset_s = true_offset_s(&drive);
     let outcome = Outcome { drive: rendered, seconds, true_offset_s, runs, page };
     outcome.write_page()?;
-    output.result(&outcome, || outcome.describe(&plan));
-    Ok(())
+    output.result(&outcome, || outcome.describe(&plan))
 }
 
 fn plan(args: &Demo) -> Result<Plan, Failure> {
@@ -196,8 +197,7 @@ impl Outcome {
             .collect();
         let table = Table::of_columns(&names, self.table());
         let page = report_html("tiepoint demo", &exhibits, &[table], Vec::new());
-        let cannot = |cause| Failure::CouldNot(format!("cannot write {}: {cause}", self.page.display()));
-        std::fs::write(&self.page, page).map_err(cannot)
+        Ok(write_page(&self.page, &page)?)
     }
 
     /// Lengths and times beside the truth.

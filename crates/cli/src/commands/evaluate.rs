@@ -11,8 +11,7 @@ use crate::summary;
 
 pub(crate) fn poses(args: &EvaluatePoses, output: &Output) -> Result<(), Failure> {
     let evaluation = evaluate_poses(&args.model, &args.truth, args.images.as_deref())?;
-    output.result(&evaluation, || summary::poses(&evaluation));
-    Ok(())
+    output.result(&evaluation, || summary::poses(&evaluation))
 }
 
 pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure> {
@@ -27,6 +26,5 @@ pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure
     let evaluation = start.and_then(|start| evaluate_cloud(&cloud, &reference, &start, alignment));
     let evaluation = evaluation
         .ok_or_else(|| Error::Clouds { cloud: args.cloud.clone(), reference: args.reference.clone() })?;
-    output.result(&evaluation, || summary::cloud(&evaluation));
-    Ok(())
+    output.result(&evaluation, || summary::cloud(&evaluation))
 }

@@ -60,8 +60,7 @@ pub(crate) fn experiment(experiment: &Experiment, output: &Output) -> Result<(),
         Experiment::Baseline { scenery, rig } => baseline(scenery, rig, output)?,
     };
     let text = || outcome.tables.iter().map(|table| table.to_text() + "\n").collect::<String>();
-    output.result(&outcome, || format!("{}to look at: {}\n", text(), outcome.page.display()));
-    Ok(())
+    output.result(&outcome, || format!("{}to look at: {}\n", text(), outcome.page.display()))
 }
 
 fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {

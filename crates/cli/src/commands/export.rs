@@ -10,11 +10,14 @@ use crate::summary;
 pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
     let write = if args.rigid { export_rigid } else { export_model };
     let exported = write(&args.workspace, args.to, &args.output)?;
-    output.result(&exported, || describe(&exported));
-    Ok(())
+    output.result(&exported, || describe(&exported))
 }
 
 fn describe(exported: &Exported) -> String {
     let rigid = exported.rigid.as_ref().map_or_else(String::new, summary::rigid);
-    format!("{rigid}{}\n", exported.path.display())
+    let in_place = match exported.photos_in_place {
+        0 => String::new(),
+        count => format!("{count} photos are in their places already and were left as they are\n"),
+    };
+    format!("{rigid}{in_place}{}\n", exported.path.display())
 }

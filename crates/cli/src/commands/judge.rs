@@ -61,7 +61,7 @@ pub(crate) fn judge(
 
 /// The largest model of a workspace, its images with the times on their cameras' clocks.
 pub(crate) fn read_drive_model(workspace: &Path, drive: &Drive) -> Result<Reconstruction, Error> {
-    let mut model = read_model(&model_folder(workspace))?;
+    let mut model = read_model(&model_folder(workspace)?)?;
     let times: Vec<(ImageId, f64)> =
         model.images().filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s))).collect();
     times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));

@@ -19,11 +19,17 @@ pub(crate) enum Failure {
     Usage(String),
     /// It could not be done.
     CouldNot(String),
+    /// A signal asked to stop.
+    Cancelled,
 }
 
-impl<E: std::error::Error> From<E> for Failure {
+impl<E: std::error::Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self::CouldNot(error.to_string())
+        let of_pipeline = (&error as &dyn std::error::Error).downcast_ref();
+        match of_pipeline {
+            Some(tiepoint_pipeline::Error::Cancelled) => Self::Cancelled,
+            _ => Self::CouldNot(error.to_string()),
+        }
     }
 }
 

@@ -26,8 +26,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
     let report =
         reconstruct_all(&args.input.inputs, workspace, &options, &mut |event| progress.watch(event))?;
     drop(progress);
-    output.result(&report, || summary::report(workspace, &report));
-    Ok(())
+    output.result(&report, || summary::report(workspace, &report))
 }
 
 pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
@@ -66,8 +65,7 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
 
 fn tell(workspace: &Workspace, output: &Output) -> Result<(), Failure> {
     let report = workspace.report()?;
-    output.result(&report, || summary::report(workspace.root(), &report));
-    Ok(())
+    output.result(&report, || summary::report(workspace.root(), &report))
 }
 
 fn own_stage(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure> {

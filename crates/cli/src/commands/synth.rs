@@ -4,14 +4,16 @@
 //! and nothing of anybody is overwritten: `synth.json` says what the files were made from.
 
 use std::fs;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
+use tiepoint_pipeline::io::AtomicFile;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
+use tiepoint_pipeline::io::disk::create_folders;
 use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply};
 
 use super::Failure;
@@ -67,8 +69,7 @@ pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
         write_ply(&args.output.join("truth/scan.ply"), &scan(&drive)?)?;
     }
     drop(progress);
-    output.result(&rendered, || rendered.describe());
-    Ok(())
+    output.result(&rendered, || rendered.describe())
 }
 
 /// A drive, and where it is to lie.
@@ -148,7 +149,9 @@ pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Res
         // Several at a time: files are encoded by one thread each, while others render.
         for exposures in camera.exposures.chunks(AT_ONCE * rayon::current_num_threads()) {
             for exposure in exposures {
-                progress.rendering(&exposure.name, done, total);
+                if progress.rendering(&exposure.name, done, total).is_break() {
+                    return Err(Failure::Cancelled);
+                }
                 done += 1;
             }
             let is_missing = |exposure: &&Exposure| !folder.join(&exposure.name).is_file();
@@ -184,7 +187,7 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
         Err(cause) if cause.kind() == ErrorKind::NotFound => {}
         Err(cause) => return Err(cannot(&path, "read", cause)),
     }
-    fs::create_dir_all(folder).map_err(|cause| cannot(folder, "write", cause))?;
+    create_folders(folder).map_err(|cause| cannot(folder, "write", cause))?;
     let mut entries = fs::read_dir(folder).map_err(|cause| cannot(folder, "read", cause))?;
     if entries.next().is_some() {
         let folder = folder.display();
@@ -192,7 +195,7 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
             "{folder} is not empty, and what is there is not {what} of this program: choose another folder with -o"
         )));
     }
-    fs::write(&path, text).map_err(|cause| cannot(&path, "write", cause))
+    Ok(AtomicFile::write_with(&path, |file| file.write_all(text.as_bytes()))?)
 }
 
 impl Rendered {

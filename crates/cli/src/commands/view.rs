@@ -13,6 +13,5 @@ pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {
         report: std::path::PathBuf,
     }
     let written = Written { report: write_report(&args.workspace)? };
-    output.result(&written, || format!("{}\n", written.report.display()));
-    Ok(())
+    output.result(&written, || format!("{}\n", written.report.display()))
 }

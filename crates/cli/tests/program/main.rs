@@ -4,8 +4,13 @@
 
 mod bad_input;
 mod drive;
+mod exits;
 mod experiment;
+mod faults;
+mod names;
+mod own_files;
 mod photos;
+mod records;
 mod results;
 mod video;
 

@@ -193,6 +193,68 @@ fn chapters_follow_each_other() {
 }
 
 #[test]
+fn a_name_is_neither_a_protocol_nor_an_option() {
+    if !is_there() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    with_sound(dir.path(), "plain.mov", 0.0);
+    for name in ["12:30.mov", "-x.mov", "a\nb.mov"] {
+        fs::copy(dir.path().join("plain.mov"), dir.path().join(name)).unwrap();
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+    command.args(["features", "-o", "ws", "--every", "1", "--json", "--", "12:30.mov", "-x.mov", "a\nb.mov"]);
+    let run = Run(command.current_dir(dir.path()).output().unwrap()).done();
+    let heard: Vec<_> = run.events().into_iter().filter(|event| event["event"] == "sound_heard").collect();
+    let recordings: Vec<&str> = heard.iter().map(|heard| heard["recording"].as_str().unwrap()).collect();
+    assert_eq!(recordings, ["-x", "a_b"], "their sound is read too");
+    for folder in ["12:30", "-x", "a_b"] {
+        assert!(dir.path().join("ws/frames").join(folder).join("000000.jpg").is_file(), "{folder}");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
+    use std::os::unix::process::CommandExt;
+    use std::process::Stdio;
+    use std::time::Duration;
+    if !is_there() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let made = Command::new("ffmpeg")
+        .args([
+            "-v",
+            "error",
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc2=size=640x480:rate=30:duration=20",
+            "-c:v",
+            "mjpeg",
+        ])
+        .arg(dir.path().join("a.mov"))
+        .status();
+    assert!(made.unwrap().success());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
+    command.args(["features", "a.mov", "-o", "ws"]).current_dir(dir.path());
+    command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    // They get their places when all are there.
+    let frames = || fs::read_dir(dir.path().join("ws/frames/.tiepoint-new/a")).map_or(0, Iterator::count);
+    while frames() < 2 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before there were frames");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    // A terminal sends the signal to the whole group.
+    let kill = Command::new("kill").args(["-INT", "--", &format!("-{}", child.id())]).status();
+    assert!(kill.unwrap().success());
+    Run(child.wait_with_output().unwrap()).failed(130, &["stopped by SIGINT"]);
+    assert!(!dir.path().join("ws/frames/videos.json").exists(), "the frames are not all there");
+}
+
+#[test]
 fn what_is_no_video_is_told() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("words.mp4"), "these are words").unwrap();

@@ -15,10 +15,13 @@ mod layout;
 mod tables;
 mod text;
 
+use std::fs;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use tiepoint_scene::Reconstruction;
 
+use crate::disk::{self, WrittenFile};
 use crate::{AtomicFile, Error, Result};
 use layout::Layout;
 
@@ -38,6 +41,13 @@ impl Format {
             Self::Text => "txt",
         }
     }
+
+    fn other(self) -> Self {
+        match self {
+            Self::Binary => Self::Text,
+            Self::Text => Self::Binary,
+        }
+    }
 }
 
 const CAMERAS: &str = "cameras";
@@ -45,25 +55,93 @@ const RIGS: &str = "rigs";
 const FRAMES: &str = "frames";
 const IMAGES: &str = "images";
 const POINTS: &str = "points3D";
+/// In the order in which they are replaced: no reader takes a model without its images.
+const FILES: [&str; 5] = [CAMERAS, RIGS, FRAMES, POINTS, IMAGES];
+/// What every reader wants.
+const REQUIRED: [&str; 3] = [CAMERAS, IMAGES, POINTS];
 
-/// Writes a model into a folder, which is made if need be. The files appear together, after all have been written.
+/// Writes a model into a folder, which is made if need be. A new folder appears with all of its files; in one that is there,
+/// the list of images goes first and comes last, so that nobody reads parts of two models.
 ///
 /// The model must be valid; and where an image is in a frame, the image's pose must be the one that the frame and the rig give
 /// it, since that is the one which COLMAP reads.
+///
+/// # Errors
+///
+/// Where the model is not valid, where the folder holds a model in the other format, since readers would choose for themselves,
+/// and where the system refuses.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
     let layout = Layout::new(dir, model)?;
-    std::fs::create_dir_all(dir).map_err(Error::io(dir))?;
+    let write = |name: &str, mut file: &mut dyn Write| match format {
+        Format::Binary => binary::write(name, model, &layout, &mut file),
+        Format::Text => text::write(name, model, &layout, &mut file),
+    };
+    let target = disk::end_of_links(dir).map_err(Error::io(dir))?;
+    let is_new = target.file_name().is_some()
+        && fs::symlink_metadata(&target).is_err_and(|cause| cause.kind() == io::ErrorKind::NotFound);
+    if is_new {
+        let part = disk::part_of(&target);
+        let written = write_new_folder(&part, &target, format, write);
+        if written.is_err() {
+            // The first error is the one to report, or nobody is left to tell.
+            let _ = disk::remove_own_folder(&part);
+        }
+        written.map_err(Error::io(dir))
+    } else {
+        write_into_folder(dir, format, write)
+    }
+}
+
+/// Writes all files under a temporary name of the folder, and gives it its name.
+fn write_new_folder(
+    part: &Path,
+    target: &Path,
+    format: Format,
+    write: impl Fn(&str, &mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
+    disk::create_folders(disk::folder_of(target))?;
+    // What a killed run left.
+    disk::remove_own_folder(part)?;
+    disk::create_folders(part)?;
+    for name in FILES {
+        let path = part.join(name).with_extension(format.suffix());
+        let mut file = BufWriter::new(WrittenFile::create_new(&path)?);
+        write(name, &mut file)?;
+        file.into_inner().map_err(io::IntoInnerError::into_error)?.sync()?;
+    }
+    disk::sync_folder(part)?;
+    disk::rename(part, target)?;
+    disk::sync_folder(disk::folder_of(target))
+}
+
+/// Writes all files under temporary names in a folder, and replaces those that are there.
+fn write_into_folder(
+    dir: &Path,
+    format: Format,
+    write: impl Fn(&str, &mut dyn Write) -> io::Result<()>,
+) -> Result<()> {
+    let other = format.other().suffix();
+    let stale = REQUIRED.map(|name| dir.join(name).with_extension(other));
+    if let Some(stale) = stale.iter().find(|path| path.exists()) {
+        let what = format!("holds a model as .{other} too: choose another folder");
+        return Err(Error::content(stale, what));
+    }
     let mut files = Vec::new();
-    for name in [CAMERAS, RIGS, FRAMES, IMAGES, POINTS] {
+    for name in FILES {
         let path = dir.join(name).with_extension(format.suffix());
         let mut file = AtomicFile::create(&path)?;
-        let written = match format {
-            Format::Binary => binary::write(name, model, &layout, &mut file),
-            Format::Text => text::write(name, model, &layout, &mut file),
-        };
-        written.map_err(Error::io(&path))?;
+        write(name, &mut file).map_err(Error::io(&path))?;
+        // What is in the buffer might not fit any more once the old images are gone.
+        file.flush().map_err(Error::io(&path))?;
         files.push(file);
+    }
+    let images = dir.join(IMAGES).with_extension(format.suffix());
+    let old = disk::end_of_links(&images).map_err(Error::io(&images))?;
+    // A device has no part, and is written through.
+    if old.is_file() && disk::part_of(&old).is_file() {
+        disk::remove_file(&old).map_err(Error::io(&images))?;
+        disk::sync_folder(disk::folder_of(&old)).map_err(Error::io(&images))?;
     }
     files.into_iter().try_for_each(AtomicFile::commit)
 }
@@ -72,15 +150,15 @@ pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result
 ///
 /// Images, cameras and points get ids in the order of those in the files. The result is valid.
 pub fn read_model(dir: &Path) -> Result<Reconstruction> {
-    let format = [Format::Binary, Format::Text].into_iter().find(|format| {
-        [CAMERAS, IMAGES, POINTS].iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file())
-    });
+    let format = [Format::Binary, Format::Text]
+        .into_iter()
+        .find(|format| REQUIRED.iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file()));
     let tables = match format {
         Some(Format::Binary) => binary::read(dir)?,
         Some(Format::Text) => text::read(dir)?,
         None => {
             // Says so if the folder itself is the trouble.
-            std::fs::read_dir(dir).map_err(Error::io(dir))?;
+            fs::read_dir(dir).map_err(Error::io(dir))?;
             return Err(Error::content(
                 dir,
                 "holds no COLMAP model: cameras, images and points3D must be there, all as .bin or all as .txt",

@@ -64,7 +64,7 @@ impl Database {
 
     /// Forgets all keypoints and descriptors.
     pub fn clear_features(&mut self) -> Result<()> {
-        self.run("BEGIN; DELETE FROM keypoints; DELETE FROM descriptors; COMMIT;")
+        self.transaction(|db| db.run("DELETE FROM keypoints; DELETE FROM descriptors;"))
     }
 
     /// How many keypoints each image has; `None` where none were ever written.

@@ -6,11 +6,15 @@
 //!
 //! Every `write_*` is one transaction. While it runs, the file has a write-ahead log beside it; [`Database::finish`] folds the
 //! log in, so that one file remains.
+//!
+//! One table is not COLMAP's: `tiepoint_stages`, which tells what the rest was made from. COLMAP passes it by.
 
+mod create;
 mod features;
 mod pairs;
 mod rigs;
 mod schema;
+mod stages;
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +22,9 @@ use rusqlite::{Connection, OpenFlags, Row, params};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId, Image, ImageId};
 
+use crate::disk::{self, Operation};
 use crate::{Error, Result};
+pub use stages::{StageRow, read_stage_rows};
 
 /// COLMAP numbers a pair of images as MAX_IMAGE_ID · (smaller id) + (larger id); ids are below it.
 const MAX_IMAGE_ID: i64 = 2_147_483_647;
@@ -46,30 +52,14 @@ pub struct Moment {
 }
 
 impl Database {
-    /// Makes a new, empty database; a file of that name is replaced.
-    pub fn create(path: &Path) -> Result<Self> {
-        for suffix in ["", "-wal", "-shm", "-journal"] {
-            let mut name = path.as_os_str().to_owned();
-            name.push(suffix);
-            match std::fs::remove_file(&name) {
-                Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::Io { path: path.to_owned(), cause });
-                }
-                _ => {}
-            }
-        }
-        let connection = Connection::open(path).map_err(error(path))?;
-        let this = Self::with(connection, path, [vec![], vec![]], vec![])?;
-        this.run(schema::CREATE)?;
-        Ok(this)
-    }
-
     /// Opens a database that exists.
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path))?;
-        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let connection = Connection::open_with_flags(path, flags).map_err(error(path))?;
-        let mut this = Self::with(connection, path, [vec![], vec![]], vec![])?;
+        let mut this = Self::with(connect(path, path)?, path);
+        // Ignored where the file cannot be written: reading goes on.
+        let _ = this.connection.pragma_update(None, "journal_mode", "WAL");
+        this.run("PRAGMA synchronous = NORMAL;")?;
+        this.keep_rows_apart()?;
         for table in schema::REQUIRED {
             if this.columns(table)?.is_empty() {
                 return Err(Error::content(
@@ -83,23 +73,19 @@ impl Database {
         Ok(this)
     }
 
-    fn with(
-        connection: Connection,
-        path: &Path,
-        [cameras, images]: [Vec<i64>; 2],
-        camera_of: Vec<CameraId>,
-    ) -> Result<Self> {
-        let this = Self { connection, path: path.to_owned(), cameras, images, camera_of };
-        // Ignored where the file cannot be written: reading goes on.
-        let _ = this.connection.pragma_update(None, "journal_mode", "WAL");
-        // As in COLMAP: replacing an image must not take its keypoints along.
-        this.run("PRAGMA synchronous = NORMAL; PRAGMA foreign_keys = OFF;")?;
-        Ok(this)
+    /// Without cameras and images; the errors name `path`.
+    fn with(connection: Connection, path: &Path) -> Self {
+        Self { connection, path: path.to_owned(), cameras: vec![], images: vec![], camera_of: vec![] }
+    }
+
+    /// As in COLMAP: replacing an image must not take its keypoints along.
+    fn keep_rows_apart(&self) -> Result<()> {
+        self.run("PRAGMA foreign_keys = OFF;")
     }
 
     /// Folds the write-ahead log into the file and closes it.
     pub fn finish(self) -> Result<()> {
-        self.run("PRAGMA wal_checkpoint(TRUNCATE); PRAGMA journal_mode=DELETE;")?;
+        fold_log(&self.connection).map_err(error(&self.path))?;
         self.connection.close().map_err(|(_, cause)| error(&self.path)(cause))
     }
 
@@ -243,6 +229,7 @@ impl Database {
     fn transaction(&self, work: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         let transaction = self.connection.unchecked_transaction().map_err(error(&self.path))?;
         work(self)?;
+        disk::before(Operation::Commit, &self.path).map_err(Error::io(&self.path))?;
         transaction.commit().map_err(error(&self.path))
     }
 
@@ -262,6 +249,29 @@ impl Database {
         }
         Ok(list)
     }
+}
+
+/// Opens `file` to read and write; the errors name `path`. SQLite takes names that begin with `file:` for addresses, and
+/// absolute paths do not.
+fn connect(file: &Path, path: &Path) -> Result<Connection> {
+    let file = std::path::absolute(file).map_err(Error::io(path))?;
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    #[cfg(feature = "faults")]
+    let connection = Connection::open_with_flags_and_vfs(file, flags, disk::faulty_vfs::name());
+    #[cfg(not(feature = "faults"))]
+    let connection = Connection::open_with_flags(file, flags);
+    connection.map_err(error(path))
+}
+
+/// Brings the write-ahead log into the file and removes it.
+fn fold_log(connection: &Connection) -> rusqlite::Result<()> {
+    for sql in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA journal_mode = DELETE"] {
+        let mut statement = connection.prepare(sql)?;
+        let mut rows = statement.query([])?;
+        // A failure may come after the first row.
+        while rows.next()?.is_some() {}
+    }
+    Ok(())
 }
 
 fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {

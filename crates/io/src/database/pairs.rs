@@ -5,7 +5,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_scene::{ImagePair, Match, TwoView, TwoViewKind};
 
-use super::{Database, MAX_IMAGE_ID, bytes, error, numbers};
+use super::{Database, MAX_IMAGE_ID, StageRow, bytes, error, numbers};
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 
@@ -39,13 +39,7 @@ impl Database {
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a [Match])>,
     ) -> Result<()> {
-        self.transaction(|db| {
-            for (pair, matches) in batch {
-                let sql = "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
-                db.execute(sql, params![db.pair_number(pair)?, matches.len() as i64, match_bytes(matches)])?;
-            }
-            Ok(())
-        })
+        self.transaction(|db| batch.into_iter().try_for_each(|(pair, matches)| db.put_matches(pair, matches)))
     }
 
     /// Writes two-view geometries of pairs; those that are there are replaced.
@@ -53,39 +47,77 @@ impl Database {
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
     ) -> Result<()> {
+        self.transaction(|db| batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(pair, view)))
+    }
+
+    /// Writes the matches and the two-view geometries of pairs in one transaction, so that no pair has one without the other;
+    /// those that are there are replaced.
+    ///
+    /// # Errors
+    ///
+    /// Where a pair names an image that the database lacks, and where the file cannot be written.
+    pub fn write_pairs<'a>(
+        &mut self,
+        batch: impl IntoIterator<Item = (ImagePair, &'a [Match], &'a TwoView)>,
+    ) -> Result<()> {
         self.transaction(|db| {
-            for (pair, view) in batch {
-                let pose = view.cam2_from_cam1.as_ref().map(pose_numbers);
-                let sql = "INSERT OR REPLACE INTO two_view_geometries\
-                           (pair_id, rows, cols, data, config, F, E, H, qvec, tvec, camera1, camera2) \
-                           VALUES (?1, ?2, 2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, NULL, NULL)";
-                db.execute(
-                    sql,
-                    params![
-                        db.pair_number(pair)?,
-                        view.matches.len() as i64,
-                        match_bytes(&view.matches),
-                        view.kind as i64,
-                        matrix_bytes(view.fundamental.as_ref()),
-                        matrix_bytes(view.essential.as_ref()),
-                        matrix_bytes(view.homography.as_ref()),
-                        pose.map(|pose| bytes(&pose[..4])),
-                        pose.map(|pose| bytes(&pose[4..]))
-                    ],
-                )?;
-            }
-            Ok(())
+            batch.into_iter().try_for_each(|(pair, matches, view)| {
+                db.put_matches(pair, matches)?;
+                db.put_two_view(pair, view)
+            })
         })
+    }
+
+    fn put_matches(&self, pair: ImagePair, matches: &[Match]) -> Result<()> {
+        let sql = "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
+        self.execute(sql, params![self.pair_number(pair)?, matches.len() as i64, match_bytes(matches)])
+    }
+
+    fn put_two_view(&self, pair: ImagePair, view: &TwoView) -> Result<()> {
+        let pose = view.cam2_from_cam1.as_ref().map(pose_numbers);
+        let sql = "INSERT OR REPLACE INTO two_view_geometries\
+                   (pair_id, rows, cols, data, config, F, E, H, qvec, tvec, camera1, camera2) \
+                   VALUES (?1, ?2, 2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, NULL, NULL)";
+        self.execute(
+            sql,
+            params![
+                self.pair_number(pair)?,
+                view.matches.len() as i64,
+                match_bytes(&view.matches),
+                view.kind as i64,
+                matrix_bytes(view.fundamental.as_ref()),
+                matrix_bytes(view.essential.as_ref()),
+                matrix_bytes(view.homography.as_ref()),
+                pose.map(|pose| bytes(&pose[..4])),
+                pose.map(|pose| bytes(&pose[4..]))
+            ],
+        )
     }
 
     /// Forgets all matches and two-view geometries.
     pub fn clear_matches(&mut self) -> Result<()> {
-        self.run("BEGIN; DELETE FROM matches; DELETE FROM two_view_geometries; COMMIT;")
+        self.transaction(Self::delete_matches)
+    }
+
+    /// Forgets all matches and two-view geometries and replaces the rows on stages, in one transaction.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be written.
+    pub fn clear_matches_for(&mut self, rows: &[StageRow]) -> Result<()> {
+        self.transaction(|db| {
+            db.delete_matches()?;
+            db.replace_stage_rows(rows)
+        })
+    }
+
+    fn delete_matches(&self) -> Result<()> {
+        self.run("DELETE FROM matches; DELETE FROM two_view_geometries;")
     }
 
     /// Forgets all two-view geometries.
     pub fn clear_two_views(&mut self) -> Result<()> {
-        self.run("DELETE FROM two_view_geometries")
+        self.transaction(|db| db.run("DELETE FROM two_view_geometries"))
     }
 
     /// The pairs that have been matched, sorted.

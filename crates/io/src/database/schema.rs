@@ -6,7 +6,6 @@ pub(super) const REQUIRED: [&str; 6] =
 
 /// `user_version` is 1000000 · major + 10000 · minor + 100 · patch of the COLMAP version whose schema this is.
 pub(super) const CREATE: &str = "
-BEGIN;
 CREATE TABLE rigs (
     rig_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
     ref_sensor_id INTEGER NOT NULL,
@@ -86,5 +85,4 @@ CREATE TABLE two_view_geometries (
     camera1 BLOB,
     camera2 BLOB);
 PRAGMA user_version = 4020100;
-COMMIT;
 ";

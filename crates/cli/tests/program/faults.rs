@@ -1,0 +1,319 @@
+//! Kills, full disks and failing writes at chosen changes of the file system: nothing of the user is lost, what a workspace
+//! says of itself is true, and the same command goes on to the same result. With `TIEPOINT_ALL_FAULTS` every write is taken; `bench/durability.py`
+//! does that, and kills the program from outside.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use image::imageops::{FilterType, resize};
+use rayon::prelude::*;
+use tiepoint_io::colmap::read_model;
+use tiepoint_io::database::Database;
+use tiepoint_io::disk::Operation;
+use tiepoint_io::disk::faults::{Faults, Kind};
+use tiepoint_pipeline::sfm::MapperOptions;
+use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
+use tiepoint_pipeline::{
+    Calibration, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions, Options, Stage, adjust,
+    export, reconstruct, view,
+};
+
+use crate::photos;
+
+const COUNT: usize = 4;
+/// Small enough for a run in a tenth of a second, large enough for a model.
+const SIZE: (u32, u32) = (144, 108);
+/// Writes of each of the ten commands that are drawn, beside all renames, commits and syncs.
+const DRAWN_WRITES: usize = 4;
+/// With this variable in the environment, all writes are taken.
+const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
+const MAX_TRIES: usize = 100;
+const BETWEEN_TRIES: Duration = Duration::from_millis(20);
+/// Of the draws.
+const SEED: u64 = 20_261_123;
+
+/// A command, as a person gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Command {
+    Reconstruct,
+    /// Another camera model.
+    RedoFeatures,
+    /// Other pairs.
+    RedoMatch,
+    /// Another seed.
+    RedoMap,
+    Export(ExportFormat, &'static str),
+    Adjust,
+    View,
+}
+
+impl Command {
+    fn options(self) -> Options {
+        let mut options = Options::default();
+        match self {
+            Self::RedoFeatures => {
+                let calibration =
+                    Calibration::Unknown { model: CameraModelKind::Radial, focal_px: Some(200.0) };
+                options.features = FeatureOptions { calibration, ..FeatureOptions::default() };
+            }
+            Self::RedoMatch => {
+                let pairs = "sequential:2".parse().unwrap();
+                options.matching = MatchOptions { pairs, ..MatchOptions::default() };
+            }
+            Self::RedoMap => {
+                let mapper = MapperOptions { seed: 7, ..MapperOptions::default() };
+                options.mapping = MapOptions { mapper, ..MapOptions::default() };
+            }
+            _ => {}
+        }
+        options.redo = match self {
+            Self::RedoFeatures => Some(Stage::Features),
+            Self::RedoMatch => Some(Stage::Match),
+            Self::RedoMap => Some(Stage::Map),
+            _ => None,
+        };
+        options
+    }
+
+    fn run(self, dir: &Path, redo: Option<Stage>) -> Result<(), Error> {
+        let ws = dir.join("ws");
+        let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
+        match self {
+            Self::Export(format, name) => export(&ws, format, &dir.join("out").join(name)).map(drop),
+            Self::Adjust => adjust(&ws, Some(&dir.join("out")), watch).map(drop),
+            Self::View => view(&ws).map(drop),
+            _ => {
+                let options = Options { redo, ..self.options() };
+                reconstruct(&[dir.join("photos")], &ws, &options, watch).map(drop)
+            }
+        }
+    }
+
+    /// Whether it begins with a workspace that is complete.
+    fn has_workspace(self) -> bool {
+        self != Self::Reconstruct
+    }
+}
+
+/// Files below a folder with their content; those of the user, or those that results are in.
+fn files(dir: &Path, is_wanted: &dyn Fn(&str) -> bool) -> BTreeMap<String, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        let Ok(entries) = fs::read_dir(folder) else { continue };
+        for entry in entries {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(dir).unwrap().to_str().unwrap().to_owned();
+            if path.is_dir() {
+                folders.push(path);
+            } else if is_wanted(&name) {
+                all.insert(name, fs::read(&path).unwrap());
+            }
+        }
+    }
+    all
+}
+
+fn of_user(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    files(dir, &|name| name.starts_with("photos/") || name.ends_with("mine.txt"))
+}
+
+/// What must be the same bytes however a run came about.
+fn results(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    let is_result = |name: &str| {
+        name.starts_with("ws/sparse/")
+            || name == "ws/points.ply"
+            || name == "ws/timestamps.csv"
+            || name.starts_with("out/") && !name.contains("/.")
+    };
+    files(dir, &is_result)
+}
+
+fn leftovers(dir: &Path) -> Vec<String> {
+    let is_left = |name: &str| {
+        let hidden = name.contains(".tiepoint-") || name.ends_with("-wal") || name.ends_with("-shm");
+        hidden || name.ends_with("-journal")
+    };
+    files(dir, &is_left).into_keys().collect()
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy(&path, &target);
+        } else {
+            fs::copy(&path, &target).unwrap();
+        }
+    }
+}
+
+/// What the record says must be what the data are.
+fn check_record(dir: &Path, case: &str) {
+    let ws = dir.join("ws");
+    if let Ok(database) = Database::open(&ws.join("database.db")) {
+        assert_eq!(database.num_images(), COUNT, "{case}");
+        let rows = database.stage_rows().unwrap().unwrap_or_else(|| panic!("{case}: no record"));
+        let row = |stage: &str| rows.iter().find(|row| row.stage == stage);
+        let features = row("features").unwrap_or_else(|| panic!("{case}: no record of features"));
+        let model = database.read_cameras().unwrap()[0].intrinsics.kind().name();
+        assert!(features.recipe.contains(&format!("\"{model}\"")), "{case}: {} {model}", features.recipe);
+        let pairs = database.matched_pairs().unwrap().len();
+        match row("match") {
+            None => assert_eq!(pairs, 0, "{case}"),
+            Some(row) => {
+                let most = if row.recipe.contains("sequential:2") { 5 } else { 6 };
+                assert!(
+                    pairs <= most && (pairs == most || !row.is_complete),
+                    "{case}: {pairs} {}",
+                    row.recipe
+                );
+            }
+        }
+    }
+    // A model is whole or none, never of two.
+    if ws.join("sparse/0/images.bin").is_file() {
+        read_model(&ws.join("sparse/0")).unwrap_or_else(|error| panic!("{case}: {error}"));
+    }
+}
+
+/// In memory where that can be: a sync costs nothing there.
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
+
+/// One fault, and the way on from it.
+fn strike(command: Command, base: &Path, expected: &BTreeMap<String, Vec<u8>>, at: usize, kind: Kind) {
+    let case = format!("{command:?}, {kind:?} at change {at}");
+    let dir = folder();
+    let dir = dir.path().canonicalize().unwrap();
+    copy(base, &dir);
+    if !command.has_workspace() {
+        fs::remove_dir_all(dir.join("ws")).unwrap();
+    }
+    let mine = of_user(&dir);
+    let faults = Faults::at(&dir, at, kind);
+    let ended = command.run(&dir, command.options().redo);
+    let hit = faults.hit();
+    drop(faults);
+    assert!(of_user(&dir) == mine, "{case}: files of the user changed");
+    if let Err(error) = &ended {
+        assert!(hit && error.to_string().lines().count() == 1, "{case}: {error}");
+    }
+    check_record(&dir, &case);
+    // On: the same command without --redo; where the stage was not begun yet, as the sentence says.
+    let again = |redo| {
+        let mut tries = 0;
+        loop {
+            match command.run(&dir, redo) {
+                // Programs that other tests start hold this process's locks for the moment until they are programs.
+                Err(Error::InUse { .. }) if tries < MAX_TRIES => tries += 1,
+                ended => return ended,
+            }
+            std::thread::sleep(BETWEEN_TRIES);
+        }
+    };
+    let on = match again(None) {
+        Err(Error::Changed { .. }) => again(command.options().redo),
+        ended => ended,
+    };
+    on.unwrap_or_else(|error| panic!("{case}, then {error} (first {ended:?})"));
+    assert!(of_user(&dir) == mine, "{case}: files of the user changed");
+    let now = results(&dir);
+    for (name, bytes) in expected {
+        assert!(now.get(name) == Some(bytes), "{case}: {name} differs");
+    }
+    assert_eq!(now.len(), expected.len(), "{case}: {:?}", now.keys());
+    assert!(leftovers(&dir).is_empty(), "{case}: {:?}", leftovers(&dir));
+}
+
+#[test]
+fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
+    let base = folder();
+    let base = base.path().canonicalize().unwrap();
+    fs::create_dir_all(base.join("photos")).unwrap();
+    for index in 0..COUNT {
+        let small = resize(&photos::photo(index, 0), SIZE.0, SIZE.1, FilterType::Triangle);
+        small.save(base.join(format!("photos/{index}.png"))).unwrap();
+    }
+    Command::Reconstruct.run(&base, None).unwrap();
+    for name in ["ws/mine.txt", "ws/sparse/0/mine.txt", "out/mine.txt"] {
+        fs::create_dir_all(base.join(name).parent().unwrap()).unwrap();
+        fs::write(base.join(name), "mine").unwrap();
+    }
+    let commands = [
+        Command::Reconstruct,
+        Command::RedoFeatures,
+        Command::RedoMatch,
+        Command::RedoMap,
+        Command::Export(ExportFormat::Colmap, ""),
+        Command::Export(ExportFormat::Nerfstudio, ""),
+        Command::Export(ExportFormat::OpenMvs, ""),
+        Command::Export(ExportFormat::Ply, "a.ply"),
+        Command::Adjust,
+        Command::View,
+    ];
+    for command in commands {
+        let dir = folder();
+        let dir = dir.path().canonicalize().unwrap();
+        copy(&base, &dir);
+        if !command.has_workspace() {
+            fs::remove_dir_all(dir.join("ws")).unwrap();
+        }
+        let faults = Faults::count(&dir);
+        command.run(&dir, command.options().redo).unwrap();
+        let log = faults.log();
+        drop(faults);
+        check_order(&log, &format!("{command:?}"));
+        let expected = results(&dir);
+        let mut writes: Vec<usize> = (0..log.len()).filter(|at| log[*at].0 == Operation::Write).collect();
+        let mut rng = Rng::stream(SEED, &[log.len() as u64]);
+        let is_whole = std::env::var_os(WHOLE).is_some();
+        while writes.len() > DRAWN_WRITES && !is_whole {
+            writes.swap_remove(rng.below(writes.len()));
+        }
+        let decides =
+            |at: &usize| matches!(log[*at].0, Operation::Rename | Operation::Commit | Operation::Sync);
+        let decisive: Vec<usize> = (0..log.len()).filter(decides).collect();
+        let mut cases: Vec<(usize, Kind)> = Vec::new();
+        for at in writes {
+            cases.extend([Kind::Stop, Kind::Full, Kind::Fail].map(|kind| (at, kind)));
+        }
+        cases.extend(decisive.iter().flat_map(|at| [(*at, Kind::Stop), (*at, Kind::Fail)]));
+        let stops = cases.iter().filter(|(_, kind)| *kind == Kind::Stop).count();
+        println!("{command:?}: {} changes, {stops} stops, {} faults", log.len(), cases.len());
+        cases.par_iter().for_each(|&(at, kind)| strike(command, &base, &expected, at, kind));
+    }
+}
+
+/// Stands for the loss of power: what takes a name is on the disk before, and the name after.
+fn check_order(log: &[(Operation, PathBuf)], case: &str) {
+    let mut unsynced: Vec<&PathBuf> = Vec::new();
+    for (operation, path) in log {
+        match operation {
+            Operation::Create | Operation::Write => unsynced.push(path),
+            Operation::Sync => unsynced.retain(|other| *other != path),
+            Operation::Rename => {
+                let folder = path.parent().unwrap();
+                let waiting = unsynced.iter().find(|other| {
+                    let name = other.to_string_lossy();
+                    let is_database = name.contains("database.db");
+                    other.parent() == Some(folder) && name.contains(".tiepoint-") && !is_database
+                });
+                assert!(
+                    waiting.is_none(),
+                    "{case}: {waiting:?} is not on the disk before {path:?} gets its name"
+                );
+            }
+            _ => {}
+        }
+    }
+    let last_rename = log.iter().rposition(|(operation, _)| *operation == Operation::Rename);
+    let last_sync = log.iter().rposition(|(operation, _)| *operation == Operation::SyncFolder);
+    assert!(last_rename <= last_sync, "{case}: the last name is not on the disk");
+}

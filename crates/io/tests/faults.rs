@@ -1,0 +1,296 @@
+//! What a kill, a full disk or a broken one leaves at any moment: the old or the new, never a mix, and nothing for good.
+#![cfg(all(feature = "database", feature = "faults"))]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use common::{Riding, random_model};
+use tiepoint_features::{Features, Keypoint};
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_io::colmap::{Format, read_model, write_model};
+use tiepoint_io::database::{Database, StageRow, read_stage_rows};
+use tiepoint_io::disk::faults::{Faults, Kind};
+use tiepoint_io::disk::{self, Operation};
+use tiepoint_io::{AtomicFile, Result};
+use tiepoint_scene::{
+    Camera, CameraId, Image, ImageId, ImagePair, Match, Reconstruction, TwoView, TwoViewKind,
+};
+
+const KINDS: [Kind; 3] = [Kind::Stop, Kind::Full, Kind::Fail];
+/// Keypoints of an image: so many that their descriptors do not fit into a page.
+const KEYPOINTS: usize = 40;
+
+fn names(dir: &Path) -> Vec<String> {
+    let entries = fs::read_dir(dir).unwrap();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// Runs `work` with a fault at each of its changes in turn, each time in a fresh folder that `prepare` fills, and then checks
+/// the folder; returns how many changes there are.
+fn sweep(
+    parent: &Path,
+    prepare: impl Fn(&Path),
+    work: impl Fn(&Path) -> Result<()>,
+    check: impl Fn(&Path, Kind, bool),
+) -> usize {
+    let dir = tempfile::tempdir_in(parent).unwrap();
+    prepare(dir.path());
+    let faults = Faults::count(dir.path());
+    work(dir.path()).unwrap();
+    let count = faults.log().len();
+    assert!(count > 0 && !faults.hit());
+    drop(faults);
+    for kind in KINDS {
+        for n in 0..count {
+            let dir = tempfile::tempdir_in(parent).unwrap();
+            prepare(dir.path());
+            let faults = Faults::at(dir.path(), n, kind);
+            let done = work(dir.path());
+            // A disk may be full once all is written.
+            assert!(faults.hit() || (kind == Kind::Full && done.is_ok()), "{kind:?} at {n} of {count}");
+            if kind == Kind::Stop {
+                assert!(done.is_err(), "{kind:?} at {n} of {count}: {:?}", &faults.log()[n..]);
+            }
+            drop(faults);
+            check(dir.path(), kind, done.is_ok());
+        }
+    }
+    count
+}
+
+fn camera() -> Camera {
+    let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+    Camera { intrinsics, width: 640, height: 480, has_focal_prior: true }
+}
+
+fn images(prefix: &str) -> Vec<Image> {
+    (0..3).map(|index| Image::new(format!("{prefix}{index}.png"), CameraId(0), vec![])).collect()
+}
+
+fn features() -> Features {
+    let keypoint = |index| Keypoint { x: index as f32, y: 1.0, scale: 1.0, orientation: 0.0 };
+    Features { keypoints: (0..KEYPOINTS).map(keypoint).collect(), descriptors: vec![[7; 128]; KEYPOINTS] }
+}
+
+fn stage() -> StageRow {
+    StageRow { stage: "features".to_owned(), is_complete: true, recipe: "{}".to_owned() }
+}
+
+fn pairs() -> [ImagePair; 2] {
+    [(0, 1), (1, 2)].map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b)).unwrap())
+}
+
+fn matches() -> Vec<Match> {
+    (0..KEYPOINTS as u32).map(|k| Match { a: k, b: k }).collect()
+}
+
+fn fill(path: &Path, prefix: &str) -> Result<Database> {
+    Database::create_with(path, |db| {
+        db.write_cameras(&[camera()])?;
+        db.write_images(&images(prefix))?;
+        db.write_rigs(&[], &[])
+    })
+}
+
+fn write_database(dir: &Path) -> Result<()> {
+    let mut db = fill(&dir.join("database.db"), "new")?;
+    let features = features();
+    for image in 0..3 {
+        db.write_features([(ImageId(image), &features)])?;
+    }
+    db.clear_matches_for(&[stage()])?;
+    let view = TwoView { kind: TwoViewKind::Calibrated, matches: matches(), ..TwoView::default() };
+    for pair in pairs() {
+        db.write_pairs([(pair, &matches()[..], &view)])?;
+    }
+    db.finish()
+}
+
+/// How far the new database got; `None` for the old one. Panics where it is neither.
+fn progress(path: &Path, old: &str) -> Option<usize> {
+    let rows = read_stage_rows(path).unwrap();
+    let db = Database::open(path).unwrap();
+    assert_eq!(db.stage_rows().unwrap(), rows);
+    let (pairs_done, views) = (db.read_matches().unwrap(), db.read_two_views().unwrap());
+    let of_matches: Vec<ImagePair> = pairs_done.iter().map(|(pair, _)| *pair).collect();
+    let of_views: Vec<ImagePair> = views.iter().map(|(pair, _)| *pair).collect();
+    assert_eq!(of_matches, of_views);
+    assert!(pairs_done.iter().all(|(_, list)| *list == matches()));
+    assert_eq!(db.read_cameras().unwrap(), [camera()]);
+    let found = db.read_images().unwrap();
+    let counts = db.keypoint_counts().unwrap();
+    let with_features = counts.iter().take_while(|count| count.is_some()).count();
+    assert!(counts[with_features..].iter().all(Option::is_none));
+    for image in 0..with_features {
+        assert_eq!(db.read_features(ImageId(image as u32)).unwrap().descriptors, features().descriptors);
+    }
+    if found == images(old) {
+        assert_eq!((rows, with_features, of_views), (None, 1, vec![pairs()[0]]));
+        return None;
+    }
+    assert_eq!(found, images("new"));
+    assert!(rows.is_none() || (with_features == 3 && rows == Some(vec![stage()])));
+    assert!(of_views.is_empty() || rows.is_some());
+    assert_eq!(of_views[..], pairs()[..of_views.len()]);
+    Some(with_features + usize::from(rows.is_some()) + of_views.len())
+}
+
+/// A database as a run leaves it that was killed: with a log that holds all of its content.
+fn old_database(dir: &Path) {
+    let made = tempfile::tempdir().unwrap();
+    let path = made.path().join("database.db");
+    let mut db = fill(&path, "old").unwrap();
+    db.write_features([(ImageId(0), &features())]).unwrap();
+    db.write_pairs([(pairs()[0], &matches()[..], &TwoView::default())]).unwrap();
+    for name in ["database.db", "database.db-wal"] {
+        fs::copy(made.path().join(name), dir.join(name)).unwrap();
+    }
+    drop(db);
+}
+
+#[test]
+fn a_database_is_old_or_new() {
+    let check = |dir: &Path, kind: Kind, is_done: bool, is_first: bool| {
+        let path = dir.join("database.db");
+        if is_first && !path.exists() {
+            assert!(!is_done);
+        } else {
+            let progress = progress(&path, "old");
+            assert!(!is_done || progress == Some(6));
+            assert!(!is_first || progress.is_some());
+        }
+        if kind == Kind::Full {
+            // Names can be removed on a full disk.
+            assert!(!names(dir).iter().any(|name| name.starts_with('.')), "{:?}", names(dir));
+        }
+        write_database(dir).unwrap();
+        assert_eq!(names(dir), ["database.db"]);
+        assert_eq!(progress(&path, "old"), Some(6));
+    };
+    // In memory where there is such a folder: thousands of files are brought to the disk.
+    let memory = Path::new("/dev/shm");
+    let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
+    let first = sweep(&parent, |_| {}, write_database, |dir, kind, is_done| check(dir, kind, is_done, true));
+    let again =
+        sweep(&parent, old_database, write_database, |dir, kind, is_done| check(dir, kind, is_done, false));
+    assert!(first > 30 && again > first, "{first} {again}");
+}
+
+#[test]
+fn changes_of_a_database_are_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let faults = Faults::count(dir.path());
+    write_database(dir.path()).unwrap();
+    let log = faults.log();
+    let root = dir.path().canonicalize().unwrap();
+    let (path, part) = (root.join("database.db"), root.join(".database.db.tiepoint-part"));
+    let place = |operation, path: &Path| log.iter().rposition(|seen| *seen == (operation, path.to_owned()));
+    assert!(log.contains(&(Operation::Create, part.clone())));
+    // The part is on the disk before it takes its name.
+    let renamed = place(Operation::Rename, &path).unwrap();
+    assert!(place(Operation::Write, &part).unwrap() < place(Operation::Sync, &part).unwrap());
+    assert!(place(Operation::Sync, &part).unwrap() < renamed);
+    assert_eq!(log[renamed + 1], (Operation::SyncFolder, root.clone()));
+    // Then each transaction goes to the log, and the log into the file.
+    assert_eq!(log[renamed..].iter().filter(|(operation, _)| *operation == Operation::Commit).count(), 6);
+    let wal = root.join("database.db-wal");
+    assert!(place(Operation::Create, &wal).unwrap() > renamed);
+    assert!(place(Operation::Write, &path).unwrap() > renamed && place(Operation::Remove, &wal).is_some());
+}
+
+#[test]
+fn a_file_is_old_or_new() {
+    // More than the buffer of a writer.
+    let new = "new ".repeat(5000);
+    let write = |dir: &Path| AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()));
+    for is_there in [false, true] {
+        let prepare = |dir: &Path| {
+            if is_there {
+                fs::write(dir.join("file"), "old").unwrap();
+            }
+        };
+        let check = |dir: &Path, kind: Kind, is_done: bool| {
+            let found = fs::read_to_string(dir.join("file")).ok();
+            let old = is_there.then_some("old");
+            assert!(found.as_deref() == Some(&new) || (found.as_deref() == old && !is_done));
+            if kind == Kind::Full {
+                assert!(!names(dir).iter().any(|name| name.starts_with('.')));
+            }
+            write(dir).unwrap();
+            assert_eq!(names(dir), ["file"]);
+            assert_eq!(fs::read_to_string(dir.join("file")).unwrap(), new);
+        };
+        assert!(sweep(&std::env::temp_dir(), prepare, write, check) >= 5);
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let faults = Faults::count(dir.path());
+    write(dir.path()).unwrap();
+    assert_lasting(&faults.log(), |to| disk::folder_of(to).join(".file.tiepoint-part"));
+}
+
+/// Each renamed file was on the disk under its temporary name, and its new name gets there.
+fn assert_lasting(log: &[(Operation, PathBuf)], part_of: impl Fn(&Path) -> PathBuf) {
+    let renames: Vec<usize> = (0..log.len()).filter(|index| log[*index].0 == Operation::Rename).collect();
+    assert!(!renames.is_empty());
+    for index in renames {
+        let part = part_of(&log[index].1);
+        let of_part: Vec<Operation> =
+            log[..index].iter().filter(|(_, path)| *path == part).map(|(operation, _)| *operation).collect();
+        assert!(of_part.ends_with(&[Operation::Write, Operation::Sync]), "{of_part:?}");
+        let folder = disk::folder_of(&log[index].1).to_owned();
+        assert!(log[index..].contains(&(Operation::SyncFolder, folder)));
+    }
+}
+
+#[test]
+fn a_model_is_old_or_new() {
+    let (old, new) = (random_model(1, Riding::Together), random_model(2, Riding::Together));
+    for format in [Format::Binary, Format::Text] {
+        let write = |dir: &Path| write_model(&dir.join("above/model"), &new, format);
+        let check = |dir: &Path, is_done: bool, is_there: bool| {
+            let model = dir.join("above/model");
+            match read_model(&model) {
+                Ok(found) => assert!(found == new || (found == old && is_there && !is_done)),
+                Err(error) if !is_done => {
+                    let error = error.to_string();
+                    let is_missing =
+                        if is_there { error.contains("holds no COLMAP model") } else { !model.exists() };
+                    assert!(is_missing, "{error}");
+                }
+                Err(error) => panic!("{error}"),
+            }
+            write(dir).unwrap();
+            assert_eq!(read_model(&model).unwrap(), new);
+            assert_eq!(names(&dir.join("above")), ["model"]);
+            assert!(!names(&model).iter().any(|name| name.starts_with('.')), "{:?}", names(&model));
+        };
+        sweep(&std::env::temp_dir(), |_| {}, write, |dir, _, is_done| check(dir, is_done, false));
+        let prepare = |dir: &Path| write_model(&dir.join("above/model"), &old, format).unwrap();
+        sweep(&std::env::temp_dir(), prepare, write, |dir, _, is_done| check(dir, is_done, true));
+        let dir = tempfile::tempdir().unwrap();
+        prepare(dir.path());
+        let faults = Faults::count(dir.path());
+        write(dir.path()).unwrap();
+        assert_lasting(&faults.log(), |to| {
+            to.with_file_name(format!(".{}.tiepoint-part", to.file_name().unwrap().display()))
+        });
+    }
+}
+
+#[test]
+fn a_model_is_not_written_beside_one_in_the_other_format() {
+    let dir = tempfile::tempdir().unwrap();
+    let (old, new): (Reconstruction, _) = (random_model(1, Riding::Alone), random_model(2, Riding::Alone));
+    write_model(dir.path(), &old, Format::Binary).unwrap();
+    let error = write_model(dir.path(), &new, Format::Text).unwrap_err().to_string();
+    assert!(error.contains("cameras.bin: holds a model as .bin too"), "{error}");
+    assert_eq!(read_model(dir.path()).unwrap(), old);
+    assert_eq!(names(dir.path()).len(), 5);
+}

@@ -1,0 +1,127 @@
+//! Single files into which a command writes its result.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use tiepoint_io::AtomicFile;
+use tiepoint_io::disk::{self, FileId};
+
+use crate::Error;
+use crate::output_folder::output;
+
+/// A PLY file of this program has this line in its header.
+pub(crate) const PLY_MARK: &str = "\ncomment tiepoint\n";
+/// The first line of a text of this program begins so, where its format has comments.
+pub(crate) const COMMENT_MARK: &str = "# tiepoint";
+/// A page of this program has this title.
+const PAGE_MARK: &str = "<title>tiepoint</title>";
+/// A mark stands within so many bytes.
+const HEAD_BYTES: u64 = 4096;
+/// The file that a new content is compared in.
+const NEW: &str = ".tiepoint-new";
+
+/// Writes a file that the user named. One that is there is replaced only where it is empty or has this program's mark, or has
+/// the same content; an input of the command never is. `write` gets the path to write to.
+///
+/// # Errors
+///
+/// Where the file is an input or somebody's, and those of `write`.
+pub(crate) fn write_file<'a>(
+    path: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+    mark: Option<&str>,
+    write: impl FnOnce(&Path) -> Result<(), Error>,
+) -> Result<(), Error> {
+    if let Some(id) = FileId::of(path)
+        && inputs.into_iter().any(|input| FileId::of(input).as_ref() == Some(&id))
+    {
+        return Err(Error::IsInput { path: path.to_owned() });
+    }
+    if may_be_replaced(path, mark)? {
+        return write(path);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let new = path.with_file_name(format!(".{name}{NEW}"));
+    let same = write(&new).and_then(|()| is_same(&new, path));
+    disk::remove_file(&new).map_err(output(&new))?;
+    if same? { Ok(()) } else { Err(Error::NotOurs { path: path.to_owned() }) }
+}
+
+/// Writes a page (HTML) of this program; one that is there is replaced only where it is this program's.
+///
+/// # Errors
+///
+/// Where a page of somebody is there, and where it cannot be written.
+pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
+    write_file(path, [], Some(PAGE_MARK), |path| {
+        Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, html.as_bytes()))?)
+    })
+}
+
+/// Refuses, before any work is done, to replace a page that is somebody's.
+///
+/// # Errors
+///
+/// Where there is one.
+pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
+    if may_be_replaced(path, Some(PAGE_MARK))? {
+        Ok(())
+    } else {
+        Err(Error::NotOurs { path: path.to_owned() })
+    }
+}
+
+fn may_be_replaced(path: &Path, mark: Option<&str>) -> Result<bool, Error> {
+    let unreadable = |cause| Error::Unreadable { path: path.to_owned(), cause };
+    match fs::metadata(path) {
+        Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(true),
+        Err(cause) => return Err(unreadable(cause)),
+        // What is no file is written through, or refused by who writes it.
+        Ok(found) if !found.is_file() || found.len() == 0 => return Ok(true),
+        Ok(_) => {}
+    }
+    let Some(mark) = mark else { return Ok(false) };
+    let mut head = Vec::new();
+    File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head)).map_err(unreadable)?;
+    if mark == COMMENT_MARK {
+        return Ok(head.starts_with(mark.as_bytes()));
+    }
+    Ok(head.windows(mark.len()).any(|bytes| bytes == mark.as_bytes()))
+}
+
+fn is_same(one: &Path, other: &Path) -> Result<bool, Error> {
+    let read = |path: &Path| -> Result<Vec<u8>, Error> {
+        fs::read(path).map_err(|cause| Error::Unreadable { path: PathBuf::from(path), cause })
+    };
+    Ok(read(one)? == read(other)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_others_and_inputs_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.txt");
+        let put = |text: &str, inputs: &[&Path], mark: Option<&str>| {
+            write_file(&path, inputs.iter().copied(), mark, |path| {
+                Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, text.as_bytes()))?)
+            })
+        };
+        fs::write(&path, "").unwrap();
+        put("mine", &[], None).unwrap();
+        put("mine", &[], None).unwrap();
+        assert!(matches!(put("other", &[], None), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("mine", &[&path], None), Err(Error::IsInput { .. })));
+        assert_eq!(fs::read(&path).unwrap(), b"mine");
+        fs::write(&path, format!("1 2 3\n{COMMENT_MARK} was wrong here\n")).unwrap();
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        fs::write(&path, format!("{COMMENT_MARK}\n1 2 3\n")).unwrap();
+        put("other", &[], Some(COMMENT_MARK)).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"other");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+}
