@@ -32,6 +32,9 @@ const DRAWN_WRITES: usize = 4;
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
 const MAX_TRIES: usize = 100;
 const BETWEEN_TRIES: Duration = Duration::from_millis(20);
+/// The folder of new results before and after the rename that decides (`pipeline/output_folder.rs`).
+const STAGED: &str = ".tiepoint-new";
+const COMMITTED: &str = ".tiepoint-commit";
 /// Of the draws.
 const SEED: u64 = 20_261_123;
 
@@ -292,19 +295,24 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
 }
 
 /// Stands for the loss of power: what takes a name is on the disk before, and the name after.
+///
+/// Images are written by several threads, so that the file of one may be open when another's gets
+/// its name. A rename waits for what it names: a file's own part, or all files of a folder.
 fn check_order(log: &[(Operation, PathBuf)], case: &str) {
     let mut unsynced: Vec<&PathBuf> = Vec::new();
+    let mut renames_checked = 0;
     for (operation, path) in log {
         match operation {
             Operation::Create | Operation::Write => unsynced.push(path),
             Operation::Sync => unsynced.retain(|other| *other != path),
             Operation::Rename => {
-                let folder = path.parent().unwrap();
-                let waiting = unsynced.iter().find(|other| {
-                    let name = other.to_string_lossy();
-                    let is_database = name.contains("database.db");
-                    other.parent() == Some(folder) && name.contains(".tiepoint-") && !is_database
-                });
+                let staged = path.with_file_name(STAGED);
+                let is_commit = path.file_name().is_some_and(|name| name == COMMITTED);
+                let name = path.file_name().unwrap().to_string_lossy();
+                let own = path.with_file_name(format!(".{name}.tiepoint-part"));
+                let waiting =
+                    unsynced.iter().find(|other| ***other == own || is_commit && other.starts_with(&staged));
+                renames_checked += 1;
                 assert!(
                     waiting.is_none(),
                     "{case}: {waiting:?} is not on the disk before {path:?} gets its name"
@@ -313,6 +321,7 @@ fn check_order(log: &[(Operation, PathBuf)], case: &str) {
             _ => {}
         }
     }
+    assert!(renames_checked > 0, "{case}: nothing was renamed");
     let last_rename = log.iter().rposition(|(operation, _)| *operation == Operation::Rename);
     let last_sync = log.iter().rposition(|(operation, _)| *operation == Operation::SyncFolder);
     assert!(last_rename <= last_sync, "{case}: the last name is not on the disk");
