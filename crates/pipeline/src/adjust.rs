@@ -68,7 +68,7 @@ fn adjust_colmap(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adj
     let mut model = colmap::read_model(path)?;
     let options = AdjustOptions { max_iterations: MAX_ITERATIONS, ..AdjustOptions::default() };
     let start = Instant::now();
-    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut |step| {
+    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })?;
     let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
@@ -97,7 +97,8 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
         problem.fix_tangent(params, &[1, 2]).map_err(sfm::Error::from)?;
         cameras.push((params, problem.keep(Rigid3::new(rotation, half_turn * camera.translation), order)));
     }
-    hold_gauge(&mut problem, &cameras)?;
+    let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
+    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)?;
     let points: Vec<Key<Vector3<f64>>> = bal.points.iter().map(|xyz| problem.eliminate(*xyz)).collect();
     for BalObservation { camera, point, pixel } in &bal.observations {
         let (params, pose) = cameras[*camera as usize];
@@ -126,24 +127,6 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
         write_file(output, [path], None, |output| Ok(bal.write(output)?))?;
     }
     Ok(report)
-}
-
-/// Holds what no pixel depends on: the pose of the first camera, and the coordinate in which another's centre moves most when the
-/// world is scaled about the first.
-fn hold_gauge(problem: &mut Problem, cameras: &[(Key<SVector<f64, 5>>, Key<Rigid3>)]) -> Result<(), Error> {
-    let Some(&(_, first)) = cameras.first() else { return Ok(()) };
-    let centre = problem.get(first).origin_in_a();
-    problem.fix(first);
-    let baselines = cameras[1..].iter().map(|&(_, key)| {
-        let pose = problem.get(key);
-        (key, pose.rotation * (pose.origin_in_a() - centre))
-    });
-    let farthest = baselines.max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
-    if let Some((key, baseline)) = farthest {
-        // The tangent of a pose is its rotation, then how its centre moves in its frame.
-        problem.fix_tangent(key, &[3 + baseline.iamax()]).map_err(sfm::Error::from)?;
-    }
-    Ok(())
 }
 
 fn report(summary: &Summary, start: Instant, images: usize, points: usize) -> Result<AdjustReport, Error> {
