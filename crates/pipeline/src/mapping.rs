@@ -202,8 +202,8 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
     names.insert(POINTS.to_owned());
-    let rigs = (0..).map(rig_name).take_while(|name| workspace.root().join(name).is_file());
-    names.extend(rigs);
+    let num_models = (0..).take_while(|index| workspace.root().join(model_path(*index)).is_dir()).count();
+    names.extend((0..num_models.max(1)).map(rig_name));
     names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
     names.into_iter().collect()
 }
@@ -228,4 +228,91 @@ fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<Str
         )?);
     }
     Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::rig::Clock;
+    use tiepoint_sfm::scene::{Camera, ImagePair};
+    use tiepoint_sfm::{Companion, Hold, MountedCamera, MountedRig, RigPair, Timing};
+
+    use super::*;
+
+    /// Two cameras so far apart, with a wrong pair where that is so.
+    fn model(baseline: f64, has_bad_pair: bool) -> MappedModel {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+        let right_from_left = Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
+        let [left, right] = ["left", "right"].map(|folder| {
+            let camera = model.add_camera(camera);
+            model.add_image(Image::new(format!("{folder}/0.png"), camera, Vec::new()))
+        });
+        model.register(left, Rigid3::identity());
+        model.register(right, right_from_left);
+        let companion = Companion {
+            left: model.image(left).camera,
+            right: model.image(right).camera,
+            clock: Clock::default(),
+            timing: Timing::Together,
+            unit: None,
+            blind: None,
+        };
+        let hold = Hold::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
+        let camera = MountedCamera {
+            companion,
+            right_from_left,
+            covariance: None,
+            hold,
+            num_moments: 1,
+            spread: None,
+        };
+        MappedModel {
+            initial_pair: ImagePair::new(left, right).unwrap(),
+            rig: Some(MountedRig {
+                hold: Some(hold),
+                cameras: vec![camera],
+                bad_pairs: if has_bad_pair { vec![RigPair { left, right }] } else { Vec::new() },
+                split: None,
+                error_off_px: 1.0,
+                error_px: 1.0,
+            }),
+            reconstruction: model,
+            shutters: Vec::new(),
+            row_poses: BTreeMap::new(),
+            num_loop_pairs: 0,
+            failures: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn each_model_has_the_file_of_its_own_rig() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("ws");
+        let mut workspace = Workspace::create(&root).unwrap();
+        let mut without = model(3.0, false);
+        without.rig = None;
+        let names = stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
+        workspace.publish(names, &[], |_| {}).unwrap();
+        let rig = |index| {
+            let place = crate::model_place::ModelPlace::of(&root.join(model_path(index)));
+            let path = place.rig();
+            path.is_file().then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
+        };
+        let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
+        let [first, second, third] = [0, 1, 2].map(rig);
+        assert_eq!(centre(&first.clone().unwrap()), 1.0);
+        assert_eq!(first.unwrap().bad_pairs, Some(Vec::new()));
+        assert_eq!(second, None);
+        assert_eq!(centre(&third.clone().unwrap()), 2.0);
+        let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
+        assert_eq!(third.unwrap().bad_pairs, Some(vec![pair]));
+        // New models take all files of the ones before with them.
+        let replaced = replaced_names(&workspace);
+        for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
+            assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
+        }
+    }
 }

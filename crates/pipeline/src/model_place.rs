@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::workspace::{REPORT, RIG, SPARSE, TIMESTAMPS};
+use crate::workspace::{REPORT, RIG, SPARSE, TIMESTAMPS, current_records, is_workspace};
+use crate::{Error, Stage, features};
 
 /// The folder of a model, relative to the workspace.
 pub(crate) fn model_path(index: usize) -> String {
@@ -36,6 +37,18 @@ impl ModelPlace {
     /// How the model's cameras are held to each other.
     pub(crate) fn rig(&self) -> PathBuf {
         self.root.join(rig_name(self.index))
+    }
+
+    /// Whether the workspace was given the intrinsics of its cameras, which stay then.
+    ///
+    /// # Errors
+    ///
+    /// Where the workspace's records cannot be read.
+    pub(crate) fn has_known_intrinsics(&self) -> Result<bool, Error> {
+        if !is_workspace(&self.root) {
+            return Ok(false);
+        }
+        Ok(current_records(&self.root)?.option(Stage::Features, features::INTRINSICS).is_some())
     }
 
     /// What is said of the models, the largest first; and which of them this one is.

@@ -21,8 +21,7 @@ use tiepoint_sfm::{
 use crate::evaluate::read_times;
 use crate::model_place::ModelPlace;
 use crate::rig_over_time::{camera_of_folder, folder_of};
-use crate::workspace::current_records;
-use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
+use crate::{Error, Report, RigCamera, RigFile, model_folder};
 
 /// What it took to make a model rigid.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -79,8 +78,9 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
     let length = cameras[0].right_from_left.translation.norm();
-    let options =
-        AdjustOptions { refine: refined(from)?, max_iterations: ITERATIONS, ..AdjustOptions::default() };
+    let are_known = place.has_known_intrinsics()?;
+    let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
+    let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
     let options = options.weighed_against(&model);
     hold_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
@@ -103,13 +103,6 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
         max_time_difference_s,
     };
     Ok((model, report))
-}
-
-/// What was calibrated stays.
-fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
-    let records = current_records(from)?;
-    let is_known = records.option(Stage::Features, features::INTRINSICS).is_some();
-    Ok(if is_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine })
 }
 
 /// Cameras with what mapping found of them: clocks and calibrations.

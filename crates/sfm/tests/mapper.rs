@@ -117,7 +117,7 @@ fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     let mut models =
         map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
             .expect("the scene is easy");
-    models.remove(0)
+    models.remove(0).reconstruction
 }
 
 /// Noise of 0.5 px at 900 px and 4 m is 2 mm a sighting; some hundred sightings an image leave well under a millimetre of
@@ -196,7 +196,7 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let models =
         map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(
-        models.iter().map(Reconstruction::num_registered).collect::<Vec<_>>(),
+        models.iter().map(|model| model.reconstruction.num_registered()).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
     );
 }
@@ -260,9 +260,10 @@ fn held_out_tracks_take_no_part_and_still_fit() {
     assert!((0.1..0.3).contains(&(held_out as f64 / model.num_tracks() as f64)));
     let options = tiepoint_sfm::AdjustOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
     let all = model.num_observations();
-    let summary = tiepoint_sfm::adjust(&mut model, &tiepoint_sfm::Scope::Global, &options, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let summary =
+        tiepoint_sfm::adjust(&mut model, &tiepoint_sfm::Scope::Global, &options, &mut [], &mut |_| {
+            ControlFlow::Continue(())
+        });
     assert!(summary.is_ok());
     assert_eq!(model.num_observations(), all);
     // Two coordinates of NOISE_PX each, less what the point itself absorbs.

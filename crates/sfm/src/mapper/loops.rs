@@ -63,10 +63,15 @@ impl Mapper<'_> {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_scene::{Match, TwoView, TwoViewKind};
+    use std::ops::ControlFlow;
+
+    use tiepoint_scene::{ImageId, Match, TwoView, TwoViewKind};
     use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
     use super::*;
+    use crate::adjust::RefineIntrinsics;
+    use crate::mapper::solution::Solution;
+    use crate::options::MapperOptions;
 
     const IMAGES: usize = 8;
     const OBSERVATIONS: usize = 200;

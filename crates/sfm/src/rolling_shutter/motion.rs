@@ -167,6 +167,48 @@ mod tests {
         model
     }
 
+    const READOUT_S: f64 = 0.02;
+    /// Of a pixel: the shift is a difference over the readout time.
+    const ROUNDING_PX: f64 = 1e-9;
+
+    /// What the pose of its row sees of a point is where the shutter has shifted the keypoint to.
+    #[test]
+    fn the_pose_of_a_row_sees_what_the_shutter_shifts() {
+        let mut model = drive(0.0);
+        let id = ImageId(MISPLACED as u32);
+        let motion = Motion {
+            velocity: Vector3::new(SPEED, 0.3, -0.2),
+            angular_velocity: Vector3::new(0.1, -0.4, 0.05),
+        };
+        model
+            .register(id, Rigid3::from_axis_angle(Vector3::new(0.2, -0.1, 0.3), Vector3::new(1.0, 2.0, 0.5)));
+        let (image, camera) = (model.image(id), *model.camera_of(id));
+        let middle = *image.cam_from_world().unwrap();
+        let rows = RowPoses {
+            velocity_in_world: motion.velocity,
+            angular_velocity_rad_s: motion.angular_velocity,
+            readout_s: READOUT_S,
+            height_px: f64::from(camera.height),
+        };
+        for y_px in [0.0, 100.0, 479.0] {
+            let pixel = Vector2::new(200.0, y_px);
+            let point_in_cam = camera.intrinsics.unproject(&pixel).unwrap() * 7.0;
+            let keypoint = tiepoint_scene::Keypoint { pixel, scale_px: 1.0 };
+            let mut one = Reconstruction::default();
+            let camera = one.add_camera(camera);
+            let id = one.add_image(tiepoint_scene::Image::new("a", camera, vec![keypoint; 2]));
+            one.register(id, middle);
+            let observations =
+                (0..2).map(|keypoint| tiepoint_scene::Observation { image: id, keypoint }).collect();
+            let xyz = middle.inverse() * point_in_cam;
+            one.add_track(tiepoint_scene::Track::new(xyz, observations));
+            let shifted = shifts(&one, id, &[pixel], &motion, READOUT_S)[0].shift * READOUT_S;
+            let seen = rows.cam_from_world(&middle, y_px) * xyz;
+            let seen = one.camera(camera).intrinsics.project(&seen).unwrap();
+            assert!((seen - pixel - shifted).norm() < ROUNDING_PX, "{y_px}: {seen} {pixel} {shifted}");
+        }
+    }
+
     #[test]
     fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
         let of = |off_by: f64| {
