@@ -9,7 +9,7 @@ use crate::carry::Carriers;
 use crate::error::Error;
 use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
 use crate::run::{AnyRun, Run};
-use crate::variable::{AnyKey, Key, MAX_DOF, Meta, Order, Role, Values, all_free};
+use crate::variable::{AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free};
 
 /// Variables on manifolds and factors between them: minimise Σ ½ ρ(|r|²).
 #[derive(Default)]
@@ -46,12 +46,7 @@ impl Problem {
     /// Adds a variable that is eliminated from the linear system before it is solved (Schur complement): one of many that
     /// share factors with few others and never with each other, such as a point. At most 6 degrees of freedom.
     pub fn eliminate<V: Manifold>(&mut self, value: V) -> Key<V> {
-        const {
-            assert!(
-                V::DOF <= crate::eliminate::MAX_ELIMINATED_DOF,
-                "too many degrees of freedom to eliminate"
-            )
-        };
+        const { assert!(V::DOF <= MAX_ELIMINATED_DOF, "too many degrees of freedom to eliminate") };
         self.insert(value, Role::Eliminated)
     }
 

@@ -7,7 +7,7 @@ use faer::Mat;
 use faer::linalg::solvers::SolveLstsqCore;
 
 use crate::carry::Carry;
-use crate::eliminate::damping;
+use crate::damping::marquardt;
 use crate::error::Error;
 use crate::problem::Problem;
 use crate::run::Rows;
@@ -154,7 +154,7 @@ impl QrSystem {
             right[(i, 0)] = -residual;
         }
         for (j, &diagonal) in diagonal.iter().enumerate() {
-            matrix[(self.rows + j, j)] = damping(diagonal, lambda).sqrt();
+            matrix[(self.rows + j, j)] = marquardt(diagonal, lambda).sqrt();
         }
         matrix.col_piv_qr().solve_lstsq_in_place_with_conj(faer::Conj::No, right.as_mut());
         let [mut g_step, mut damped] = [0.0; 2];

@@ -7,12 +7,11 @@
 
 use std::ops::Range;
 
+use crate::damping::marquardt;
 use crate::eliminate::Sums;
-use crate::eliminate::damping;
 use crate::problem::Problem;
-use crate::run::Rows;
-use crate::schur::{SchurSystem, survives};
-use crate::structure::{Batch, Cell, Chunk, NO_OWN, Structure};
+use crate::run::{Rows, survives};
+use crate::structure::{Batch, Cell, Chunk, NO_OWN, Structure, for_chunks};
 use crate::variable::{FIXED, Values};
 
 /// λ of these steps: against singular blocks, not for caution.
@@ -105,7 +104,7 @@ impl Refine {
     ) {
         let refine = self.rounds > 0;
         let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
-        SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
             if refine {
                 part.active.iter_mut().zip(&chunk.cells).for_each(|(active, cell)| *active = cell.dof > 0);
                 part.step(problem, trial, chunk, steps, true);
@@ -138,7 +137,7 @@ impl Refine {
             if round > 0 {
                 let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
                 let from: &Values = trial;
-                SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
+                for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
                     part.step(problem, from, chunk, steps, false);
                 });
             }
@@ -151,7 +150,7 @@ impl Refine {
             }
             let to: &Values = trial;
             let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
-            SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, _, sums)| {
+            for_chunks(&structure.chunks, &mut tasks, |chunk, (part, _, sums)| {
                 part.judge(problem, to, chunk, &sums.costs, worth);
             });
             for (part, chunk) in self.chunks.iter().zip(&structure.chunks) {
@@ -336,7 +335,7 @@ fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f6
         }
     }
     for i in 0..P {
-        v[i][i] += damping(v[i][i], LAMBDA);
+        v[i][i] += marquardt(v[i][i], LAMBDA);
     }
     // V = L D Lᵀ with ones on the diagonal of L: without square roots, which so short a loop hangs on. Meanwhile L⁻¹ g.
     let mut inverse = [0.0; P];

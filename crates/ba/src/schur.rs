@@ -3,8 +3,6 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use rayon::prelude::*;
-
 use crate::carry::Carry;
 use crate::eliminate::Sums;
 use crate::error::Error;
@@ -13,7 +11,8 @@ use crate::options::LinearSolver;
 use crate::problem::Problem;
 use crate::reduced::{Columns, Conjugate, Dense, Eliminated, Factorisation, Reduced, Sparse};
 use crate::refine::Refine;
-use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure};
+use crate::run::survives;
+use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure, for_chunks};
 use crate::summary::Times;
 use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
@@ -111,19 +110,6 @@ impl SchurSystem {
         if shared { rayon::scope(|_| work()) } else { work() }
     }
 
-    /// Runs `work` on every chunk, in parallel if there are several.
-    pub(crate) fn for_chunks<T: Send>(
-        chunks: &[Chunk],
-        items: &mut [T],
-        work: impl Fn(&Chunk, &mut T) + Sync,
-    ) {
-        if chunks.len() > 1 {
-            chunks.par_iter().zip(items).with_max_len(1).for_each(|(chunk, item)| work(chunk, item));
-        } else {
-            chunks.iter().zip(items).for_each(|(chunk, item)| work(chunk, item));
-        }
-    }
-
     /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of those that live no longer
     /// even so. Gives how many those are; `None` where a factor of kept variables alone is ended, or one is not finite.
     fn rescue(
@@ -202,11 +188,6 @@ fn let_go(factors: Range<usize>, before: &[f64], after: &mut [f64]) -> Option<us
     Some(lost)
 }
 
-/// Whether a factor that had the one cost still exists with the other.
-pub(crate) fn survives(before: f64, after: f64) -> bool {
-    before.is_nan() || after.is_finite()
-}
-
 fn prefers_dense(structure: &Structure) -> bool {
     let columns = structure.columns;
     if columns <= DENSE_COLUMNS {
@@ -282,7 +263,7 @@ impl SchurSystem {
             tasks.push((sums, memory));
             rest = others;
         }
-        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
             sums.linearize(memory, problem, values, chunk, lambda);
         });
         let middle = Instant::now();
@@ -325,7 +306,7 @@ impl SchurSystem {
             rest = others;
         }
         let (memory, block_at) = (&self.memory, &self.block_at);
-        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
             *promise = Sums::back_substitute(memory, chunk, kept, block_at, lambda, steps);
         });
         // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).

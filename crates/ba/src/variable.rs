@@ -9,6 +9,8 @@ use tiepoint_geometry::{Block, Manifold};
 
 /// Degrees of freedom of one variable: the set of free directions is a 64-bit mask.
 pub(crate) const MAX_DOF: usize = 64;
+/// Largest variable that can be eliminated: beyond, the reduced system is the better place.
+pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
 /// Stores longer than this are moved in parallel: below, waking a thread costs more than the work.
 pub(crate) const PARALLEL_VALUES: usize = 4_000;

@@ -1,11 +1,12 @@
 //! The elimination of any cell: factors of any shape, that may share blocks or see parts of them.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
-use super::kernel::{At, SLACK, stash_rows};
+use super::cursor::At;
 use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Of, SumProduct, over_lanes};
-use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Elimination, Local, Shape};
+use super::stash::{Head, stash_rows};
+use super::workspace::{Room, SLACK};
+use crate::structure::{Cell, Chunk, Elimination, Local, Shape, stash_head, stash_len};
 
 /// Subtracts YᵀY and Yᵀy of cells with the same pattern, of which `own_block` has been called.
 ///

@@ -2,36 +2,17 @@
 //!
 //! Rows are padded to multiples of [`LANES`]; what the padding holds is never looked at.
 
+use super::cell;
+use super::cursor::At;
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Fused, Fused512};
-use super::lanes::{Isa, LANES, Portable, Stored, Task, Vector, WIDE};
-use super::product::over_lanes;
-use super::{Path, Room, cell, damping, normal, row, single, stash_head};
-use crate::structure::{Batch, Cell, Chunk, Elimination, Local, padded};
-
-/// Vector loads of the last row of a batch may reach beyond it by less than this: the widest merged block.
-pub(super) const SLACK: usize = 32;
-
-/// Where in a chunk the elimination has got to.
-#[derive(Clone, Copy, Default)]
-pub(super) struct At {
-    pub(super) factor: usize,
-    pub(super) local: usize,
-    /// In the rows of the batch.
-    pub(super) row: usize,
-}
-
-impl At {
-    /// Past cells of which nothing is subtracted.
-    pub(super) fn skip(&mut self, chunk: &Chunk, cells: &[Cell]) {
-        for &shape in &chunk.shape_of[self.factor..cells[cells.len() - 1].end as usize] {
-            let shape = &chunk.shapes[shape as usize];
-            self.local += shape.segments.len();
-            self.row += shape.rows * shape.stride;
-            self.factor += 1;
-        }
-    }
-}
+use super::lanes::{Isa, Portable, Task};
+use super::normal;
+use super::path::{Path, path};
+use super::single;
+use super::workspace::Room;
+use crate::damping::marquardt;
+use crate::structure::{Batch, Cell, Chunk, row, stash_head};
 
 /// A batch, whose rows are in `room.rows`, on its way into the sums.
 pub(super) struct Work<'a, 'r> {
@@ -45,7 +26,7 @@ pub(super) struct Work<'a, 'r> {
 impl Work<'_, '_> {
     /// Adds it to the sums.
     pub(super) fn eliminate(self) {
-        match super::path() {
+        match path() {
             #[cfg(target_arch = "x86_64")]
             Path::Fused512 => self.eliminate_on::<Fused512>(),
             #[cfg(target_arch = "x86_64")]
@@ -155,7 +136,7 @@ fn own_block<const P: usize, I: Isa>(
     for i in 0..P {
         is_seen[i] = v[i][i] != 0.0;
         *gradient_max = gradient_max.max(g[i].abs());
-        v[i][i] += damping(v[i][i], lambda);
+        v[i][i] += marquardt(v[i][i], lambda);
     }
     let mut inverse = [0.0; P];
     cholesky::<P>(&mut v, &mut inverse);
@@ -193,110 +174,4 @@ fn cholesky<const P: usize>(v: &mut [[f64; P]; P], inverse: &mut [f64; P]) {
             v[i][j] *= inverse[j];
         }
     }
-}
-
-/// What back-substitution adds up for one cell: step += Y δ_c.
-#[inline(always)]
-fn multiply_on<I: Isa, T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
-    match step.len() {
-        1 => multiply_rows::<1, I, T>(y, locals, kept, step),
-        2 => multiply_rows::<2, I, T>(y, locals, kept, step),
-        3 => multiply_rows::<3, I, T>(y, locals, kept, step),
-        4 => multiply_rows::<4, I, T>(y, locals, kept, step),
-        5 => multiply_rows::<5, I, T>(y, locals, kept, step),
-        _ => multiply_rows::<6, I, T>(y, locals, kept, step),
-    }
-}
-
-#[inline(always)]
-fn multiply_rows<const P: usize, I: Isa, T: Stored>(
-    y: &[T],
-    locals: &[Local],
-    kept: &[f64],
-    step: &mut [f64],
-) {
-    let mut sums = [I::Narrow::splat(0.0); P];
-    for local in locals {
-        // Beyond the end of a row, Y holds what belongs to the next one, and δ_c holds zeros.
-        let y = &y[P * local.dense..][..(P - 1) * local.dof + local.padded];
-        let kept = &kept[local.at..][..local.padded];
-        for lane in (0..local.padded).step_by(LANES) {
-            let kept = I::Narrow::load(&kept[lane..]);
-            for k in 0..P {
-                sums[k] = T::load::<I::Narrow>(&y[k * local.dof + lane..]).mul_add(kept, sums[k]);
-            }
-        }
-    }
-    for k in 0..P {
-        let mut parts = [0.0; LANES];
-        sums[k].store(&mut parts);
-        step[k] += (parts[0] + parts[1]) + (parts[2] + parts[3]);
-    }
-}
-
-/// See [`Y`](super::Y).
-pub(super) fn multiply<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
-    struct Multiply<'a, T>(&'a [T], &'a [Local], &'a [f64], &'a mut [f64]);
-    impl<I: Isa, T: Stored> Task<I> for Multiply<'_, T> {
-        #[inline(always)]
-        fn run(self) {
-            multiply_on::<I, T>(self.0, self.1, self.2, self.3);
-        }
-    }
-    let task = Multiply(y, locals, kept, step);
-    match super::path() {
-        Path::Portable => Portable::run(task),
-        #[cfg(target_arch = "x86_64")]
-        _ => Fused::run(task),
-    }
-}
-
-/// See [`Y`](super::Y).
-pub(super) fn multiply_transposed<T: Stored>(y: &[T], locals: &[Local], u: &[f64], kept: &mut [f64]) {
-    for local in locals {
-        let kept = &mut kept[local.at..][..local.dof];
-        for (row, u) in y[u.len() * local.dense..].chunks_exact(local.dof).zip(u) {
-            kept.iter_mut().zip(row).for_each(|(kept, y)| *kept += y.number() * u);
-        }
-    }
-}
-
-/// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what comes next, which is therefore
-/// written later.
-#[inline(always)]
-pub(super) fn stash_rows<const P: usize, I: Isa, const D: usize>(
-    w: &[f64],
-    width: usize,
-    locals: &[Local],
-    stash: &mut [f64],
-    elimination: Elimination,
-) {
-    if elimination == Elimination::Implicit {
-        stash_rows_as::<P, I, f64, D>(w, width, locals, stash);
-    } else {
-        stash_rows_as::<P, I, f32, D>(w, width, locals, bytemuck::cast_slice_mut(stash));
-    }
-}
-
-#[inline(always)]
-fn stash_rows_as<const P: usize, I: Isa, T: Stored, const D: usize>(
-    w: &[f64],
-    width: usize,
-    locals: &[Local],
-    stash: &mut [T],
-) {
-    for local in locals {
-        let dof = local.dof_or::<D>();
-        let lanes = padded(dof);
-        for k in 0..P {
-            let from = &w[k * width + local.column..][..lanes];
-            let to = &mut stash[P * local.dense + k * dof..][..lanes];
-            over_lanes!(lanes, copy::<I, T>(from, to));
-        }
-    }
-}
-
-#[inline(always)]
-fn copy<V: Vector, T: Stored>(lane: usize, from: &[f64], to: &mut [T]) {
-    T::store(V::load(&from[lane..]), &mut to[lane..]);
 }

@@ -1,9 +1,9 @@
 //! What the factors add to the kept variables' own part of the normal equations: C, g_c and the diagonal of C, a bundle of factors
 //! with the same blocks at a time, so that sums stay in registers.
 
-use super::Room;
 use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Listed, Of, SumProduct, over_lanes};
+use super::workspace::Room;
 use crate::structure::{Bundle, Chunk, padded, tile_index};
 
 /// Adds bundles of factors, whose rows are in `room.rows`.

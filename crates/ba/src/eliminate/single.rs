@@ -3,16 +3,15 @@
 //! [`cell`](super::cell) sums up in memory stays in registers.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
-use super::kernel::{At, SLACK, stash_rows};
+use super::cursor::At;
 use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Of, over_lanes, product, sum_product};
-use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Elimination, padded};
+use super::stash::{Head, stash_rows};
+use super::workspace::{Room, SLACK};
+use crate::structure::{Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len};
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
-/// Rows of a factor.
-pub(crate) const ROWS: usize = 2;
 
 /// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them. `D` is the
 /// size of all their blocks, known to the compiler, or 0.

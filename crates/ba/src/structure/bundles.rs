@@ -1,6 +1,7 @@
 //! Which factors of a batch see the same blocks.
 
-use super::{Batch, Bundle, Cell, Chunk, Shape};
+use super::chunk::{Batch, Bundle, Cell, Chunk};
+use super::shape::Shape;
 
 /// Collects the factors of a batch.
 #[derive(Default)]

@@ -4,8 +4,8 @@
 //! cell whose blocks are among those of a larger one joins it, and has zeros for the blocks that it does not see. No tile comes of
 //! it that there would not be, for the larger one needs it anyway.
 
-use super::Elimination;
 use super::cells::{Cells, Draft};
+use super::elimination::Elimination;
 
 /// A cell joins a larger one where it has at least this part of the pairs of blocks: so much dearer is a product of its own.
 const MIN_PART: f64 = 0.4;
