@@ -2,8 +2,8 @@
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
 use super::cursor::At;
-use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Of, SumProduct, over_lanes};
+use super::simd::{Isa, Task, Vector, WIDE};
 use super::stash::{Head, stash_rows};
 use super::workspace::{Room, SLACK};
 use crate::structure::{Cell, Chunk, Elimination, Local, Shape, stash_head, stash_len};
@@ -18,9 +18,9 @@ pub(super) struct Eliminate<'a, 'r, const P: usize> {
     pub(super) at: &'a mut At,
 }
 
-impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
+impl<const P: usize> Task for Eliminate<'_, '_, P> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         let Self { room, chunk, cells, at } = self;
         let pattern = &chunk.patterns[cells[0].pattern as usize];
         let locals = &chunk.pattern_locals[pattern.locals.clone()];

@@ -1,14 +1,11 @@
 //! The inner loops of the elimination, compiled once per instruction set and ignorant of factors.
 //!
-//! Rows are padded to multiples of [`LANES`]; what the padding holds is never looked at.
+//! Rows are padded to multiples of [`LANES`](super::simd::LANES); what the padding holds is never looked at.
 
 use super::cell;
 use super::cursor::At;
-#[cfg(target_arch = "x86_64")]
-use super::lanes::{Fused, Fused512};
-use super::lanes::{Isa, Portable, Task};
 use super::normal;
-use super::path::{Path, path};
+use super::simd::{Isa, Task, dispatch};
 use super::single;
 use super::workspace::Room;
 use crate::damping::marquardt;
@@ -26,17 +23,13 @@ pub(super) struct Work<'a, 'r> {
 impl Work<'_, '_> {
     /// Adds it to the sums.
     pub(super) fn eliminate(self) {
-        match path() {
-            #[cfg(target_arch = "x86_64")]
-            Path::Fused512 => self.eliminate_on::<Fused512>(),
-            #[cfg(target_arch = "x86_64")]
-            Path::Fused => self.eliminate_on::<Fused>(),
-            Path::Portable => self.eliminate_on::<Portable>(),
-        }
+        dispatch(self);
     }
+}
 
+impl Task for Work<'_, '_> {
     /// Passes over the cells: the first is short but hangs on square roots and divisions, of which several then overlap.
-    fn eliminate_on<I: Isa>(self) {
+    fn run<I: Isa>(self) {
         let Self { room, chunk, batch, lambda, at } = self;
         at.row = 0;
         let mut ahead = *at;
@@ -84,9 +77,9 @@ fn own_blocks<const P: usize, I: Isa>(
     at: &mut At,
 ) {
     struct OwnBlocks<'a, 'r, const P: usize>(&'a mut Room<'r>, &'a Chunk, &'a [Cell], f64, &'a mut At);
-    impl<const P: usize, I: Isa> Task<I> for OwnBlocks<'_, '_, P> {
+    impl<const P: usize> Task for OwnBlocks<'_, '_, P> {
         #[inline(always)]
-        fn run(self) {
+        fn run<I: Isa>(self) {
             let Self(room, chunk, cells, lambda, at) = self;
             for cell in cells {
                 own_block::<P, I>(room, chunk, cell, lambda, at);

@@ -20,11 +20,10 @@
 mod cell;
 mod cursor;
 mod kernel;
-mod lanes;
 mod multiply;
 mod normal;
-mod path;
 mod product;
+mod simd;
 mod single;
 mod stash;
 mod sums;

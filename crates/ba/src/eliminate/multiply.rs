@@ -1,9 +1,6 @@
 //! Products of a cell's Y with vectors over the kept variables.
 
-#[cfg(target_arch = "x86_64")]
-use super::lanes::Fused;
-use super::lanes::{Isa, LANES, Portable, Stored, Task, Vector};
-use super::path::{Path, path};
+use super::simd::{Isa, LANES, Stored, Task, Vector, run_narrow};
 use crate::structure::Local;
 
 /// What back-substitution adds up for one cell: step += Y δ_c.
@@ -48,18 +45,13 @@ fn multiply_rows<const P: usize, I: Isa, T: Stored>(
 /// See [`Y`](super::stash::Y).
 pub(super) fn multiply<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step: &mut [f64]) {
     struct Multiply<'a, T>(&'a [T], &'a [Local], &'a [f64], &'a mut [f64]);
-    impl<I: Isa, T: Stored> Task<I> for Multiply<'_, T> {
+    impl<T: Stored> Task for Multiply<'_, T> {
         #[inline(always)]
-        fn run(self) {
+        fn run<I: Isa>(self) {
             multiply_on::<I, T>(self.0, self.1, self.2, self.3);
         }
     }
-    let task = Multiply(y, locals, kept, step);
-    match path() {
-        Path::Portable => Portable::run(task),
-        #[cfg(target_arch = "x86_64")]
-        _ => Fused::run(task),
-    }
+    run_narrow(Multiply(y, locals, kept, step));
 }
 
 /// See [`Y`](super::stash::Y).

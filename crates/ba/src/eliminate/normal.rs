@@ -1,8 +1,8 @@
 //! What the factors add to the kept variables' own part of the normal equations: C, g_c and the diagonal of C, a bundle of factors
 //! with the same blocks at a time, so that sums stay in registers.
 
-use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Listed, Of, SumProduct, over_lanes};
+use super::simd::{Isa, Task, Vector, WIDE};
 use super::workspace::Room;
 use crate::structure::{Bundle, Chunk, padded, tile_index};
 
@@ -13,9 +13,9 @@ pub(super) struct Add<'a, 'r> {
     pub(super) bundles: &'a [Bundle],
 }
 
-impl<I: Isa> Task<I> for Add<'_, '_> {
+impl Task for Add<'_, '_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         for bundle in self.bundles {
             add::<I>(self.room, self.chunk, bundle);
         }

@@ -4,8 +4,8 @@
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
 use super::cursor::At;
-use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Of, over_lanes, product, sum_product};
+use super::simd::{Isa, Task, Vector, WIDE};
 use super::stash::{Head, stash_rows};
 use super::workspace::{Room, SLACK};
 use crate::structure::{Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len};
@@ -25,9 +25,9 @@ pub(super) struct Eliminate<'a, 'r, const D: usize> {
     pub(super) at: &'a mut At,
 }
 
-impl<I: Isa, const D: usize> Task<I> for Eliminate<'_, '_, D> {
+impl<const D: usize> Task for Eliminate<'_, '_, D> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         let Self { room, chunk, cells, at } = self;
         let pattern = &chunk.patterns[cells[0].pattern as usize];
         let locals = &chunk.pattern_locals[pattern.locals.clone()];

@@ -1,8 +1,8 @@
 //! What the elimination leaves of a cell, as it is written and as it is read.
 
-use super::lanes::{Isa, Stored, Vector, WIDE};
 use super::multiply::{multiply, multiply_transposed};
 use super::product::over_lanes;
+use super::simd::{Isa, Stored, Vector, WIDE};
 use crate::structure::{Cell, Chunk, Elimination, Local, padded, row, stash_head, stash_len};
 
 /// The parts of a cell's stash.

@@ -2,9 +2,14 @@
 
 use std::sync::OnceLock;
 
+#[cfg(target_arch = "x86_64")]
+use super::fused::{Fused, Fused512};
+use super::portable::Portable;
+use super::vector::{Isa, Task};
+
 /// One of the ways in which the inner loops are compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Path {
+enum Path {
     /// No instructions in particular.
     Portable,
     /// AVX2 with fused multiply-add.
@@ -17,7 +22,7 @@ pub(crate) enum Path {
 
 impl Path {
     /// All that this machine has, the best last.
-    pub(crate) fn available() -> Vec<Self> {
+    fn available() -> Vec<Self> {
         #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut))]
         let mut paths = vec![Self::Portable];
         #[cfg(target_arch = "x86_64")]
@@ -34,17 +39,37 @@ impl Path {
 #[cfg(test)]
 thread_local! {
     /// In place of the best, in tests on one thread.
-    pub(crate) static FORCED: std::cell::Cell<Option<Path>> = const { std::cell::Cell::new(None) };
+    static FORCED: std::cell::Cell<Option<Path>> = const { std::cell::Cell::new(None) };
 }
 
 /// The best that this machine has.
-pub(crate) fn path() -> Path {
+fn path() -> Path {
     static BEST: OnceLock<Path> = OnceLock::new();
     #[cfg(test)]
     if let Some(path) = FORCED.get() {
         return path;
     }
     *BEST.get_or_init(|| Path::available().last().copied().unwrap_or(Path::Portable))
+}
+
+/// Lets `task` choose what is compiled for the best instructions of this machine: what it passes to [`Isa::run`].
+pub(crate) fn dispatch(task: impl Task) {
+    match path() {
+        #[cfg(target_arch = "x86_64")]
+        Path::Fused512 => task.run::<Fused512>(),
+        #[cfg(target_arch = "x86_64")]
+        Path::Fused => task.run::<Fused>(),
+        Path::Portable => task.run::<Portable>(),
+    }
+}
+
+/// Runs `task` compiled for the best instructions with vectors of at most four numbers.
+pub(crate) fn run_narrow(task: impl Task) {
+    match path() {
+        Path::Portable => Portable::run(task),
+        #[cfg(target_arch = "x86_64")]
+        _ => Fused::run(task),
+    }
 }
 
 #[cfg(test)]
