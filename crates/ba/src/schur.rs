@@ -3,7 +3,6 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use crate::carry::Carry;
 use crate::eliminate::Sums;
 use crate::error::Error;
 use crate::memory::Memory;
@@ -11,6 +10,7 @@ use crate::options::LinearSolver;
 use crate::problem::Problem;
 use crate::reduced::{Columns, Conjugate, Dense, Eliminated, Factorisation, Reduced, Sparse};
 use crate::refine::Refine;
+use crate::retraction::Step;
 use crate::run::survives;
 use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure, for_chunks};
 use crate::summary::Times;
@@ -132,8 +132,8 @@ impl SchurSystem {
             if this.cells[cell].dof == 0 {
                 return None;
             }
-            let carry = Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at };
-            if !shorten(problem, &carry, trial, this, cell, (counted, costs)) {
+            let step = Step { values, numbers: step, at: &structure.step_at };
+            if !shorten(problem, &step, trial, this, cell, (counted, costs)) {
                 lost += let_go(this.factors_of(cell), counted, costs)?;
             }
             refine.leave_out(chunk, cell, structure);
@@ -146,7 +146,7 @@ impl SchurSystem {
 /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
 fn shorten(
     problem: &Problem,
-    carry: &Carry,
+    step: &Step<'_>,
     trial: &mut Values,
     chunk: &Chunk,
     cell: usize,
@@ -154,12 +154,12 @@ fn shorten(
 ) -> bool {
     let factors = chunk.factors_of(cell);
     let cell = &chunk.cells[cell];
-    let step = &carry.step[cell.step..][..cell.dof as usize];
-    let (store, slot) = (cell.store as usize, cell.slot as usize);
+    let tangent = &step.numbers[cell.step..][..cell.dof as usize];
+    let variable = (cell.store as usize, cell.slot as usize);
     for halving in 1..=HALVINGS {
         let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
-        let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
-        carry.one(trial, store, slot, &shorter);
+        let shorter: Vec<f64> = tangent.iter().map(|step| step * scale).collect();
+        step.take_one(problem.retraction.as_deref(), variable, &shorter, trial);
         for i in factors.clone() {
             let run = chunk.run_of(i);
             let at = chunk.factors[i];
@@ -233,7 +233,8 @@ impl System for SchurSystem {
             let promise = self.step(lambda, times)?;
             let begin = Instant::now();
             let Self { structure, step, .. } = self;
-            Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at }.all(trial);
+            let step = Step { values, numbers: step, at: &structure.step_at };
+            step.take(problem.retraction.as_deref(), trial);
             times.back_substitute += begin.elapsed();
             let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
             Some(Attempt { promise, cost, lost })

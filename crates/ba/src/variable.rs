@@ -72,6 +72,13 @@ pub struct AnyKey {
     pub(crate) slot: u32,
 }
 
+impl AnyKey {
+    /// The key with its type; `None` where it is another one.
+    pub fn typed<V: Manifold>(&self) -> Option<Key<V>> {
+        (self.type_id == TypeId::of::<V>()).then(|| Key::new(self.slot))
+    }
+}
+
 impl<V: Manifold> From<Key<V>> for AnyKey {
     fn from(key: Key<V>) -> Self {
         Self { type_id: TypeId::of::<V>(), type_name: type_name::<V>(), slot: key.slot }
@@ -199,6 +206,21 @@ impl Values {
     /// All values of type `V`, given the number of their store.
     pub(crate) fn slice<V: Manifold>(&self, store: u16) -> &[V] {
         typed(&*self.stores[store as usize])
+    }
+
+    /// The key of a variable, given the number of its store.
+    pub(crate) fn key(&self, store: usize, slot: usize) -> AnyKey {
+        let (type_id, type_name) = self.stores[store].value_type();
+        AnyKey { type_id, type_name, slot: slot as u32 }
+    }
+
+    /// All values of two types; `None` where one of them has no store, or they are the same.
+    pub(crate) fn two_mut<A: Manifold, B: Manifold>(&mut self) -> Option<(&mut [A], &mut [B])> {
+        let stores = [self.find(TypeId::of::<A>())?, self.find(TypeId::of::<B>())?];
+        let [a, b] = self.stores.get_disjoint_mut(stores).ok()?;
+        let a = a.as_any_mut().downcast_mut::<Store<A>>()?;
+        let b = b.as_any_mut().downcast_mut::<Store<B>>()?;
+        Some((&mut a.0, &mut b.0))
     }
 
     pub(crate) fn store_mut<V: Manifold>(&mut self) -> (usize, &mut Vec<V>) {

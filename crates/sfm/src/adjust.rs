@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 
 use rayon::prelude::*;
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection, ShiftedReprojection};
-use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, Summary};
+use tiepoint_ba::{IterationRecord, Key, Options, Order, Problem, Solver, SpanningTree, Summary};
 use tiepoint_geometry::nalgebra::{SVector, Vector1, Vector3};
 use tiepoint_geometry::{CameraModelKind, Loss, Rigid3, with_camera_model};
 use tiepoint_rig::{Baseline, Clock};
@@ -274,7 +274,8 @@ impl Bundle {
                 observations_of_image[image.index()].iter().map(move |(_, point)| (pose, *point))
             })
             .collect();
-        bundle.problem.carry(&sights)?;
+        let tree = SpanningTree::new(&bundle.problem, &sights)?;
+        bundle.problem.set_retraction(tree);
         for (id, camera) in model.cameras() {
             let own = bundle.poses.iter().map(|(image, key)| (*image, Place::Own(*key)));
             let held = bundle.held.iter().map(|(image, mount, left)| (*image, Place::Held(*mount, *left)));
