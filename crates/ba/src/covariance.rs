@@ -63,7 +63,7 @@ impl Problem {
         }
         let mut system = SchurSystem::new(self, LinearSolver::Auto, 0)?;
         let linearised = system.linearize(self, &self.values, 0.0, &mut Times::default());
-        crate::solver::check_finite(self, &linearised)?;
+        linearised.check_finite(self)?;
         let columns = system.structure.columns;
         let undetermined = |key: &AnyKey| Error::Undetermined { variable: key.type_name, slot: key.slot };
         let Some(first_key) = keys.first() else {

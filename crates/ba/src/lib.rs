@@ -3,6 +3,7 @@
 mod autodiff;
 mod covariance;
 mod damping;
+mod descent;
 mod eliminate;
 mod error;
 mod factor;
