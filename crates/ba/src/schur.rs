@@ -162,7 +162,7 @@ fn shorten(
         step.take_one(problem.retraction.as_deref(), variable, &shorter, trial);
         for i in factors.clone() {
             let run = chunk.run_of(i);
-            let at = chunk.factors[i];
+            let at = chunk.factors.numbers[i];
             problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
         }
         if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {

@@ -14,8 +14,8 @@ pub(super) struct At {
 impl At {
     /// Past cells of which nothing is subtracted.
     pub(super) fn skip(&mut self, chunk: &Chunk, cells: &[Cell]) {
-        for &shape in &chunk.shape_of[self.factor..cells[cells.len() - 1].end as usize] {
-            let shape = &chunk.shapes[shape as usize];
+        for &shape in &chunk.factors.shape_of[self.factor..cells[cells.len() - 1].end as usize] {
+            let shape = &chunk.factors.shapes[shape as usize];
             self.local += shape.segments.len();
             self.row += shape.rows * shape.stride;
             self.factor += 1;

@@ -46,7 +46,7 @@ impl Task for Work<'_, '_> {
             }
         }
         if !batch.bundles.is_empty() {
-            I::run(normal::Add { room, chunk, bundles: &chunk.bundles[batch.bundles.clone()] });
+            I::run(normal::Add { room, chunk, bundles: &chunk.bundles.list[batch.bundles.clone()] });
         }
         let alike = |a: &Cell, b: &Cell| (a.pattern, a.dof, a.single) == (b.pattern, b.dof, b.single);
         for cells in all.chunk_by(alike) {
@@ -54,7 +54,7 @@ impl Task for Work<'_, '_> {
                 0 => at.skip(chunk, cells),
                 1 => I::run(cell::Eliminate::<1> { room, chunk, cells, at }),
                 2 => I::run(cell::Eliminate::<2> { room, chunk, cells, at }),
-                3 if cells[0].single => match chunk.patterns[cells[0].pattern as usize].dof {
+                3 if cells[0].single => match chunk.patterns.of(&cells[0]).dof {
                     6 => I::run(single::Eliminate::<6> { room, chunk, cells, at }),
                     9 => I::run(single::Eliminate::<9> { room, chunk, cells, at }),
                     _ => I::run(single::Eliminate::<0> { room, chunk, cells, at }),
@@ -101,7 +101,7 @@ fn own_block<const P: usize, I: Isa>(
     let Room { stash, rows, gradient_max, .. } = room;
     let (mut v, mut g) = ([[0.0; P]; P], [0.0; P]);
     while at.factor < cell.end as usize {
-        let shape = &chunk.shapes[chunk.shape_of[at.factor] as usize];
+        let shape = chunk.factors.shape(at.factor);
         at.factor += 1;
         let rows = &mut rows[at.row..][..shape.rows * shape.stride];
         at.row += rows.len();

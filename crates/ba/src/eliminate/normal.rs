@@ -24,10 +24,10 @@ impl Task for Add<'_, '_> {
 
 #[inline(always)]
 fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
-    let shape = &chunk.shapes[bundle.shape as usize];
+    let shape = &chunk.factors.shapes[bundle.shape as usize];
     let Room { tiles, vectors, rows, .. } = room;
-    let rows = Listed { numbers: rows, starts: chunk.bundle_rows[bundle.rows.clone()].iter() };
-    let (ats, pairs) = chunk.bundle_places[bundle.places..].split_at(shape.segments.len());
+    let rows = Listed { numbers: rows, starts: chunk.bundles.rows[bundle.rows.clone()].iter() };
+    let (ats, pairs) = chunk.bundles.places[bundle.places..].split_at(shape.segments.len());
     let mut pairs = pairs.iter();
     for (s, (segment, &at)) in shape.segments.iter().zip(ats).enumerate() {
         let lanes = padded(segment.block_dof);

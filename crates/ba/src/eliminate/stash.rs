@@ -50,7 +50,7 @@ impl<'a> CellStash<'a> {
     /// In the memory of all chunks.
     pub(crate) fn of(memory: &'a [f64], cell: &Cell, chunk: &Chunk) -> Self {
         let p = cell.dof as usize;
-        let dense = chunk.patterns[cell.pattern as usize].dense;
+        let dense = chunk.patterns.of(cell).dense;
         let (head, y) = memory[chunk.memory.start + chunk.tiles_len + cell.stash..]
             [..stash_len(p, dense, chunk.elimination)]
             .split_at(stash_head(p));

@@ -32,16 +32,12 @@ pub(crate) struct Sums {
 
 impl Sums {
     pub(crate) fn new(chunk: &Chunk) -> Self {
-        let widest = chunk.patterns.iter().map(|pattern| pattern.width).max().unwrap_or(0);
+        let widest = chunk.patterns.list.iter().map(|pattern| pattern.width).max().unwrap_or(0);
         Self {
             vectors: vec![0.0; 3 * chunk.vector_len],
-            costs: vec![0.0; chunk.factors.len()],
+            costs: vec![0.0; chunk.factors.numbers.len()],
             rows: vec![0.0; chunk.rows_len + SLACK],
-            w: vec![
-                0.0;
-                most_at_once(chunk, |cell| cell.dof as usize
-                    * chunk.patterns[cell.pattern as usize].width)
-            ],
+            w: vec![0.0; most_at_once(chunk, |cell| cell.dof as usize * chunk.patterns.of(cell).width)],
             y: vec![0.0; most_at_once(chunk, |cell| cell.dof as usize)],
             turned: vec![0.0; SINGLE_ROWS * widest],
             ..Self::default()
@@ -72,7 +68,7 @@ impl Sums {
                     rows: &mut room.rows[at..at + len],
                     costs: &mut self.costs[stretch.start..stretch.end],
                 };
-                run.linearize(values, &chunk.factors[stretch.start..], rows);
+                run.linearize(values, &chunk.factors.numbers[stretch.start..], rows);
                 at += len;
             }
             Work { room: &mut room, chunk, batch, lambda, at: &mut done }.eliminate();
@@ -107,8 +103,7 @@ impl Sums {
             let step = &mut steps[cell.step - chunk.steps.start..][..p];
             let stash = CellStash::of(memory, cell, chunk);
             step.copy_from_slice(stash.reduced_gradient);
-            let pattern = &chunk.patterns[cell.pattern as usize];
-            let locals = &chunk.pattern_locals[pattern.locals.clone()];
+            let locals = chunk.patterns.locals_of(cell);
             stash.y.multiply(locals, &kept, step);
             // gᵀδ = (Ly)ᵀδ = −yᵀ(y + Y δ_c).
             for (y, sum) in stash.reduced_gradient.iter().zip(&*step) {

@@ -32,7 +32,7 @@ impl Eliminated<'_> {
             *part = vec![0.0; chunk.vector_len];
             for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
                 let stash = CellStash::of(self.memory, cell, chunk);
-                let locals = &chunk.pattern_locals[chunk.patterns[cell.pattern as usize].locals.clone()];
+                let locals = chunk.patterns.locals_of(cell);
                 let mut room = [0.0; MAX_ELIMINATED_DOF];
                 let product = &mut room[..cell.dof as usize];
                 stash.y.multiply(locals, &kept, product);
@@ -83,7 +83,7 @@ impl Eliminated<'_> {
         let mut sums = vec![0.0; starts[chunk.blocks.len()]];
         for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
             let stash = CellStash::of(self.memory, cell, chunk);
-            for local in &chunk.pattern_locals[chunk.patterns[cell.pattern as usize].locals.clone()] {
+            for local in chunk.patterns.locals_of(cell) {
                 let index = chunk.blocks.partition_point(|block| block.1 < local.at);
                 let sums = &mut sums[starts[index]..][..local.dof * local.dof];
                 for k in 0..cell.dof as usize {

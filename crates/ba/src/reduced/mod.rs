@@ -98,18 +98,8 @@ impl Reduced {
             for (c, tiles) in &contributions[a] {
                 let chunk = &structure.chunks[*c as usize];
                 for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
-                    let other = &structure.blocks[tile.b as usize];
                     let tile_numbers = &memory[chunk.memory.start + tile.at..];
-                    add_tile(
-                        &**layout,
-                        block,
-                        other,
-                        tile.b as usize == a,
-                        a,
-                        tile.b as usize,
-                        tile_numbers,
-                        numbers,
-                    );
+                    add_tile(&**layout, &structure.blocks, (a, tile.b as usize), tile_numbers, numbers);
                 }
             }
             for (column, i) in block.free_columns().enumerate() {
@@ -154,20 +144,18 @@ impl Reduced {
     }
 }
 
-#[allow(clippy::too_many_arguments)]
+/// Adds the tile of blocks `a` and `b` to the numbers of block column `a`.
 fn add_tile(
     layout: &dyn Factorisation,
-    block: &Block,
-    other: &Block,
-    diagonal: bool,
-    a: usize,
-    b: usize,
+    blocks: &[Block],
+    (a, b): (usize, usize),
     tile: &[f64],
     numbers: &mut [f64],
 ) {
+    let (block, other) = (&blocks[a], &blocks[b]);
     let at = |j: usize, i: usize| tile[tile_index(block.dof, other.dof, j, i)];
     for (column, j) in block.free_columns().enumerate() {
-        let skip = if diagonal { column } else { 0 };
+        let skip = if a == b { column } else { 0 };
         let to = &mut numbers[layout.tile_at(a, b, column)..][..other.num_free() - skip];
         if other.whole() {
             let lanes = tile_lanes(other.dof).min(other.dof);

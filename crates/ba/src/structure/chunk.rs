@@ -93,27 +93,67 @@ pub(crate) struct Bundle {
     pub(crate) rows: Range<usize>,
 }
 
-/// The work of one task.
-#[derive(Clone, Debug)]
-pub(crate) struct Chunk {
-    pub(crate) elimination: Elimination,
-    /// Number of each factor in its run.
-    pub(crate) factors: Vec<u32>,
+/// The factors of a chunk, cell by cell.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Factors {
+    /// Number of each in its run.
+    pub(crate) numbers: Vec<u32>,
     /// Their shapes, as numbers in `shapes`.
     pub(crate) shape_of: Vec<u16>,
     pub(crate) shapes: Vec<Shape>,
     /// For each factor, for each segment of its shape: which of the pattern's blocks.
     pub(crate) locals: Vec<u16>,
+}
+
+impl Factors {
+    #[inline(always)]
+    pub(crate) fn shape(&self, factor: usize) -> &Shape {
+        &self.shapes[self.shape_of[factor] as usize]
+    }
+}
+
+/// The patterns of a chunk's cells.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Patterns {
+    pub(crate) list: Vec<Pattern>,
+    /// The blocks of each.
+    pub(crate) locals: Vec<Local>,
+    /// Offsets of tiles, see [`Pattern::pairs`]; [`NONE`](super::block::NONE) where there is no tile.
+    pub(crate) pair_tiles: Vec<u32>,
+}
+
+impl Patterns {
+    #[inline(always)]
+    pub(crate) fn of(&self, cell: &Cell) -> &Pattern {
+        &self.list[cell.pattern as usize]
+    }
+
+    #[inline(always)]
+    pub(crate) fn locals_of(&self, cell: &Cell) -> &[Local] {
+        &self.locals[self.of(cell).locals.clone()]
+    }
+}
+
+/// The bundles of a chunk's batches.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Bundles {
+    pub(crate) list: Vec<Bundle>,
+    /// See [`Bundle::places`].
+    pub(crate) places: Vec<u32>,
+    /// See [`Bundle::rows`].
+    pub(crate) rows: Vec<u32>,
+}
+
+/// The work of one task.
+#[derive(Clone, Debug)]
+pub(crate) struct Chunk {
+    pub(crate) elimination: Elimination,
+    pub(crate) factors: Factors,
     pub(crate) cells: Vec<Cell>,
+    pub(crate) patterns: Patterns,
     pub(crate) stretches: Vec<Stretch>,
     pub(crate) batches: Vec<Batch>,
-    pub(crate) bundles: Vec<Bundle>,
-    pub(crate) bundle_places: Vec<u32>,
-    pub(crate) bundle_rows: Vec<u32>,
-    pub(crate) patterns: Vec<Pattern>,
-    pub(crate) pattern_locals: Vec<Local>,
-    /// [`NONE`] where there is no tile.
-    pub(crate) pair_tiles: Vec<u32>,
+    pub(crate) bundles: Bundles,
     /// The blocks that it touches, in order, and where their numbers begin in its vectors.
     pub(crate) blocks: Vec<(u32, usize)>,
     pub(crate) vector_len: usize,
@@ -125,26 +165,21 @@ pub(crate) struct Chunk {
     pub(crate) memory: Range<usize>,
     /// Its eliminated variables' part of the step.
     pub(crate) steps: Range<usize>,
+    /// Numbers in the rows of its longest batch.
     pub(crate) rows_len: usize,
 }
 
 impl Chunk {
+    /// An empty one, whose steps begin at `first_step`.
     pub(super) fn new(elimination: Elimination, first_step: usize) -> Self {
         Self {
             elimination,
-            factors: Vec::new(),
-            shape_of: Vec::new(),
-            shapes: Vec::new(),
-            locals: Vec::new(),
+            factors: Factors::default(),
             cells: Vec::new(),
+            patterns: Patterns::default(),
             stretches: Vec::new(),
             batches: Vec::new(),
-            bundles: Vec::new(),
-            bundle_places: Vec::new(),
-            bundle_rows: Vec::new(),
-            patterns: Vec::new(),
-            pattern_locals: Vec::new(),
-            pair_tiles: Vec::new(),
+            bundles: Bundles::default(),
             blocks: Vec::new(),
             vector_len: 0,
             tiles: Vec::new(),
@@ -164,6 +199,6 @@ impl Chunk {
 
     /// The run of one of its factors.
     pub(crate) fn run_of(&self, factor: usize) -> usize {
-        self.shapes[self.shape_of[factor] as usize].run as usize
+        self.factors.shape(factor).run as usize
     }
 }

@@ -17,9 +17,11 @@ mod build;
 mod bundles;
 mod cells;
 mod chunk;
+mod context;
 mod elimination;
 mod groups;
 mod parallel;
+mod patterns;
 mod place;
 mod shape;
 mod shapes;
@@ -34,6 +36,7 @@ use crate::problem::Problem;
 pub(crate) use block::{Block, NONE, Place};
 use cells::{Cells, Draft};
 pub(crate) use chunk::{Batch, Bundle, Cell, Chunk, Local, SINGLE_ROWS};
+use context::Context;
 pub(crate) use elimination::Elimination;
 pub(crate) use parallel::for_chunks;
 use place::{Placed, Variables};
@@ -89,7 +92,7 @@ impl Structure {
             rest = others;
             parts.push((these, begin));
         }
-        let context = build::Context { problem, blocks: &blocks, looks: &looks, cells: &cells, elimination };
+        let context = Context { problem, blocks: &blocks, looks: &looks, cells: &cells, elimination };
         // Of several errors, the first in order.
         let chunks: Vec<Result<Chunk, Error>> = parts
             .into_par_iter()
@@ -123,7 +126,7 @@ impl Structure {
     /// Numbers in all Y.
     pub(crate) fn num_coupled(&self) -> usize {
         let of_chunk = |chunk: &Chunk| -> usize {
-            let of_cell = |cell: &Cell| cell.dof as usize * chunk.patterns[cell.pattern as usize].dense;
+            let of_cell = |cell: &Cell| cell.dof as usize * chunk.patterns.of(cell).dense;
             chunk.cells.iter().map(of_cell).sum()
         };
         self.chunks.iter().map(of_chunk).sum()
