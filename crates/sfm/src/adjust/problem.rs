@@ -7,7 +7,7 @@
 use std::collections::BTreeSet;
 
 use tiepoint_ba::factors::{Reprojection, RigReprojection, ShiftedReprojection};
-use tiepoint_ba::{Key, Order, Problem};
+use tiepoint_ba::{Key, Order, Problem, SpanningTree};
 use tiepoint_geometry::nalgebra::{Vector1, Vector3};
 use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
 use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
@@ -110,7 +110,7 @@ fn hold_gauge(
     fix_gauge(variables.problem_mut(), &keys, &fixed, pair)
 }
 
-/// Lets steps move each pose relative to others that see the same points ([`Problem::carry`]).
+/// Lets steps move each pose relative to others that see the same points ([`SpanningTree`]).
 fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), Error> {
     let own = variables.poses.iter().copied();
     let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
@@ -118,7 +118,9 @@ fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), E
         .chain(composed)
         .flat_map(|(image, pose)| observations[image.index()].iter().map(move |(_, point)| (pose, *point)))
         .collect();
-    Ok(variables.problem_mut().carry(&sights)?)
+    let tree = SpanningTree::new(variables.problem(), &sights)?;
+    variables.problem_mut().set_retraction(tree);
+    Ok(())
 }
 
 /// Where the pose of an image stands.

@@ -1,9 +1,9 @@
-//! Steps that carry along what hangs together.
+//! Steps in which poses move relative to other poses, and points relative to poses.
 //!
 //! A step is computed in the world's frame, and there poses and points are moved in straight lines. Where a long chain of them bends or
 //! grows, what is far along the chain moves far, and on a straight line neighbours part that should turn together: by second order in the
 //! motion of the whole, while the measurements know only of that of one against the next. So a step is read as one of each pose relative
-//! to a pose that carries it, and of each point relative to a pose that sees it, and these are composed from the ends that hold still or lead:
+//! to its parent in a tree of poses, and of each point relative to a pose that sees it, and these are composed from the roots of the tree:
 //! to first order the same step, and exact where everything turns, moves or grows as one. (The parametrisation of relative bundle adjustment — Sibley,
 //! Mei, Reid & Newman 2009 — for moving alone; the linear system remains that of the world's frame, which is sparse.)
 
@@ -14,32 +14,54 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use tiepoint_geometry::{Rigid3, so3};
 
-use crate::variable::{FIXED, PARALLEL_VALUES, Values};
+use crate::error::Error;
+use crate::problem::Problem;
+use crate::retraction::{Moved, Retraction, Step, StepOf};
+use crate::variable::{AnyKey, Key};
 
 /// In place of the number of a pose.
-const NOBODY: u32 = u32::MAX;
+const NO_POSE: u32 = u32::MAX;
+/// Points that one task moves, at least.
+const POINTS_PER_TASK: usize = 500;
 
-/// Who carries whom. Poses are `cam_from_world`, points are in the world.
-#[derive(Default)]
-pub(crate) struct Carriers {
-    /// Poses and who carries them, who stands before.
+/// The relative retraction: poses (`cam_from_world`) move relative to others that see the same points, and points (in the world) relative to a
+/// pose that sees them, so that a long chain bends where a step would tear it. Of a long drive far fewer steps are needed.
+#[derive(Clone, Debug, Default)]
+pub struct SpanningTree {
+    /// Poses and their parents, parents before children.
     poses: Vec<(u32, u32)>,
-    /// Who carries each point.
-    points: Vec<u32>,
+    /// The pose relative to which each point moves, or [`NO_POSE`].
+    pose_of_point: Vec<u32>,
 }
 
-impl Carriers {
-    /// Every pose is carried by one with which it shares many points: those pairs are the heaviest tree (Prim 1957), begun at the poses that hold
-    /// still. Every point is carried by the first pose that sees it. `sights` are (pose, point).
-    pub(crate) fn new(sights: &[(u32, u32)], is_fixed: impl Fn(u32) -> bool) -> Self {
+impl SpanningTree {
+    /// `sights` are which pose sees which point, as the factors have it. Poses that are to hold still should do so already. One of
+    /// which only some directions are held moves along these by second order in the step.
+    ///
+    /// # Errors
+    /// [`Error::UnknownVariable`] where the problem does not have a pose or a point.
+    pub fn new(problem: &Problem, sights: &[(Key<Rigid3>, Key<Vector3<f64>>)]) -> Result<Self, Error> {
+        for &(pose, point) in sights {
+            problem.locate(&pose.into())?;
+            problem.locate(&point.into())?;
+        }
+        let slots: Vec<(u32, u32)> = sights.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
+        let poses = problem.values.find(TypeId::of::<Rigid3>()).map(|store| &problem.metas[store]);
+        let is_fixed = |slot: u32| poses.is_some_and(|poses| poses[slot as usize].free == 0);
+        Ok(Self::over(&slots, is_fixed))
+    }
+
+    /// A pose's parent shares many points with it: such pairs are the maximum spanning tree (Prim 1957), whose roots are the poses that hold
+    /// still. A point moves relative to the first pose that sees it. `sights` are (pose, point).
+    fn over(sights: &[(u32, u32)], is_fixed: impl Fn(u32) -> bool) -> Self {
         let mut by_point: Vec<(u32, u32)> = sights.iter().map(|&(pose, point)| (point, pose)).collect();
         by_point.par_sort_unstable();
         by_point.dedup();
-        let mut points = vec![NOBODY; by_point.last().map_or(0, |(point, _)| *point as usize + 1)];
+        let mut pose_of_point = vec![NO_POSE; by_point.last().map_or(0, |(point, _)| *point as usize + 1)];
         let mut pairs: Vec<(u32, u32)> = Vec::new();
         for seen in by_point.chunk_by(|a, b| a.0 == b.0) {
             let (point, first) = seen[0];
-            points[point as usize] = first;
+            pose_of_point[point as usize] = first;
             // Those next to each other suffice, of all pairs that share a point.
             pairs.extend(seen.windows(2).map(|pair| (pair[0].1, pair[1].1)));
         }
@@ -51,16 +73,69 @@ impl Carriers {
             neighbours.entry(a).or_default().push((same.len(), b));
             neighbours.entry(b).or_default().push((same.len(), a));
         }
-        Self { poses: heaviest_tree(&neighbours, is_fixed), points }
+        Self { poses: maximum_spanning_tree(&neighbours, is_fixed), pose_of_point }
     }
 
-    fn point(&self, slot: usize) -> Option<usize> {
-        self.points.get(slot).filter(|&&carrier| carrier != NOBODY).map(|&carrier| carrier as usize)
+    fn pose_of(&self, point: usize) -> Option<usize> {
+        self.pose_of_point.get(point).filter(|&&pose| pose != NO_POSE).map(|&pose| pose as usize)
+    }
+
+    /// Where a point moves by a tangent.
+    fn moved(
+        &self,
+        poses: &StepOf<'_, Rigid3>,
+        after: &[Rigid3],
+        (point, place): (usize, &Vector3<f64>),
+        tangent: &[f64],
+    ) -> Option<Vector3<f64>> {
+        let pose = self.pose_of(point)?;
+        let shift = Vector3::from_column_slice(tangent);
+        Some(carried(&poses.values()[pose], &Motion::of(poses, pose), &after[pose], place, &shift))
+    }
+}
+
+impl Retraction for SpanningTree {
+    fn retract(&self, step: &Step<'_>, moved: &mut Moved<'_>) {
+        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else { return };
+        let Some((after, places)) = moved.two_mut::<Rigid3, Vector3<f64>>() else { return };
+        let before = poses.values();
+        for &(pose, parent) in &self.poses {
+            let (pose, parent) = (pose as usize, parent as usize);
+            if poses.tangent(pose).is_none() {
+                continue;
+            }
+            let (own, of_parent) = (Motion::of(&poses, pose), Motion::of(&poses, parent));
+            let place = before[pose].origin_in_a();
+            let centre = carried(&before[parent], &of_parent, &after[parent], &place, &own.centre);
+            let from_parent = before[pose].rotation * before[parent].rotation.inverse();
+            let turn = so3::exp(&(own.turn - from_parent * of_parent.turn));
+            // Each is a product with the one before: without this their norms would grow along the chain.
+            let rotation =
+                UnitQuaternion::new_normalize((turn * from_parent * after[parent].rotation).into_inner());
+            after[pose] = Rigid3::new(rotation, -(rotation * centre));
+        }
+        let after = &*after;
+        let move_point = |((index, to), from): ((usize, &mut Vector3<f64>), &Vector3<f64>)| {
+            if let Some(tangent) = points.tangent(index) {
+                *to = self.moved(&poses, after, (index, from), tangent).unwrap_or(*to);
+            }
+        };
+        let places = places.par_iter_mut().enumerate().zip(points.values());
+        places.with_min_len(POINTS_PER_TASK).for_each(move_point);
+    }
+
+    fn retract_one(&self, step: &Step<'_>, key: AnyKey, tangent: &[f64], moved: &mut Moved<'_>) {
+        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else { return };
+        let Some(point) = key.typed::<Vector3<f64>>().map(Key::index) else { return };
+        let Some((after, places)) = moved.two_mut::<Rigid3, Vector3<f64>>() else { return };
+        if let Some(place) = self.moved(&poses, after, (point, &points.values()[point]), tangent) {
+            places[point] = place;
+        }
     }
 }
 
 /// Poses with the one through which they were reached, in this order.
-fn heaviest_tree(
+fn maximum_spanning_tree(
     neighbours: &BTreeMap<u32, Vec<(usize, u32)>>,
     is_fixed: impl Fn(u32) -> bool,
 ) -> Vec<(u32, u32)> {
@@ -77,7 +152,7 @@ fn heaviest_tree(
                 next.extend(edges(pose));
             }
         }
-        // What has no points in common with those before leads itself.
+        // What has no points in common with those before is a root itself.
         let Some(root) = others.find(|&pose| reached.insert(pose)) else { return tree };
         next.extend(edges(root));
     }
@@ -90,99 +165,14 @@ struct Motion {
     centre: Vector3<f64>,
 }
 
-/// One step, from `values`.
-pub(crate) struct Carry<'a> {
-    pub(crate) carriers: &'a Carriers,
-    pub(crate) values: &'a Values,
-    pub(crate) step: &'a [f64],
-    /// For each store, where in `step` its variables are.
-    pub(crate) step_at: &'a [Vec<u32>],
-}
-
-impl Carry<'_> {
-    /// Moves everything to `trial`: in straight lines, but for what is carried.
-    pub(crate) fn all(&self, trial: &mut Values) {
-        for ((trial, values), at) in trial.stores.iter_mut().zip(&self.values.stores).zip(self.step_at) {
-            trial.plus_all(&**values, self.step, at);
-        }
-        let Some((poses, points)) = self.stores() else { return };
-        let before = self.values.slice::<Rigid3>(poses as u16);
-        let mut after = std::mem::take(trial.store_mut::<Rigid3>().1);
-        for &(pose, carrier) in &self.carriers.poses {
-            let (pose, carrier) = (pose as usize, carrier as usize);
-            if self.step_at[poses][pose] == FIXED {
-                continue;
-            }
-            let (own, of_carrier) = (self.motion(poses, pose), self.motion(poses, carrier));
-            let centre = carried(
-                &before[carrier],
-                &of_carrier,
-                &after[carrier],
-                &before[pose].origin_in_a(),
-                &own.centre,
-            );
-            let from_carrier = before[pose].rotation * before[carrier].rotation.inverse();
-            let turn = so3::exp(&(own.turn - from_carrier * of_carrier.turn));
-            // Each is a product with the one before: without this their norms would grow along the chain.
-            let rotation =
-                UnitQuaternion::new_normalize((turn * from_carrier * after[carrier].rotation).into_inner());
-            after[pose] = Rigid3::new(rotation, -(rotation * centre));
-        }
-        let at = &self.step_at[points];
-        let move_point = |(slot, point): (usize, &mut Vector3<f64>)| {
-            if at[slot] != FIXED {
-                let step = &self.step[at[slot] as usize..][..3];
-                *point = self.moved(poses, points, &after, slot, step).unwrap_or(*point);
-            }
+impl Motion {
+    fn of(poses: &StepOf<'_, Rigid3>, index: usize) -> Self {
+        let Some(tangent) = poses.tangent(index) else {
+            return Self { turn: Vector3::zeros(), centre: Vector3::zeros() };
         };
-        let places = trial.store_mut::<Vector3<f64>>().1;
-        places.par_iter_mut().enumerate().with_min_len(PARALLEL_VALUES / 8).for_each(move_point);
-        *trial.store_mut::<Rigid3>().1 = after;
-    }
-
-    /// Moves one variable to `trial` by another step than that of all.
-    pub(crate) fn one(&self, trial: &mut Values, store: usize, slot: usize, step: &[f64]) {
-        trial.stores[store].plus_one(&*self.values.stores[store], slot, step);
-        let Some((poses, points)) = self.stores().filter(|(_, points)| *points == store) else { return };
-        if let Some(point) = self.moved(poses, points, trial.slice(poses as u16), slot, step) {
-            trial.store_mut::<Vector3<f64>>().1[slot] = point;
-        }
-    }
-
-    /// Numbers of the stores of poses and points.
-    fn stores(&self) -> Option<(usize, usize)> {
-        if self.carriers.points.is_empty() {
-            return None;
-        }
-        let find = |type_id| self.values.find(type_id);
-        find(TypeId::of::<Rigid3>()).zip(find(TypeId::of::<Vector3<f64>>()))
-    }
-
-    fn motion(&self, poses: usize, slot: usize) -> Motion {
-        let at = self.step_at[poses][slot];
-        if at == FIXED {
-            return Motion { turn: Vector3::zeros(), centre: Vector3::zeros() };
-        }
-        let step = &self.step[at as usize..][..6];
-        let (turn, tau) = (Vector3::from_column_slice(&step[..3]), Vector3::from_column_slice(&step[3..]));
-        let before = &self.values.slice::<Rigid3>(poses as u16)[slot];
-        Motion { turn, centre: -(before.rotation.inverse() * tau) }
-    }
-
-    /// Where a point is carried that moves by `step`.
-    fn moved(
-        &self,
-        poses: usize,
-        points: usize,
-        after: &[Rigid3],
-        slot: usize,
-        step: &[f64],
-    ) -> Option<Vector3<f64>> {
-        let carrier = self.carriers.point(slot)?;
-        let before = &self.values.slice::<Rigid3>(poses as u16)[carrier];
-        let point = &self.values.slice::<Vector3<f64>>(points as u16)[slot];
-        let step = Vector3::from_column_slice(step);
-        Some(carried(before, &self.motion(poses, carrier), &after[carrier], point, &step))
+        let (turn, tau) =
+            (Vector3::from_column_slice(&tangent[..3]), Vector3::from_column_slice(&tangent[3..]));
+        Self { turn, centre: -(poses.values()[index].rotation.inverse() * tau) }
     }
 }
 
@@ -206,8 +196,7 @@ mod tests {
     use tiepoint_geometry::Manifold;
 
     use super::*;
-    use crate::problem::Problem;
-    use crate::variable::Order;
+    use crate::variable::{FIXED, Order, Values};
 
     const POSES: usize = 6;
     /// Rounding of places some tens of units from the origin, moved a few times.
@@ -223,7 +212,7 @@ mod tests {
     }
 
     /// Poses along a line and points beside it, each seen by two neighbours; the first pose holds still if `hold` says so.
-    fn chain(offs: &[(Vector3<f64>, Vector3<f64>)], hold: bool) -> Problem {
+    fn chain(offs: &[(Vector3<f64>, Vector3<f64>)], hold: bool) -> (Problem, SpanningTree) {
         let mut problem = Problem::new();
         let poses: Vec<_> = (0..POSES)
             .map(|i| {
@@ -240,25 +229,26 @@ mod tests {
             .collect();
         let sights: Vec<_> =
             (0..POSES).flat_map(|i| [i, i + 1].map(|k| (poses[k.min(POSES - 1)], points[i]))).collect();
-        problem.carry(&sights).unwrap();
-        problem
+        let tree = SpanningTree::new(&problem, &sights).unwrap();
+        (problem, tree)
     }
 
     /// Where a step (six numbers a pose, then three a point) leads in straight lines, and carried.
-    fn moved(problem: &Problem, step: &[f64], hold: bool) -> [(Vec<Rigid3>, Vec<Vector3<f64>>); 2] {
+    fn moved(
+        (problem, tree): &(Problem, SpanningTree),
+        step: &[f64],
+        hold: bool,
+    ) -> [(Vec<Rigid3>, Vec<Vector3<f64>>); 2] {
         let pose_at: Vec<u32> =
             (0..POSES as u32).map(|i| if hold && i == 0 { FIXED } else { 6 * i }).collect();
         let point_at: Vec<u32> = (0..POSES as u32).map(|i| 6 * POSES as u32 + 3 * i).collect();
         let step_at = [pose_at, point_at];
-        let values = &problem.values;
-        let mut trial = values.clone();
-        for ((trial, values), at) in trial.stores.iter_mut().zip(&values.stores).zip(&step_at) {
-            trial.plus_all(&**values, step, at);
-        }
-        let both = |values: &Values| (values.slice::<Rigid3>(0).to_vec(), values.slice(1).to_vec());
-        let straight = both(&trial);
-        Carry { carriers: &problem.carriers, values, step, step_at: &step_at }.all(&mut trial);
-        [straight, both(&trial)]
+        let step = Step { values: &problem.values, numbers: step, at: &step_at };
+        [None, Some(tree as &dyn Retraction)].map(|retraction| {
+            let mut trial: Values = problem.values.clone();
+            step.take(retraction, &mut trial);
+            (trial.slice::<Rigid3>(0).to_vec(), trial.slice(1).to_vec())
+        })
     }
 
     /// The step of a world that turns about its origin, grows and is shifted.
@@ -283,9 +273,10 @@ mod tests {
         fn what_moves_as_one_stays_together(
             offs in offs(), turn in vector(1.0), growth in -0.5..1.0f64, shift in vector(10.0),
         ) {
-            let problem = chain(&offs, false);
-            let step = as_one(&problem, &turn, growth, &shift);
-            let [_, (poses, points)] = moved(&problem, &step, false);
+            let chain = chain(&offs, false);
+            let problem = &chain.0;
+            let step = as_one(problem, &turn, growth, &shift);
+            let [_, (poses, points)] = moved(&chain, &step, false);
             let old_poses = problem.values.slice::<Rigid3>(0);
             let old_points = problem.values.slice::<Vector3<f64>>(1);
             for i in 0..POSES {
@@ -300,9 +291,9 @@ mod tests {
         fn to_first_order_it_is_the_same_step(
             offs in offs(), step in proptest::collection::vec(-SHORT..SHORT, 9 * POSES), hold: bool,
         ) {
-            let problem = chain(&offs, hold);
+            let chain = chain(&offs, hold);
             let apart = |step: &[f64]| {
-                let [straight, carried] = moved(&problem, step, hold);
+                let [straight, carried] = moved(&chain, step, hold);
                 let poses = straight.0.iter().zip(&carried.0).map(|(a, b)| a.minus(b).norm());
                 let points = straight.1.iter().zip(&carried.1).map(|(a, b)| (a - b).norm());
                 poses.chain(points).fold(0.0, f64::max)
@@ -315,9 +306,10 @@ mod tests {
 
     #[test]
     fn what_is_fixed_stays() {
-        let problem = chain(&[(Vector3::zeros(), Vector3::zeros()); POSES], true);
-        let step = as_one(&problem, &Vector3::new(0.1, 0.2, 0.3), 0.1, &Vector3::new(1.0, 2.0, 3.0));
-        let [_, (poses, _)] = moved(&problem, &step, true);
+        let chain = chain(&[(Vector3::zeros(), Vector3::zeros()); POSES], true);
+        let problem = &chain.0;
+        let step = as_one(problem, &Vector3::new(0.1, 0.2, 0.3), 0.1, &Vector3::new(1.0, 2.0, 3.0));
+        let [_, (poses, _)] = moved(&chain, &step, true);
         assert_eq!(poses[0], problem.values.slice::<Rigid3>(0)[0]);
         assert_ne!(poses[1], problem.values.slice::<Rigid3>(0)[1]);
     }
@@ -325,7 +317,7 @@ mod tests {
     /// Poses 0 and 2 see most in common, 3 sees as much of 2 as of 0 and hangs on the later one, 7 sees points that no other does; 1 holds still,
     /// and 4 with it.
     #[test]
-    fn the_heaviest_pairs_carry() {
+    fn parents_share_most_points() {
         let mut point = 0;
         let mut sights = Vec::new();
         let mut see = |poses: [u32; 2], count: usize| {
@@ -340,11 +332,11 @@ mod tests {
         see([1, 4], 3);
         see([4, 0], 1);
         see([7, 7], 4);
-        let carriers = Carriers::new(&sights, |pose| pose == 1);
-        assert_eq!(carriers.poses, [(4, 1), (0, 4), (2, 0), (3, 2)]);
-        assert_eq!(carriers.point(0), Some(0));
-        assert_eq!(carriers.point(12), Some(0));
-        assert_eq!(carriers.point(13), Some(7));
-        assert_eq!(carriers.point(17), None);
+        let tree = SpanningTree::over(&sights, |pose| pose == 1);
+        assert_eq!(tree.poses, [(4, 1), (0, 4), (2, 0), (3, 2)]);
+        assert_eq!(tree.pose_of(0), Some(0));
+        assert_eq!(tree.pose_of(12), Some(0));
+        assert_eq!(tree.pose_of(13), Some(7));
+        assert_eq!(tree.pose_of(17), None);
     }
 }
