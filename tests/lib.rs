@@ -5,3 +5,4 @@
 
 mod architecture;
 mod pipeline;
+mod skipped;
