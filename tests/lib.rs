@@ -6,3 +6,4 @@
 mod architecture;
 mod modules;
 mod pipeline;
+mod skipped;

@@ -13,21 +13,14 @@ use tiepoint_pipeline::{
     evaluate_poses, extract_features, reconstruct,
 };
 
+use crate::skipped;
+
 /// The photos are made smaller by this factor: 3072 x 2048 to 512 x 341 (the last two lines are cut off).
 const SHRINK: u32 = 6;
 /// Full-size photos with known intrinsics give 2.5 mm; a pixel is `SHRINK` times as large here.
 const MAX_MEAN_CENTRE_ERROR_M: f64 = 6.0 * 2.5e-3;
 /// K.txt of the data set: fx, fy, cx, cy of the full-size photos.
 const FULL_SIZE_INTRINSICS: [f64; 4] = [2759.48, 2764.16, 1520.69, 1006.81];
-
-/// The reference data, or a loud line.
-fn data(test: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from);
-    if data.is_none() {
-        eprintln!("SKIPPED: TIEPOINT_DATA is not set, so {test} did not run on real photos");
-    }
-    data
-}
 
 /// Writes small grey versions of the first `count` photos to `to`.
 fn shrink(data: &Path, count: usize, to: &Path) {
@@ -73,7 +66,7 @@ fn results(workspace: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 #[test]
 fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
-    let Some(data) = data("the accuracy of the pipeline") else { return };
+    let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
     shrink(&data, usize::MAX, &photos);
@@ -91,7 +84,7 @@ fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
 #[test]
 fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     const COUNT: usize = 5;
-    let Some(data) = data("resuming") else { return };
+    let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let (photos, workspace) = (dir.path().join("photos"), dir.path().join("ws"));
     shrink(&data, COUNT, &photos);
@@ -127,7 +120,7 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
 
 #[test]
 fn what_an_interruption_left_is_not_computed_again() {
-    let Some(data) = data("resuming") else { return };
+    let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     shrink(&data, 4, &folder);

@@ -1,7 +1,5 @@
 //! The problems of "Bundle adjustment in the large" end where Ceres ends.
 
-use std::path::PathBuf;
-
 use proptest::prelude::*;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
 use tiepoint_ba::testing::check_jacobians;
@@ -10,6 +8,7 @@ use tiepoint_geometry::{Rigid3, so3};
 
 use crate::file::{Bal, Derivatives};
 use crate::scene::{solve, solve_as};
+use crate::skipped;
 use crate::snavely::{Snavely, SnavelyResidual};
 
 /// Ceres, 50 iterations, dense Schur; the same starting costs by two independent programs.
@@ -22,11 +21,7 @@ const END_TOLERANCE: f64 = 1e-3;
 const SAME_COST: f64 = 1e-8;
 
 fn read(file: &str) -> Option<Bal> {
-    let Some(data) = std::env::var_os("TIEPOINT_DATA") else {
-        eprintln!("SKIPPED: TIEPOINT_DATA is not set, so that {file} cannot be adjusted");
-        return None;
-    };
-    let text = std::fs::read_to_string(PathBuf::from(data).join(file)).unwrap();
+    let text = std::fs::read_to_string(skipped::data()?.join(file)).unwrap();
     Some(Bal::parse(&text).unwrap())
 }
 

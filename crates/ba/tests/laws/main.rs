@@ -15,6 +15,8 @@ mod nist;
 #[path = "../../examples/rig/stereo.rs"]
 mod rig;
 mod scene;
+#[path = "../../../../tests/skipped.rs"]
+mod skipped;
 #[path = "../../examples/bal/snavely.rs"]
 mod snavely;
 mod stereo;

@@ -4,12 +4,11 @@
 //! before and after, as if disparities were off. With its principal point's column free, which moves by 0.12 px, all get nearer,
 //! by any measure.
 
-use std::path::PathBuf;
-
 use tiepoint_ba::{Loss, Options};
 
 use crate::rig::{Right, Stereo, distance, true_poses};
 use crate::scene::solve_as;
+use crate::skipped;
 
 /// Moments between poses that are compared as one is seen from the other.
 const APART: usize = 20;
@@ -23,10 +22,7 @@ const SHIFT: f64 = -0.12;
 
 #[test]
 fn a_real_drive_ends_nearer_to_the_true_poses() {
-    let Some(data) = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from) else {
-        eprintln!("SKIPPED: TIEPOINT_DATA is not set, so that stereo_vo_kitti00 cannot be adjusted");
-        return;
-    };
+    let Some(data) = skipped::data() else { return };
     let read = |file: &str| std::fs::read_to_string(data.join(file)).unwrap();
     let stereo = Stereo::parse(
         &read("stereo_vo_kitti00/VO_calibration00s.txt"),

@@ -12,6 +12,8 @@ mod own_files;
 mod photos;
 mod records;
 mod results;
+#[path = "../../../../tests/skipped.rs"]
+mod skipped;
 mod video;
 
 use std::ffi::OsStr;

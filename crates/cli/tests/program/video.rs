@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crate::skipped::skipped;
 use crate::{Run, photos, tiepoint_in};
 
 /// `date -u -d '2024-02-29 12:34:56' +%s`
@@ -12,11 +13,11 @@ const RATE_HZ: usize = 10;
 /// A time base of milliseconds is the coarsest in use.
 const TIME_TOLERANCE_S: f64 = 1e-3;
 
-#[expect(clippy::print_stderr, reason = "a test that is left out says so")]
-fn is_there() -> bool {
+/// Whether the program ffmpeg is installed; without it, the test that asks is one that was left out.
+fn has_ffmpeg() -> bool {
     let there = Command::new("ffmpeg").arg("-version").output().is_ok();
     if !there {
-        eprintln!("SKIPPED: the program ffmpeg is not installed; videos were not tested");
+        skipped("the program ffmpeg");
     }
     there
 }
@@ -49,7 +50,7 @@ fn times(workspace: &Path) -> Vec<(String, f64)> {
 
 #[test]
 fn a_video_is_a_camera_whose_frames_have_times() {
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -76,7 +77,7 @@ fn a_video_is_a_camera_whose_frames_have_times() {
 
 #[test]
 fn pixels_that_are_not_square_are_made_so() {
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -153,7 +154,7 @@ fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
     // Sound travels 1.7 m meanwhile.
     const SOUND_TOLERANCE_S: f64 = 0.005;
     const LATER_S: f64 = 0.23;
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -178,7 +179,7 @@ fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
 
 #[test]
 fn chapters_follow_each_other() {
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -194,7 +195,7 @@ fn chapters_follow_each_other() {
 
 #[test]
 fn a_name_is_neither_a_protocol_nor_an_option() {
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -219,7 +220,7 @@ fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
     use std::os::unix::process::CommandExt;
     use std::process::Stdio;
     use std::time::Duration;
-    if !is_there() {
+    if !has_ffmpeg() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
@@ -258,7 +259,7 @@ fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
 fn what_is_no_video_is_told() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("words.mp4"), "these are words").unwrap();
-    let reason = if is_there() { "no video could be read" } else { "needs the program ffmpeg" };
+    let reason = if has_ffmpeg() { "no video could be read" } else { "needs the program ffmpeg" };
     tiepoint_in(dir.path(), "features {}/words.mp4 -o {}/ws").failed(1, &["words.mp4", reason]);
     tiepoint_in(dir.path(), "features {}/none.mp4 -o {}/ws").failed(1, &["none.mp4", "No such file"]);
 }

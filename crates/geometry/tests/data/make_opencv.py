@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes opencv.txt: numbers computed by OpenCV, in our conventions, that tests/opencv.rs compares with ours; a lens that OpenCV
+"""Writes opencv.txt: numbers computed by OpenCV, in our conventions, that tests/geometry/opencv.rs compares with ours; a lens that OpenCV
 does not have is COLMAP's.
 
     pip install numpy opencv-python-headless pycolmap

@@ -2,8 +2,6 @@
 #![cfg(feature = "database")]
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use std::f32::consts::PI;
 use std::path::Path;
 
@@ -15,6 +13,8 @@ use tiepoint_io::database::{Database, Moment, StageRow, read_stage_rows};
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Rig, RigId, RigSensor, TwoView, TwoViewKind,
 };
+
+use crate::common;
 
 /// Scale and orientation pass through four products in f32: a few units in the last place.
 const SHAPE_TOLERANCE: f32 = 1e-6;

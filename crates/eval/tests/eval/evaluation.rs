@@ -1,5 +1,5 @@
 //! Measures against slow twins, laws, and the numbers of evo.
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
+#![allow(clippy::unwrap_used)]
 
 use std::path::PathBuf;
 
@@ -10,6 +10,8 @@ use tiepoint_eval::{
 };
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, Sim3};
+
+use crate::skipped;
 
 /// Roundings of some tens of operations on numbers of size 10.
 const TOLERANCE: f64 = 1e-9;
@@ -213,14 +215,6 @@ fn icp_finds_a_small_motion() {
     assert!(Statistics::of(&distances).unwrap().max < 0.01, "{found:?}");
 }
 
-fn data() -> Option<PathBuf> {
-    let data = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from);
-    if data.is_none() {
-        eprintln!("SKIPPED: TIEPOINT_DATA is not set, no comparison with evo on KITTI 00");
-    }
-    data
-}
-
 /// Poses of the KITTI format as `cam_from_world`.
 fn kitti(path: PathBuf) -> Vec<Rigid3> {
     let pose = |line: &str| {
@@ -236,7 +230,7 @@ fn kitti(path: PathBuf) -> Vec<Rigid3> {
 /// 10 m of the estimate. Since then evo counts the first stretch too: the two means of each are of evo 1.38.
 #[test]
 fn numbers_of_evo_on_kitti_00() {
-    let Some(data) = data() else { return };
+    let Some(data) = skipped::data() else { return };
     // Files hold rotations of seven digits, used as they are by evo and made orthogonal here, up to 500 m from the origin.
     const EVO_TOLERANCE: f64 = 1e-4;
     let read = |name: &str| kitti(data.join("trajectories").join(name));

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, epipolar, triangulate};
 
-const GOLDEN: &str = include_str!("data/opencv.txt");
+const GOLDEN: &str = include_str!("../data/opencv.txt");
 
 /// The same formulas in double precision.
 const ROUNDING: f64 = 1e-9;

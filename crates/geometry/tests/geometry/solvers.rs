@@ -40,7 +40,7 @@ fn solvers_find_the_truth() {
 
 #[test]
 fn the_readme_lists_every_solver() {
-    let readme = include_str!("../README.md");
+    let readme = include_str!("../../README.md");
     for solvers::SolverInfo { name, finds, sample_size, max_solutions, paper } in solvers::TABLE {
         let row = format!("| `{name}` | {finds} | {sample_size} | {max_solutions} | {paper} |");
         assert!(readme.contains(&row), "README.md lacks: {row}");

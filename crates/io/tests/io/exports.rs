@@ -1,14 +1,13 @@
 //! What other programs are given: read with readers of their own, each point must be seen where our cameras see it.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Riding, random_model};
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector2, Vector3, Vector4};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_io::undistort::{pinhole_of, undistort_image, undistort_model};
 use tiepoint_io::{Rgb, nerfstudio, openmvs};
 use tiepoint_scene::{Camera, Image, Keypoint, Observation, Reconstruction, Track};
+
+use crate::common::{Riding, random_model};
 
 /// A chain of a dozen products of numbers up to 1000, in pixels; points and their depth are f32 in OpenMVS.
 const TOLERANCE_PX: f64 = 1e-6;

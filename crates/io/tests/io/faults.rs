@@ -2,13 +2,10 @@
 #![cfg(all(feature = "database", feature = "faults"))]
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use common::{Riding, random_model};
 use tiepoint_features::{Features, Keypoint};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_io::colmap::{Format, read_model, write_model};
@@ -19,6 +16,8 @@ use tiepoint_io::{AtomicFile, Result};
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Reconstruction, TwoView, TwoViewKind,
 };
+
+use crate::common::{Riding, random_model};
 
 const KINDS: [Kind; 3] = [Kind::Stop, Kind::Full, Kind::Fail];
 /// Keypoints of an image: so many that their descriptors do not fit into a page.

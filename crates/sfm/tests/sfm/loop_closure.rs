@@ -1,13 +1,11 @@
 //! A loop that drifts closes.
 
-mod common;
-
 use std::ops::ControlFlow;
 
 use tiepoint_sfm::{Event, MapperOptions, RefineIntrinsics, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
-use common::ate_m;
+use crate::common::ate_m;
 
 /// Keypoints are off by this much, in pixels.
 const NOISE_PX: f64 = 0.5;

@@ -1,12 +1,9 @@
 //! Trajectories, ground truth, PLY and BAL: what is written is read back, what others wrote is understood.
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
-
-mod common;
+#![allow(clippy::unwrap_used)]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use common::{Riding, pose, random_model, vector};
 use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
@@ -16,6 +13,9 @@ use tiepoint_io::trajectory::{
     TimedPose, read_euroc, read_kitti, read_tum, write_euroc, write_kitti, write_tum,
 };
 use tiepoint_io::{kitti, strecha};
+
+use crate::common::{Riding, pose, random_model, vector};
+use crate::skipped;
 
 /// Poses are inverted on the way out and in: roundings of numbers of size 30.
 const POSE_TOLERANCE: f64 = 1e-12;
@@ -275,17 +275,9 @@ fn bal_faults_are_named() {
     assert_eq!(Bal::from_reconstruction(&model), Err(BalError::NotRadial { camera, model: "PINHOLE" }));
 }
 
-fn data() -> Option<PathBuf> {
-    let data = std::env::var_os("TIEPOINT_DATA").map(PathBuf::from);
-    if data.is_none() {
-        eprintln!("SKIPPED: TIEPOINT_DATA is not set, no test on files of others");
-    }
-    data
-}
-
 #[test]
 fn strecha_truth_sees_its_own_scene() {
-    let Some(data) = data() else { return };
+    let Some(data) = skipped::data() else { return };
     let cameras = strecha::read(&data.join("fountain-P11/cameras")).unwrap();
     assert_eq!(cameras.len(), 11);
     assert_eq!((cameras[0].name.as_str(), cameras[0].width, cameras[0].height), ("0000.jpg", 3072, 2048));
@@ -315,7 +307,7 @@ fn strecha_truth_sees_its_own_scene() {
 
 #[test]
 fn kitti_truth_of_a_stereo_pair() {
-    let Some(data) = data() else { return };
+    let Some(data) = skipped::data() else { return };
     let calibration = kitti::read_calibration(&data.join("kitti04/calib.txt")).unwrap();
     assert_eq!(calibration.cameras.iter().map(|camera| camera.number).collect::<Vec<_>>(), [0, 1, 2, 3]);
     assert_eq!(calibration.cameras[0].intrinsics.params(), [707.0912, 707.0912, 602.3873, 183.6104]);
@@ -335,7 +327,7 @@ fn kitti_truth_of_a_stereo_pair() {
 
 #[test]
 fn trajectories_of_others() {
-    let Some(data) = data() else { return };
+    let Some(data) = skipped::data() else { return };
     let dir = data.join("trajectories");
     assert_eq!(read_kitti(&dir.join("KITTI_00_gt.txt")).unwrap().len(), 4541);
     assert!(read_tum(&dir.join("freiburg1_xyz-groundtruth.txt")).unwrap().len() > 1000);
@@ -347,7 +339,7 @@ fn trajectories_of_others() {
 /// our cameras.
 #[test]
 fn bal_problems_of_others() {
-    let Some(data) = data() else { return };
+    let Some(data) = skipped::data() else { return };
     let bal = Bal::read(&data.join("bal/problem-21-11315-pre.txt")).unwrap();
     assert_eq!((bal.cameras.len(), bal.points.len(), bal.observations.len()), (21, 11315, 36455));
     let model = bal.to_reconstruction().unwrap();

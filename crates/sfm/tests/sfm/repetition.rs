@@ -9,9 +9,11 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction};
 use tiepoint_sfm::{MapperOptions, RefineIntrinsics, VerifyOptions, View, map, verify_pair};
 
+use crate::common::sample;
+
 const FRAMES: usize = 60;
-/// Seeds of the facade.
-const SEEDS: u64 = 3;
+/// Of the facade.
+const SEEDS: [u64; 3] = [0, 1, 2];
 /// In metres: the camera's way from frame to frame, how far it is from the facade, and after what the facade repeats.
 const STEP: f64 = 0.6;
 const DISTANCE: f64 = 5.0;
@@ -110,7 +112,7 @@ fn steps(street: &Street, seed: u64) -> Vec<f64> {
 
 #[test]
 fn windows_that_repeat_move_no_image_of_a_drive() {
-    for seed in 0..SEEDS {
+    for &seed in sample(&SEEDS) {
         let steps = steps(&street(seed), seed);
         let jumps: Vec<_> =
             steps.iter().enumerate().filter(|(_, step)| (*step - 1.0).abs() > TOLERANCE).collect();

@@ -1,13 +1,11 @@
 //! Points that are enough.
 
-mod common;
-
 use std::ops::ControlFlow;
 
 use tiepoint_sfm::{AdjustOptions, Event, MapperOptions, RefineIntrinsics, Scope, adjust, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
 
-use common::ate_m;
+use crate::common::ate_m;
 
 /// Errors grow as the root of how many fewer observations there are (2.3 here), times this at most; seeds 1 to 4: 1.6 to 2.2 in all.
 const MAX_LOSS: f64 = 1.3;

@@ -1,7 +1,13 @@
-//! What several tests measure.
+//! What several tests measure, and on which seeds.
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::Reconstruction;
+
+/// The seeds of a test: the first of the grid, or with `TIEPOINT_ALL_SEEDS` in the environment all of them, as `bench/seeds.py` has
+/// it.
+pub(crate) fn sample(grid: &[u64]) -> &[u64] {
+    if std::env::var_os("TIEPOINT_ALL_SEEDS").is_some() { grid } else { &grid[..1] }
+}
 
 /// ATE: the root mean square distance of the camera centres from the true ones, after a similarity.
 pub(crate) fn ate_m(model: &Reconstruction, truth: &Reconstruction) -> f64 {

@@ -1,12 +1,9 @@
 //! COLMAP models: what is written is read back; what is broken is refused with its name and place.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
-use common::{Riding, random_model};
 use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
@@ -15,6 +12,8 @@ use tiepoint_io::colmap::{Format, read_model, write_model};
 use tiepoint_scene::{
     Camera, Frame, Image, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor, Track,
 };
+
+use crate::common::{Riding, random_model};
 
 const FORMATS: [Format; 2] = [Format::Binary, Format::Text];
 /// Poses that go through a frame are products of two: a few roundings of numbers of size 10.

@@ -1,0 +1,14 @@
+//! The crate's tests, in one program.
+
+#![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
+
+mod colmap;
+mod common;
+mod database;
+mod exports;
+mod faults;
+mod formats;
+mod images;
+mod las;
+#[path = "../../../../tests/skipped.rs"]
+mod skipped;

@@ -1,0 +1,14 @@
+//! The crate's tests, in one program.
+
+#![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
+
+mod clocks;
+mod common;
+mod join;
+mod lens;
+mod loop_closure;
+mod mapper;
+mod repetition;
+mod rig;
+mod shutter;
+mod spread;
