@@ -63,12 +63,10 @@ const REQUIRED: [&str; 3] = [CAMERAS, IMAGES, POINTS];
 /// Writes a model into a folder, which is made if need be. A new folder appears with all of its files; in one that is there,
 /// the list of images goes first and comes last, so that nobody reads parts of two models.
 ///
-/// The model must be valid; and where an image is in a frame, the image's pose must be the one that the frame and the rig give
-/// it, since that is the one which COLMAP reads.
-///
 /// # Errors
 ///
-/// Where the model is not valid, where the folder holds a model in the other format, since readers would choose for themselves,
+/// Where the model is not valid ([`Reconstruction::validate`]); where an image in no frame is of a camera that has no pose on its
+/// rig, since COLMAP wants every image in a frame; where the folder holds a model in the other format, since readers would choose for themselves,
 /// and where the system refuses.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
