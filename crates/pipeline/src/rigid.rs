@@ -21,7 +21,7 @@ use tiepoint_sfm::{
 use crate::evaluate::read_times;
 use crate::rig_over_time::{camera_of_folder, folder_of};
 use crate::workspace::{REPORT, RIG, current_records};
-use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
+use crate::{Error, Report, RigCamera, RigFile, Stage, model_folder, option_keys};
 
 /// What it took to make a model rigid.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -107,7 +107,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 /// What was calibrated stays.
 fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
     let records = current_records(from)?;
-    let is_known = records.option(Stage::Features, features::INTRINSICS).is_some();
+    let is_known = records.option(Stage::Features, option_keys::INTRINSICS).is_some();
     Ok(if is_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine })
 }
 
