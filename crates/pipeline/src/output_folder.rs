@@ -16,7 +16,7 @@ use std::path::{Component, Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use tiepoint_io::colmap::{self, Format};
+use tiepoint_io::colmap::{self, Format, MODEL_FILES};
 use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::{AtomicFile, MANIFEST};
 use tiepoint_sfm::scene::Reconstruction;
@@ -27,10 +27,6 @@ const PROGRAM: &str = "tiepoint";
 const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
-/// The files of a COLMAP model, without their endings. Every reader wants the last one: it comes last and goes first.
-const MODEL_FILES: [&str; 5] = ["cameras", "rigs", "frames", "points3D", "images"];
-/// Endings of a model's files. Readers prefer one to the other, so both are looked at.
-const MODEL_ENDINGS: [&str; 2] = ["bin", "txt"];
 /// Bytes read at once.
 const BUFFER_BYTES: usize = 1 << 16;
 
@@ -215,10 +211,9 @@ impl OutputFolder {
         let own = folder.unwrap_or("model");
         let path = self.stage(own)?;
         colmap::write_model(&path, model, format).map_err(|error| self.renamed(error, own, folder))?;
-        let ending = MODEL_ENDINGS[usize::from(format == Format::Text)];
         let mut names = Vec::new();
         for name in MODEL_FILES {
-            let file = format!("{name}.{ending}");
+            let file = format!("{name}.{}", format.suffix());
             match folder {
                 Some(folder) => names.push(format!("{folder}/{file}")),
                 None => {
@@ -397,8 +392,8 @@ impl Manifest {
 /// The names that a COLMAP model in this folder may have, in both formats.
 pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let name = |ending: &str| MODEL_FILES.map(|name| format!("{prefix}{name}.{ending}"));
-    MODEL_ENDINGS.iter().flat_map(|ending| name(ending)).collect()
+    let names = |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
+    Format::ALL.into_iter().flat_map(names).collect()
 }
 
 /// Whether a name leads to a place in the folder that it is relative to.
