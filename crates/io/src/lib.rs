@@ -33,7 +33,7 @@ pub use atomic::AtomicFile;
 pub use error::{Error, Result};
 pub use exif::Exif;
 pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};
-pub use manifest::MANIFEST;
+pub use manifest::{MANIFEST, Manifest, is_inside};
 pub use pixels::{Luma, Rgb};
 pub use regular::require_regular_file;
 pub use tiepoint_features as features;

@@ -9,51 +9,24 @@
 //! next one does ([`OutputFolder::open`]). While it is done, the file that readers look for first is missing: nobody reads a
 //! mix of old and new.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Read};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use tiepoint_io::colmap::{self, Format};
+use tiepoint_io::colmap::{self, Format, MODEL_FILES};
 use tiepoint_io::disk::{self, FileId};
-use tiepoint_io::{AtomicFile, MANIFEST};
+use tiepoint_io::{AtomicFile, MANIFEST, Manifest, is_inside};
 use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 
-const PROGRAM: &str = "tiepoint";
 const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
-/// The files of a COLMAP model, without their endings. Every reader wants the last one: it comes last and goes first.
-const MODEL_FILES: [&str; 5] = ["cameras", "rigs", "frames", "points3D", "images"];
-/// Endings of a model's files. Readers prefer one to the other, so both are looked at.
-const MODEL_ENDINGS: [&str; 2] = ["bin", "txt"];
 /// Bytes read at once.
 const BUFFER_BYTES: usize = 1 << 16;
-
-/// What this program made in a folder.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Manifest {
-    program: String,
-    /// By path relative to the folder, with `/`: the content that a file may have. There are two after an interruption.
-    files: BTreeMap<String, BTreeSet<String>>,
-    /// The files that were replaced together last, in the order in which they take their places.
-    #[serde(default)]
-    order: Vec<String>,
-    /// The files that go at the same moment.
-    #[serde(default)]
-    removed: Vec<String>,
-}
-
-impl Default for Manifest {
-    fn default() -> Self {
-        let files = BTreeMap::new();
-        Self { program: PROGRAM.to_owned(), files, order: Vec::new(), removed: Vec::new() }
-    }
-}
 
 /// A folder for results, held by this process.
 #[derive(Debug)]
@@ -86,7 +59,7 @@ impl OutputFolder {
     pub(crate) fn open(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let lock = lock(root)?;
-        let manifest = Manifest::read(root)?.unwrap_or_default();
+        let manifest = read_manifest(root)?.unwrap_or_default();
         let root = root.to_owned();
         let this = Self { root, manifest, inputs: BTreeSet::new(), always_ours: &[], _lock: lock };
         if this.root.join(COMMITTED).is_dir() {
@@ -114,7 +87,7 @@ impl OutputFolder {
                 self.manifest.files.entry(name.clone()).or_default().insert(hash);
             }
         }
-        self.manifest.write(&self.root)
+        Ok(self.manifest.write(&self.root)?)
     }
 
     /// Names of files that are this program's whatever they hold.
@@ -215,10 +188,9 @@ impl OutputFolder {
         let own = folder.unwrap_or("model");
         let path = self.stage(own)?;
         colmap::write_model(&path, model, format).map_err(|error| self.renamed(error, own, folder))?;
-        let ending = MODEL_ENDINGS[usize::from(format == Format::Text)];
         let mut names = Vec::new();
         for name in MODEL_FILES {
-            let file = format!("{name}.{ending}");
+            let file = format!("{name}.{}", format.suffix());
             match folder {
                 Some(folder) => names.push(format!("{folder}/{file}")),
                 None => {
@@ -368,43 +340,18 @@ impl Drop for OutputFolder {
     }
 }
 
-impl Manifest {
-    fn read(root: &Path) -> Result<Option<Self>, Error> {
-        let path = root.join(MANIFEST);
-        let text = match fs::read(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(cause) => return Err(Error::Unreadable { path, cause }),
-            Ok(text) => text,
-        };
-        match serde_json::from_slice::<Self>(&text) {
-            Ok(manifest) if manifest.program == PROGRAM && manifest.is_inside() => Ok(Some(manifest)),
-            _ => Err(Error::NotOurs { path }),
-        }
-    }
-
-    /// Whether no name leads out of the folder: the file may come from anybody.
-    fn is_inside(&self) -> bool {
-        self.files.keys().chain(&self.order).chain(&self.removed).all(|name| is_inside(name))
-    }
-
-    fn write(&self, root: &Path) -> Result<(), Error> {
-        let text = serde_json::to_vec(self).expect("our own types are JSON: string keys");
-        let path = root.join(MANIFEST);
-        Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, &text))?)
-    }
+fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
+    Manifest::read(root).map_err(|error| match error {
+        tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
+        _ => Error::NotOurs { path: root.join(MANIFEST) },
+    })
 }
 
 /// The names that a COLMAP model in this folder may have, in both formats.
 pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let name = |ending: &str| MODEL_FILES.map(|name| format!("{prefix}{name}.{ending}"));
-    MODEL_ENDINGS.iter().flat_map(|ending| name(ending)).collect()
-}
-
-/// Whether a name leads to a place in the folder that it is relative to.
-fn is_inside(name: &str) -> bool {
-    let mut parts = Path::new(name).components();
-    !name.is_empty() && parts.all(|part| matches!(part, Component::Normal(_)))
+    let names = |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
+    Format::ALL.into_iter().flat_map(names).collect()
 }
 
 pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
