@@ -10,6 +10,7 @@ use tiepoint_scene::{
 };
 
 use super::layout::{FrameRow, RigRow};
+use crate::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Scale of a keypoint of which the file does not tell it, in pixels: each counts the same.
@@ -81,7 +82,8 @@ impl Tables {
         // The points that the keypoints name, in the order of the images; emptied as the tracks claim them.
         let mut claims = Vec::with_capacity(self.images.len());
         for row in self.images {
-            let camera = find(dir, "camera", &cameras, row.camera, || format!("image {}", row.name))?;
+            let camera =
+                find(dir, "camera", &cameras, row.camera, || format!("image {}", Excerpt(&row.name)))?;
             let image = model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
             model.register(image, row.cam_from_world);
             claims.push(row.points);

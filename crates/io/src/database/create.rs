@@ -43,7 +43,7 @@ impl Database {
             Err(cause) => return Err(Error::io(path)(cause)),
         };
         let part = Part::claim(path, disk::part_of(&target))?;
-        let mut this = Self::with(connect(&part.path, path)?, path);
+        let mut this = Self::with(connect(&part.path, path)?, path)?;
         // A run that is killed throws the part away, so nothing of it need be kept in order on the disk before its end.
         this.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
         this.keep_rows_apart()?;

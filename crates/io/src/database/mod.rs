@@ -11,6 +11,7 @@
 
 mod create;
 mod features;
+mod guard;
 mod pairs;
 mod rigs;
 mod schema;
@@ -18,12 +19,13 @@ mod stages;
 
 use std::path::{Path, PathBuf};
 
-use rusqlite::{Connection, OpenFlags, Row, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId, Image, ImageId};
 
 use crate::disk::{self, Operation};
 use crate::{Error, Result};
+use guard::Guard;
 pub use stages::{StageRow, read_stage_rows};
 
 /// COLMAP numbers a pair of images as MAX_IMAGE_ID · (smaller id) + (larger id); ids are below it.
@@ -40,6 +42,7 @@ pub struct Database {
     images: Vec<i64>,
     /// The camera of each image.
     camera_of: Vec<CameraId>,
+    guard: Guard,
 }
 
 /// The images of one moment, taken by the cameras of one rig; their poses are not known yet.
@@ -55,7 +58,9 @@ impl Database {
     /// Opens a database that exists.
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path))?;
-        let mut this = Self::with(connect(path, path)?, path);
+        let mut this = Self::with(connect(path, path)?, path)?;
+        // Before anything else is read: a view of that name could be without end.
+        schema::check(&this.connection).map_err(error(path))?.map_err(|what| this.content(what))?;
         // Ignored where the file cannot be written: reading goes on.
         let _ = this.connection.pragma_update(None, "journal_mode", "WAL");
         this.run("PRAGMA synchronous = NORMAL;")?;
@@ -74,8 +79,10 @@ impl Database {
     }
 
     /// Without cameras and images; the errors name `path`.
-    fn with(connection: Connection, path: &Path) -> Self {
-        Self { connection, path: path.to_owned(), cameras: vec![], images: vec![], camera_of: vec![] }
+    fn with(mut connection: Connection, path: &Path) -> Result<Self> {
+        let guard = Guard::new(&mut connection).map_err(error(path))?;
+        let path = path.to_owned();
+        Ok(Self { connection, path, cameras: vec![], images: vec![], camera_of: vec![], guard })
     }
 
     /// As in COLMAP: replacing an image must not take its keypoints along.
@@ -217,10 +224,12 @@ impl Database {
     }
 
     fn run(&self, sql: &str) -> Result<()> {
+        self.guard.begin();
         self.connection.execute_batch(sql).map_err(error(&self.path))
     }
 
     fn execute(&self, sql: &str, params: &[&dyn rusqlite::ToSql]) -> Result<()> {
+        self.guard.begin();
         let mut statement = self.connection.prepare_cached(sql).map_err(error(&self.path))?;
         statement.execute(params).map(drop).map_err(error(&self.path))
     }
@@ -234,6 +243,7 @@ impl Database {
     }
 
     fn rows<T>(&self, sql: &str, row: impl FnMut(&Row<'_>) -> rusqlite::Result<T>) -> Result<Vec<T>> {
+        self.guard.begin();
         let mut statement = self.connection.prepare(sql).map_err(error(&self.path))?;
         let rows = statement.query_map([], row).map_err(error(&self.path))?;
         rows.collect::<rusqlite::Result<_>>().map_err(error(&self.path))
@@ -241,6 +251,7 @@ impl Database {
 
     /// The same for rows that may be wrong in our terms.
     fn try_rows<T>(&self, sql: &str, mut row: impl FnMut(&Row<'_>) -> Result<T>) -> Result<Vec<T>> {
+        self.guard.begin();
         let mut statement = self.connection.prepare(sql).map_err(error(&self.path))?;
         let mut rows = statement.query([]).map_err(error(&self.path))?;
         let mut list = Vec::new();
@@ -260,7 +271,9 @@ fn connect(file: &Path, path: &Path) -> Result<Connection> {
     let connection = Connection::open_with_flags_and_vfs(file, flags, disk::faulty_vfs::name());
     #[cfg(not(feature = "faults"))]
     let connection = Connection::open_with_flags(file, flags);
-    connection.map_err(error(path))
+    let connection = connection.map_err(error(path))?;
+    guard::distrust(&connection).map_err(error(path))?;
+    Ok(connection)
 }
 
 /// Brings the write-ahead log into the file and removes it.
@@ -275,7 +288,11 @@ fn fold_log(connection: &Connection) -> rusqlite::Result<()> {
 }
 
 fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
-    move |cause| Error::Database { path: path.to_owned(), cause: cause.to_string() }
+    move |cause| {
+        let is_stopped = cause.sqlite_error_code() == Some(ErrorCode::OperationInterrupted);
+        let cause = if is_stopped { guard::STOPPED.to_owned() } else { cause.to_string() };
+        Error::Database { path: path.to_owned(), cause }
+    }
 }
 
 /// `count` little-endian numbers, if the bytes are just that and the numbers finite.

@@ -11,6 +11,8 @@ use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 /// Ends the name of a file or folder that is being written.
 const PART: &str = ".tiepoint-part";
@@ -18,6 +20,28 @@ const PART: &str = ".tiepoint-part";
 const MAX_NAME_BYTES: usize = 200;
 /// Links are followed so far, as Linux does.
 const MAX_LINKS: usize = 40;
+
+/// How long a change is tried again, and how long between: scanners of Windows have a new file open for so long.
+const PATIENCE: Duration = Duration::from_secs(2);
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// Makes a change that somebody may hold up who has the file, or one in the folder, open: on Windows such a file can be neither
+/// renamed nor removed, nor the folder that it is in.
+fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    let start = Instant::now();
+    loop {
+        match change() {
+            Err(cause)
+                if is_held_up
+                    && cause.kind() == io::ErrorKind::PermissionDenied
+                    && start.elapsed() < PATIENCE =>
+            {
+                thread::sleep(PAUSE);
+            }
+            done => return done,
+        }
+    }
+}
 
 /// A change of the file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -138,7 +162,7 @@ pub fn copy_new(from: &Path, to: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     before(Operation::Rename, to)?;
-    fs::rename(from, to)
+    patiently(cfg!(windows), || fs::rename(from, to))
 }
 
 /// Removes a file, if it is there.
@@ -148,7 +172,7 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn remove_file(path: &Path) -> io::Result<()> {
     before(Operation::Remove, path)?;
-    match fs::remove_file(path) {
+    match patiently(cfg!(windows), || fs::remove_file(path)) {
         Err(cause) if cause.kind() != io::ErrorKind::NotFound => Err(cause),
         _ => Ok(()),
     }
@@ -161,7 +185,7 @@ pub fn remove_file(path: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn remove_empty_folder(path: &Path) -> io::Result<()> {
     before(Operation::Remove, path)?;
-    match fs::remove_dir(path) {
+    match patiently(cfg!(windows), || fs::remove_dir(path)) {
         Err(cause) if !matches!(cause.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
             Err(cause)
         }
@@ -289,5 +313,27 @@ impl FileId {
         }
         #[cfg(not(unix))]
         path.canonicalize().ok().map(Self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_holds_a_file_open_is_waited_for() {
+        let mut tries = 0;
+        let mut change = |is_held_up, kind, passes: usize| {
+            tries = 0;
+            patiently(is_held_up, || {
+                tries += 1;
+                if tries > passes { Ok(tries) } else { Err(io::Error::from(kind)) }
+            })
+        };
+        let denied = io::ErrorKind::PermissionDenied;
+        assert_eq!(change(true, denied, 3).unwrap(), 4);
+        assert_eq!(change(false, denied, 1).unwrap_err().kind(), denied);
+        let missing = io::ErrorKind::NotFound;
+        assert_eq!(change(true, missing, 1).unwrap_err().kind(), missing);
     }
 }
