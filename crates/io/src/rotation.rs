@@ -25,7 +25,8 @@ pub(crate) fn from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, S
 /// The rotation nearest to a matrix that is one but for rounding.
 pub(crate) fn from_matrix(matrix: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
     // The decomposition goes round for ever where squares overflow; no entry of a rotation is above 1.
-    if !(matrix.amax() <= 1.0 + MAX_MATRIX_DEVIATION) {
+    // What is no number is nowhere near one.
+    if matrix.amax().is_nan() || matrix.amax() > 1.0 + MAX_MATRIX_DEVIATION {
         return Err("the matrix is no rotation".to_owned());
     }
     let svd = matrix.svd(true, true);

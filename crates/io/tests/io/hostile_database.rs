@@ -1,6 +1,5 @@
 //! Databases of strangers: what SQLite would execute is refused, and what leads in circles ends.
 #![cfg(feature = "database")]
-#![allow(clippy::unwrap_used)]
 
 use std::path::Path;
 use std::time::{Duration, Instant};

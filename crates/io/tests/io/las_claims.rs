@@ -1,6 +1,5 @@
 //! LAS and LAZ files of a few kilobytes that claim gigabytes are refused, and soon.
 #![cfg(feature = "las")]
-#![allow(clippy::unwrap_used)]
 
 use las::point::Format;
 use las::{Builder, Color, Point, Writer};

@@ -1,5 +1,4 @@
 //! Images that claim more than they hold, or more than anybody's photos have, are refused before memory is set aside.
-#![allow(clippy::unwrap_used)]
 
 use std::fs;
 use std::io::Cursor;

@@ -1,5 +1,4 @@
 //! Numbers that would become NaN, never come to an end or overflow are refused where they are read or written.
-#![allow(clippy::unwrap_used)]
 
 use std::path::Path;
 
