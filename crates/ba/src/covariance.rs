@@ -12,7 +12,7 @@ use crate::options::LinearSolver;
 use crate::problem::Problem;
 use crate::reduced::Eliminated;
 use crate::schur::SchurSystem;
-use crate::structure::NONE;
+use crate::structure::{Cell, NONE};
 use crate::summary::Times;
 use crate::system::System;
 use crate::variable::{AnyKey, Role};
@@ -63,7 +63,7 @@ impl Problem {
         }
         let mut system = SchurSystem::new(self, LinearSolver::Auto, 0)?;
         let linearised = system.linearize(self, &self.values, 0.0, &mut Times::default());
-        crate::solver::check_finite(self, &linearised)?;
+        linearised.check_finite(self)?;
         let columns = system.structure.columns;
         let undetermined = |key: &AnyKey| Error::Undetermined { variable: key.type_name, slot: key.slot };
         let Some(first_key) = keys.first() else {
@@ -72,38 +72,18 @@ impl Problem {
         // All of the system has to be solvable, wherever the trouble is.
         let rest = Eliminated { structure: &system.structure, memory: &system.memory };
         system.reduced.factorise(rest).map_err(|_| undetermined(first_key))?;
-        // Aᵀ, a column for each direction that was asked for; and the part that is the eliminated variables' own.
-        let total = first[keys.len()];
-        let mut a = DMatrix::zeros(columns, total);
-        let mut own = DMatrix::zeros(total, total);
-        let mut information = vec![0.0; total];
+        let mut parts = Parts::new(columns, first[keys.len()]);
         for (key, &at) in keys.iter().zip(&first) {
             let (store, slot) = self.locate(key)?;
             let meta = self.metas[store][slot];
-            if meta.role == Role::Eliminated && meta.free != 0 {
-                eliminated_columns(&system, (store, slot), meta.free, at, &mut a, &mut own, &mut information)
-                    .ok_or_else(|| undetermined(key))?;
-                continue;
-            }
-            let place = system.structure.places[store][slot];
-            if place.block == NONE {
-                continue;
-            }
-            let block = &system.structure.blocks[place.block as usize];
-            for (column, i) in block.free_columns().enumerate() {
-                let dof = self.values.stores[store].dof();
-                if let Some(direction) =
-                    i.checked_sub(place.offset as usize).filter(|&direction| direction < dof)
-                {
-                    a[(block.reduced + column, at + direction)] = 1.0;
-                    let diagonal = system.reduced.diagonal[block.at + i];
-                    if diagonal <= 0.0 {
-                        return Err(undetermined(key));
-                    }
-                    information[at + direction] = diagonal;
-                }
-            }
+            let is_determined = if meta.role == Role::Eliminated && meta.free != 0 {
+                parts.add_eliminated(&system, (store, slot), meta.free, at)
+            } else {
+                parts.add_kept(&system, (store, slot), self.values.stores[store].dof(), at)
+            };
+            is_determined.ok_or_else(|| undetermined(key))?;
         }
+        let Parts { a, own, information } = parts;
         let mut x = a.clone();
         system.reduced.solve_columns(rest, x.as_mut_slice());
         let matrix = a.transpose() * x + own;
@@ -118,54 +98,99 @@ impl Problem {
     }
 }
 
-/// A_pᵀ of an eliminated variable, its own (LLᵀ)⁻¹ and the diagonal of its V. `None` when nothing determines it.
-fn eliminated_columns(
-    system: &SchurSystem,
-    (store, slot): (usize, usize),
-    free: u64,
-    at: usize,
-    a: &mut DMatrix<f64>,
-    own: &mut DMatrix<f64>,
-    information: &mut [f64],
-) -> Option<()> {
-    let structure = &system.structure;
-    let (chunk, cell) = structure.chunks.iter().find_map(|chunk| {
-        let is_it = |cell: &&crate::structure::Cell| {
-            cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot)
-        };
-        chunk.cells.iter().find(is_it).map(|cell| (chunk, cell))
-    })?;
-    let p = cell.dof as usize;
-    let stash = CellStash::of(&system.memory, cell, chunk);
-    let factor = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
-    let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
-    // A direction that is held has a one on V's diagonal, for want of anything else, and no variance.
-    let moves = |k: usize| free >> k & 1 == 1;
-    for k in (0..p).filter(|&k| moves(k)) {
-        let diagonal = stash.diagonal(k, 0.0);
-        if diagonal <= 0.0 {
-            return None;
+/// What covariances are put together from.
+struct Parts {
+    /// Aᵀ, a column for each direction that was asked for.
+    a: DMatrix<f64>,
+    /// What is the eliminated variables' own.
+    own: DMatrix<f64>,
+    /// Of each direction, were all other variables known.
+    information: Vec<f64>,
+}
+
+impl Parts {
+    /// For a reduced system of so many columns, and so many directions.
+    fn new(columns: usize, directions: usize) -> Self {
+        Self {
+            a: DMatrix::zeros(columns, directions),
+            own: DMatrix::zeros(directions, directions),
+            information: vec![0.0; directions],
         }
-        information[at + k] = diagonal;
     }
-    let pattern = &chunk.patterns[cell.pattern as usize];
-    for local in &chunk.pattern_locals[pattern.locals.clone()] {
-        let touched = chunk.blocks.binary_search_by_key(&local.at, |block| block.1);
-        let block = chunk.blocks[touched.expect("a cell's blocks are among its chunk's")].0;
-        let block = &structure.blocks[block as usize];
+
+    /// The columns of a kept variable, whose directions begin at `at`. `None` when nothing determines one of them.
+    fn add_kept(
+        &mut self,
+        system: &SchurSystem,
+        (store, slot): (usize, usize),
+        dof: usize,
+        at: usize,
+    ) -> Option<()> {
+        let place = system.structure.places[store][slot];
+        if place.block == NONE {
+            return Some(());
+        }
+        let block = &system.structure.blocks[place.block as usize];
         for (column, i) in block.free_columns().enumerate() {
-            for k in 0..p {
-                let sum: f64 =
-                    (k..p).map(|j| inverse[(j, k)] * stash.y.get(p * local.dense + j * local.dof + i)).sum();
-                a[(block.reduced + column, at + k)] = -sum;
+            let direction = i.checked_sub(place.offset as usize).filter(|&direction| direction < dof);
+            if let Some(direction) = direction {
+                self.a[(block.reduced + column, at + direction)] = 1.0;
+                let diagonal = system.reduced.diagonal[block.at + i];
+                if diagonal <= 0.0 {
+                    return None;
+                }
+                self.information[at + direction] = diagonal;
             }
         }
+        Some(())
     }
-    let v = inverse.transpose() * inverse;
-    for i in (0..p).filter(|&i| moves(i)) {
-        for j in (0..p).filter(|&j| moves(j)) {
-            own[(at + i, at + j)] = v[(i, j)];
+
+    /// A_pᵀ of an eliminated variable, its own (LLᵀ)⁻¹ and the diagonal of its V. `None` when nothing determines it.
+    fn add_eliminated(
+        &mut self,
+        system: &SchurSystem,
+        (store, slot): (usize, usize),
+        free: u64,
+        at: usize,
+    ) -> Option<()> {
+        let structure = &system.structure;
+        let (chunk, cell) = structure.chunks.iter().find_map(|chunk| {
+            let is_it =
+                |cell: &&Cell| cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot);
+            chunk.cells.iter().find(is_it).map(|cell| (chunk, cell))
+        })?;
+        let p = cell.dof as usize;
+        let stash = CellStash::of(&system.memory, cell, chunk);
+        let factor = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
+        let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
+        // A direction that is held has a one on V's diagonal, for want of anything else, and no variance.
+        let moves = |k: usize| free >> k & 1 == 1;
+        for k in (0..p).filter(|&k| moves(k)) {
+            let diagonal = stash.diagonal(k, 0.0);
+            if diagonal <= 0.0 {
+                return None;
+            }
+            self.information[at + k] = diagonal;
         }
+        for local in chunk.patterns.locals_of(cell) {
+            let touched = chunk.blocks.binary_search_by_key(&local.at, |block| block.1);
+            let block = chunk.blocks[touched.expect("a cell's blocks are among its chunk's")].0;
+            let block = &structure.blocks[block as usize];
+            for (column, i) in block.free_columns().enumerate() {
+                for k in 0..p {
+                    let sum: f64 = (k..p)
+                        .map(|j| inverse[(j, k)] * stash.y.get(p * local.dense + j * local.dof + i))
+                        .sum();
+                    self.a[(block.reduced + column, at + k)] = -sum;
+                }
+            }
+        }
+        let v = inverse.transpose() * inverse;
+        for i in (0..p).filter(|&i| moves(i)) {
+            for j in (0..p).filter(|&j| moves(j)) {
+                self.own[(at + i, at + j)] = v[(i, j)];
+            }
+        }
+        Some(())
     }
-    Some(())
 }

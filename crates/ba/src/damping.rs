@@ -51,3 +51,10 @@ impl Damping {
         self.lambda > RANGE.1
     }
 }
+
+/// λD of a direction with this entry on the diagonal of JᵀJ: Marquardt's scaling, which makes the step independent of units. A
+/// direction that no factor sees gets a one for now, and stays where it is.
+#[inline(always)]
+pub(crate) fn marquardt(diagonal: f64, lambda: f64) -> f64 {
+    if diagonal > 0.0 { lambda * diagonal } else { 1.0 }
+}

@@ -1,9 +1,9 @@
 #![doc = include_str!("../README.md")]
 
 mod autodiff;
-mod carry;
 mod covariance;
 mod damping;
+mod descent;
 mod eliminate;
 mod error;
 mod factor;
@@ -14,9 +14,11 @@ mod problem;
 mod qr;
 mod reduced;
 mod refine;
+mod retraction;
 mod run;
 mod schur;
 mod solver;
+mod spanning_tree;
 mod structure;
 mod summary;
 mod system;
@@ -30,7 +32,9 @@ pub use factor::{Factor, IntoKeys, Linear, Refs, Vars};
 pub use nalgebra;
 pub use options::{LinearSolver, Options};
 pub use problem::{Cost, Problem};
+pub use retraction::{Moved, Retraction, Step, StepOf};
 pub use solver::Solver;
+pub use spanning_tree::SpanningTree;
 pub use summary::{IterationRecord, Summary, Termination, Times};
 pub use tiepoint_geometry::{Block, Loss, Manifold};
 pub use variable::{AnyKey, Key, Order};

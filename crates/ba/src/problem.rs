@@ -2,14 +2,14 @@
 
 use std::any::{TypeId, type_name};
 
-use nalgebra::{SVector, Vector3};
-use tiepoint_geometry::{Loss, Manifold, Rigid3};
+use nalgebra::SVector;
+use tiepoint_geometry::{Loss, Manifold};
 
-use crate::carry::Carriers;
 use crate::error::Error;
 use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
+use crate::retraction::Retraction;
 use crate::run::{AnyRun, Run};
-use crate::variable::{AnyKey, Key, MAX_DOF, Meta, Order, Role, Values, all_free};
+use crate::variable::{AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free};
 
 /// Variables on manifolds and factors between them: minimise Σ ½ ρ(|r|²).
 #[derive(Default)]
@@ -20,7 +20,8 @@ pub struct Problem {
     pub(crate) runs: Vec<Box<dyn AnyRun>>,
     /// Counts what a solver's structure depends on.
     pub(crate) revision: u64,
-    pub(crate) carriers: Carriers,
+    /// How steps move the variables, if not each by itself.
+    pub(crate) retraction: Option<Box<dyn Retraction>>,
 }
 
 /// The cost of all factors at the current values.
@@ -46,12 +47,7 @@ impl Problem {
     /// Adds a variable that is eliminated from the linear system before it is solved (Schur complement): one of many that
     /// share factors with few others and never with each other, such as a point. At most 6 degrees of freedom.
     pub fn eliminate<V: Manifold>(&mut self, value: V) -> Key<V> {
-        const {
-            assert!(
-                V::DOF <= crate::eliminate::MAX_ELIMINATED_DOF,
-                "too many degrees of freedom to eliminate"
-            )
-        };
+        const { assert!(V::DOF <= MAX_ELIMINATED_DOF, "too many degrees of freedom to eliminate") };
         self.insert(value, Role::Eliminated)
     }
 
@@ -97,20 +93,9 @@ impl Problem {
         Ok(())
     }
 
-    /// Lets steps carry along what hangs together: poses (`cam_from_world`) move relative to others that see the same points, and points
-    /// relative to a pose that sees them, so that a long chain bends where a step would tear it. To first order steps are the same; of a long
-    /// drive far fewer are needed. `sights` are which pose sees which point, as the factors have it; poses that are to hold still should do so
-    /// already. One of which only some directions are held moves along these by second order in the step.
-    pub fn carry(&mut self, sights: &[(Key<Rigid3>, Key<Vector3<f64>>)]) -> Result<(), Error> {
-        for &(pose, point) in sights {
-            self.locate(&pose.into())?;
-            self.locate(&point.into())?;
-        }
-        let slots: Vec<(u32, u32)> = sights.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
-        let poses = self.values.find(TypeId::of::<Rigid3>()).map(|store| &self.metas[store]);
-        let is_fixed = |slot: u32| poses.is_some_and(|poses| poses[slot as usize].free == 0);
-        self.carriers = Carriers::new(&slots, is_fixed);
-        Ok(())
+    /// Lets steps move the variables as `retraction` has it, from now on.
+    pub fn set_retraction(&mut self, retraction: impl Retraction + 'static) {
+        self.retraction = Some(Box::new(retraction));
     }
 
     /// Holds a variable constant. (A key of another problem that this one does not have is ignored.)

@@ -6,10 +6,10 @@ use std::time::Instant;
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsqCore;
 
-use crate::carry::Carry;
-use crate::eliminate::damping;
+use crate::damping::marquardt;
 use crate::error::Error;
 use crate::problem::Problem;
+use crate::retraction::Step;
 use crate::run::Rows;
 use crate::structure::{Elimination, Structure};
 use crate::summary::Times;
@@ -132,8 +132,8 @@ impl System for QrSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         let promise = self.step(lambda, times)?;
-        let step_at = &self.structure.step_at;
-        Carry { carriers: &problem.carriers, values, step: &self.step, step_at }.all(trial);
+        let step = Step { values, numbers: &self.step, at: &self.structure.step_at };
+        step.take(problem.retraction.as_deref(), trial);
         let cost = self.trial_cost(problem, trial, times);
         Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY), lost: 0 })
     }
@@ -154,7 +154,7 @@ impl QrSystem {
             right[(i, 0)] = -residual;
         }
         for (j, &diagonal) in diagonal.iter().enumerate() {
-            matrix[(self.rows + j, j)] = damping(diagonal, lambda).sqrt();
+            matrix[(self.rows + j, j)] = marquardt(diagonal, lambda).sqrt();
         }
         matrix.col_piv_qr().solve_lstsq_in_place_with_conj(faer::Conj::No, right.as_mut());
         let [mut g_step, mut damped] = [0.0; 2];

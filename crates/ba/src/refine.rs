@@ -7,12 +7,11 @@
 
 use std::ops::Range;
 
+use crate::damping::marquardt;
 use crate::eliminate::Sums;
-use crate::eliminate::damping;
 use crate::problem::Problem;
-use crate::run::Rows;
-use crate::schur::{SchurSystem, survives};
-use crate::structure::{Batch, Cell, Chunk, NO_OWN, Structure};
+use crate::run::{Rows, survives};
+use crate::structure::{Batch, Cell, Chunk, NO_OWN, Structure, for_chunks};
 use crate::variable::{FIXED, Values};
 
 /// λ of these steps: against singular blocks, not for caution.
@@ -52,7 +51,7 @@ pub(crate) struct Part {
 
 impl Refine {
     pub(crate) fn new(problem: &Problem, structure: &Structure, rounds: usize) -> Self {
-        let part = |chunk: &Chunk| Part { costs: vec![0.0; chunk.factors.len()], ..Part::default() };
+        let part = |chunk: &Chunk| Part { costs: vec![0.0; chunk.factors.numbers.len()], ..Part::default() };
         let mut this = Self {
             rounds,
             chunks: structure.chunks.iter().map(part).collect(),
@@ -105,7 +104,7 @@ impl Refine {
     ) {
         let refine = self.rounds > 0;
         let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
-        SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
             if refine {
                 part.active.iter_mut().zip(&chunk.cells).for_each(|(active, cell)| *active = cell.dof > 0);
                 part.step(problem, trial, chunk, steps, true);
@@ -113,7 +112,7 @@ impl Refine {
             for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN) {
                 let range = stretch.start..stretch.end;
                 let run = &problem.runs[stretch.run as usize];
-                run.costs(trial, &chunk.factors[range.start..], &mut part.costs[range]);
+                run.costs(trial, &chunk.factors.numbers[range.start..], &mut part.costs[range]);
             }
             part.sum(&sums.costs);
         });
@@ -138,7 +137,7 @@ impl Refine {
             if round > 0 {
                 let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
                 let from: &Values = trial;
-                SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
+                for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, _)| {
                     part.step(problem, from, chunk, steps, false);
                 });
             }
@@ -151,7 +150,7 @@ impl Refine {
             }
             let to: &Values = trial;
             let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
-            SchurSystem::for_chunks(&structure.chunks, &mut tasks, |chunk, (part, _, sums)| {
+            for_chunks(&structure.chunks, &mut tasks, |chunk, (part, _, sums)| {
                 part.judge(problem, to, chunk, &sums.costs, worth);
             });
             for (part, chunk) in self.chunks.iter().zip(&structure.chunks) {
@@ -252,7 +251,7 @@ impl Part {
                         &mut self.next_costs[range.start - factors.start..range.end - factors.start]
                     };
                     let rows = Rows { rows: &mut self.rows[at..at + len], costs };
-                    run.linearize_own(own, from, &chunk.factors[range.start..], rows);
+                    run.linearize_own(own, from, &chunk.factors.numbers[range.start..], rows);
                     at += len;
                 }
                 let mut rows = &mut self.rows[..at];
@@ -286,7 +285,7 @@ impl Part {
                 for (run, _, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
                     let costs = &mut self.next_costs[range.start - factors.start..range.end - factors.start];
-                    run.costs(to, &chunk.factors[range.start..], costs);
+                    run.costs(to, &chunk.factors.numbers[range.start..], costs);
                 }
                 for cell in cells {
                     let range = start..chunk.cells[cell].end as usize;
@@ -317,8 +316,8 @@ impl Part {
 /// The Gauss-Newton step of one variable. Gives the length of its factors' rows.
 fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f64], to: &mut [f64]) -> usize {
     let (mut v, mut g, mut at) = ([[0.0; P]; P], [0.0; P], 0);
-    for &shape in &chunk.shape_of[first..cell.end as usize] {
-        let shape = &chunk.shapes[shape as usize];
+    for &shape in &chunk.factors.shape_of[first..cell.end as usize] {
+        let shape = &chunk.factors.shapes[shape as usize];
         let rows = &mut rows[at..][..shape.rows * (P + 1)];
         at += rows.len();
         for held in
@@ -336,7 +335,7 @@ fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f6
         }
     }
     for i in 0..P {
-        v[i][i] += damping(v[i][i], LAMBDA);
+        v[i][i] += marquardt(v[i][i], LAMBDA);
     }
     // V = L D Lᵀ with ones on the diagonal of L: without square roots, which so short a loop hangs on. Meanwhile L⁻¹ g.
     let mut inverse = [0.0; P];

@@ -12,6 +12,11 @@ use crate::variable::Values;
 /// Cost of a factor that does not exist at these values ([`Factor::residual`] gave `None`).
 pub(crate) const NO_COST: f64 = f64::NAN;
 
+/// Whether a factor that had the one cost still exists with the other.
+pub(crate) fn survives(before: f64, after: f64) -> bool {
+    before.is_nan() || after.is_finite()
+}
+
 /// In place of the number of one variable: all of them.
 const ALL: usize = usize::MAX;
 

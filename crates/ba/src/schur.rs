@@ -3,9 +3,6 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use rayon::prelude::*;
-
-use crate::carry::Carry;
 use crate::eliminate::Sums;
 use crate::error::Error;
 use crate::memory::Memory;
@@ -13,7 +10,9 @@ use crate::options::LinearSolver;
 use crate::problem::Problem;
 use crate::reduced::{Columns, Conjugate, Dense, Eliminated, Factorisation, Reduced, Sparse};
 use crate::refine::Refine;
-use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure};
+use crate::retraction::Step;
+use crate::run::survives;
+use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure, for_chunks};
 use crate::summary::Times;
 use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
@@ -111,19 +110,6 @@ impl SchurSystem {
         if shared { rayon::scope(|_| work()) } else { work() }
     }
 
-    /// Runs `work` on every chunk, in parallel if there are several.
-    pub(crate) fn for_chunks<T: Send>(
-        chunks: &[Chunk],
-        items: &mut [T],
-        work: impl Fn(&Chunk, &mut T) + Sync,
-    ) {
-        if chunks.len() > 1 {
-            chunks.par_iter().zip(items).with_max_len(1).for_each(|(chunk, item)| work(chunk, item));
-        } else {
-            chunks.iter().zip(items).for_each(|(chunk, item)| work(chunk, item));
-        }
-    }
-
     /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of those that live no longer
     /// even so. Gives how many those are; `None` where a factor of kept variables alone is ended, or one is not finite.
     fn rescue(
@@ -146,8 +132,8 @@ impl SchurSystem {
             if this.cells[cell].dof == 0 {
                 return None;
             }
-            let carry = Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at };
-            if !shorten(problem, &carry, trial, this, cell, (counted, costs)) {
+            let step = Step { values, numbers: step, at: &structure.step_at };
+            if !shorten(problem, &step, trial, this, cell, (counted, costs)) {
                 lost += let_go(this.factors_of(cell), counted, costs)?;
             }
             refine.leave_out(chunk, cell, structure);
@@ -160,7 +146,7 @@ impl SchurSystem {
 /// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
 fn shorten(
     problem: &Problem,
-    carry: &Carry,
+    step: &Step<'_>,
     trial: &mut Values,
     chunk: &Chunk,
     cell: usize,
@@ -168,15 +154,15 @@ fn shorten(
 ) -> bool {
     let factors = chunk.factors_of(cell);
     let cell = &chunk.cells[cell];
-    let step = &carry.step[cell.step..][..cell.dof as usize];
-    let (store, slot) = (cell.store as usize, cell.slot as usize);
+    let tangent = &step.numbers[cell.step..][..cell.dof as usize];
+    let variable = (cell.store as usize, cell.slot as usize);
     for halving in 1..=HALVINGS {
         let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
-        let shorter: Vec<f64> = step.iter().map(|step| step * scale).collect();
-        carry.one(trial, store, slot, &shorter);
+        let shorter: Vec<f64> = tangent.iter().map(|step| step * scale).collect();
+        step.take_one(problem.retraction.as_deref(), variable, &shorter, trial);
         for i in factors.clone() {
             let run = chunk.run_of(i);
-            let at = chunk.factors[i];
+            let at = chunk.factors.numbers[i];
             problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
         }
         if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {
@@ -200,11 +186,6 @@ fn let_go(factors: Range<usize>, before: &[f64], after: &mut [f64]) -> Option<us
         }
     }
     Some(lost)
-}
-
-/// Whether a factor that had the one cost still exists with the other.
-pub(crate) fn survives(before: f64, after: f64) -> bool {
-    before.is_nan() || after.is_finite()
 }
 
 fn prefers_dense(structure: &Structure) -> bool {
@@ -252,7 +233,8 @@ impl System for SchurSystem {
             let promise = self.step(lambda, times)?;
             let begin = Instant::now();
             let Self { structure, step, .. } = self;
-            Carry { carriers: &problem.carriers, values, step, step_at: &structure.step_at }.all(trial);
+            let step = Step { values, numbers: step, at: &structure.step_at };
+            step.take(problem.retraction.as_deref(), trial);
             times.back_substitute += begin.elapsed();
             let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
             Some(Attempt { promise, cost, lost })
@@ -282,7 +264,7 @@ impl SchurSystem {
             tasks.push((sums, memory));
             rest = others;
         }
-        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
             sums.linearize(memory, problem, values, chunk, lambda);
         });
         let middle = Instant::now();
@@ -325,7 +307,7 @@ impl SchurSystem {
             rest = others;
         }
         let (memory, block_at) = (&self.memory, &self.block_at);
-        Self::for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
+        for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
             *promise = Sums::back_substitute(memory, chunk, kept, block_at, lambda, steps);
         });
         // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).

@@ -1,5 +1,6 @@
 //! What the Levenberg-Marquardt loop asks of a linear solver.
 
+use crate::error::Error;
 use crate::problem::Problem;
 use crate::summary::Times;
 use crate::variable::Values;
@@ -12,6 +13,23 @@ pub(crate) struct Linearised {
     pub(crate) missing: usize,
     /// Largest component of the gradient; not finite when some number in the system is not.
     pub(crate) gradient_max: f64,
+}
+
+impl Linearised {
+    /// Which factor is to blame where a number is not finite.
+    pub(crate) fn check_finite(&self, problem: &Problem) -> Result<(), Error> {
+        if self.cost.is_finite() && self.gradient_max.is_finite() {
+            return Ok(());
+        }
+        for run in &problem.runs {
+            if let Some((index, what, value)) = run.find_not_finite(&problem.values) {
+                return Err(Error::NotFinite { factor: run.factor_type(), index, what, value });
+            }
+        }
+        // Every number and its square are finite, yet their sum is not.
+        let factor = problem.runs.first().map_or("", |run| run.factor_type());
+        Err(Error::NotFinite { factor, index: 0, what: "sum of squares", value: self.cost })
+    }
 }
 
 pub(crate) trait System: Send {

@@ -9,6 +9,8 @@ use tiepoint_geometry::{Block, Manifold};
 
 /// Degrees of freedom of one variable: the set of free directions is a 64-bit mask.
 pub(crate) const MAX_DOF: usize = 64;
+/// Largest variable that can be eliminated: beyond, the reduced system is the better place.
+pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
 /// Stores longer than this are moved in parallel: below, waking a thread costs more than the work.
 pub(crate) const PARALLEL_VALUES: usize = 4_000;
@@ -68,6 +70,13 @@ pub struct AnyKey {
     pub(crate) type_id: TypeId,
     pub(crate) type_name: &'static str,
     pub(crate) slot: u32,
+}
+
+impl AnyKey {
+    /// The key with its type; `None` where it is another one.
+    pub fn typed<V: Manifold>(&self) -> Option<Key<V>> {
+        (self.type_id == TypeId::of::<V>()).then(|| Key::new(self.slot))
+    }
 }
 
 impl<V: Manifold> From<Key<V>> for AnyKey {
@@ -197,6 +206,21 @@ impl Values {
     /// All values of type `V`, given the number of their store.
     pub(crate) fn slice<V: Manifold>(&self, store: u16) -> &[V] {
         typed(&*self.stores[store as usize])
+    }
+
+    /// The key of a variable, given the number of its store.
+    pub(crate) fn key(&self, store: usize, slot: usize) -> AnyKey {
+        let (type_id, type_name) = self.stores[store].value_type();
+        AnyKey { type_id, type_name, slot: slot as u32 }
+    }
+
+    /// All values of two types; `None` where one of them has no store, or they are the same.
+    pub(crate) fn two_mut<A: Manifold, B: Manifold>(&mut self) -> Option<(&mut [A], &mut [B])> {
+        let stores = [self.find(TypeId::of::<A>())?, self.find(TypeId::of::<B>())?];
+        let [a, b] = self.stores.get_disjoint_mut(stores).ok()?;
+        let a = a.as_any_mut().downcast_mut::<Store<A>>()?;
+        let b = b.as_any_mut().downcast_mut::<Store<B>>()?;
+        Some((&mut a.0, &mut b.0))
     }
 
     pub(crate) fn store_mut<V: Manifold>(&mut self) -> (usize, &mut Vec<V>) {

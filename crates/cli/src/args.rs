@@ -197,6 +197,9 @@ pub(crate) struct Adjust {
     /// Where to write the result, in the format of the input; without it, only the costs are told.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
+    /// Leave focal lengths and distortion as they are. (Those that a workspace was given with --intrinsics stay anyway.)
+    #[arg(long)]
+    pub(crate) fix_intrinsics: bool,
 }
 
 #[derive(Debug, Subcommand)]

@@ -56,11 +56,23 @@ impl Ring {
         self.next = first;
     }
 
-    /// The start of a row that is still held.
+    /// The start of a row that is still held. What lies behind it in memory may be read through the pointer.
     #[inline(always)]
     pub(crate) fn row(&self, y: usize) -> *const f32 {
+        self.from(y).as_ptr()
+    }
+
+    /// The values of a row that is still held.
+    #[inline(always)]
+    pub(crate) fn values(&self, y: usize) -> &[f32] {
+        &self.from(y)[..self.stride]
+    }
+
+    /// A row that is still held, and the memory behind it.
+    #[inline(always)]
+    fn from(&self, y: usize) -> &[f32] {
         debug_assert!(y < self.next && y + self.capacity >= self.next, "row {y} of {}", self.next);
-        &raw const self.buf.as_slice()[y % self.capacity * self.stride]
+        &self.buf.as_slice()[y % self.capacity * self.stride..]
     }
 
     /// The start of the row that is produced next, in place of the oldest one.
@@ -68,6 +80,37 @@ impl Ring {
     pub(crate) fn next_row(&mut self) -> *mut f32 {
         let at = self.next % self.capacity * self.stride;
         self.next += 1;
-        &raw mut self.buf.as_mut_slice()[at]
+        // The pointer is that of the slice and not of its first value, since whole rows are written through it.
+        self.buf.as_mut_slice()[at..].as_mut_ptr()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LINE, Ring};
+
+    /// Whole rows are written and read through the pointers: under Miri, they have to be those of rows and not of single values.
+    #[test]
+    fn rows_lie_behind_their_pointers() {
+        const STRIDE: usize = 2 * LINE;
+        let mut ring = Ring::default();
+        ring.reset(3, STRIDE, 5);
+        for y in 5..10 {
+            let row = ring.next_row();
+            for x in 0..STRIDE {
+                // SAFETY: a row has `STRIDE` values.
+                unsafe { *row.add(x) = (100 * y + x) as f32 };
+            }
+        }
+        for y in 7..10 {
+            let expected: Vec<f32> = (0..STRIDE).map(|x| (100 * y + x) as f32).collect();
+            assert_eq!(ring.values(y), expected);
+            // SAFETY: as above.
+            let read: Vec<f32> = (0..STRIDE).map(|x| unsafe { *ring.row(y).add(x) }).collect();
+            assert_eq!(read, expected);
+        }
+        // Of the first row in memory, the others may be read through the pointer too: kernels load beyond the end.
+        // SAFETY: row 9 is the first in memory and row 7 the second.
+        assert_eq!(unsafe { *ring.row(9).add(STRIDE) }, 700.0);
     }
 }

@@ -111,6 +111,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
     let (sin, cos) = (sin / cell, cos / cell);
     let radius = radius_of(frame.sigma);
     let (y_first, y_end) = window(frame.y, -radius, radius, level.height);
+    level.check_rows(y_first, y_end);
     let limit = S::splat(REACH);
     // exp(−(u² + v²) / (2 σ²)) with σ = half of the cells.
     let falloff = S::splat(0.5 / (CELLS as f32 / 2.0).powi(2));
@@ -119,7 +120,8 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
     for (i, lane) in lanes.iter_mut().enumerate() {
         *lane = i as f32;
     }
-    // SAFETY: loads and stores of arrays are of one vector each; samples are inside of the level's border; the indices
+    // SAFETY: loads and stores of arrays are of one vector each; rows are checked above, and columns are inside of the
+    // level's border; the indices
     // into the histogram are proven where they are computed.
     unsafe {
         let lanes = S::load(lanes.as_ptr());

@@ -104,8 +104,7 @@ impl Search<'_> {
     /// A difference at a sample of this tile or near it.
     #[inline(always)]
     fn at(&self, x: usize, y: usize, i: usize) -> f32 {
-        // SAFETY: callers stay within `REACH` samples of the tile and inside of the octave.
-        unsafe { *self.differences[i].row(y).add(x + self.origin - self.columns.0) }
+        self.differences[i].values(y)[x + self.origin - self.columns.0]
     }
 
     /// Whether a sample is strictly above or strictly below all its neighbours.

@@ -37,10 +37,22 @@ impl Level<'_> {
         S::prefetch(self.data.as_ptr().wrapping_add(at));
     }
 
+    /// Checks that gradients of rows `first..end` can be taken.
+    ///
+    /// # Panics
+    /// Where one of these rows, or the one above or below it, is not stored.
+    #[inline(always)]
+    pub(crate) fn check_rows(&self, first: usize, end: usize) {
+        if first < end {
+            let len = (end - self.first_row) * self.stride + self.width + LANES;
+            assert!(first > self.first_row && len <= self.data.len(), "rows {first}..{end} of a level");
+        }
+    }
+
     /// Central differences at the samples from (x, y) on.
     ///
     /// # Safety
-    /// (x, y) is neither in the first nor in the last column or row.
+    /// (x, y) is neither in the first nor in the last column, and [`check_rows`](Self::check_rows) has found row y.
     #[inline(always)]
     pub(crate) unsafe fn gradient<S: Simd>(&self, x: usize, y: usize) -> Gradient<S> {
         let at = (y - self.first_row) * self.stride + x;

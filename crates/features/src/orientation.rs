@@ -59,6 +59,7 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
     let reach = radius as usize;
     let (x_first, x_end) = (xi.saturating_sub(reach).max(1), (xi + reach + 1).min(level.width - 1));
     let (y_first, y_end) = (yi.saturating_sub(reach).max(1), (yi + reach + 1).min(level.height - 1));
+    level.check_rows(y_first, y_end);
     let limit = S::splat(radius * radius + 0.6);
     let falloff = S::splat(0.5 / (sigma * sigma));
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
@@ -66,7 +67,8 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
     for (i, lane) in lanes.iter_mut().enumerate() {
         *lane = i as f32;
     }
-    // SAFETY: all loads and stores below are of arrays of one vector, or of samples inside of the level's border.
+    // SAFETY: all loads and stores below are of arrays of one vector, or of samples in rows that are
+    // checked above and in columns inside of the level's border.
     unsafe {
         let lanes = S::load(lanes.as_ptr());
         for y in y_first..y_end {

@@ -6,6 +6,9 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::Loss;
 
+/// Most iterations of a local refinement.
+pub(crate) const MAX_LM_ITERATIONS: usize = 25;
+
 /// A least-squares problem over `N` local parameters.
 pub(crate) trait Problem<const N: usize> {
     /// What is optimised.

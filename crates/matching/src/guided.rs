@@ -8,9 +8,10 @@
 //! Candidates are found by strips: the second image is cut into strips across the line and each strip into cells, so that
 //! a line meets one short run of cells in every strip.
 
-use tiepoint_features::{Descriptor, Features, Keypoint};
+use tiepoint_features::{Features, Keypoint};
 
 use crate::brute::NearestBothWays;
+use crate::distance::squared_distance;
 use crate::matcher::select;
 use crate::matches::{Match, Nearest};
 use crate::options::Options;
@@ -154,11 +155,6 @@ fn line_in_b(f: &[[f64; 3]; 3], keypoint: &Keypoint) -> [f64; 3] {
 fn normal_squared_in_a(f: &[[f64; 3]; 3], keypoint: &Keypoint) -> f64 {
     let (x, y) = (f64::from(keypoint.x), f64::from(keypoint.y));
     (0..2).map(|k| (f[0][k] * x + f[1][k] * y + f[2][k]).powi(2)).sum()
-}
-
-/// Squared Euclidean distance, exact.
-pub(crate) fn squared_distance(a: &Descriptor, b: &Descriptor) -> u32 {
-    a.iter().zip(b).map(|(&x, &y)| u32::from(x.abs_diff(y)).pow(2)).sum()
 }
 
 #[cfg(test)]

@@ -2,12 +2,14 @@
 
 mod accept;
 mod brute;
+mod distance;
 mod error;
 mod forest;
 mod guided;
 mod matcher;
 mod matches;
 mod options;
+mod packed;
 mod pairs;
 mod prepared;
 mod random;

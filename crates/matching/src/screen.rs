@@ -10,7 +10,7 @@
 
 use tiepoint_features::Descriptor;
 
-use crate::prepared::Packed;
+use crate::packed::Packed;
 
 /// Groups of four coefficients.
 pub(crate) const SCREEN_GROUPS: usize = 14;
@@ -152,8 +152,8 @@ fn combine<const N: usize>(from: &[[f32; N]; 4], to: &mut [[f32; N]; 4]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::guided::squared_distance;
-    use crate::prepared::Vectors;
+    use crate::distance::squared_distance;
+    use crate::packed::Vectors;
     use crate::random::SplitMix64;
 
     #[test]

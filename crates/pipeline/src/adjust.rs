@@ -11,9 +11,10 @@ use tiepoint_sfm::ba::{Key, Order, Problem, Solver, Summary, Termination};
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
-use tiepoint_sfm::{self as sfm, AdjustOptions, Scope};
+use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
 
 use crate::export::{model_files, write_colmap};
+use crate::model_place::ModelPlace;
 use crate::output_file::write_file;
 use crate::{Error, Event, Watch, model_folder};
 
@@ -55,20 +56,38 @@ pub struct AdjustStep {
 const MAX_ITERATIONS: usize = 100;
 
 /// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result to `output` in the format of
-/// the input.
-pub fn adjust(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+/// the input. With `fix_intrinsics` the cameras' intrinsics stay as they are; so do those that a workspace was given. Images in
+/// frames of a rig stay rigidly connected.
+///
+/// # Errors
+///
+/// Where the model cannot be read or adjusted, or the result cannot be written.
+pub fn adjust(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
     if path.is_dir() {
-        adjust_colmap(&model_folder(path)?, output, watch)
+        adjust_colmap(&model_folder(path)?, output, fix_intrinsics, watch)
     } else {
-        adjust_bal(path, output, watch)
+        adjust_bal(path, output, fix_intrinsics, watch)
     }
 }
 
-fn adjust_colmap(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+fn adjust_colmap(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
     let mut model = colmap::read_model(path)?;
-    let options = AdjustOptions { max_iterations: MAX_ITERATIONS, ..AdjustOptions::default() };
+    let defaults = AdjustOptions::default();
+    let are_known = fix_intrinsics || ModelPlace::of(path).has_known_intrinsics()?;
+    let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
+    let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();
-    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut |step| {
+    let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
     })?;
     let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
@@ -82,7 +101,12 @@ fn adjust_colmap(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adj
 
 /// Costs are those of the BAL paper: no robust loss, no priors, pixels. The camera looks down −z there; half a turn about x makes
 /// it ours.
-fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<AdjustReport, Error> {
+fn adjust_bal(
+    path: &Path,
+    output: Option<&Path>,
+    fix_intrinsics: bool,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
     let mut bal = Bal::read(path)?;
     let start = Instant::now();
     let mut problem = Problem::new();
@@ -95,9 +119,13 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
         let params = problem.keep(params, order);
         // The principal point is the origin.
         problem.fix_tangent(params, &[1, 2]).map_err(sfm::Error::from)?;
+        if fix_intrinsics {
+            problem.fix(params);
+        }
         cameras.push((params, problem.keep(Rigid3::new(rotation, half_turn * camera.translation), order)));
     }
-    hold_gauge(&mut problem, &cameras)?;
+    let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
+    sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)?;
     let points: Vec<Key<Vector3<f64>>> = bal.points.iter().map(|xyz| problem.eliminate(*xyz)).collect();
     for BalObservation { camera, point, pixel } in &bal.observations {
         let (params, pose) = cameras[*camera as usize];
@@ -126,24 +154,6 @@ fn adjust_bal(path: &Path, output: Option<&Path>, watch: Watch) -> Result<Adjust
         write_file(output, [path], None, |output| Ok(bal.write(output)?))?;
     }
     Ok(report)
-}
-
-/// Holds what no pixel depends on: the pose of the first camera, and the coordinate in which another's centre moves most when the
-/// world is scaled about the first.
-fn hold_gauge(problem: &mut Problem, cameras: &[(Key<SVector<f64, 5>>, Key<Rigid3>)]) -> Result<(), Error> {
-    let Some(&(_, first)) = cameras.first() else { return Ok(()) };
-    let centre = problem.get(first).origin_in_a();
-    problem.fix(first);
-    let baselines = cameras[1..].iter().map(|&(_, key)| {
-        let pose = problem.get(key);
-        (key, pose.rotation * (pose.origin_in_a() - centre))
-    });
-    let farthest = baselines.max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()));
-    if let Some((key, baseline)) = farthest {
-        // The tangent of a pose is its rotation, then how its centre moves in its frame.
-        problem.fix_tangent(key, &[3 + baseline.iamax()]).map_err(sfm::Error::from)?;
-    }
-    Ok(())
 }
 
 fn report(summary: &Summary, start: Instant, images: usize, points: usize) -> Result<AdjustReport, Error> {

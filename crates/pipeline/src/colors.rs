@@ -10,7 +10,10 @@ use crate::Error;
 use crate::ordered::for_each_in_order;
 
 /// Colours the points of all models from the photos; points of photos that are no longer there stay grey.
-pub(crate) fn color_points(inputs: &[PathBuf], models: &mut [Reconstruction]) -> Result<(), Error> {
+pub(crate) fn color_points<'a>(
+    inputs: &[PathBuf],
+    models: impl Iterator<Item = &'a mut Reconstruction>,
+) -> Result<(), Error> {
     let folder = ImageFolder::open(inputs, None)?;
     let by_name: BTreeMap<&str, usize> =
         folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();

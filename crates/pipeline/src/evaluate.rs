@@ -10,6 +10,7 @@ use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relati
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
+use crate::model_place::ModelPlace;
 use crate::output_folder::OutputFolder;
 use crate::workspace::{current_records, is_workspace};
 use crate::{Error, Stage, Workspace};
@@ -269,7 +270,7 @@ fn associate_images<'a>(
         TruthFormat::Tum => {
             let mut poses = trajectory::read_tum(path)?;
             poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-            let file = folder.join("../../timestamps.csv");
+            let file = ModelPlace::of(folder).timestamps();
             let times = timestamps::read(&file)?;
             let mut timed: Vec<(f64, &Image)> =
                 images.iter().filter_map(|image| Some((*times.get(&image.name)?, *image))).collect();

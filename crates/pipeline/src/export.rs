@@ -20,10 +20,11 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::Error;
 use crate::evaluate::{first_folder, model_folder};
 use crate::kalibr;
+use crate::model_place::ModelPlace;
 use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::{RIG, current_records, is_workspace};
+use crate::workspace::{current_records, is_workspace};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +119,7 @@ fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path
         ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
         ExportFormat::Nerfstudio => in_place = export_nerfstudio(from, model, to)?,
         ExportFormat::Kalibr => {
-            let (text, cameras) = kalibr::camchain(model, &folder.join("../..").join(RIG))?;
+            let (text, cameras) = kalibr::camchain(model, &ModelPlace::of(&folder).rig())?;
             let text = format!("{COMMENT_MARK}\n{text}");
             file(Some(COMMENT_MARK), &|to| {
                 Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
@@ -135,7 +136,7 @@ fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
-            let times = folder.join("../../timestamps.csv");
+            let times = ModelPlace::of(&folder).timestamps();
             let times = if times.is_file() { timestamps::read(&times)? } else { BTreeMap::new() };
             let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
                 Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })

@@ -114,6 +114,7 @@ mod tests {
             ..RigCamera::default()
         };
         let rig = RigFile {
+            bad_pairs: None,
             reference: "left".to_owned(),
             cameras: vec![camera("right", -0.5, 0.25), camera("rear", -0.5, -1.0)],
         };

@@ -14,6 +14,7 @@ mod kalibr;
 mod mapping;
 mod matching;
 mod metric;
+mod model_place;
 mod ordered;
 mod output_file;
 mod output_folder;

@@ -8,16 +8,19 @@ use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
-use tiepoint_sfm::{self as sfm, Finish, MapperOptions, RefineIntrinsics, RigTerm, VerifyOptions, rig_pairs};
+use tiepoint_sfm::{
+    self as sfm, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics, RigTerm,
+    VerifyOptions, rig_pairs,
+};
 
 use crate::colors::color_points;
 use crate::matching::keypoint;
 use crate::metric::{ScaleReport, scale_to_baseline};
+use crate::model_place::{model_path, rig_name};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
-use crate::rig_report::{Held, History, SplitReport};
-use crate::workspace::{POINTS, RIG, SPARSE};
+use crate::workspace::{POINTS, SPARSE};
 use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
 
 /// How to map.
@@ -68,9 +71,6 @@ pub fn map(
         return Err(Error::NoMotion { path: workspace.root().to_owned() });
     }
     let name = |id| scene.image(id).name.as_str();
-    let (mut began, mut bad_pairs, mut held) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut cameras, mut split, mut shutters) = (Vec::new(), None, Vec::new());
-    let (mut loops, mut failed) = (Vec::new(), Vec::new());
     let database = Database::open(&workspace.database())?;
     let mut unreadable = None;
     let mut descriptors = |image| match database.read_features(image) {
@@ -81,59 +81,33 @@ pub fn map(
         }
     };
     let mut models = sfm::map(&graph, &scene, &mut descriptors, &options, &mut |event| {
-        match event {
-            sfm::Event::Initialised { image1, image2, .. } => began.push((*image1, *image2)),
-            sfm::Event::BadPair { left, right } => bad_pairs.push((*left, *right)),
-            sfm::Event::Joined { .. } => {
-                held.clear();
-                bad_pairs.clear();
-            }
-            sfm::Event::Shutter(shutter) => shutters.push(*shutter),
-            sfm::Event::LoopClosed { num_pairs } => {
-                loops.extend(began.last().map(|&(image, _)| (image, *num_pairs)));
-            }
-            sfm::Event::Failed { finish, why } => {
-                if *finish == Finish::Held {
-                    (cameras, split) = (Vec::new(), None);
-                }
-                failed.extend(began.last().map(|&(image, _)| (image, what_failed(*finish, why))));
-            }
-            sfm::Event::SplitClosed { num_images, num_pairs } => {
-                split = Some(SplitReport { images: *num_images, pairs_matched_again: *num_pairs });
-            }
-            sfm::Event::MountedCamera(camera) => cameras.push((**camera).clone()),
-            sfm::Event::Mounted { hold, error_off_px, error_px, .. } => {
-                let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
-                let (cameras, split) = (std::mem::take(&mut cameras), split.take());
-                held.push(Held { hold, error_off_px, error_px, cameras, split });
-            }
-            _ => {}
-        }
         translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     })?;
     if let Some(error) = unreadable {
         return Err(error.into());
     }
     database.finish()?;
-    if let Err(error) = color_points(&workspace.records.inputs, &mut models) {
+    if let Err(error) =
+        color_points(&workspace.records.inputs, models.iter_mut().map(|model| &mut model.reconstruction))
+    {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
-    let scales = baseline_m.map(|baseline_m| scale_to_baseline(&mut models, &mut held, baseline_m));
-    let scales: Vec<Option<ScaleReport>> =
-        scales.map_or(vec![None; models.len()], |scales| scales.into_iter().map(Some).collect());
-    let history = History { began, bad_pairs, held };
-    let staged = stage_models(workspace, &models, &history)?;
-    let paths = (0..models.len()).map(model_path);
-    let all = paths.zip(&models).zip(scales);
-    let reports = all.map(|((path, model), scale)| {
+    let scales: Vec<Option<ScaleReport>> = match baseline_m {
+        Some(baseline_m) => scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect(),
+        None => vec![None; models.len()],
+    };
+    let staged = stage_models(workspace, &models)?;
+    let reports = models.iter().zip(scales).enumerate();
+    let reports = reports.map(|(index, (model, scale))| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
-        let rig = RigReport::new(options.rig, model, &history, metres_per_unit);
-        let is_here = |image: ImageId| model.image(image).cam_from_world().is_some();
-        let loop_pairs = loops.iter().filter(|(image, _)| is_here(*image)).map(|(_, pairs)| pairs).sum();
-        let failed =
-            failed.iter().filter(|(image, _)| is_here(*image)).map(|(_, what)| what.clone()).collect();
-        ModelReport { scale, loop_pairs, failed, ..ModelReport::new(path, model, &shutters, rig) }
+        ModelReport {
+            scale,
+            loop_pairs: model.num_loop_pairs,
+            failed: model.failures.iter().map(what_failed).collect(),
+            rig: RigReport::new(options.rig, model, metres_per_unit),
+            ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
+        }
     });
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
@@ -147,10 +121,10 @@ pub fn map(
 }
 
 /// A sentence.
-fn what_failed(finish: Finish, why: &str) -> String {
-    let what = match finish {
-        Finish::Straightened => "what a rolling shutter did could not be taken off the keypoints",
-        Finish::Held => "the cameras could not be held to each other",
+fn what_failed(Failure { stage, why }: &Failure) -> String {
+    let what = match stage {
+        OptionalStage::RollingShutter => "what a rolling shutter did could not be taken off the keypoints",
+        OptionalStage::Rig => "the cameras could not be held to each other",
     };
     format!("{what}, and the model is as it was before: {why}")
 }
@@ -196,13 +170,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // These are for the report.
-        sfm::Event::BadPair { .. }
-        | sfm::Event::Failed { .. }
-        | sfm::Event::Joined { .. }
-        | sfm::Event::Shutter(_)
-        | sfm::Event::SplitClosed { .. }
-        | sfm::Event::MountedCamera(_)
-        | sfm::Event::Mounted { .. } => return None,
+        sfm::Event::Failed(_) | sfm::Event::Joined { .. } => return None,
     })
 }
 
@@ -226,11 +194,6 @@ fn is_timed(scene: &Reconstruction) -> bool {
     scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
-/// The folder of a model, relative to the workspace.
-fn model_path(index: usize) -> String {
-    format!("{SPARSE}/{index}")
-}
-
 /// What new models take the place of: all files of models that are there, and what tells of them.
 fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let prefix = format!("{SPARSE}/");
@@ -238,28 +201,118 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let mut names: BTreeSet<String> = earlier.map(str::to_owned).collect();
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
-    names.extend([POINTS, RIG].map(str::to_owned));
+    names.insert(POINTS.to_owned());
+    let num_models = (0..).take_while(|index| workspace.root().join(model_path(*index)).is_dir()).count();
+    names.extend((0..num_models.max(1)).map(rig_name));
     names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
     names.into_iter().collect()
 }
 
-/// Writes all models, the cloud of the largest, and its rig where cameras are held to each other. Gives the files' names.
-fn stage_models(
-    workspace: &Workspace,
-    models: &[Reconstruction],
-    history: &History,
-) -> Result<Vec<String>, Error> {
+/// Writes all models with the rigs of those whose cameras are held to each other, and the cloud of the largest. Gives the files'
+/// names.
+fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<String>, Error> {
     let mut names = Vec::new();
     let Some(largest) = models.first() else { return Ok(names) };
-    ply::write(&workspace.folder.stage(POINTS)?, &ply::points(largest))?;
+    ply::write(&workspace.folder.stage(POINTS)?, &ply::points(&largest.reconstruction))?;
     names.push(POINTS.to_owned());
-    let held = history.held.first();
-    if let Some(rig) = held.and_then(|held| RigFile::new(largest, &held.cameras)) {
-        workspace.folder.stage_bytes(RIG, &json(&rig))?;
-        names.push(RIG.to_owned());
-    }
-    for (index, model) in models.iter().enumerate() {
-        names.extend(workspace.folder.stage_model(Some(&model_path(index)), model, Format::Binary)?);
+    for (index, MappedModel { reconstruction, rig, .. }) in models.iter().enumerate() {
+        if let Some(rig) = rig.as_ref().and_then(|rig| RigFile::new(reconstruction, rig)) {
+            let name = rig_name(index);
+            workspace.folder.stage_bytes(&name, &json(&rig))?;
+            names.push(name);
+        }
+        names.extend(workspace.folder.stage_model(
+            Some(&model_path(index)),
+            reconstruction,
+            Format::Binary,
+        )?);
     }
     Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_sfm::geometry::nalgebra::{UnitQuaternion, Vector3};
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
+    use tiepoint_sfm::rig::Clock;
+    use tiepoint_sfm::scene::{Camera, ImagePair};
+    use tiepoint_sfm::{Companion, Hold, MountedCamera, MountedRig, RigPair, Timing};
+
+    use super::*;
+
+    /// Two cameras so far apart, with a wrong pair where that is so.
+    fn model(baseline: f64, has_bad_pair: bool) -> MappedModel {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+        let right_from_left = Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
+        let [left, right] = ["left", "right"].map(|folder| {
+            let camera = model.add_camera(camera);
+            model.add_image(Image::new(format!("{folder}/0.png"), camera, Vec::new()))
+        });
+        model.register(left, Rigid3::identity());
+        model.register(right, right_from_left);
+        let companion = Companion {
+            left: model.image(left).camera,
+            right: model.image(right).camera,
+            clock: Clock::default(),
+            timing: Timing::Together,
+            unit: None,
+            blind: None,
+        };
+        let hold = Hold::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
+        let camera = MountedCamera {
+            companion,
+            right_from_left,
+            covariance: None,
+            hold,
+            num_moments: 1,
+            spread: None,
+        };
+        MappedModel {
+            initial_pair: ImagePair::new(left, right).unwrap(),
+            rig: Some(MountedRig {
+                hold: Some(hold),
+                cameras: vec![camera],
+                bad_pairs: if has_bad_pair { vec![RigPair { left, right }] } else { Vec::new() },
+                split: None,
+                error_off_px: 1.0,
+                error_px: 1.0,
+            }),
+            reconstruction: model,
+            shutters: Vec::new(),
+            row_poses: BTreeMap::new(),
+            num_loop_pairs: 0,
+            failures: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn each_model_has_the_file_of_its_own_rig() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("ws");
+        let mut workspace = Workspace::create(&root).unwrap();
+        let mut without = model(3.0, false);
+        without.rig = None;
+        let names = stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
+        workspace.publish(names, &[], |_| {}).unwrap();
+        let rig = |index| {
+            let place = crate::model_place::ModelPlace::of(&root.join(model_path(index)));
+            let path = place.rig();
+            path.is_file().then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
+        };
+        let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
+        let [first, second, third] = [0, 1, 2].map(rig);
+        assert_eq!(centre(&first.clone().unwrap()), 1.0);
+        assert_eq!(first.unwrap().bad_pairs, Some(Vec::new()));
+        assert_eq!(second, None);
+        assert_eq!(centre(&third.clone().unwrap()), 2.0);
+        let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
+        assert_eq!(third.unwrap().bad_pairs, Some(vec![pair]));
+        // New models take all files of the ones before with them.
+        let replaced = replaced_names(&workspace);
+        for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
+            assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
+        }
+    }
 }

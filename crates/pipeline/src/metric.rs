@@ -10,10 +10,9 @@ use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::rig::{RelativePose, robust_average};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{Companion, Moment, MountedCamera, MountingCovariance, companions};
+use tiepoint_sfm::{Companion, MappedModel, Moment, MountedCamera, MountingCovariance, companions};
 
 use crate::rig_over_time::folder_of;
-use crate::rig_report::Held;
 
 /// What a known distance of two cameras made of a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -29,42 +28,42 @@ pub struct ScaleReport {
 /// Fewer moments are no measurement.
 const MIN_MOMENTS: usize = 2;
 
-/// Scales each model so that its first camera and the next are `baseline_m` apart. `held` are the mountings of the largest model, which
-/// are scaled with it; their clocks serve the others too.
-pub(crate) fn scale_to_baseline(
-    models: &mut [Reconstruction],
-    held: &mut [Held],
-    baseline_m: f64,
-) -> Vec<ScaleReport> {
-    let mut none = Vec::new();
-    let mounted = held.first_mut().map_or(&mut none, |held| &mut held.cameras);
-    let known: Vec<Companion> = mounted.iter().map(|camera| camera.companion).collect();
-    let mut reports = Vec::new();
-    for (index, model) in models.iter_mut().enumerate() {
-        let mounting = mounted.first().filter(|_| index == 0);
-        let found = match mounting {
-            Some(camera) => length_of_mounting(model, camera),
-            None => length_of_pairs(model, &known),
-        };
-        let factor = found.as_ref().map_err(String::clone).and_then(|(units, _)| {
-            let factor = baseline_m / units;
-            if factor.is_normal() { Ok(factor) } else { Err("the two cameras are at one place".to_owned()) }
-        });
-        reports.push(match (found, factor) {
-            (Ok((_, what)), Ok(factor)) => {
-                let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
-                model.transform(&Sim3 { scale: factor, rotation, translation });
-                let mounted = mounted.iter_mut().filter(|_| index == 0);
-                mounted.enumerate().for_each(|(k, camera)| scale_mounting(camera, factor, k == 0));
-                let why = format!("{what} is {baseline_m} m long");
-                ScaleReport { baseline_m, factor: Some(factor), why }
-            }
-            (_, Err(why)) | (Err(why), _) => {
-                ScaleReport { baseline_m, factor: None, why: format!("nothing was scaled, since {why}") }
-            }
-        });
-    }
-    reports
+/// Scales each model so that its first camera and the next are `baseline_m` apart, with its mountings. Where a model has none, the
+/// clocks of the largest one that has serve it.
+pub(crate) fn scale_to_baseline(models: &mut [MappedModel], baseline_m: f64) -> Vec<ScaleReport> {
+    let mounted = models.iter().filter_map(|model| model.rig.as_ref()).find(|rig| !rig.cameras.is_empty());
+    let known: Vec<Companion> =
+        mounted.map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.companion).collect());
+    models.iter_mut().map(|model| scale_model(model, &known, baseline_m)).collect()
+}
+
+fn scale_model(model: &mut MappedModel, known: &[Companion], baseline_m: f64) -> ScaleReport {
+    let MappedModel { reconstruction, rig, row_poses, .. } = model;
+    let found = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
+        Some(camera) => length_of_mounting(reconstruction, camera),
+        None => length_of_pairs(reconstruction, known),
+    };
+    let scaled = found.and_then(|(units, what)| {
+        let factor = baseline_m / units;
+        if factor.is_normal() {
+            Ok((factor, what))
+        } else {
+            Err("the two cameras are at one place".to_owned())
+        }
+    });
+    let (factor, what) = match scaled {
+        Ok(scaled) => scaled,
+        Err(why) => {
+            let why = format!("nothing was scaled, since {why}");
+            return ScaleReport { baseline_m, factor: None, why };
+        }
+    };
+    let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
+    reconstruction.transform(&Sim3 { scale: factor, rotation, translation });
+    row_poses.values_mut().for_each(|rows| rows.velocity_in_world *= factor);
+    let cameras = rig.iter_mut().flat_map(|rig| &mut rig.cameras);
+    cameras.enumerate().for_each(|(k, camera)| scale_mounting(camera, factor, k == 0));
+    ScaleReport { baseline_m, factor: Some(factor), why: format!("{what} is {baseline_m} m long") }
 }
 
 /// A length in units of the model, and of what.
@@ -125,10 +124,11 @@ fn scale_mounting(camera: &mut MountedCamera, factor: f64, has_given_length: boo
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rig::{Clock, Spread};
-    use tiepoint_sfm::scene::{Camera, CameraId, Image, Track};
-    use tiepoint_sfm::{Hold, Timing};
+    use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, ImagePair, Track};
+    use tiepoint_sfm::{Hold, MountedRig, Timing};
 
     /// Far above rounding.
     const EPSILON: f64 = 1e-12;
@@ -181,28 +181,40 @@ mod tests {
         }
     }
 
-    fn scale(
-        model: &Reconstruction,
-        cameras: Vec<MountedCamera>,
-    ) -> (Reconstruction, Vec<Held>, ScaleReport) {
-        let mut models = [model.clone()];
-        let mut held = vec![Held { hold: None, error_off_px: 1.0, error_px: 1.0, cameras, split: None }];
-        let report = scale_to_baseline(&mut models, &mut held, ASKED_M).remove(0);
+    fn scale(model: &Reconstruction, cameras: Vec<MountedCamera>) -> (MappedModel, ScaleReport) {
+        let rig = MountedRig {
+            hold: cameras.first().map(|camera| camera.hold),
+            cameras,
+            bad_pairs: Vec::new(),
+            split: None,
+            error_off_px: 1.0,
+            error_px: 1.0,
+        };
+        let mut models = [MappedModel {
+            reconstruction: model.clone(),
+            initial_pair: ImagePair::new(ImageId(0), ImageId(1)).unwrap(),
+            rig: Some(rig),
+            shutters: Vec::new(),
+            row_poses: BTreeMap::new(),
+            num_loop_pairs: 0,
+            failures: Vec::new(),
+        }];
+        let report = scale_to_baseline(&mut models, ASKED_M).remove(0);
         let [model] = models;
-        (model, held, report)
+        (model, report)
     }
 
     #[test]
     fn a_mounting_gets_the_length_that_was_given_and_everything_with_it() {
-        let (scaled, held, report) = scale(&model(5, |_| 0.0), vec![mounted()]);
+        let (scaled, report) = scale(&model(5, |_| 0.0), vec![mounted()]);
         let factor = ASKED_M / APART;
         assert!((report.factor.unwrap() - factor).abs() < EPSILON);
         assert_eq!(report.why, "the mounting of right beside left is 0.62 m long");
-        let (_, track) = scaled.tracks().next().unwrap();
+        let (_, track) = scaled.reconstruction.tracks().next().unwrap();
         assert!((track.xyz - Vector3::new(1.0, 2.0, 3.0) * factor).norm() < EPSILON);
-        let last = scaled.registered().last().unwrap().2.origin_in_a();
+        let last = scaled.reconstruction.registered().last().unwrap().2.origin_in_a();
         assert!((last - Vector3::new(APART, 0.0, 4.0) * factor).norm() < EPSILON);
-        let camera = &held[0].cameras[0];
+        let camera = &scaled.rig.unwrap().cameras[0];
         assert!((camera.right_from_left.translation.norm() - ASKED_M).abs() < EPSILON);
         assert!((camera.spread.unwrap().median_baseline - ASKED_M).abs() < EPSILON);
         assert!((camera.spread.unwrap().rms_rotation_rad - 0.01).abs() < EPSILON);
@@ -217,7 +229,7 @@ mod tests {
     #[test]
     fn without_a_mounting_the_pairs_tell_and_one_wrong_pair_changes_nothing() {
         let jitter = |moment| if moment == 3 { 50.0 } else { 0.0 };
-        let (_, _, report) = scale(&model(9, jitter), Vec::new());
+        let (_, report) = scale(&model(9, jitter), Vec::new());
         // What Weiszfeld's iteration leaves of one pair in nine.
         assert!((report.factor.unwrap() / (ASKED_M / APART) - 1.0).abs() < 1e-6, "{report:?}");
         assert!(report.why.starts_with("the mean of 9 relative poses of right and left"), "{report:?}");
@@ -237,13 +249,13 @@ mod tests {
             (model(5, |moment| 10.0 * (f64::from(moment) - 2.0)), "scatters by"),
             (model(5, |_| -APART), "at one place"),
         ] {
-            let (same, _, report) = scale(&model, Vec::new());
+            let (same, report) = scale(&model, Vec::new());
             assert_eq!(report.factor, None, "{report:?}");
             assert!(
                 report.why.starts_with("nothing was scaled, since ") && report.why.contains(part),
                 "{report:?}"
             );
-            assert!(same.registered().zip(model.registered()).all(|(a, b)| a.2 == b.2));
+            assert!(same.reconstruction.registered().zip(model.registered()).all(|(a, b)| a.2 == b.2));
         }
     }
 }

@@ -141,13 +141,8 @@ impl CameraReport {
 }
 
 impl ModelReport {
-    /// `shutters` are what the mapper told; of several models, what it told of the first one counts.
-    pub(crate) fn new(
-        path: String,
-        model: &Reconstruction,
-        shutters: &[RollingShutter],
-        rig: Option<RigReport>,
-    ) -> Self {
+    /// What the model itself tells, and the shutters of its cameras.
+    pub(crate) fn new(path: String, model: &Reconstruction, shutters: &[RollingShutter]) -> Self {
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
         let unregistered = images().filter(|(_, image)| image.cam_from_world().is_none());
@@ -166,7 +161,7 @@ impl ModelReport {
                 .filter(|(id, _)| is_used(id))
                 .map(|(id, c)| CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id)))
                 .collect(),
-            rig,
+            rig: None,
             loop_pairs: 0,
             failed: Vec::new(),
             scale: None,

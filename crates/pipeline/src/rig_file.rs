@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{Hold, MountedCamera, Timing};
+use tiepoint_sfm::{Hold, MountedCamera, MountedRig, Timing};
 
 use crate::Error;
 use crate::rig_over_time::folder_of;
@@ -18,6 +18,10 @@ pub struct RigFile {
     pub reference: String,
     /// The others.
     pub cameras: Vec<RigCamera>,
+    /// Images of one moment, the first camera's and another's, that are wrong: they agree neither in the model nor by their own
+    /// matches with the mounting. `None` in files of versions before this was written.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bad_pairs: Option<Vec<[String; 2]>>,
 }
 
 /// A camera beside the first one.
@@ -74,11 +78,13 @@ impl RigFile {
     }
 
     /// `None` without a camera that is held to the first one.
-    pub(crate) fn new(model: &Reconstruction, cameras: &[MountedCamera]) -> Option<Self> {
-        let reference = folder_of(model, cameras.first()?.companion.left);
+    pub(crate) fn new(model: &Reconstruction, rig: &MountedRig) -> Option<Self> {
+        let reference = folder_of(model, rig.cameras.first()?.companion.left);
+        let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
-            cameras: cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
+            cameras: rig.cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
+            bad_pairs: Some(rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect()),
         })
     }
 }

@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, Spread, paper, spread};
-use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
-use tiepoint_sfm::{Hold, MountedCamera, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs};
+use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
+use tiepoint_sfm::{
+    Hold, MappedModel, MountedCamera, MountedRig, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs,
+};
 
 use crate::rig_file::RigFile;
 use crate::rig_over_time::folder_of;
@@ -54,23 +56,6 @@ pub struct SplitReport {
     pub pairs_matched_again: usize,
 }
 
-/// What the mapper told of mountings.
-pub(crate) struct Held {
-    pub(crate) hold: Option<Hold>,
-    pub(crate) error_off_px: f64,
-    pub(crate) error_px: f64,
-    pub(crate) cameras: Vec<MountedCamera>,
-    pub(crate) split: Option<SplitReport>,
-}
-
-/// What the mapper told, of all models.
-pub(crate) struct History {
-    /// The initial pairs.
-    pub(crate) began: Vec<(ImageId, ImageId)>,
-    pub(crate) bad_pairs: Vec<(ImageId, ImageId)>,
-    pub(crate) held: Vec<Held>,
-}
-
 /// How constant the relative pose of two cameras is, without any truth.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigCameraReport {
@@ -114,11 +99,12 @@ pub struct PaperReport {
 impl RigReport {
     /// `None` for a lone camera.
     /// `factor` is what the lengths of the model were multiplied by after mapping.
-    pub(crate) fn new(term: RigTerm, model: &Reconstruction, history: &History, factor: f64) -> Option<Self> {
+    pub(crate) fn new(term: RigTerm, mapped: &MappedModel, factor: f64) -> Option<Self> {
+        let MappedModel { reconstruction: model, initial_pair, rig, .. } = mapped;
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
             rigs.iter().map(|rig| (rig, relative_poses(model, &rig.pairs))).collect();
-        let mounted = history.held.first().map_or(&[][..], |held| &held.cameras);
+        let mounted = rig.as_ref().map_or(&[][..], |rig| &rig.cameras);
         let mut cameras: Vec<RigCameraReport> =
             mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
         // Where clocks are not known, images nearest in time count as of one moment.
@@ -137,10 +123,10 @@ impl RigReport {
             RigTerm::Auto => "auto",
         };
         let paper = match term {
-            RigTerm::Paper => paper_report(model, &series, &cameras, &history.began, factor),
+            RigTerm::Paper => paper_report(model, &series, &cameras, *initial_pair, factor),
             _ => None,
         };
-        let mounting = mounting_report(term, model, history);
+        let mounting = rig.as_ref().map(|rig| mounting_report(term, model, rig));
         (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, mounting })
     }
 }
@@ -178,10 +164,8 @@ fn camera_report(
     }
 }
 
-/// Of the largest model, to which the mapper came first.
-fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> Option<MountingReport> {
-    let Held { hold, error_off_px, error_px, cameras, split } = history.held.first()?;
-    let (hold, error_off_px, error_px) = (*hold, *error_off_px, *error_px);
+fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &MountedRig) -> MountingReport {
+    let MountedRig { hold, error_off_px, error_px, .. } = *rig;
     let name = |image| model.image(image).name.clone();
     let (chosen, sigmas) = match hold {
         None => ("off", None),
@@ -204,29 +188,32 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, history: &History) -> 
         }
         _ => format!("it was asked for; tracks that took no part are off by {errors}"),
     };
-    Some(MountingReport {
+    MountingReport {
         chosen: chosen.to_owned(),
         why,
         sigma_translation: sigmas.map(|sigmas| sigmas.0),
         sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
-        bad_pairs: history.bad_pairs.iter().map(|&(left, right)| [name(left), name(right)]).collect(),
-        split: *split,
-        rig: RigFile::new(model, cameras),
-    })
+        bad_pairs: rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
+        split: rig.split.map(|split| SplitReport {
+            images: split.num_images,
+            pairs_matched_again: split.num_pairs_matched_again,
+        }),
+        // The pairs stand above already.
+        rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: None, ..file }),
+    }
 }
 
 fn paper_report(
     model: &Reconstruction,
     series: &[(&RigPairs, Vec<(RigPair, RelativePose)>)],
     cameras: &[RigCameraReport],
-    began: &[(ImageId, ImageId)],
+    ImagePair { a, b }: ImagePair,
     factor: f64,
 ) -> Option<PaperReport> {
-    let pose = |image| model.image(image).cam_from_world();
-    let both = |&(a, b): &(ImageId, ImageId)| Some((a, b, pose(a)?.origin_in_a(), pose(b)?.origin_in_a()));
-    let (a, b, centre_a, centre_b) = began.iter().find_map(both)?;
+    let centre = |image| Some(model.image(image).cam_from_world()?.origin_in_a());
+    let (centre_a, centre_b) = (centre(a)?, centre(b)?);
     let name = |image| model.image(image).name.clone();
     let sigmas = paper::sigmas(paper::LAMBDA);
     let mut bad_pairs = Vec::new();

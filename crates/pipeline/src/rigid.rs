@@ -1,6 +1,6 @@
 //! A workspace's model with its cameras held exactly to one calibration: what rigs and frames of COLMAP can say.
 //!
-//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`, `report.json`); where it held nothing, the robust mean
+//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`); where it held nothing, the robust mean
 //! of the relative poses and [`tiepoint_sfm::companions`]. Images of one moment are then those nearest to each other in time. Where cameras are not
 //! triggered together, that is not the same instant, and what the rig moved in between becomes error: the report says how much.
 
@@ -19,9 +19,9 @@ use tiepoint_sfm::{
 };
 
 use crate::evaluate::read_times;
+use crate::model_place::ModelPlace;
 use crate::rig_over_time::{camera_of_folder, folder_of};
-use crate::workspace::{REPORT, RIG, current_records};
-use crate::{Error, Report, RigCamera, RigFile, Stage, features, model_folder};
+use crate::{Error, Report, RigCamera, RigFile, model_folder};
 
 /// What it took to make a model rigid.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -54,11 +54,11 @@ const ITERATIONS: usize = 100;
 /// Reads a model (a folder, or a workspace) and makes it rigid.
 pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
     let folder = model_folder(from)?;
+    let place = ModelPlace::of(&folder);
     let mut model = read_model(&folder)?;
-    read_times(&mut model, &folder.join("../../timestamps.csv"))?;
-    let rig = folder.join("../..").join(RIG);
-    let found = if rig.is_file() { mounted(&model, &rig)? } else { Vec::new() };
-    let bad = bad_images(&model, &folder.join("../..").join(REPORT))?;
+    read_times(&mut model, &place.timestamps())?;
+    let rig = place.rig();
+    let (found, bad) = if rig.is_file() { mounted(&model, &place)? } else { (Vec::new(), BTreeSet::new()) };
     let candidates = if found.is_empty() {
         companions(&model).into_iter().map(|companion| (companion, None)).collect()
     } else {
@@ -78,8 +78,9 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
     let length = cameras[0].right_from_left.translation.norm();
-    let options =
-        AdjustOptions { refine: refined(from)?, max_iterations: ITERATIONS, ..AdjustOptions::default() };
+    let are_known = place.has_known_intrinsics()?;
+    let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
+    let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
     let options = options.weighed_against(&model);
     hold_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
@@ -104,18 +105,15 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     Ok((model, report))
 }
 
-/// What was calibrated stays.
-fn refined(from: &Path) -> Result<RefineIntrinsics, Error> {
-    let records = current_records(from)?;
-    let is_known = records.option(Stage::Features, features::INTRINSICS).is_some();
-    Ok(if is_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine })
-}
+/// Cameras with what mapping found of them: clocks and calibrations.
+type Found = Vec<(Companion, Option<Rigid3>)>;
 
-/// What mapping found: clocks and calibrations.
-fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<Rigid3>)>, Error> {
-    let broken = |what: String| Error::Broken { path: rig.to_owned(), what };
-    let text = std::fs::read(rig).map_err(|cause| Error::Unreadable { path: rig.to_owned(), cause })?;
-    let file = RigFile::from_json(rig, &text)?;
+/// What mapping found of the cameras, and the images of further cameras that it found to be none of their moment.
+fn mounted(model: &Reconstruction, place: &ModelPlace) -> Result<(Found, BTreeSet<ImageId>), Error> {
+    let rig = place.rig();
+    let broken = |what: String| Error::Broken { path: rig.clone(), what };
+    let text = std::fs::read(&rig).map_err(|cause| Error::Unreadable { path: rig.clone(), cause })?;
+    let file = RigFile::from_json(&rig, &text)?;
     let find = |name: &str| {
         let camera = camera_of_folder(model, name);
         camera.map(|(id, _)| id).ok_or_else(|| broken(format!("there is no camera {name} in the model")))
@@ -134,19 +132,25 @@ fn mounted(model: &Reconstruction, rig: &Path) -> Result<Vec<(Companion, Option<
         };
         Ok((companion, Some(camera.cam_from_rig())))
     };
-    file.cameras.iter().map(camera).collect()
+    let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
+    let pairs = match file.bad_pairs {
+        Some(pairs) => pairs,
+        None => bad_pairs_of_report(place)?,
+    };
+    let names: BTreeSet<&str> = pairs.iter().map(|[_, right]| right.as_str()).collect();
+    let bad = model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
+    Ok((cameras, bad.collect()))
 }
 
-/// Images of further cameras that mapping found to be none of their moment.
-fn bad_images(model: &Reconstruction, report: &Path) -> Result<BTreeSet<ImageId>, Error> {
-    if !report.is_file() {
-        return Ok(BTreeSet::new());
+/// Workspaces of 0.1.0 before `rig.json` had the wrong pairs: there they stand in the report alone.
+fn bad_pairs_of_report(place: &ModelPlace) -> Result<Vec<[String; 2]>, Error> {
+    let (path, index) = place.report();
+    if !path.is_file() {
+        return Ok(Vec::new());
     }
-    let report = Report::read(report)?;
-    let mounting = report.models.first().and_then(|model| model.rig.as_ref()?.mounting.as_ref());
-    let names: BTreeSet<&str> =
-        mounting.iter().flat_map(|mounting| &mounting.bad_pairs).map(|[_, right]| right.as_str()).collect();
-    Ok(model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id).collect())
+    let report = Report::read(&path)?;
+    let mounting = report.models.get(index).and_then(|model| model.rig.as_ref()?.mounting.as_ref());
+    Ok(mounting.map_or(Vec::new(), |mounting| mounting.bad_pairs.clone()))
 }
 
 /// A camera with its moments; `None` where there are too few.

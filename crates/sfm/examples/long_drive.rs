@@ -41,7 +41,7 @@ fn main() {
             let models =
                 map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
             let seconds = start.elapsed().as_secs_f64();
-            observations = models.map_or(0, |models| models[0].num_observations());
+            observations = models.map_or(0, |models| models[0].reconstruction.num_observations());
             seconds
         });
         let (images, [off, soft]) = (graph.num_images(), seconds);

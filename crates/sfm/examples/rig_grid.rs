@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{Event, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, map};
+use tiepoint_sfm::{MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, map};
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
 };
@@ -94,18 +94,11 @@ struct Outcome {
 
 fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<Outcome> {
     let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let (mut right, mut held_out_px) = (None, [f64::NAN; 2]);
-    let models = map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |event| {
-        match event {
-            Event::MountedCamera(found) => {
-                right.get_or_insert_with(|| (**found).clone());
-            }
-            Event::Mounted { error_off_px, error_px, .. } => held_out_px = [*error_off_px, *error_px],
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    });
-    let model = models.ok()?.into_iter().next()?;
+    let models =
+        map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
+    let MappedModel { reconstruction: model, rig, .. } = models.ok()?.into_iter().next()?;
+    let held_out_px = rig.as_ref().map_or([f64::NAN; 2], |rig| [rig.error_off_px, rig.error_px]);
+    let right = rig.and_then(|rig| rig.cameras.into_iter().next());
     let found: Vec<_> = model.images().map(|(_, image)| image.cam_from_world().copied()).collect();
     let truth: Option<Vec<_>> =
         scene.truth.images().map(|(_, image)| image.cam_from_world().copied()).collect();

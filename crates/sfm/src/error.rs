@@ -32,6 +32,12 @@ pub enum Error {
         /// and after.
         after: usize,
     },
+    /// Making the matches of torn pairs one point costs more matches elsewhere.
+    #[error("a loop of {pairs} pairs of images was not closed: their matches contradict the others'")]
+    LoopNotClosed {
+        /// Pairs of images.
+        pairs: usize,
+    },
     /// The optimiser refused the problem.
     #[error(transparent)]
     Adjustment(#[from] tiepoint_ba::Error),

@@ -1,52 +1,48 @@
 #![doc = include_str!("../README.md")]
 
 mod adjust;
-mod companion;
-mod continuity;
-mod effort;
 mod error;
 mod event;
-mod filter;
-mod focal;
-mod focal_trials;
-mod hold_out;
-mod incremental;
-mod initial_pair;
-mod join;
+mod image_grid;
 mod loop_closure;
+mod mapped_model;
 mod mapper;
-mod mounting;
-mod next_image;
-mod pose_graph;
+mod noise;
+mod options;
 mod register;
-mod rig_pairs;
-mod shutter;
-mod sigma;
-mod spread;
+mod rigs;
+mod rolling_shutter;
+mod timeline;
 mod tracks;
-mod triangulation;
-mod verify;
-mod visibility;
+mod two_view;
 
-pub use adjust::{AdjustOptions, MountingCovariance, RefineIntrinsics, Scope, adjust};
-pub use companion::{Companion, Left, Moment, Timing, companions};
+pub use adjust::{
+    AdjustOptions, RefineIntrinsics, Scope, Shifted, Term, TermContext, Variables, adjust, fix_gauge,
+};
 pub use error::Error;
-pub use event::{Event, Finish, MountedCamera};
-pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
-pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
-pub use hold_out::{held_out_rms_px, hold_out_tracks};
-pub use incremental::{MapperOptions, RigTerm, map};
-pub use initial_pair::{InitialPair, initial_pairs};
-pub use mounting::{Descriptors, Hold, Mounting, RigidCamera, hold_rigidly};
+pub use event::{Event, Failure, OptionalStage};
+pub use mapped_model::MappedModel;
+pub use mapper::map;
+pub use noise::keypoint_sigma_px;
+pub use options::{MapperOptions, RigTerm};
 pub use register::{RegisterOptions, register_image};
-pub use rig_pairs::{BaselineLink, RigPair, RigPairs, final_links, growing_links, relative_poses, rig_pairs};
-pub use shutter::{Readout, RollingShutter};
-pub use sigma::keypoint_sigma_px;
+pub use rigs::{
+    BaselineLink, BaselineTerm, ClosedSplit, Companion, Descriptors, Hold, Left, Moment, MountedCamera,
+    MountedRig, MountingCovariance, RigPair, RigPairs, RigidCamera, Timing, companions, final_links,
+    growing_links, hold_rigidly, relative_poses, rig_pairs,
+};
+pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;
 pub use tiepoint_rig as rig;
 pub use tiepoint_scene as scene;
-pub use tracks::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
-pub use triangulation::{Sight, Triangulated, triangulate};
-pub use verify::{VerifyOptions, View, verify_pair};
+pub use tracks::{
+    FilterOptions, Sight, TrackOptions, Triangulated, complete_tracks, filter_all_points, filter_images,
+    filter_points, held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate,
+    triangulate_image,
+};
+pub use two_view::{
+    FocalPrior, InitialPair, VerifyOptions, View, estimate_focal_lengths, focal_priors, initial_pairs,
+    verify_pair,
+};

@@ -1,11 +1,12 @@
 //! The elimination of any cell: factors of any shape, that may share blocks or see parts of them.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
-use super::kernel::{At, SLACK, stash_rows};
-use super::lanes::{Isa, Task, Vector, WIDE};
+use super::cursor::At;
 use super::product::{Of, SumProduct, over_lanes};
-use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Elimination, Local, Shape};
+use super::simd::{Isa, Task, Vector, WIDE};
+use super::stash::{Head, stash_rows};
+use super::workspace::{Room, SLACK};
+use crate::structure::{Cell, Chunk, Elimination, Local, Shape, stash_head, stash_len};
 
 /// Subtracts YᵀY and Yᵀy of cells with the same pattern, of which `own_block` has been called.
 ///
@@ -17,12 +18,12 @@ pub(super) struct Eliminate<'a, 'r, const P: usize> {
     pub(super) at: &'a mut At,
 }
 
-impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
+impl<const P: usize> Task for Eliminate<'_, '_, P> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         let Self { room, chunk, cells, at } = self;
-        let pattern = &chunk.patterns[cells[0].pattern as usize];
-        let locals = &chunk.pattern_locals[pattern.locals.clone()];
+        let pattern = chunk.patterns.of(&cells[0]);
+        let locals = chunk.patterns.locals_of(&cells[0]);
         let width = pattern.width;
         if locals.is_empty() {
             return at.skip(chunk, cells);
@@ -36,10 +37,11 @@ impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
                 .split_at_mut(stash_head(P));
             let head = Head::<P>::of(head);
             y.copy_from_slice(&head.y);
+            let mut coupling = Coupling { locals, head: &head, y: w, width };
             while at.factor < cell.end as usize {
-                let shape = &chunk.shapes[chunk.shape_of[at.factor] as usize];
+                let shape = chunk.factors.shape(at.factor);
                 at.factor += 1;
-                let these = &chunk.locals[at.local..][..shape.segments.len()];
+                let these = &chunk.factors.locals[at.local..][..shape.segments.len()];
                 at.local += these.len();
                 let len = shape.rows * shape.stride;
                 // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
@@ -50,22 +52,14 @@ impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
                 while row < shape.rows {
                     let rows = &rows[row * shape.stride..];
                     if row + 1 < shape.rows {
-                        add_rows::<2, P, I>(
-                            [rows, &rows[shape.stride..]],
-                            shape,
-                            these,
-                            locals,
-                            &head,
-                            w,
-                            width,
-                        );
+                        coupling.add_rows::<2, I>([rows, &rows[shape.stride..]], shape, these);
                     } else {
-                        add_rows::<1, P, I>([rows], shape, these, locals, &head, w, width);
+                        coupling.add_rows::<1, I>([rows], shape, these);
                     }
                     row += 2;
                 }
             }
-            stash_rows::<P, I, 0>(w, width, locals, stashed, chunk.elimination);
+            stash_rows::<P, I, 0>(coupling.y, width, locals, stashed, chunk.elimination);
         }
         let (w, y) = (&*w, &*y);
         for local in locals {
@@ -75,7 +69,7 @@ impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
         if chunk.elimination == Elimination::Implicit {
             return;
         }
-        let mut pairs = chunk.pair_tiles[pattern.pairs..].iter();
+        let mut pairs = chunk.patterns.pair_tiles[pattern.pairs..].iter();
         for (l, b) in locals.iter().enumerate() {
             let b = Of { column: b.column, dof: b.dof };
             for (a, &at) in locals[..=l].iter().zip(pairs.by_ref()) {
@@ -87,42 +81,44 @@ impl<I: Isa, const P: usize> Task<I> for Eliminate<'_, '_, P> {
     }
 }
 
-/// Adds `R` rows of one factor to Y.
-#[inline(always)]
-fn add_rows<const R: usize, const P: usize, I: Isa>(
-    rows: [&[f64]; R],
-    shape: &Shape,
-    these: &[u16],
-    locals: &[Local],
-    head: &Head<P>,
-    w: &mut [f64],
+/// Y of a cell, in rows over its pattern's blocks that are `width` apart.
+struct Coupling<'a, const P: usize> {
+    locals: &'a [Local],
+    head: &'a Head<P>,
+    y: &'a mut [f64],
     width: usize,
-) {
-    let mut z = [[0.0; P]; R];
-    for r in 0..R {
-        z[r] = *rows[r][shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
-        for k in 0..P {
-            for i in 0..k {
-                z[r][k] = I::mul_add_one(-head.factor[k][i], z[r][i], z[r][k]);
+}
+
+impl<const P: usize> Coupling<'_, P> {
+    /// Adds `R` rows of one factor, of which `these` are the blocks of its segments.
+    #[inline(always)]
+    fn add_rows<const R: usize, I: Isa>(&mut self, rows: [&[f64]; R], shape: &Shape, these: &[u16]) {
+        let mut z = [[0.0; P]; R];
+        for r in 0..R {
+            z[r] = *rows[r][shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+            for k in 0..P {
+                for i in 0..k {
+                    z[r][k] = I::mul_add_one(-self.head.factor[k][i], z[r][i], z[r][k]);
+                }
+                z[r][k] *= self.head.inverse[k];
             }
-            z[r][k] *= head.inverse[k];
         }
-    }
-    for (segment, &l) in shape.segments.iter().zip(these) {
-        let local = &locals[l as usize];
-        let mut these_rows = rows;
-        for row in &mut these_rows {
-            *row = &row[segment.column..];
-        }
-        if segment.whole {
-            let w = &mut w[local.column..];
-            over_lanes!(local.padded, add_to_y::<I, R, P>(&these_rows, &z, w, width));
-        } else {
-            for r in 0..R {
-                for i in 0..segment.dof {
-                    for k in 0..P {
-                        let w = &mut w[k * width + local.column + segment.offset + i];
-                        *w = I::mul_add_one(z[r][k], these_rows[r][i], *w);
+        for (segment, &l) in shape.segments.iter().zip(these) {
+            let local = &self.locals[l as usize];
+            let mut these_rows = rows;
+            for row in &mut these_rows {
+                *row = &row[segment.column..];
+            }
+            if segment.whole {
+                let y = &mut self.y[local.column..];
+                over_lanes!(local.padded, add_to_y::<I, R, P>(&these_rows, &z, y, self.width));
+            } else {
+                for r in 0..R {
+                    for i in 0..segment.dof {
+                        for k in 0..P {
+                            let y = &mut self.y[k * self.width + local.column + segment.offset + i];
+                            *y = I::mul_add_one(z[r][k], these_rows[r][i], *y);
+                        }
                     }
                 }
             }

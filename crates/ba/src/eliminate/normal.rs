@@ -1,9 +1,9 @@
 //! What the factors add to the kept variables' own part of the normal equations: C, g_c and the diagonal of C, a bundle of factors
 //! with the same blocks at a time, so that sums stay in registers.
 
-use super::Room;
-use super::lanes::{Isa, Task, Vector, WIDE};
 use super::product::{Listed, Of, SumProduct, over_lanes};
+use super::simd::{Isa, Task, Vector, WIDE};
+use super::workspace::Room;
 use crate::structure::{Bundle, Chunk, padded, tile_index};
 
 /// Adds bundles of factors, whose rows are in `room.rows`.
@@ -13,9 +13,9 @@ pub(super) struct Add<'a, 'r> {
     pub(super) bundles: &'a [Bundle],
 }
 
-impl<I: Isa> Task<I> for Add<'_, '_> {
+impl Task for Add<'_, '_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         for bundle in self.bundles {
             add::<I>(self.room, self.chunk, bundle);
         }
@@ -24,10 +24,10 @@ impl<I: Isa> Task<I> for Add<'_, '_> {
 
 #[inline(always)]
 fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
-    let shape = &chunk.shapes[bundle.shape as usize];
+    let shape = &chunk.factors.shapes[bundle.shape as usize];
     let Room { tiles, vectors, rows, .. } = room;
-    let rows = Listed { numbers: rows, starts: chunk.bundle_rows[bundle.rows.clone()].iter() };
-    let (ats, pairs) = chunk.bundle_places[bundle.places..].split_at(shape.segments.len());
+    let rows = Listed { numbers: rows, starts: chunk.bundles.rows[bundle.rows.clone()].iter() };
+    let (ats, pairs) = chunk.bundles.places[bundle.places..].split_at(shape.segments.len());
     let mut pairs = pairs.iter();
     for (s, (segment, &at)) in shape.segments.iter().zip(ats).enumerate() {
         let lanes = padded(segment.block_dof);

@@ -4,7 +4,7 @@
 //! has one direction more than fit into wide vectors, such as the nine of a camera with its lens, that one has a row of its own
 //! behind the columns: one vector instead of one in each column. See [`tile_lanes`].
 
-use super::lanes::{Isa, LANES, Task, Vector, WIDE};
+use super::simd::{Isa, LANES, Task, Vector, WIDE};
 use crate::structure::{tile_lanes, tile_len};
 
 /// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as will do: from number i on, with
@@ -175,11 +175,9 @@ pub(super) struct SumProduct<'a, R, const PLUS: bool> {
     pub(super) tile: &'a mut [f64],
 }
 
-impl<'a, I: Isa, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Task<I>
-    for SumProduct<'_, R, PLUS>
-{
+impl<'a, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Task for SumProduct<'_, R, PLUS> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         sum_product::<I, PLUS>(self.rows, self.a, self.b, self.tile);
     }
 }

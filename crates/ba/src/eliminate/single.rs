@@ -3,16 +3,15 @@
 //! [`cell`](super::cell) sums up in memory stays in registers.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
 
-use super::kernel::{At, SLACK, stash_rows};
-use super::lanes::{Isa, Task, Vector, WIDE};
+use super::cursor::At;
 use super::product::{Of, over_lanes, product, sum_product};
-use super::{Head, Room, stash_head, stash_len};
-use crate::structure::{Cell, Chunk, Elimination, padded};
+use super::simd::{Isa, Task, Vector, WIDE};
+use super::stash::{Head, stash_rows};
+use super::workspace::{Room, SLACK};
+use crate::structure::{Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len};
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
-/// Rows of a factor.
-pub(crate) const ROWS: usize = 2;
 
 /// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them. `D` is the
 /// size of all their blocks, known to the compiler, or 0.
@@ -26,13 +25,13 @@ pub(super) struct Eliminate<'a, 'r, const D: usize> {
     pub(super) at: &'a mut At,
 }
 
-impl<I: Isa, const D: usize> Task<I> for Eliminate<'_, '_, D> {
+impl<const D: usize> Task for Eliminate<'_, '_, D> {
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self) {
         let Self { room, chunk, cells, at } = self;
-        let pattern = &chunk.patterns[cells[0].pattern as usize];
-        let locals = &chunk.pattern_locals[pattern.locals.clone()];
-        let pairs = &chunk.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
+        let pattern = chunk.patterns.of(&cells[0]);
+        let locals = chunk.patterns.locals_of(&cells[0]);
+        let pairs = &chunk.patterns.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
         let width = pattern.width;
         let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
         let w = &mut w[..cells.len() * P * width];
@@ -42,10 +41,10 @@ impl<I: Isa, const D: usize> Task<I> for Eliminate<'_, '_, D> {
             let head = Head::<P>::of(head);
             let factors = at.factor..cell.end as usize;
             at.factor = factors.end;
-            let these = &chunk.locals[at.local..][..factors.len()];
+            let these = &chunk.factors.locals[at.local..][..factors.len()];
             at.local += these.len();
-            for (&shape, &l) in chunk.shape_of[factors].iter().zip(these) {
-                let shape = &chunk.shapes[shape as usize];
+            for (&shape, &l) in chunk.factors.shape_of[factors].iter().zip(these) {
+                let shape = &chunk.factors.shapes[shape as usize];
                 let local = &locals[l as usize];
                 let dof = local.dof_or::<D>();
                 let lanes = padded(dof);
@@ -61,10 +60,15 @@ impl<I: Isa, const D: usize> Task<I> for Eliminate<'_, '_, D> {
                     z[r] = *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
                 }
                 let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
-                let vectors = &mut vectors[3 * local.at..][..3 * lanes];
-                let w = &mut w[local.column..][..(P - 1) * width + lanes];
                 let turned = &mut turned[..ROWS * lanes];
-                over_lanes!(lanes, add_block::<I>(&factor, vectors, lanes, w, width, turned));
+                let mut block = Block {
+                    lanes,
+                    vectors: &mut vectors[3 * local.at..][..3 * lanes],
+                    y: &mut w[local.column..][..(P - 1) * width + lanes],
+                    width,
+                    turned,
+                };
+                over_lanes!(lanes, add_block::<I>(&factor, &mut block));
                 let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
                 let turned = [&turned[..lanes], &turned[lanes..]];
                 product::<I, ROWS>(&rows, &turned, dof, dof, &mut tiles[at..]);
@@ -133,17 +137,23 @@ impl<'a> Factor<'a> {
     }
 }
 
+/// What a factor is added to, of the block that it sees.
+struct Block<'a> {
+    lanes: usize,
+    /// Gradient, correction and diagonal.
+    vectors: &'a mut [f64],
+    /// Rows that are `width` apart.
+    y: &'a mut [f64],
+    width: usize,
+    /// (I − ZZᵀ) J_c.
+    turned: &'a mut [f64],
+}
+
 /// Gradient, correction and diagonal of one block, Y, and (I − ZZᵀ) J_c.
 #[inline(always)]
-fn add_block<V: Vector>(
-    lane: usize,
-    factor: &Factor<'_>,
-    vectors: &mut [f64],
-    lanes: usize,
-    w: &mut [f64],
-    width: usize,
-    turned: &mut [f64],
-) {
+fn add_block<V: Vector>(lane: usize, factor: &Factor<'_>, block: &mut Block<'_>) {
+    let Block { lanes, width, .. } = *block;
+    let Block { vectors, y, turned, .. } = block;
     let mut j = [V::splat(0.0); ROWS];
     for r in 0..ROWS {
         j[r] = V::load(&factor.rows[r][lane..]);
@@ -153,7 +163,7 @@ fn add_block<V: Vector>(
         for r in 1..ROWS {
             sum = j[r].mul_add(V::splat(factor.z[r][k]), sum);
         }
-        sum.store(&mut w[k * width + lane..]);
+        sum.store(&mut y[k * width + lane..]);
     }
     for s in 0..ROWS {
         let mut sum = j[0].mul(V::splat(factor.rest[s][0]));

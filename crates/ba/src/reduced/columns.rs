@@ -1,6 +1,6 @@
 //! A sparse lower triangle in compressed columns.
 
-use super::Layout;
+use super::factorisation::Layout;
 use crate::error::Error;
 use crate::structure::Structure;
 

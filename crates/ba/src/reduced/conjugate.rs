@@ -3,7 +3,8 @@
 //! Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 4).
 
 use super::columns::Columns;
-use super::{Eliminated, Factorisation, Layout, NotPositive};
+use super::factorisation::{Factorisation, Layout, NotPositive};
+use super::implicit::Eliminated;
 
 /// Damping grows where so many iterations were not enough: the step is then what they have found.
 const MAX_ITERATIONS: usize = 500;

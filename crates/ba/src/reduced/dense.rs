@@ -5,7 +5,8 @@ use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{MatMut, MatRef, Par};
 
-use super::{Eliminated, Factorisation, Layout, NotPositive};
+use super::factorisation::{Factorisation, Layout, NotPositive};
+use super::implicit::Eliminated;
 use crate::structure::Structure;
 
 pub(crate) struct Dense {

@@ -5,8 +5,8 @@
 //! C, the kept variables' own part, is put together as ever, from tiles of blocks that share a factor.
 
 use crate::eliminate::CellStash;
-use crate::schur::SchurSystem;
-use crate::structure::{Block, Chunk, Structure};
+use crate::structure::{Block, Chunk, Structure, for_chunks};
+use crate::variable::MAX_ELIMINATED_DOF;
 
 /// What the elimination has left.
 #[derive(Clone, Copy)]
@@ -21,7 +21,7 @@ impl Eliminated<'_> {
     pub(super) fn subtract_product(self, x: &[f64], y: &mut [f64]) {
         let blocks = &self.structure.blocks;
         let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];
-        SchurSystem::for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
+        for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
             let mut kept = vec![0.0; chunk.vector_len];
             for &(block, at) in &chunk.blocks {
                 let block = &blocks[block as usize];
@@ -32,8 +32,8 @@ impl Eliminated<'_> {
             *part = vec![0.0; chunk.vector_len];
             for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
                 let stash = CellStash::of(self.memory, cell, chunk);
-                let locals = &chunk.pattern_locals[chunk.patterns[cell.pattern as usize].locals.clone()];
-                let mut room = [0.0; crate::eliminate::MAX_ELIMINATED_DOF];
+                let locals = chunk.patterns.locals_of(cell);
+                let mut room = [0.0; MAX_ELIMINATED_DOF];
                 let product = &mut room[..cell.dof as usize];
                 stash.y.multiply(locals, &kept, product);
                 stash.y.multiply_transposed(locals, product, part);
@@ -54,7 +54,7 @@ impl Eliminated<'_> {
     pub(super) fn subtract_diagonal(self, first: &[usize], numbers: &mut [f64]) {
         let blocks = &self.structure.blocks;
         let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];
-        SchurSystem::for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
+        for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
             *part = self.diagonal(chunk);
         });
         for (chunk, part) in self.structure.chunks.iter().zip(&parts) {
@@ -83,7 +83,7 @@ impl Eliminated<'_> {
         let mut sums = vec![0.0; starts[chunk.blocks.len()]];
         for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
             let stash = CellStash::of(self.memory, cell, chunk);
-            for local in &chunk.pattern_locals[chunk.patterns[cell.pattern as usize].locals.clone()] {
+            for local in chunk.patterns.locals_of(cell) {
                 let index = chunk.blocks.partition_point(|block| block.1 < local.at);
                 let sums = &mut sums[starts[index]..][..local.dof * local.dof];
                 for k in 0..cell.dof as usize {

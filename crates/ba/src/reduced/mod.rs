@@ -6,17 +6,21 @@
 mod columns;
 mod conjugate;
 mod dense;
+mod factorisation;
 mod implicit;
 mod sparse;
 
 use rayon::prelude::*;
 
-use crate::eliminate::{Sums, damping};
+use crate::damping::marquardt;
+use crate::eliminate::Sums;
 use crate::structure::{Block, Structure, padded, tile_index, tile_lanes};
 
 pub(crate) use columns::Columns;
 pub(crate) use conjugate::Conjugate;
 pub(crate) use dense::Dense;
+pub(crate) use factorisation::Factorisation;
+use factorisation::NotPositive;
 pub(crate) use implicit::Eliminated;
 pub(crate) use sparse::Sparse;
 
@@ -24,28 +28,6 @@ pub(crate) use sparse::Sparse;
 const STEP_ACCURACY: f64 = 1e-5;
 /// The same for solutions that are wanted for themselves.
 const ACCURACY: f64 = 1e-12;
-
-/// The matrix could not be factorised: column `0` of the reduced system is not positive.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct NotPositive(pub(crate) usize);
-
-/// Where the numbers of the lower triangle are.
-pub(crate) trait Layout: Sync {
-    /// First number of a block column, and of the one behind it.
-    fn block_column(&self, a: usize) -> std::ops::Range<usize>;
-    /// Where, in its block column, the tile of rows `b` begins in the column number `column` (counted among the free ones).
-    /// Of a block with itself, the rows from `column` on are stored there.
-    fn tile_at(&self, a: usize, b: usize, column: usize) -> usize;
-}
-
-/// A way to solve the reduced system.
-pub(crate) trait Factorisation: Layout + Send {
-    /// Factorises the lower triangle in `numbers`.
-    fn factorise(&mut self, numbers: &mut Vec<f64>, rest: Eliminated<'_>) -> Result<(), NotPositive>;
-    /// Solves for several right-hand sides, one after the other in `x`; where that is done step by step, until the residual has
-    /// shrunk to this part of them.
-    fn solve(&mut self, numbers: &[f64], rest: Eliminated<'_>, x: &mut [f64], accuracy: f64);
-}
 
 /// The reduced system.
 pub(crate) struct Reduced {
@@ -116,23 +98,13 @@ impl Reduced {
             for (c, tiles) in &contributions[a] {
                 let chunk = &structure.chunks[*c as usize];
                 for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
-                    let other = &structure.blocks[tile.b as usize];
                     let tile_numbers = &memory[chunk.memory.start + tile.at..];
-                    add_tile(
-                        &**layout,
-                        block,
-                        other,
-                        tile.b as usize == a,
-                        a,
-                        tile.b as usize,
-                        tile_numbers,
-                        numbers,
-                    );
+                    add_tile(&**layout, &structure.blocks, (a, tile.b as usize), tile_numbers, numbers);
                 }
             }
             for (column, i) in block.free_columns().enumerate() {
                 let at = layout.tile_at(a, a, column);
-                numbers[at] += damping(diagonal[block.at + i], lambda);
+                numbers[at] += marquardt(diagonal[block.at + i], lambda);
             }
         };
         if structure.chunks.len() > 1 {
@@ -172,20 +144,18 @@ impl Reduced {
     }
 }
 
-#[allow(clippy::too_many_arguments)]
+/// Adds the tile of blocks `a` and `b` to the numbers of block column `a`.
 fn add_tile(
     layout: &dyn Factorisation,
-    block: &Block,
-    other: &Block,
-    diagonal: bool,
-    a: usize,
-    b: usize,
+    blocks: &[Block],
+    (a, b): (usize, usize),
     tile: &[f64],
     numbers: &mut [f64],
 ) {
+    let (block, other) = (&blocks[a], &blocks[b]);
     let at = |j: usize, i: usize| tile[tile_index(block.dof, other.dof, j, i)];
     for (column, j) in block.free_columns().enumerate() {
-        let skip = if diagonal { column } else { 0 };
+        let skip = if a == b { column } else { 0 };
         let to = &mut numbers[layout.tile_at(a, b, column)..][..other.num_free() - skip];
         if other.whole() {
             let lanes = tile_lanes(other.dof).min(other.dof);

@@ -13,7 +13,8 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par, Side};
 
 use super::columns::Columns;
-use super::{Eliminated, Factorisation, Layout, NotPositive};
+use super::factorisation::{Factorisation, Layout, NotPositive};
+use super::implicit::Eliminated;
 
 /// Above so many numbers in the factor, 4 GiB, the direct way is given up.
 const MAX_FACTOR: usize = 1 << 29;

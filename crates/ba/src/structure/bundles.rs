@@ -1,6 +1,7 @@
 //! Which factors of a batch see the same blocks.
 
-use super::{Batch, Bundle, Cell, Chunk, Shape};
+use super::chunk::{Batch, Bundle, Cell, Chunk};
+use super::shape::Shape;
 
 /// Collects the factors of a batch.
 #[derive(Default)]
@@ -36,20 +37,20 @@ impl Bundler {
         row: usize,
     ) {
         let [first, first_local] = first;
-        let pattern = &chunk.patterns[cell.pattern as usize];
-        let (mut locals, mut row) = (&chunk.locals[first_local..], row);
-        for &number in &chunk.shape_of[first..] {
+        let pattern = chunk.patterns.of(cell);
+        let (mut locals, mut row) = (&chunk.factors.locals[first_local..], row);
+        for &number in &chunk.factors.shape_of[first..] {
             let shape = &shapes[number as usize];
             let (these, rest) = locals.split_at(shape.segments.len());
             locals = rest;
             let begin = self.places.len();
-            let at = |&local: &u16| chunk.pattern_locals[pattern.locals.start + local as usize].at as u32;
+            let at = |&local: &u16| chunk.patterns.locals[pattern.locals.start + local as usize].at as u32;
             self.places.extend(these.iter().map(at));
             let key = self.places[begin..].iter().fold(u32::from(number), mixed);
             for (s, &l) in these.iter().enumerate() {
                 let tile = |&m: &u16| {
                     let (lo, hi) = (l.min(m) as usize, l.max(m) as usize);
-                    chunk.pair_tiles[pattern.pairs + hi * (hi + 1) / 2 + lo]
+                    chunk.patterns.pair_tiles[pattern.pairs + hi * (hi + 1) / 2 + lo]
                 };
                 self.places.extend(these[..=s].iter().map(tile));
             }
@@ -61,7 +62,7 @@ impl Bundler {
 
     /// Adds the batch and its bundles to the chunk.
     pub(super) fn close(&mut self, chunk: &mut Chunk, shapes: &[Shape], mut batch: Batch) {
-        let begin = chunk.bundles.len();
+        let begin = chunk.bundles.list.len();
         self.keys.sort_unstable();
         let mut last: Option<&Entry> = None;
         for &key in &self.keys {
@@ -70,20 +71,20 @@ impl Bundler {
             let same = last
                 .is_some_and(|last| last.shape == entry.shape && last.places(shapes, &self.places) == places);
             if !same {
-                let rows = chunk.bundle_rows.len();
+                let rows = chunk.bundles.rows.len();
                 let bundle =
-                    Bundle { shape: entry.shape, places: chunk.bundle_places.len(), rows: rows..rows };
-                chunk.bundles.push(bundle);
-                chunk.bundle_places.extend_from_slice(places);
+                    Bundle { shape: entry.shape, places: chunk.bundles.places.len(), rows: rows..rows };
+                chunk.bundles.list.push(bundle);
+                chunk.bundles.places.extend_from_slice(places);
             }
             last = Some(entry);
             let shape = &shapes[entry.shape as usize];
-            chunk.bundle_rows.extend((0..shape.rows).map(|row| entry.row + (row * shape.stride) as u32));
-            if let Some(bundle) = chunk.bundles.last_mut() {
-                bundle.rows.end = chunk.bundle_rows.len();
+            chunk.bundles.rows.extend((0..shape.rows).map(|row| entry.row + (row * shape.stride) as u32));
+            if let Some(bundle) = chunk.bundles.list.last_mut() {
+                bundle.rows.end = chunk.bundles.rows.len();
             }
         }
-        batch.bundles = begin..chunk.bundles.len();
+        batch.bundles = begin..chunk.bundles.list.len();
         chunk.batches.push(batch);
         self.keys.clear();
         self.factors.clear();

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use crate::problem::Problem;
 
+use super::block::{NONE, Place};
 use super::place::{Fate, Scan, Variables};
-use super::{NONE, Place};
 
 /// Factors that join the same kept variables are bunched in cells of at most so many.
 const FACTORS_PER_KEPT_CELL: usize = 1024;

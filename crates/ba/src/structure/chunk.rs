@@ -1,224 +1,204 @@
-//! The work of one task, ready to be walked through.
+//! The work of one task: cells with their factors, and the patterns, batches and tiles through which it passes.
 
-use crate::error::Error;
-use crate::problem::Problem;
+use std::ops::Range;
 
-use super::bundles::Bundler;
-use super::cells::{Cells, Draft};
-use super::groups::Groups;
-use super::place::Look;
-use super::shape::Shapes;
-use super::{Batch, Block, Cell, Chunk, Elimination, Local, NONE, Pattern, Stretch, Tile, padded, tile_len};
+use super::elimination::Elimination;
+use super::shape::Shape;
+use super::tile::Tile;
 
-/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a first-level cache; fewer make
-/// products of few cells.
-const FACTORS_PER_BATCH: usize = 96;
-
-/// What all chunks are built from.
-pub(super) struct Context<'a> {
-    pub(super) problem: &'a Problem,
-    pub(super) blocks: &'a [Block],
-    pub(super) looks: &'a [Look],
-    pub(super) cells: &'a Cells<'a>,
-    pub(super) elimination: Elimination,
+/// One of the blocks of a pattern.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Local {
+    pub(crate) dof: usize,
+    pub(crate) padded: usize,
+    /// Where its numbers begin in the chunk's vectors.
+    pub(crate) at: usize,
+    /// Where its numbers begin in a row over the pattern's blocks.
+    pub(crate) column: usize,
+    /// The same without padding.
+    pub(crate) dense: usize,
 }
 
-/// Builds the chunk of some cells, whose steps begin at `first_step`.
-pub(super) fn build(context: &Context<'_>, drafts: &[Draft], first_step: usize) -> Result<Chunk, Error> {
-    let mut chunk = Chunk::new(context.elimination, first_step);
-    let Groups { drafts, groups } = Groups::new(context.cells, drafts, context.elimination);
-    find_patterns(context, &drafts, &groups, &mut chunk)?;
-    fill(context, &drafts, &groups, &mut chunk)?;
-    Ok(chunk)
+impl Local {
+    /// Its degrees of freedom: `D`, where that is known to the compiler and not 0.
+    #[inline(always)]
+    pub(crate) fn dof_or<const D: usize>(&self) -> usize {
+        if D > 0 { D } else { self.dof }
+    }
 }
 
-/// Finds the chunk's blocks, patterns and tiles.
-fn find_patterns(
-    context: &Context<'_>,
-    drafts: &[Draft],
-    groups: &[(&[u32], usize)],
-    chunk: &mut Chunk,
-) -> Result<(), Error> {
-    // Which of the chunk's blocks a block is; first only whether it is one.
-    let mut local_of = vec![NONE; context.blocks.len()];
-    for (blocks, _) in groups {
-        if blocks.len() >= u16::MAX as usize {
-            let (count, limit) = (blocks.len(), u16::MAX as usize - 1);
-            return Err(Error::TooLarge { what: "variables of one eliminated variable", count, limit });
-        }
-        blocks.iter().for_each(|&block| local_of[block as usize] = 0);
-    }
-    for (block, local) in local_of.iter_mut().enumerate().filter(|(_, local)| **local != NONE) {
-        *local = chunk.blocks.len() as u32;
-        chunk.blocks.push((block as u32, chunk.vector_len));
-        chunk.vector_len += padded(context.blocks[block].dof);
-    }
-    let direct = direct_pairs(context, drafts);
-    let mut pairs = 0;
-    // How often each of the chunk's blocks occurs in a pattern, later: where its occurrences begin.
-    let mut start = vec![0; chunk.blocks.len() + 1];
-    for &(blocks, _) in groups {
-        let begin = chunk.pattern_locals.len();
-        let (mut width, mut dense) = (0, 0);
-        let first = blocks.first().map_or(0, |&block| context.blocks[block as usize].dof);
-        for &block in blocks {
-            let (dof, local) = (context.blocks[block as usize].dof, local_of[block as usize] as usize);
-            let at = chunk.blocks[local].1;
-            chunk.pattern_locals.push(Local { dof, padded: padded(dof), at, column: width, dense });
-            width += padded(dof);
-            dense += dof;
-            start[local + 1] += 1;
-        }
-        let locals = begin..chunk.pattern_locals.len();
-        let same = chunk.pattern_locals[locals.clone()].iter().all(|local| local.dof == first);
-        chunk.patterns.push(Pattern { locals, pairs, width, dense, dof: if same { first } else { 0 } });
-        pairs += blocks.len() * (blocks.len() + 1) / 2;
-    }
-    for i in 1..start.len() {
-        start[i] += start[i - 1];
-    }
-    let mut occurrences = vec![(0u32, 0u32); chunk.pattern_locals.len()];
-    let mut next = start.clone();
-    for (pattern, &(blocks, _)) in (0u32..).zip(groups) {
-        for (i, &block) in (0u32..).zip(blocks) {
-            let next = &mut next[local_of[block as usize] as usize];
-            occurrences[*next] = (pattern, i);
-            *next += 1;
-        }
-    }
-    // Block column by block column: which blocks meet this one in some pattern, then a tile for each, then who uses it.
-    chunk.pair_tiles = vec![0; pairs];
-    let mut tile_at = vec![NONE; chunk.blocks.len()];
-    let mut met = Vec::new();
-    for (a, ends) in start.windows(2).enumerate() {
-        let occurrences = &occurrences[ends[0]..ends[1]];
-        let a = chunk.blocks[a].0;
-        for &(pattern, i) in occurrences {
-            for &block in &groups[pattern as usize].0[i as usize..] {
-                let local = local_of[block as usize];
-                let wanted = direct
-                    .as_ref()
-                    .is_none_or(|direct| block == a || direct.binary_search(&(a, block)).is_ok());
-                if wanted && tile_at[local as usize] == NONE {
-                    tile_at[local as usize] = 0;
-                    met.push(local);
-                }
-            }
-        }
-        met.sort_unstable();
-        for &local in &met {
-            let b = chunk.blocks[local as usize].0;
-            tile_at[local as usize] = chunk.tiles_len as u32;
-            chunk.tiles.push(Tile { a, b, at: chunk.tiles_len });
-            chunk.tiles_len += tile_len(context.blocks[a as usize].dof, context.blocks[b as usize].dof);
-        }
-        for &(pattern, i) in occurrences {
-            let (blocks, first) = (groups[pattern as usize].0, chunk.patterns[pattern as usize].pairs);
-            for j in i as usize..blocks.len() {
-                let local = local_of[blocks[j] as usize];
-                chunk.pair_tiles[first + j * (j + 1) / 2 + i as usize] = tile_at[local as usize];
-            }
-        }
-        met.drain(..).for_each(|local| tile_at[local as usize] = NONE);
-    }
-    Ok(())
+/// The blocks of some cells.
+#[derive(Clone, Debug)]
+pub(crate) struct Pattern {
+    /// First and last of its [`Local`]s.
+    pub(crate) locals: Range<usize>,
+    /// Where its offsets of tiles begin: of the pair i ≤ j at `j (j + 1) / 2 + i`.
+    pub(crate) pairs: usize,
+    /// Sum of `padded` over its blocks.
+    pub(crate) width: usize,
+    /// Sum of `dof` over its blocks.
+    pub(crate) dense: usize,
+    /// That of every block; 0 where they differ.
+    pub(crate) dof: usize,
 }
 
-/// Where only these get tiles: the pairs of different blocks that some factor joins, sorted.
-fn direct_pairs(context: &Context<'_>, drafts: &[Draft]) -> Option<Vec<(u32, u32)>> {
-    if context.elimination != Elimination::Implicit {
-        return None;
-    }
-    let mut pairs = Vec::new();
-    for entry in drafts.iter().flat_map(|draft| context.cells.entries_of(draft)) {
-        let view = &context.cells.views[entry.run as usize];
-        let blocks = || view.places(entry.factor).map(|place| place.block);
-        for a in blocks().filter(|&a| a != NONE) {
-            pairs.extend(blocks().filter(|&b| b != NONE && a < b).map(|b| (a, b)));
-        }
-    }
-    pairs.sort_unstable();
-    pairs.dedup();
-    Some(pairs)
+/// Rows of each factor of a [`single`](Cell::single) cell.
+pub(crate) const SINGLE_ROWS: usize = 2;
+
+/// An eliminated variable with its factors, or factors without one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cell {
+    pub(crate) pattern: u32,
+    /// Degrees of freedom of the eliminated variable; 0 where there is none.
+    pub(crate) dof: u32,
+    /// It is a point, and each factor has [`SINGLE_ROWS`] and sees the whole of one block, that no other one of the cell sees.
+    pub(crate) single: bool,
+    pub(crate) store: u32,
+    pub(crate) slot: u32,
+    /// Its factors end here in the chunk's list.
+    pub(crate) end: u32,
+    /// Where its numbers begin in the chunk's stash.
+    pub(crate) stash: usize,
+    /// Where its step begins in the step of the whole problem.
+    pub(crate) step: usize,
 }
 
-/// Lists the chunk's cells and factors, and cuts them into batches.
-fn fill(
-    context: &Context<'_>,
-    drafts: &[Draft],
-    groups: &[(&[u32], usize)],
-    chunk: &mut Chunk,
-) -> Result<(), Error> {
-    let count = drafts.iter().map(|draft| draft.num_entries as usize).sum();
-    chunk.factors.reserve(count);
-    chunk.shape_of.reserve(count);
-    chunk.locals.reserve(count);
-    chunk.cells.reserve(drafts.len());
-    let mut shapes = Shapes::new(context);
-    let mut batch = Batch::default();
-    let (mut batch_start, mut rows, mut bundler, mut pattern) = (0, 0, Bundler::default(), 0);
-    for (c, draft) in drafts.iter().enumerate() {
-        if chunk.factors.len() + draft.num_entries as usize > batch_start + FACTORS_PER_BATCH
-            && !batch.cells.is_empty()
-        {
-            let next = chunk.stretches.len();
-            let done = std::mem::replace(
-                &mut batch,
-                Batch { stretches: next..next, cells: c..c, ..Batch::default() },
-            );
-            bundler.close(chunk, &shapes.shapes, done);
-            batch_start = chunk.factors.len();
-            chunk.rows_len = chunk.rows_len.max(rows);
-            rows = 0;
-        }
-        while groups[pattern].1 <= c {
-            pattern += 1;
-        }
-        let first = [chunk.factors.len(), chunk.locals.len()];
-        let first_row = rows;
-        let mut single = draft.dof == 3 && draft.num_entries == draft.num_blocks;
-        for &entry in context.cells.entries_of(draft) {
-            let number = shapes.add(entry, groups[pattern].0, &mut chunk.locals)?;
-            let facts = &shapes.facts[number as usize];
-            let i = chunk.factors.len();
-            chunk.factors.push(entry.factor);
-            chunk.shape_of.push(number);
-            rows += facts.rows_len;
-            single &= facts.single;
-            match chunk.stretches[batch.stretches.clone()].last_mut() {
-                Some(last) if (last.run, last.own) == (entry.run, facts.own) => last.end = i + 1,
-                _ => {
-                    chunk.stretches.push(Stretch { run: entry.run, own: facts.own, start: i, end: i + 1 });
-                    batch.stretches.end += 1;
-                }
-            }
-        }
-        batch.cells.end = c + 1;
-        let p = draft.dof as usize;
-        let cell = Cell {
-            pattern: pattern as u32,
-            dof: draft.dof,
-            single,
-            store: draft.store,
-            slot: draft.slot,
-            end: chunk.factors.len() as u32,
-            stash: chunk.stash_len,
-            step: chunk.steps.end,
-        };
-        chunk.cells.push(cell);
-        if !single {
-            bundler.add(chunk, &shapes.shapes, &cell, first, first_row);
-        }
-        if p > 0 {
-            let dense = chunk.patterns[pattern].dense;
-            chunk.stash_len += crate::eliminate::stash_len(p, dense, chunk.elimination);
-            chunk.steps.end += p;
+/// A stretch of factors of one run, with the eliminated variable in one place.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stretch {
+    pub(crate) run: u16,
+    /// Which of the factors' variables is the eliminated one, or [`NO_OWN`].
+    pub(crate) own: u8,
+    pub(crate) start: usize,
+    pub(crate) end: usize,
+}
+
+/// What is linearised at once.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Batch {
+    pub(crate) stretches: Range<usize>,
+    pub(crate) cells: Range<usize>,
+    pub(crate) bundles: Range<usize>,
+}
+
+/// Factors of a batch that have the same shape and see the same blocks: their part of C is one product. Those of
+/// [`single`](Cell::single) cells are in none.
+#[derive(Clone, Debug)]
+pub(crate) struct Bundle {
+    pub(crate) shape: u16,
+    /// In the chunk's list: for each segment of the shape where its block's numbers begin in the chunk's vectors, then the tile of
+    /// each pair of segments, that of i ≤ j at `j (j + 1) / 2 + i`.
+    pub(crate) places: usize,
+    /// In the chunk's list: where each of the rows begins in the batch.
+    pub(crate) rows: Range<usize>,
+}
+
+/// The factors of a chunk, cell by cell.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Factors {
+    /// Number of each in its run.
+    pub(crate) numbers: Vec<u32>,
+    /// Their shapes, as numbers in `shapes`.
+    pub(crate) shape_of: Vec<u16>,
+    pub(crate) shapes: Vec<Shape>,
+    /// For each factor, for each segment of its shape: which of the pattern's blocks.
+    pub(crate) locals: Vec<u16>,
+}
+
+impl Factors {
+    #[inline(always)]
+    pub(crate) fn shape(&self, factor: usize) -> &Shape {
+        &self.shapes[self.shape_of[factor] as usize]
+    }
+}
+
+/// The patterns of a chunk's cells.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Patterns {
+    pub(crate) list: Vec<Pattern>,
+    /// The blocks of each.
+    pub(crate) locals: Vec<Local>,
+    /// Offsets of tiles, see [`Pattern::pairs`]; [`NONE`](super::block::NONE) where there is no tile.
+    pub(crate) pair_tiles: Vec<u32>,
+}
+
+impl Patterns {
+    #[inline(always)]
+    pub(crate) fn of(&self, cell: &Cell) -> &Pattern {
+        &self.list[cell.pattern as usize]
+    }
+
+    #[inline(always)]
+    pub(crate) fn locals_of(&self, cell: &Cell) -> &[Local] {
+        &self.locals[self.of(cell).locals.clone()]
+    }
+}
+
+/// The bundles of a chunk's batches.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Bundles {
+    pub(crate) list: Vec<Bundle>,
+    /// See [`Bundle::places`].
+    pub(crate) places: Vec<u32>,
+    /// See [`Bundle::rows`].
+    pub(crate) rows: Vec<u32>,
+}
+
+/// The work of one task.
+#[derive(Clone, Debug)]
+pub(crate) struct Chunk {
+    pub(crate) elimination: Elimination,
+    pub(crate) factors: Factors,
+    pub(crate) cells: Vec<Cell>,
+    pub(crate) patterns: Patterns,
+    pub(crate) stretches: Vec<Stretch>,
+    pub(crate) batches: Vec<Batch>,
+    pub(crate) bundles: Bundles,
+    /// The blocks that it touches, in order, and where their numbers begin in its vectors.
+    pub(crate) blocks: Vec<(u32, usize)>,
+    pub(crate) vector_len: usize,
+    /// The tiles that it touches, in order.
+    pub(crate) tiles: Vec<Tile>,
+    pub(crate) tiles_len: usize,
+    pub(crate) stash_len: usize,
+    /// Its tiles and its stash in the memory of all chunks.
+    pub(crate) memory: Range<usize>,
+    /// Its eliminated variables' part of the step.
+    pub(crate) steps: Range<usize>,
+    /// Numbers in the rows of its longest batch.
+    pub(crate) rows_len: usize,
+}
+
+impl Chunk {
+    /// An empty one, whose steps begin at `first_step`.
+    pub(super) fn new(elimination: Elimination, first_step: usize) -> Self {
+        Self {
+            elimination,
+            factors: Factors::default(),
+            cells: Vec::new(),
+            patterns: Patterns::default(),
+            stretches: Vec::new(),
+            batches: Vec::new(),
+            bundles: Bundles::default(),
+            blocks: Vec::new(),
+            vector_len: 0,
+            tiles: Vec::new(),
+            tiles_len: 0,
+            stash_len: 0,
+            memory: 0..0,
+            steps: first_step..first_step,
+            rows_len: 0,
         }
     }
-    if !batch.cells.is_empty() {
-        bundler.close(chunk, &shapes.shapes, batch);
-        chunk.rows_len = chunk.rows_len.max(rows);
+
+    /// The factors of one of its cells.
+    pub(crate) fn factors_of(&self, cell: usize) -> Range<usize> {
+        let start = cell.checked_sub(1).map_or(0, |previous| self.cells[previous].end);
+        start as usize..self.cells[cell].end as usize
     }
-    chunk.shapes = shapes.shapes;
-    Ok(())
+
+    /// The run of one of its factors.
+    pub(crate) fn run_of(&self, factor: usize) -> usize {
+        self.factors.shape(factor).run as usize
+    }
 }

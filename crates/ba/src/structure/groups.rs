@@ -4,8 +4,8 @@
 //! cell whose blocks are among those of a larger one joins it, and has zeros for the blocks that it does not see. No tile comes of
 //! it that there would not be, for the larger one needs it anyway.
 
-use super::Elimination;
 use super::cells::{Cells, Draft};
+use super::elimination::Elimination;
 
 /// A cell joins a larger one where it has at least this part of the pairs of blocks: so much dearer is a product of its own.
 const MIN_PART: f64 = 0.4;
@@ -15,8 +15,15 @@ const LOOK_BACK: usize = 32;
 /// A chunk's cells, those of a group side by side.
 pub(super) struct Groups<'a> {
     pub(super) drafts: Vec<Draft>,
-    /// The blocks of each group, and where its cells end.
-    pub(super) groups: Vec<(&'a [u32], usize)>,
+    pub(super) groups: Vec<Group<'a>>,
+}
+
+/// Cells that are worked on at once.
+pub(super) struct Group<'a> {
+    /// Of its largest cell.
+    pub(super) blocks: &'a [u32],
+    /// Where its cells end.
+    pub(super) end: usize,
 }
 
 impl<'a> Groups<'a> {
@@ -46,19 +53,20 @@ impl<'a> Groups<'a> {
             let open = &self.groups[begin..];
             // Cells with equal blocks come one after the other, unless they come by size.
             let look_back = open.len().saturating_sub(if joins(draft) { LOOK_BACK } else { 1 });
-            let fits = |(group, _): &(&[u32], usize)| {
-                *group == blocks || joins(draft) && worth(blocks, group) && within(blocks, group)
+            let fits = |group: &Group<'_>| {
+                let Group { blocks: of, .. } = *group;
+                of == blocks || joins(draft) && worth(blocks, of) && within(blocks, of)
             };
             let found = open[look_back..].iter().rposition(fits).map(|found| look_back + found);
             *number = found.unwrap_or(open.len()) as u32;
             if found.is_none() {
-                self.groups.push((blocks, 0));
+                self.groups.push(Group { blocks, end: 0 });
             }
         }
         stretch.sort_by_key(|(number, _)| *number);
         for (number, draft) in stretch {
             self.drafts.push(*draft);
-            self.groups[begin + *number as usize].1 = self.drafts.len();
+            self.groups[begin + *number as usize].end = self.drafts.len();
         }
     }
 }
@@ -133,16 +141,16 @@ mod tests {
         let mut sizes: Vec<usize> =
             chunk.cells.chunk_by(|a, b| a.pattern == b.pattern).map(<[_]>::len).collect();
         sizes.sort_unstable();
-        assert_eq!((sizes, chunk.patterns.len()), (vec![1, 2, 5], 3));
+        assert_eq!((sizes, chunk.patterns.list.len()), (vec![1, 2, 5], 3));
         let mut pairs: BTreeSet<(u32, u32)> = (0..7).map(|block| (block, block)).collect();
         for blocks in &blocks {
             pairs.extend(blocks.iter().flat_map(|&a| blocks.range(a..).map(move |&b| (a, b))));
         }
         assert_eq!(structure.tile_pairs(), Vec::from_iter(pairs));
-        assert_eq!(chunk.bundles.len(), 6, "a bundle for each image");
-        assert_eq!(chunk.bundle_rows.len(), 2 * chunk.factors.len());
+        assert_eq!(chunk.bundles.list.len(), 6, "a bundle for each image");
+        assert_eq!(chunk.bundles.rows.len(), 2 * chunk.factors.numbers.len());
         // Only equal ones, of which there are two, where no products are made.
         let (structure, _) = seen_by(points, Elimination::Implicit);
-        assert_eq!(structure.chunks[0].patterns.len(), 7);
+        assert_eq!(structure.chunks[0].patterns.list.len(), 7);
     }
 }

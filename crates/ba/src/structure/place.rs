@@ -6,7 +6,9 @@ use crate::error::Error;
 use crate::problem::Problem;
 use crate::variable::{Meta, Order, Role};
 
-use super::{Block, Elimination, NONE, Place, padded};
+use super::block::{Block, NONE, Place};
+use super::elimination::Elimination;
+use super::tile::padded;
 
 /// Variables are not merged into blocks wider than this.
 const MAX_MERGED_DOF: usize = 24;

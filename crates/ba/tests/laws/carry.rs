@@ -2,7 +2,7 @@
 
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
-use tiepoint_ba::{Key, Loss, Order, Problem};
+use tiepoint_ba::{Key, Loss, Order, Problem, SpanningTree};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
@@ -68,7 +68,8 @@ fn bent_chain() -> (Problem, Vec<Sight>) {
 #[test]
 fn a_bent_chain_straightens_in_few_steps() {
     let (mut problem, sights) = bent_chain();
-    problem.carry(&sights).unwrap();
+    let tree = SpanningTree::new(&problem, &sights).unwrap();
+    problem.set_retraction(tree);
     let carried = solve_as(&mut problem, &Default::default());
     assert!(carried.termination.converged() && carried.iterations.len() <= FEW, "{carried}");
 

@@ -86,7 +86,7 @@ impl Command {
         let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
         match self {
             Self::Export(format, name) => export(&ws, format, &dir.join("out").join(name)).map(drop),
-            Self::Adjust => adjust(&ws, Some(&dir.join("out")), watch).map(drop),
+            Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
             Self::View => view(&ws).map(drop),
             _ => {
                 let options = Options { redo, ..self.options() };

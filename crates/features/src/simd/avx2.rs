@@ -1,11 +1,11 @@
 //! AVX2 with fused multiply-add: two registers per vector.
 
-use super::{Simd, Task};
+use super::lanes::{Simd, Task};
 use std::arch::x86_64::*;
 
-/// The token.
+/// The token. [`enter`] alone makes use of it.
 #[derive(Clone, Copy)]
-pub(crate) struct Avx2;
+struct Avx2;
 
 /// Runs `task` in a function that may use AVX2.
 #[target_feature(enable = "avx2,fma")]

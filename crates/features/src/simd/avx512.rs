@@ -1,11 +1,11 @@
 //! AVX-512: one register per vector.
 
-use super::{Simd, Task};
+use super::lanes::{Simd, Task};
 use std::arch::x86_64::*;
 
-/// The token.
+/// The token. [`enter`] alone makes use of it.
 #[derive(Clone, Copy)]
-pub(crate) struct Avx512;
+struct Avx512;
 
 /// Runs `task` in a function that may use AVX-512.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]

@@ -1,10 +1,15 @@
 //! Plain Rust: what runs where nothing better is there, and the twin with which the tests compare the rest.
 
-use super::{LANES, Simd};
+use super::lanes::{LANES, Simd, Task};
 
-/// The token.
+/// The token. [`enter`] alone makes use of it.
 #[derive(Clone, Copy)]
-pub(crate) struct Portable;
+struct Portable;
+
+/// Runs `task`.
+pub(super) fn enter<T: Task>(task: T) -> T::Output {
+    task.run::<Portable>()
+}
 
 #[inline(always)]
 fn map2(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {

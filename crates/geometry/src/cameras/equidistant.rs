@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
-use super::MIN_DEPTH;
+use super::model::MIN_DEPTH;
 
 /// Below this squared tangent of θ its functions are replaced by their series, which neglect terms of order tan⁴ θ ≤ 1e-16.
 const SMALL_TAN2: f64 = 1e-8;

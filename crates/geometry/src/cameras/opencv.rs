@@ -4,7 +4,8 @@
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
-use super::{CameraModel, MIN_DEPTH, Projection, perspective_chain, undistort::undistort};
+use super::model::{CameraModel, MIN_DEPTH, Projection, perspective_chain};
+use super::undistort::undistort;
 
 /// Two focal lengths and Brown's distortion: fx, fy, cx, cy, k1, k2, p1, p2.
 #[derive(Clone, Copy, Debug, Default)]

@@ -7,7 +7,8 @@
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
 use super::equidistant::{angle_over_radius, d_equidistant, ray};
-use super::{CameraModel, Projection, undistort::undistort};
+use super::model::{CameraModel, Projection};
+use super::undistort::undistort;
 
 /// Two focal lengths and a polynomial of the angle: fx, fy, cx, cy, k1, k2, k3, k4.
 #[derive(Clone, Copy, Debug, Default)]

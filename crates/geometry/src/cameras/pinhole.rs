@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2x3, Matrix2x4, SVector, Vector2, Vector3};
 
-use super::{CameraModel, MIN_DEPTH, Projection};
+use super::model::{CameraModel, MIN_DEPTH, Projection};
 
 /// One focal length: f, cx, cy.
 #[derive(Clone, Copy, Debug, Default)]

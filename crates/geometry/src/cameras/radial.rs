@@ -3,7 +3,8 @@
 
 use nalgebra::{Matrix2, Matrix2x4, Matrix2x5, SVector, Vector2, Vector3};
 
-use super::{CameraModel, MIN_DEPTH, Projection, perspective_chain, undistort::undistort};
+use super::model::{CameraModel, MIN_DEPTH, Projection, perspective_chain};
+use super::undistort::undistort;
 
 /// One focal length and one coefficient: f, cx, cy, k.
 #[derive(Clone, Copy, Debug, Default)]

@@ -9,7 +9,8 @@
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
 use super::equidistant::{angle_over_radius, d_equidistant, ray};
-use super::{CameraModel, Projection, undistort::undistort};
+use super::model::{CameraModel, Projection};
+use super::undistort::undistort;
 
 /// Two focal lengths, a polynomial of the angle, decentring and a thin prism: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1.
 #[derive(Clone, Copy, Debug, Default)]

@@ -4,10 +4,9 @@ use std::ops::Range;
 
 use nalgebra::{Matrix2x3, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
 
-use super::MAX_LM_ITERATIONS;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, so3, solvers};
 
 /// `cam_from_world` of a camera that sees `points_in_world[i]` at `pixels[i]`; P3P on samples, then least reprojection error of

@@ -4,10 +4,9 @@ use std::ops::Range;
 
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
-use super::MAX_LM_ITERATIONS;
 use super::absolute_pose::{AbsolutePose, d_pose, rays};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, solvers};
 
 /// Focal lengths that [`absolute_pose_focal`] tries, as factors of the given one: a geometric series that covers fields of view

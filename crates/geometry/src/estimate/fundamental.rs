@@ -4,12 +4,9 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Rotation3, SVector, UnitQuaternion, Vector2, Vector3};
 
-use super::{
-    MAX_LM_ITERATIONS,
-    sampson::{Chosen, Pair, Pairs},
-};
+use super::sampson::{Chosen, Pair, Pairs};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, so3, solvers};
 

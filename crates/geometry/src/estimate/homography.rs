@@ -4,11 +4,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
 
-use super::MAX_LM_ITERATIONS;
 use super::weigh::weigh;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, solvers};
 

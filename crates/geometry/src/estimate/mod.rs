@@ -18,6 +18,3 @@ pub use homography::homography;
 pub use relative_pose::{essential, relative_pose};
 pub use similarity::similarity;
 pub use triangulation::{Observation, TriangulationOptions, TriangulationResidual, triangulation};
-
-/// Most Levenberg-Marquardt iterations of a local refinement.
-const MAX_LM_ITERATIONS: usize = 25;

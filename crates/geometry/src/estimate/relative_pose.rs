@@ -4,13 +4,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
-use super::{
-    MAX_LM_ITERATIONS,
-    sampson::{Chosen, Pair, Pairs},
-};
+use super::sampson::{Chosen, Pair, Pairs};
 use crate::epipolar::{essential_from_pose, poses_of_exact_essential, rays_meet_in_front};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{Intrinsics, Loss, Rigid3, so3, solvers};
 
 /// `cam2_from_cam1`, its translation of length one, from pixels that show the same points: five-point solver and cheirality on

@@ -4,9 +4,8 @@ use std::ops::Range;
 
 use nalgebra::{SVector, Vector2, Vector3};
 
-use super::MAX_LM_ITERATIONS;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::triangulate::{triangulate_two_view, triangulation_angle};
 use crate::{CameraModel, Intrinsics, Loss, Rigid3};
 

@@ -6,8 +6,8 @@ use tiepoint_features::Descriptor;
 
 use super::kernel::{RowLanes, Totals, sweep};
 use super::lanes::Portable;
-use crate::guided::squared_distance;
-use crate::prepared::{Packed, Vectors};
+use crate::distance::squared_distance;
+use crate::packed::{Packed, Vectors};
 
 /// An instruction set that this machine has; values for others cannot be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -16,7 +16,7 @@
 
 use super::lanes::Lanes;
 use crate::matches::Nearest;
-use crate::prepared::{PANEL, Packed, TILE, Vectors};
+use crate::packed::{PANEL, Packed, TILE, Vectors};
 
 /// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number fits into a key.
 const ROWS: usize = 192;

@@ -1,6 +1,6 @@
 //! A vector of 32-bit integers and the few operations that the kernel needs of it.
 
-use crate::prepared::{PANEL, Panel};
+use crate::packed::{PANEL, Panel};
 
 /// A row's half of the product: the bytes of descriptor `a` as `a − 128`, so that they fit into `i8`.
 pub(super) const OFFSET: i32 = 128;

@@ -15,7 +15,8 @@ mod lanes;
 mod x86;
 
 use crate::matches::Nearest;
-use crate::prepared::{Packed, Prepared, Vectors};
+use crate::packed::{Packed, Vectors};
+use crate::prepared::Prepared;
 
 pub use isa::Isa;
 pub(crate) use isa::Kind;
@@ -53,4 +54,36 @@ pub(crate) fn compare<const G: usize>(
     finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Vec<Nearest> {
     nearest_of_columns(b, &isa.sweep(a, b, finish_row))
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_features::Descriptor;
+
+    use super::{Isa, nearest_on};
+    use crate::distance::squared_distance;
+    use crate::prepared::Prepared;
+    use crate::random::SplitMix64;
+
+    /// Small enough for Miri and a sanitizer: two tiles, both with padding, and rows that fill no block.
+    #[test]
+    fn a_few_descriptors_find_their_nearest() {
+        let mut random = SplitMix64::new(3, 0);
+        let mut some = |count: usize| -> Vec<Descriptor> {
+            (0..count).map(|_| std::array::from_fn(|_| random.below(256) as u8)).collect()
+        };
+        let (a, b) = (some(13), some(67));
+        for isa in Isa::supported() {
+            let found = nearest_on(isa, &Prepared::new(&a), &Prepared::new(&b));
+            for (from, to, found) in [(&a, &b, &found.of_a), (&b, &a, &found.of_b)] {
+                for (descriptor, nearest) in from.iter().zip(found) {
+                    let mut distances: Vec<u32> =
+                        to.iter().map(|other| squared_distance(descriptor, other)).collect();
+                    assert_eq!(distances[nearest.index as usize], nearest.distance, "{isa}");
+                    distances.sort_unstable();
+                    assert_eq!(distances[..2], [nearest.distance, nearest.second], "{isa}");
+                }
+            }
+        }
+    }
 }

@@ -13,7 +13,7 @@ use tiepoint_features::Descriptor;
 
 use super::kernel::{RowLanes, Totals, sweep};
 use super::lanes::{Lanes, widen, widen_signed};
-use crate::prepared::{Packed, Panel, Vectors};
+use crate::packed::{Packed, Panel, Vectors};
 
 /// Bit that turns a byte `x` into `x − 128` as a signed byte, in all four bytes of a word.
 const SIGN_BITS: u32 = 0x8080_8080;

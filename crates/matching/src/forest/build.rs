@@ -4,8 +4,10 @@
 //! Entries are bytes, so a split is a byte: `x < split` goes left. Sums are integers, so a tree is the same everywhere.
 
 use rayon::prelude::*;
+use tiepoint_features::Descriptor;
 
-use super::{Forest, ForestOptions, Row};
+use super::options::ForestOptions;
+use super::tree::{Forest, LEAF_MARK, Node, Row};
 use crate::random::SplitMix64;
 
 /// Points from which mean and variance are estimated; FLANN's SAMPLE_MEAN, counted as it does.
@@ -15,47 +17,20 @@ const SAMPLE: usize = 101;
 const LEAF_POINTS: usize = 8;
 /// Dimensions of highest variance among which one is drawn; FLANN's RAND_DIM.
 const DIMENSIONS: usize = 5;
-/// Marks a leaf in [`Node::content`].
-const LEAF_MARK: u32 = 1 << 31;
-
-/// Eight bytes. A tree lies in preorder: the left child of a node follows it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Node {
-    /// Inner node: index of the right child. Leaf: index of its first entry in `Forest::points`.
-    link: u32,
-    /// Inner node: dimension and split. Leaf: number of points and the mark.
-    content: u32,
-}
-
-/// What a node is.
-pub(super) enum NodeKind {
-    Inner { dimension: usize, split: u8, right: u32 },
-    Leaf { first: usize, len: usize },
-}
-
-impl Node {
-    fn inner(dimension: usize, split: u8) -> Self {
-        Node { link: 0, content: (dimension as u32) << 8 | u32::from(split) }
-    }
-
-    #[inline(always)]
-    pub(super) fn kind(self) -> NodeKind {
-        if self.content & LEAF_MARK == 0 {
-            let dimension = (self.content >> 8) as usize & 127;
-            NodeKind::Inner { dimension, split: self.content as u8, right: self.link }
-        } else {
-            NodeKind::Leaf { first: self.link as usize, len: (self.content & !LEAF_MARK) as usize }
-        }
-    }
-}
-
 /// One tree, its links relative to itself.
 struct Tree {
     nodes: Vec<Node>,
     points: Vec<u32>,
 }
 
-pub(super) fn grow(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
+impl Forest {
+    /// Grows the trees, in parallel; the result depends on the options only. At least one tree is grown.
+    pub fn new(descriptors: &[Descriptor], options: &ForestOptions) -> Self {
+        grow(descriptors.iter().map(|&d| Row(d)).collect(), options)
+    }
+}
+
+fn grow(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
     let trees: Vec<Tree> = (0..options.trees.max(1))
         .into_par_iter()
         .map(|tree| grow_tree(&descriptors, &mut SplitMix64::new(options.seed, u64::from(tree))))

@@ -8,8 +8,10 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use super::build::NodeKind;
-use super::{Checks, Forest, Row};
+use tiepoint_features::Descriptor;
+
+use super::options::Checks;
+use super::tree::{Forest, NodeKind, Row};
 use crate::brute::{Isa, Kind};
 use crate::matches::Nearest;
 
@@ -29,12 +31,24 @@ struct Scratch {
     looked_at: Vec<u32>,
 }
 
-pub(super) fn search(
-    forest: &Forest,
-    isa: Isa,
-    queries: impl Iterator<Item = Row>,
-    checks: Checks,
-) -> Vec<Nearest> {
+impl Forest {
+    /// For every query, the two nearest neighbours among the points that the search came across.
+    pub fn nearest(&self, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
+        self.nearest_on(Isa::best(), queries, checks)
+    }
+
+    /// As [`Self::nearest`], on a given instruction set: for tests and measurements. All give the same result.
+    pub fn nearest_on(&self, isa: Isa, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
+        search(self, isa, queries.iter().map(|&query| Row(query)), checks)
+    }
+
+    /// The neighbours of another forest's descriptors.
+    pub(crate) fn nearest_of(&self, other: &Forest, checks: Checks) -> Vec<Nearest> {
+        search(self, Isa::best(), other.descriptors.iter().copied(), checks)
+    }
+}
+
+fn search(forest: &Forest, isa: Isa, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
     match isa.0 {
         // SAFETY: an `Isa` is made only where the processor has the features it stands for.
         #[cfg(target_arch = "x86_64")]

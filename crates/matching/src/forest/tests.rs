@@ -1,8 +1,10 @@
 use proptest::prelude::*;
+use tiepoint_features::Descriptor;
 
-use super::build::NodeKind;
+use super::tree::NodeKind;
 use super::*;
-use crate::brute::nearest;
+use crate::brute::{Isa, nearest};
+use crate::matches::Nearest;
 use crate::prepared::Prepared;
 
 /// More leaves than any forest here has.

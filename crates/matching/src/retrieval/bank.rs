@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::GlobalDescriptor;
+use super::similar::Similar;
 use super::walks::{BESIDE, EDGES, Graph, Row, spread};
 use crate::brute::Isa;
 #[cfg(target_arch = "x86_64")]
@@ -20,15 +21,6 @@ pub struct Bank {
     len: usize,
     /// 1 over the length of each; 0 for an image without features.
     inverse_norms: Vec<f32>,
-}
-
-/// An image of a bank that looks like another.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Similar {
-    /// Its place in the bank.
-    pub image: u32,
-    /// Cosine of the angle between the global descriptors: 1 for the same image, around 0 for unrelated ones.
-    pub similarity: f32,
 }
 
 impl FromIterator<GlobalDescriptor> for Bank {

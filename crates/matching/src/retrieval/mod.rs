@@ -10,10 +10,12 @@
 //! candidates on every machine, for any number of threads.
 
 mod bank;
+mod similar;
 mod vocabulary;
 mod walks;
 
-pub use bank::{Bank, Similar};
+pub use bank::Bank;
+pub use similar::Similar;
 pub use vocabulary::{GlobalDescriptor, Vocabulary, VocabularyOptions};
 
 #[cfg(test)]

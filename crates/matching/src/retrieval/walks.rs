@@ -9,7 +9,7 @@
 //!
 //! Sums of floats are taken in a fixed order, image by image: the same on every machine, for any number of threads.
 
-use super::bank::Similar;
+use super::similar::Similar;
 
 /// Edges of an image, at most; it may have more to those whose edge it is.
 pub(super) const EDGES: usize = 32;

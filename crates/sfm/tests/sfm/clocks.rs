@@ -6,7 +6,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
-    Event, Hold, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, companions, map,
+    Hold, MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, companions, map,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -44,14 +44,10 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     let matching = MatchOptions { window: Some(6), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let mut camera = None;
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        if let Event::MountedCamera(found) = event {
-            camera.get_or_insert_with(|| (**found).clone());
-        }
-        ControlFlow::Continue(())
-    });
-    let model = models.expect("the scene is easy").remove(0);
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
+    let MappedModel { reconstruction: model, rig, .. } = models.expect("the scene is easy").remove(0);
+    let camera = rig.and_then(|rig| rig.cameras.into_iter().next());
     Run { drive, truth: scene.truth().clone(), model, camera }
 }
 

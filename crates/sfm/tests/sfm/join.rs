@@ -4,7 +4,9 @@ use std::ops::ControlFlow;
 
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::CorrespondenceGraph;
-use tiepoint_sfm::{Event, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, map};
+use tiepoint_sfm::{
+    Event, MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, map,
+};
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
 };
@@ -54,23 +56,21 @@ fn run(rig: RigTerm) -> Run {
     let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
     let graph = CorrespondenceGraph::new(&counts, two_views);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
-    let (mut camera, mut was_joined) = (None, false);
+    let mut was_joined = false;
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        match event {
-            Event::MountedCamera(found) => camera = Some((**found).clone()),
-            Event::Joined { .. } => was_joined = true,
-            _ => {}
-        }
+        was_joined |= matches!(event, Event::Joined { .. });
         ControlFlow::Continue(())
     });
     let models = models.expect("the scene is easy");
+    let MappedModel { reconstruction, rig, .. } = &models[0];
+    let camera = rig.as_ref().and_then(|rig| rig.cameras.first().cloned());
     let path = |scene: &tiepoint_scene::Reconstruction| {
-        let of_first = models[0].registered().filter(|(_, image, _)| image.camera.0 == 0);
+        let of_first = reconstruction.registered().filter(|(_, image, _)| image.camera.0 == 0);
         let centres: Vec<_> =
             of_first.filter_map(|(id, ..)| Some(scene.image(id).cam_from_world()?.origin_in_a())).collect();
         centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>()
     };
-    let metres = path(scene.truth()) / path(&models[0]);
+    let metres = path(scene.truth()) / path(reconstruction);
     Run { drive, models: models.len(), camera, was_joined, metres }
 }
 

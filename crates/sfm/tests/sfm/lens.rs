@@ -58,7 +58,7 @@ fn a_street_turns_no_camera_against_the_other_and_leaves_pixels_square() {
         }
         let mapper = MapperOptions { seed, ..MapperOptions::default() };
         let models = map(&graph, &blank, &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
-        let model = models.expect("the scene is easy").remove(0);
+        let model = models.expect("the scene is easy").remove(0).reconstruction;
         assert_eq!(model.num_registered(), 2 * FRAMES);
         let turns: Vec<_> =
             ids.iter().zip(drive.cameras()).map(|(id, truth)| turn(model.camera(*id), truth)).collect();

@@ -125,7 +125,7 @@ fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     let mut models =
         map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
             .expect("the scene is easy");
-    models.remove(0)
+    models.remove(0).reconstruction
 }
 
 /// Noise of 0.5 px at 900 px and 4 m is 2 mm a sighting; some hundred sightings an image leave well under a millimetre of
@@ -204,7 +204,7 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let models =
         map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(
-        models.iter().map(Reconstruction::num_registered).collect::<Vec<_>>(),
+        models.iter().map(|model| model.reconstruction.num_registered()).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
     );
 }
@@ -320,7 +320,7 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
             model.track_mut(*point).unwrap().xyz += offset;
         }
         let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
-        adjust(&mut model, &Scope::Global, &options, &mut |_| ControlFlow::Continue(())).unwrap();
+        adjust(&mut model, &Scope::Global, &options, &mut [], &mut |_| ControlFlow::Continue(())).unwrap();
         model
     };
     // No pose moves, and in the end they are where the poses see them, wherever they were.

@@ -9,8 +9,9 @@ use tiepoint_scene::{
 };
 use tiepoint_sfm::rig::{paper, spread};
 use tiepoint_sfm::{
-    AdjustOptions, Event, Hold, MapperOptions, RefineIntrinsics, RigTerm, Scope, VerifyOptions, View, adjust,
-    final_links, growing_links, map, relative_poses, rig_pairs, verify_pair,
+    AdjustOptions, BaselineTerm, Event, Hold, MappedModel, MapperOptions, RefineIntrinsics, RigTerm, Scope,
+    Term, VerifyOptions, View, adjust, final_links, growing_links, map, relative_poses, rig_pairs,
+    verify_pair,
 };
 
 use crate::common::{ate_m, sample};
@@ -38,6 +39,17 @@ struct Truth {
 
 /// A drive that turns by `turn_rad` from moment to moment and wavers a little.
 fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
+    drive_with(seed, turn_rad, guessed_focal_px, has_focal_prior, &|_| BASELINE_M)
+}
+
+/// The same with a distance of the cameras for each moment.
+fn drive_with(
+    seed: u64,
+    turn_rad: f64,
+    guessed_focal_px: f64,
+    has_focal_prior: bool,
+    baseline_m: &dyn Fn(usize) -> f64,
+) -> Truth {
     let mut rng = Rng::stream(seed, &[7]);
     let truth = Intrinsics::centred(CameraModelKind::SimpleRadial, FOCAL_PX, 640, 480);
     let guess = Intrinsics::centred(CameraModelKind::SimpleRadial, guessed_focal_px, 640, 480);
@@ -58,11 +70,13 @@ fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool)
         left_from_world.push(Rigid3::new(rotation, -(rotation * centre)));
         centre += Vector3::new(yaw.sin(), 0.0, yaw.cos()) * STEP_M;
     }
-    let right_from_left =
-        Rigid3::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(-BASELINE_M, 0.0, 0.0));
-    for (folder, cam_from_left) in [("left", Rigid3::identity()), ("right", right_from_left)] {
+    let right_from_left = |moment| {
+        Rigid3::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(-baseline_m(moment), 0.0, 0.0))
+    };
+    for (folder, is_right) in [("left", false), ("right", true)] {
         let camera = scene.add_camera(Camera { intrinsics: guess, width: 640, height: 480, has_focal_prior });
         for (moment, left_from_world) in left_from_world.iter().enumerate() {
+            let cam_from_left = if is_right { right_from_left(moment) } else { Rigid3::identity() };
             let pose = cam_from_left * *left_from_world;
             let (mut keypoints, mut which) = (Vec::new(), Vec::new());
             for (point, xyz) in points.iter().enumerate() {
@@ -100,14 +114,126 @@ fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool)
     Truth { graph: CorrespondenceGraph::new(&counts, two_views), scene, poses }
 }
 
-fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
+fn run_whole(truth: &Truth, options: &MapperOptions) -> MappedModel {
     let mut models =
         map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
             .expect("the scene is easy");
     let model = models.remove(0);
-    model.validate().expect("a sound model");
+    model.reconstruction.validate().expect("a sound model");
+    model
+}
+
+fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
+    let model = run_whole(truth, options).reconstruction;
     assert_eq!(model.num_registered(), 2 * NUM_MOMENTS);
     model
+}
+
+/// Moments of the part that is mapped first, though it is the smaller one, and its distance of the cameras.
+const FEW_MOMENTS: usize = 4;
+const OTHER_BASELINE_M: f64 = 0.25;
+/// Of the other part's matches this many are left, so that it does not begin.
+const KEPT_MATCHES: usize = 4;
+/// Of a mounting's length: the two parts differ by half.
+const MAX_BASELINE_ERROR: f64 = 0.05;
+
+#[test]
+fn each_model_tells_of_its_own_rig() {
+    let baseline_m = |moment| if moment < FEW_MOMENTS { OTHER_BASELINE_M } else { BASELINE_M };
+    let mut truth = drive_with(4, 0.03, FOCAL_PX, true, &baseline_m);
+    let part = |image: ImageId| usize::from(image.index() % NUM_MOMENTS >= FEW_MOMENTS);
+    let of_one_part = truth.graph.pairs().iter().filter(|(pair, _)| part(pair.a) == part(pair.b));
+    let thinned = of_one_part.map(|(pair, two_view)| {
+        let mut two_view = two_view.clone();
+        let step = if part(pair.a) == 1 { KEPT_MATCHES } else { 1 };
+        two_view.matches = two_view.matches.into_iter().step_by(step).collect();
+        (*pair, two_view)
+    });
+    let counts: Vec<usize> = truth.scene.images().map(|(_, image)| image.keypoints.len()).collect();
+    truth.graph = CorrespondenceGraph::new(&counts, thinned.collect::<Vec<_>>());
+    let mut began = Vec::new();
+    let options = calibrated(RigTerm::Hard);
+    let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
+        if let Event::Initialised { image1, .. } = event {
+            began.push(part(*image1));
+        }
+        ControlFlow::Continue(())
+    })
+    .expect("the scene is easy");
+    assert_eq!(began, [0, 1], "the smaller one comes first");
+    let sizes: Vec<usize> = models.iter().map(|model| model.reconstruction.num_registered()).collect();
+    assert_eq!(sizes, [2 * (NUM_MOMENTS - FEW_MOMENTS), 2 * FEW_MOMENTS]);
+    for (model, baseline_m) in models.iter().zip([BASELINE_M, OTHER_BASELINE_M]) {
+        let rig = model.rig.as_ref().expect("it was asked for");
+        assert!(model.reconstruction.image(model.initial_pair.a).cam_from_world().is_some());
+        // Metres in a unit of this model.
+        let first = |poses: &dyn Fn(ImageId) -> Rigid3| {
+            let lefts = model.reconstruction.registered().filter(|(_, image, _)| image.camera.0 == 0);
+            let centres: Vec<_> = lefts.map(|(id, ..)| poses(id).origin_in_a()).collect();
+            (centres[0] - centres[centres.len() - 1]).norm()
+        };
+        let metres = first(&|id| truth.poses[id.index()])
+            / first(&|id| *model.reconstruction.image(id).cam_from_world().expect("a pose"));
+        let found_m = metres * rig.cameras[0].right_from_left.translation.norm();
+        assert!((found_m / baseline_m - 1.0).abs() < MAX_BASELINE_ERROR, "{found_m} m for {baseline_m}");
+    }
+}
+
+/// Whether all images of frames stand where their rig has them, exactly but for rounding.
+fn assert_frames_hold(model: &Reconstruction) {
+    assert_eq!(model.frames.len(), NUM_MOMENTS);
+    for frame in &model.frames {
+        for &image in &frame.images {
+            let sensors = &model.rigs[frame.rig.index()].sensors;
+            let sensor = sensors.iter().find(|sensor| sensor.camera == model.image(image).camera);
+            let there = sensor.and_then(|s| s.cam_from_rig).expect("it is known") * frame.rig_from_world;
+            let pose = model.image(image).cam_from_world().expect("a pose");
+            assert!((there.translation - pose.translation).norm() < ROUNDING, "{image:?}");
+            assert!(there.rotation.angle_to(&pose.rotation) < ROUNDING, "{image:?}");
+        }
+    }
+}
+
+/// How far the mounting is bent before it is adjusted, in radians, and what may be left of that.
+const BENT_RAD: f64 = 0.01;
+const LEFT_OF_BENT: f64 = 0.05;
+
+#[test]
+fn a_rigid_model_stays_rigid_when_it_is_adjusted() {
+    let truth = drive(4, 0.03, FOCAL_PX, true);
+    let rigid = run(&truth, &calibrated(RigTerm::Hard));
+    assert_frames_hold(&rigid);
+    let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
+    let go_on = &mut |_: &_| ControlFlow::Continue(());
+    // As another program may have left it, with a frame whose reference image is gone, too.
+    let bent = |lost: Option<ImageId>| {
+        let mut model = rigid.clone();
+        let mount = model.rigs[0].sensors[1].cam_from_rig.as_mut().expect("it is known");
+        *mount = Rigid3::from_axis_angle(Vector3::new(0.0, BENT_RAD, 0.0), Vector3::zeros()) * *mount;
+        let mount = *mount;
+        if let Some(lost) = lost {
+            model.deregister(lost);
+            model.frames.iter_mut().for_each(|frame| frame.images.retain(|image| *image != lost));
+        }
+        for frame in model.frames.clone() {
+            let right = frame.images.iter().find(|image| model.image(**image).camera.0 == 1);
+            model.register(*right.expect("a right image"), mount * frame.rig_from_world);
+        }
+        model
+    };
+    for lost in [None, Some(rigid.frames[3].images[0])] {
+        let mut model = bent(lost);
+        assert_frames_hold(&model);
+        adjust(&mut model, &Scope::Global, &options, &mut [], go_on).expect("an easy scene");
+        assert_frames_hold(&model);
+        model.validate().expect("a sound model");
+        let [found, expected] = [&model, &rigid].map(|m| m.rigs[0].sensors[1].cam_from_rig.unwrap());
+        let off_rad = found.rotation.angle_to(&expected.rotation);
+        assert!(off_rad < LEFT_OF_BENT * BENT_RAD, "{off_rad} rad");
+        if let Some(lost) = lost {
+            assert_eq!(model.image(lost).cam_from_world(), None);
+        }
+    }
 }
 
 fn calibrated(rig: RigTerm) -> MapperOptions {
@@ -156,14 +282,7 @@ fn one_mounting_is_found_and_held() {
     let mut spreads = Vec::new();
     let mut ates_m = Vec::new();
     for rig in [RigTerm::Off, RigTerm::Soft, RigTerm::Hard, RigTerm::Auto] {
-        let mut told = Vec::new();
-        let options = calibrated(rig);
-        let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
-            told.push(event.clone());
-            ControlFlow::Continue(())
-        })
-        .expect("the scene is easy");
-        let model = models.remove(0);
+        let MappedModel { reconstruction: model, rig: found_rig, .. } = run_whole(&truth, &calibrated(rig));
         model.validate().expect("a sound model");
         let poses: Vec<_> =
             relative_poses(&model, &rig_pairs(&model)[0].pairs).into_iter().map(|(_, pose)| pose).collect();
@@ -171,14 +290,11 @@ fn one_mounting_is_found_and_held() {
         let relative = found.rms_translation / found.mean_baseline;
         spreads.push(relative);
         ates_m.push(ate_m(&model, &true_model));
-        let hold = told.iter().find_map(|event| match event {
-            Event::Mounted { hold, .. } => Some(*hold),
-            _ => None,
-        });
         if rig != RigTerm::Off {
             let (without_m, with_m) = (ates_m[0], ates_m[ates_m.len() - 1]);
             assert!(with_m < MAX_ATE_SHARE * without_m, "{rig:?}: {with_m} m, {without_m} without");
         }
+        let hold = found_rig.map(|rig| rig.hold);
         match rig {
             RigTerm::Hard => {
                 assert_eq!(hold, Some(Some(Hold::Rigid)));
@@ -212,15 +328,9 @@ fn a_pair_that_does_not_belong_together_is_named_and_left_alone() {
     let times = [one, other].map(|id| truth.scene.image(id).time_s);
     truth.scene.set_time(one, times[1]);
     truth.scene.set_time(other, times[0]);
-    let mut bad = Vec::new();
-    let options = calibrated(RigTerm::Hard);
-    let models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &options, &mut |event| {
-        if let Event::BadPair { left, right } = event {
-            bad.push((left.0, right.0));
-        }
-        ControlFlow::Continue(())
-    });
-    let model = models.expect("the scene is easy").remove(0);
+    let MappedModel { reconstruction: model, rig, .. } = run_whole(&truth, &calibrated(RigTerm::Hard));
+    let bad: Vec<_> =
+        rig.expect("it was asked for").bad_pairs.iter().map(|p| (p.left.0, p.right.0)).collect();
     assert_eq!(bad, [(3, other.0), (6, one.0)]);
     assert_eq!(model.frames.len(), NUM_MOMENTS - 2);
 }
@@ -239,13 +349,10 @@ fn the_gauge_stays_where_it_is_held() {
     let gauge = ImagePair::new(ImageId(3), ImageId(4)).unwrap();
     let (first, second) =
         (*model.image(gauge.a).cam_from_world().unwrap(), *model.image(gauge.b).cam_from_world().unwrap());
-    let options = AdjustOptions {
-        refine: RefineIntrinsics::NONE,
-        links: &links,
-        gauge: Some(gauge),
-        ..AdjustOptions::default()
-    };
-    adjust(&mut model, &Scope::Global, &options, &mut |_| ControlFlow::Continue(())).unwrap();
+    let options =
+        AdjustOptions { refine: RefineIntrinsics::NONE, gauge: Some(gauge), ..AdjustOptions::default() };
+    let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
+    adjust(&mut model, &Scope::Global, &options, terms, &mut |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(*model.image(gauge.a).cam_from_world().unwrap(), first);
     let moved = model.image(gauge.b).cam_from_world().unwrap();
     let (apart, way) =

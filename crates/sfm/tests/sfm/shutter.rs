@@ -3,7 +3,9 @@
 use std::ops::ControlFlow;
 use std::sync::LazyLock;
 
-use tiepoint_sfm::{Event, Finish, MapperOptions, Readout, RefineIntrinsics, RollingShutter, map};
+use tiepoint_sfm::{
+    Failure, MapperOptions, OptionalStage, Readout, RefineIntrinsics, RollingShutter, RowPoses, map,
+};
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
 };
@@ -21,6 +23,7 @@ struct Outcome {
     /// Root mean square error of the centres.
     error_m: f64,
     shutters: Vec<RollingShutter>,
+    row_poses: Vec<RowPoses>,
     failures: usize,
 }
 
@@ -36,18 +39,15 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
     let matching = MatchOptions { window: Some(4), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
-    let (mut shutters, mut failures) = (Vec::new(), 0);
-    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        match event {
-            Event::Shutter(shutter) => shutters.push(*shutter),
-            Event::Failed { finish: Finish::Straightened, .. } => failures += 1,
-            _ => {}
-        }
-        ControlFlow::Continue(())
-    });
+    let models =
+        map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
     let model = models.expect("the scene is easy").remove(0);
-    assert_eq!(model.num_registered(), 2 * FRAMES);
-    Outcome { error_m: ate_m(&model, scene.truth()), shutters, failures }
+    assert_eq!(model.reconstruction.num_registered(), 2 * FRAMES);
+    let is_of_shutter = |failure: &&Failure| failure.stage == OptionalStage::RollingShutter;
+    let failures = model.failures.iter().filter(is_of_shutter).count();
+    let row_poses = model.row_poses.into_values().collect();
+    let error_m = ate_m(&model.reconstruction, scene.truth());
+    Outcome { error_m, shutters: model.shutters, row_poses, failures }
 }
 
 /// Mapped as if there were no readout: what both tests compare with.
@@ -80,6 +80,7 @@ fn a_rolling_shutter_is_found_and_taken_off_the_keypoints() {
     for mounting in [Mounting::Front, Mounting::Right] {
         let off = without(mounting);
         assert_eq!(off.shutters, []);
+        assert_eq!(off.row_poses, []);
         let known = run(mounting, Some(Readout::Known(READOUT_S)));
         let found = run(mounting, Some(Readout::Estimated));
         eprintln!(
@@ -95,6 +96,8 @@ fn a_rolling_shutter_is_found_and_taken_off_the_keypoints() {
             );
         }
         assert_eq!(found.shutters.len(), 2);
+        // Both ends of each camera's drive have no neighbours on one side.
+        assert!(found.row_poses.len() >= 2 * (FRAMES - 4), "{}", found.row_poses.len());
         for shutter in found.shutters {
             let sd_s = shutter.readout_sd_s.expect("it was estimated");
             assert!(sd_s < MAX_READOUT_SD_S, "{shutter:?}");

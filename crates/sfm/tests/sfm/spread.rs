@@ -26,9 +26,10 @@ fn points_that_are_enough_place_the_images_and_all_others() {
     let go_on = &mut |_: &Event| ControlFlow::Continue(());
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &options, go_on).unwrap();
     let adjusted = |spread: bool| {
-        let mut model = models[0].clone();
+        let mut model = models[0].reconstruction.clone();
         let options = AdjustOptions { refine: RefineIntrinsics::NONE, spread, ..Default::default() };
-        let summary = adjust(&mut model, &Scope::Global, &options, &mut |_| ControlFlow::Continue(()));
+        let summary =
+            adjust(&mut model, &Scope::Global, &options, &mut [], &mut |_| ControlFlow::Continue(()));
         let errors = model.tracks().flat_map(|(_, track)| track.observations.iter().map(|o| (o, track.xyz)));
         let errors: Vec<f64> = errors.filter_map(|(o, xyz)| model.error_of_px(o, &xyz)).collect();
         let mean_px = errors.iter().sum::<f64>() / errors.len() as f64;

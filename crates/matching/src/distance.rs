@@ -1,0 +1,8 @@
+//! How far apart two descriptors are.
+
+use tiepoint_features::Descriptor;
+
+/// Squared Euclidean distance, exact.
+pub(crate) fn squared_distance(a: &Descriptor, b: &Descriptor) -> u32 {
+    a.iter().zip(b).map(|(&x, &y)| u32::from(x.abs_diff(y)).pow(2)).sum()
+}

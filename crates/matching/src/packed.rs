@@ -1,0 +1,71 @@
+//! Vectors of bytes as the brute-force kernel wants them, sixteen to a panel.
+//!
+//! Within a panel the bytes are transposed in groups of four, so that one vector load gives the same four bytes of sixteen (or eight)
+//! descriptors: what a `u8 × i8` dot-product instruction wants.
+
+/// Descriptors in a panel.
+pub(crate) const PANEL: usize = 16;
+/// Panels in the widest tile of the kernel; lists of panels are filled up to a multiple of it.
+pub(crate) const TILE: usize = 4;
+/// Vectors of `G` groups of four bytes, which are compared with each other.
+pub(crate) trait Vectors<const G: usize> {
+    /// How many.
+    fn len(&self) -> usize;
+    /// Group `group` of vector `index`, four bytes as a little-endian word.
+    fn word(&self, index: usize, group: usize) -> u32;
+    /// `|x|²` of vector `index`.
+    fn square(&self, index: usize) -> i32;
+}
+
+/// Sixteen vectors, `[group][vector]`, each group of four bytes as a little-endian word.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[repr(C, align(64))]
+pub(crate) struct Panel<const G: usize>(pub(crate) [[u32; PANEL]; G]);
+
+/// Vectors packed as the columns of the kernel.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Packed<const G: usize> {
+    pub(crate) len: usize,
+    pub(crate) panels: Vec<Panel<G>>,
+    /// `|x|²` of every vector.
+    pub(crate) squares: Vec<i32>,
+    /// Sum of the entries of every vector.
+    pub(crate) sums: Vec<i32>,
+}
+
+impl<const G: usize> Packed<G> {
+    /// Packs `len` vectors, whose groups of four bytes `vector` gives.
+    pub(crate) fn new(len: usize, mut vector: impl FnMut(usize) -> [[u8; 4]; G]) -> Self {
+        let count = len.div_ceil(PANEL).next_multiple_of(TILE);
+        let mut panels = vec![Panel([[0; PANEL]; G]); count];
+        let (mut squares, mut sums) = (Vec::with_capacity(len), Vec::with_capacity(len));
+        for index in 0..len {
+            let vector = vector(index);
+            let panel = &mut panels[index / PANEL];
+            for (words, bytes) in panel.0.iter_mut().zip(&vector) {
+                words[index % PANEL] = u32::from_le_bytes(*bytes);
+            }
+            squares.push(square(vector.as_flattened()));
+            sums.push(vector.as_flattened().iter().map(|&x| i32::from(x)).sum());
+        }
+        Packed { len, panels, squares, sums }
+    }
+}
+
+impl<const G: usize> Vectors<G> for Packed<G> {
+    fn len(&self) -> usize {
+        self.len
+    }
+    #[inline]
+    fn word(&self, index: usize, group: usize) -> u32 {
+        self.panels[index / PANEL].0[group][index % PANEL]
+    }
+    fn square(&self, index: usize) -> i32 {
+        self.squares[index]
+    }
+}
+
+/// `|x|²` of a vector.
+pub(crate) fn square(bytes: &[u8]) -> i32 {
+    bytes.iter().map(|&x| i32::from(x) * i32::from(x)).sum()
+}

@@ -1,0 +1,221 @@
+//! A reconstruction as a least-squares problem.
+//!
+//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]), with priors on the
+//! intrinsics and whatever [`Term`]s add. The gauge is held by leaving columns out ([`fix_gauge`]). Points that are held out do
+//! not take part, nor do those that are not needed.
+
+use std::collections::BTreeSet;
+
+use tiepoint_ba::factors::{Reprojection, RigReprojection, ShiftedReprojection};
+use tiepoint_ba::{Key, Order, Problem, SpanningTree};
+use tiepoint_geometry::nalgebra::{Vector1, Vector3};
+use tiepoint_geometry::{CameraModel, Loss, Rigid3, with_camera_model};
+use tiepoint_scene::{CameraId, ImageId, Keypoint, Reconstruction};
+
+use super::gauge::fix_gauge;
+use super::intrinsics::{fixed_columns, intrinsics_prior};
+use super::options::{AdjustOptions, RefineIntrinsics, Scope};
+use super::term::{Shifted, Term, TermContext};
+use super::variables::{Composed, Variables};
+use crate::Error;
+use crate::noise::keypoint_sigma_px;
+use crate::tracks::spread_points;
+
+/// The keypoints of each image that see a point of the problem.
+type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
+
+/// Makes the problem of a model.
+///
+/// # Errors
+///
+/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point.
+pub(crate) fn build(
+    model: &Reconstruction,
+    scope: &Scope,
+    options: &AdjustOptions,
+    terms: &mut [&mut dyn Term],
+) -> Result<Variables, Error> {
+    let mut variables = Variables::new();
+    let context = TermContext { model, scope, noise: options.noise };
+    let observations = add_points(&mut variables, &context, options);
+    let is_posed = |id: &ImageId| !observations[id.index()].is_empty();
+    let posed: Vec<ImageId> = model.registered().map(|(id, ..)| id).filter(is_posed).collect();
+    let num_observations = observations.iter().map(Vec::len).sum();
+    if posed.len() < 2 || num_observations == 0 {
+        return Err(Error::NothingToAdjust {
+            images: posed.len(),
+            points: variables.points.len(),
+            observations: num_observations,
+        });
+    }
+    let composed: BTreeSet<ImageId> =
+        terms.iter_mut().flat_map(|term| term.composed_images(&posed)).collect();
+    add_poses(&mut variables, &context, &posed, &composed);
+    for term in terms.iter_mut() {
+        term.add(&context, &mut variables)?;
+    }
+    hold_gauge(&mut variables, &context, options)?;
+    carry(&mut variables, &observations)?;
+    for (camera, _) in model.cameras() {
+        add_camera(&mut variables, &context, options, terms, &observations, camera)?;
+    }
+    Ok(variables)
+}
+
+fn add_points(variables: &mut Variables, context: &TermContext, options: &AdjustOptions) -> Observations {
+    let TermContext { model, scope, .. } = *context;
+    let mut observations = vec![Vec::new(); model.images().count()];
+    let mut points = scope.points(model);
+    points.retain(|point| model.track(*point).is_some_and(|track| !track.is_held_out));
+    if options.spread {
+        points = spread_points(model, points, |image| scope.moves(image));
+    }
+    for point in points {
+        let Some(track) = model.track(point) else { continue };
+        let key = variables.problem_mut().eliminate(track.xyz);
+        variables.points.push((point, key));
+        for observation in &track.observations {
+            observations[observation.image.index()].push((observation.keypoint, key));
+        }
+    }
+    observations
+}
+
+fn add_poses(
+    variables: &mut Variables,
+    context: &TermContext,
+    posed: &[ImageId],
+    composed: &BTreeSet<ImageId>,
+) {
+    for (order, &image) in posed.iter().enumerate().filter(|(_, image)| !composed.contains(image)) {
+        let Some(pose) = context.model.image(image).cam_from_world() else { continue };
+        let key = variables.problem_mut().keep(*pose, Order::At(order as u32));
+        if !context.scope.moves(image) {
+            variables.problem_mut().fix(key);
+        }
+        variables.poses.push((image, key));
+    }
+}
+
+fn hold_gauge(
+    variables: &mut Variables,
+    context: &TermContext,
+    options: &AdjustOptions,
+) -> Result<(), Error> {
+    let of_images = variables.poses.iter().map(|(image, key)| (*key, !context.scope.moves(*image)));
+    let (keys, fixed): (Vec<Key<Rigid3>>, Vec<bool>) =
+        of_images.chain(variables.rig_poses.iter().copied()).unzip();
+    let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
+    let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
+    fix_gauge(variables.problem_mut(), &keys, &fixed, pair)
+}
+
+/// Lets steps move each pose relative to others that see the same points ([`SpanningTree`]).
+fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), Error> {
+    let own = variables.poses.iter().copied();
+    let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
+    let sights: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
+        .chain(composed)
+        .flat_map(|(image, pose)| observations[image.index()].iter().map(move |(_, point)| (pose, *point)))
+        .collect();
+    let tree = SpanningTree::new(variables.problem(), &sights)?;
+    variables.problem_mut().set_retraction(tree);
+    Ok(())
+}
+
+/// Where the pose of an image stands.
+#[derive(Clone, Copy)]
+enum Pose {
+    Own(Key<Rigid3>),
+    Composed(Composed),
+}
+
+/// Adds the intrinsics of a camera and what its images observe.
+fn add_camera(
+    variables: &mut Variables,
+    context: &TermContext,
+    options: &AdjustOptions,
+    terms: &mut [&mut dyn Term],
+    observations: &Observations,
+    camera: CameraId,
+) -> Result<(), Error> {
+    let model = context.model;
+    let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Own(*key)));
+    let composed = variables.composed.iter().map(|(image, pose)| (*image, Pose::Composed(*pose)));
+    let is_of_camera = |(image, _): &(ImageId, Pose)| model.image(*image).camera == camera;
+    let images: Vec<(ImageId, Pose)> = own.chain(composed).filter(is_of_camera).collect();
+    if images.is_empty() {
+        return Ok(());
+    }
+    for term in terms.iter_mut() {
+        term.add_to_camera(context, camera, variables)?;
+    }
+    // A local adjustment sees too little of a camera that has images elsewhere.
+    let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
+    let refine =
+        if all.all(|(id, ..)| context.scope.moves(id)) { options.refine } else { RefineIntrinsics::NONE };
+    let described = model.camera(camera);
+    with_camera_model!(&described.intrinsics, M, params => {
+        let kind = described.intrinsics.kind();
+        let columns = fixed_columns(kind, refine);
+        let problem = variables.problem_mut();
+        let key = problem.keep(*params, Order::Shared);
+        if columns.len() == kind.num_params() {
+            problem.fix(key);
+        } else {
+            problem.fix_tangent(key, &columns)?;
+            problem.add(key, intrinsics_prior(params, camera, described, options)?, Loss::Trivial)?;
+        }
+        for (image, pose) in &images {
+            let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
+            let of_image = OfImage {
+                keypoints: &model.image(*image).keypoints,
+                seen: &observations[image.index()],
+                pose: *pose,
+                shifts,
+            };
+            of_image.add::<M>(problem, key, options.loss)?;
+        }
+        variables.cameras.push((camera, Box::new(move |problem| problem.get(key).as_slice().to_vec())));
+    });
+    Ok(())
+}
+
+/// What an image observes.
+struct OfImage<'a> {
+    keypoints: &'a [Keypoint],
+    seen: &'a [(u32, Key<Vector3<f64>>)],
+    pose: Pose,
+    shifts: Option<(Key<Vector1<f64>>, &'a [Shifted])>,
+}
+
+impl OfImage<'_> {
+    fn add<M: CameraModel>(
+        &self,
+        problem: &mut Problem,
+        params: Key<M::Params>,
+        loss: Loss,
+    ) -> Result<(), Error> {
+        for &(index, point) in self.seen {
+            let index = index as usize;
+            let keypoint = &self.keypoints[index];
+            let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
+            match (self.pose, self.shifts) {
+                (Pose::Own(pose), Some((amount, shifts))) => {
+                    let Shifted { pixel, shift } = shifts[index];
+                    let unshifted = Reprojection::<M>::new(pixel, sigma_px);
+                    let factor = ShiftedReprojection { unshifted, shift };
+                    problem.add((params, pose, amount, point), factor, loss)?;
+                }
+                (Pose::Own(pose), None) => {
+                    problem.add((params, pose, point), Reprojection::<M>::new(pixel, sigma_px), loss)?;
+                }
+                (Pose::Composed(Composed { cam_from_rig, rig_from_world }), _) => {
+                    let factor = RigReprojection::<M>::new(pixel, sigma_px);
+                    problem.add((params, cam_from_rig, rig_from_world, point), factor, loss)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,132 @@
+//! Rigs and frames of a model in an adjustment.
+//!
+//! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of the reference sensor's image,
+//! where the frame has one with observations; otherwise it is a variable of its own. Each further sensor's cam_from_rig is one
+//! variable. In an adjustment of some images alone these are constant, since most frames take no part.
+
+use std::collections::BTreeMap;
+
+use tiepoint_ba::{Key, Order, Problem};
+use tiepoint_geometry::Rigid3;
+use tiepoint_scene::{CameraId, Frame, ImageId, Reconstruction, Rig};
+
+use super::options::Scope;
+use super::term::{Term, TermContext};
+use super::variables::Variables;
+use crate::Error;
+
+/// The rigs and frames of a model, and their variables.
+pub(super) struct RigidFrames {
+    rigs: Vec<Rig>,
+    frames: Vec<Frame>,
+    cameras: BTreeMap<ImageId, CameraId>,
+    /// The images that take their pose from the rig's, and their places in the order of the poses.
+    composed: BTreeMap<ImageId, u32>,
+    cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
+    rig_from_world: Vec<Option<Key<Rigid3>>>,
+}
+
+impl RigidFrames {
+    pub(super) fn new(model: &Reconstruction) -> Self {
+        let images = model.frames.iter().flat_map(|frame| &frame.images);
+        Self {
+            rigs: model.rigs.clone(),
+            frames: model.frames.clone(),
+            cameras: images.map(|image| (*image, model.image(*image).camera)).collect(),
+            composed: BTreeMap::new(),
+            cam_from_rig: BTreeMap::new(),
+            rig_from_world: vec![None; model.frames.len()],
+        }
+    }
+
+    /// The place of an image's camera among the sensors of the frame's rig, and where it is on that.
+    fn sensor_of(&self, frame: &Frame, image: ImageId) -> Option<(usize, Rigid3)> {
+        let sensors = &self.rigs.get(frame.rig.index())?.sensors;
+        let place = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
+        let cam_from_rig = if place == 0 { Rigid3::identity() } else { sensors[place].cam_from_rig? };
+        Some((place, cam_from_rig))
+    }
+
+    /// Whether an image takes its pose from the rig's instead of being it.
+    fn is_further(&self, frame: &Frame, image: ImageId) -> bool {
+        self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
+    }
+
+    /// Makes the model's rigs, frames and the poses of all images in them what came out.
+    pub(super) fn write_back(self, model: &mut Reconstruction) {
+        for frame in &self.frames {
+            for &image in &frame.images {
+                if let Some((_, cam_from_rig)) = self.sensor_of(frame, image)
+                    && model.image(image).cam_from_world().is_some()
+                {
+                    model.register(image, cam_from_rig * frame.rig_from_world);
+                }
+            }
+        }
+        (model.rigs, model.frames) = (self.rigs, self.frames);
+    }
+}
+
+impl Term for RigidFrames {
+    fn composed_images(&mut self, posed: &[ImageId]) -> Vec<ImageId> {
+        for frame in &self.frames {
+            for &image in &frame.images {
+                if let Ok(order) = posed.binary_search(&image)
+                    && self.is_further(frame, image)
+                {
+                    self.composed.insert(image, order as u32);
+                }
+            }
+        }
+        self.composed.keys().copied().collect()
+    }
+
+    fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
+        let is_local = matches!(context.scope, Scope::Local(_));
+        let own: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
+        for (index, frame) in self.frames.iter().enumerate() {
+            let reference = frame.images.iter().find(|image| {
+                self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0) && own.contains_key(image)
+            });
+            let further = || frame.images.iter().filter(|image| self.composed.contains_key(image));
+            let rig_from_world = match (reference, further().next()) {
+                (Some(image), _) => own[image],
+                (None, Some(first)) => {
+                    let key =
+                        variables.problem_mut().keep(frame.rig_from_world, Order::At(self.composed[first]));
+                    let is_fixed = !further().any(|image| context.scope.moves(*image));
+                    if is_fixed {
+                        variables.problem_mut().fix(key);
+                    }
+                    variables.rig_poses.push((key, is_fixed));
+                    key
+                }
+                (None, None) => continue,
+            };
+            self.rig_from_world[index] = Some(rig_from_world);
+            for &image in further() {
+                let Some((place, pose)) = self.sensor_of(frame, image) else { continue };
+                let key = *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
+                    let key = variables.problem_mut().keep(pose, Order::Shared);
+                    if is_local {
+                        variables.problem_mut().fix(key);
+                    }
+                    key
+                });
+                variables.compose_pose(image, key, rig_from_world);
+            }
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, problem: &Problem) {
+        for (frame, key) in self.frames.iter_mut().zip(&self.rig_from_world) {
+            if let Some(key) = key {
+                frame.rig_from_world = problem.get(*key);
+            }
+        }
+        for (&(rig, place), key) in &self.cam_from_rig {
+            self.rigs[rig].sensors[place].cam_from_rig = Some(problem.get(*key));
+        }
+    }
+}

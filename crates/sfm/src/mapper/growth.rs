@@ -1,0 +1,247 @@
+//! One model in the making: begin with a pair, add image after image, adjust as the model grows.
+//!
+//! After Schönberger & Frahm 2016. Everything random is drawn from streams keyed by (seed, images), every parallel step
+//! collects in order: the result depends on the input, the options and the seed alone.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use tiepoint_geometry::Rng;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
+
+use super::effort::Effort;
+use super::solution::Solution;
+use crate::Error;
+use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_going};
+use crate::event::{Event, Watch, tell};
+use crate::noise::relative_noise;
+use crate::options::{MapperOptions, RigTerm};
+use crate::register::Queue;
+use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
+use crate::tracks::{
+    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks, recreate_tracks,
+    triangulate_image,
+};
+use crate::two_view::FocalPrior;
+
+/// A refinement is over when a round changes the number of observations and the cost by less than this share.
+const MIN_CHANGE: f64 = 5e-4;
+/// With fewer images the distortion is too weakly determined to be moved.
+const MIN_IMAGES_FOR_DISTORTION: usize = 5;
+/// Cameras that only move, without turning by this much (20°), hide their focal lengths and principal points: others stretch and
+/// shear the world.
+const MIN_TURN_RAD: f64 = 0.35;
+
+/// One model in the making.
+pub(super) struct Mapper<'a> {
+    pub(super) graph: &'a CorrespondenceGraph,
+    pub(super) options: &'a MapperOptions,
+    pub(super) focal_priors: &'a [FocalPrior],
+    /// Cameras of which the paper's term is asked.
+    pub(super) rigs: &'a [RigPairs],
+    /// Images of earlier models.
+    pub(super) taken: BTreeSet<ImageId>,
+    /// Where a trial stops; `None` for all images.
+    pub(super) max_images: Option<usize>,
+    pub(super) queue: Queue,
+    /// The pair that the model began with.
+    pub(super) initial: Option<ImagePair>,
+    pub(super) solution: Solution,
+}
+
+impl<'a> Mapper<'a> {
+    pub(super) fn new(
+        graph: &'a CorrespondenceGraph,
+        scene: &Reconstruction,
+        options: &'a MapperOptions,
+    ) -> Self {
+        Self {
+            graph,
+            options,
+            focal_priors: &[],
+            rigs: &[],
+            taken: BTreeSet::new(),
+            max_images: None,
+            queue: Queue::new(scene, options.seed),
+            initial: None,
+            solution: Solution::new(scene.clone()),
+        }
+    }
+
+    /// From here on keypoints weigh by the noise that they have now.
+    pub(super) fn weigh(&mut self) {
+        self.solution.noise = Some(relative_noise(&self.solution.model));
+    }
+
+    /// Registers all images that can be, adjusting as the model grows.
+    pub(super) fn grow(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        let mut images_at_global = self.solution.model.num_registered();
+        let mut points_at_global = self.solution.model.num_tracks();
+        loop {
+            while let Some(image) = self.register_next() {
+                self.take_in(image, watch)?;
+                let (images, points) =
+                    (self.solution.model.num_registered(), self.solution.model.num_tracks());
+                let grown = |now: usize, then: usize| now as f64 >= self.options.global_growth * then as f64;
+                if grown(images, images_at_global) || grown(points, points_at_global) {
+                    self.refine_globally(&Effort::GROWING, watch)?;
+                    (images_at_global, points_at_global) =
+                        (self.solution.model.num_registered(), self.solution.model.num_tracks());
+                }
+            }
+            // What fails before the last refinement may succeed after it.
+            self.refine_globally(&Effort::GROWING, watch)?;
+            self.queue.forgive();
+            // One that failed before, if any can be now.
+            let Some(image) = self.register_next() else { return Ok(()) };
+            self.take_in(image, watch)?;
+        }
+    }
+
+    /// Gives a new image its points, adjusts it with its neighbours, and tells.
+    fn take_in(&mut self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
+        triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
+        self.adjust_locally(image)?;
+        self.report(image, watch)
+    }
+
+    /// Images that are not registered and have a verified pair with one that is: no other sees anything of the model.
+    fn frontier(&self) -> Vec<ImageId> {
+        let has_pose = |id: &ImageId| self.solution.model.image(*id).cam_from_world().is_some();
+        let is_open = |id: &ImageId| !self.taken.contains(id) && !has_pose(id);
+        let is_next = |id: &ImageId| self.graph.neighbours(*id).iter().any(has_pose);
+        self.solution.model.images().map(|(id, _)| id).filter(is_open).filter(is_next).collect()
+    }
+
+    /// Registers one more image; `None` when none can be.
+    fn register_next(&mut self) -> Option<ImageId> {
+        if self.max_images.is_some_and(|most| self.solution.model.num_registered() >= most) {
+            return None;
+        }
+        let images = self.frontier();
+        self.queue.register_next(self.graph, &mut self.solution.model, images, &self.options.register)
+    }
+
+    /// Adjusts a new image with the images that share most points with it.
+    fn adjust_locally(&mut self, image: ImageId) -> Result<(), Error> {
+        let mut shared: BTreeMap<ImageId, usize> = BTreeMap::new();
+        for track in self
+            .solution
+            .model
+            .image(image)
+            .points()
+            .iter()
+            .flatten()
+            .filter_map(|p| self.solution.model.track(*p))
+        {
+            for observation in track.observations.iter().filter(|o| o.image != image) {
+                *shared.entry(observation.image).or_insert(0) += 1;
+            }
+        }
+        let mut neighbours: Vec<(usize, ImageId)> =
+            shared.into_iter().map(|(id, count)| (count, id)).collect();
+        neighbours.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
+        let bundle: BTreeSet<ImageId> = std::iter::once(image)
+            .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
+            .collect();
+        let links = growing_links(&self.solution.model, self.rigs);
+        let options = self.adjust_options(&Effort::LOCAL);
+        let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
+        match adjust(&mut self.solution.model, &Scope::Local(&bundle), &options, terms, &mut keep_going) {
+            Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let points = self.solution.model.points_seen_by(&bundle);
+        complete_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
+        merge_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
+        let points = self.solution.model.points_seen_by(&bundle);
+        filter_points(&mut self.solution.model, &points, &self.options.filter);
+        Ok(())
+    }
+
+    /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.
+    pub(super) fn refine_globally(&mut self, effort: &Effort, watch: &mut Watch) -> Result<(), Error> {
+        let mut before = (self.solution.model.num_observations(), f64::INFINITY);
+        for _ in 0..effort.rounds {
+            recreate_tracks(self.graph, &mut self.solution.model, &self.options.tracks);
+            let links = growing_links(&self.solution.model, self.rigs);
+            let after = self.adjust_globally(&links, effort, watch)?;
+            let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
+            if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
+                break;
+            }
+            before = after;
+        }
+        Ok(())
+    }
+
+    /// Adjusts and filters everything. Returns the number of observations and the cost.
+    pub(super) fn adjust_globally(
+        &mut self,
+        links: &[BaselineLink],
+        effort: &Effort,
+        watch: &mut Watch,
+    ) -> Result<(usize, f64), Error> {
+        let options = self.adjust_options(effort);
+        let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links }];
+        let summary = adjust(&mut self.solution.model, &Scope::Global, &options, terms, &mut keep_going)?;
+        filter_all_points(&mut self.solution.model, &self.options.filter);
+        filter_images(&mut self.solution.model, self.options.register.min_num_inliers / 2);
+        let (num_observations, cost) = (self.solution.model.num_observations(), summary.final_cost);
+        let (num_images, iterations) = (self.solution.model.num_registered(), summary.iterations.len());
+        tell(watch, &Event::Adjusted { num_images, num_observations, cost, iterations })?;
+        Ok((num_observations, cost))
+    }
+
+    pub(super) fn adjust_options(&self, effort: &Effort) -> AdjustOptions<'a> {
+        let mut refine = self.options.refine;
+        let turns = self.turns();
+        refine.focal &= self.solution.noise.is_some() || turns;
+        refine.principal_point &= self.solution.noise.is_some() && turns;
+        if self.solution.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
+            refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
+        }
+        if self.solution.model.num_registered() < 3 {
+            refine = RefineIntrinsics::NONE;
+        }
+        let options = AdjustOptions {
+            refine,
+            spread: effort.spread,
+            loss: self.options.loss,
+            focal_priors: self.focal_priors,
+            gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
+            max_iterations: effort.max_iterations,
+            function_tolerance: effort.tolerance,
+            ..AdjustOptions::default()
+        };
+        match self.solution.noise {
+            Some(noise) => options.with_noise(noise),
+            // While it grows, a model is worse than its keypoints.
+            None => options,
+        }
+    }
+
+    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one mount look apart without ever turning. Where
+    /// each image has a camera of its own, photos are compared with each other.
+    fn turns(&self) -> bool {
+        let is_shared = self.solution.model.cameras().count() < self.solution.model.images().count();
+        let mut first = BTreeMap::new();
+        self.solution.model.registered().any(|(_, image, pose)| {
+            let camera = is_shared.then_some(image.camera);
+            first.entry(camera).or_insert(pose.rotation).angle_to(&pose.rotation) > MIN_TURN_RAD
+        })
+    }
+
+    pub(super) fn seed_of(&self, key: &[u64]) -> u64 {
+        Rng::stream(self.options.seed, key).next_u64()
+    }
+
+    fn report(&self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
+        let event = Event::Registered {
+            image,
+            num_registered: self.solution.model.num_registered(),
+            num_images: self.solution.model.images().count() - self.taken.len(),
+            num_points: self.solution.model.num_tracks(),
+        };
+        tell(watch, &event)
+    }
+}

@@ -1,0 +1,120 @@
+//! The incremental mapper: models of everything that hangs together, and of cameras that ride together.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
+
+use super::focal_trials::choose_focal_lengths;
+use super::growth::Mapper;
+use super::solution::Solution;
+use crate::Error;
+use crate::event::{Event, Watch, tell};
+use crate::mapped_model::MappedModel;
+use crate::options::{MapperOptions, RigTerm};
+use crate::rigs::{Descriptors, MountedRig, joined, rig_pairs};
+use crate::rolling_shutter::row_poses;
+use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
+
+/// Maps all images that hang together, one model for each connected part, the one with the most images first. `scene` gives the
+/// cameras and the images with their keypoints; poses and points in it are ignored. `descriptors` is asked where images are to be matched
+/// again, which only [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
+pub fn map(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<Vec<MappedModel>, Error> {
+    let mut scene = scene.clone();
+    let mut options = *options;
+    options.tracks.two_view |= graph.num_images() == 2;
+    let options = &options;
+    let mut found = Vec::new();
+    if options.refine.focal {
+        found = estimate_focal_lengths(graph, &mut scene);
+        choose_focal_lengths(graph, &mut scene, options, &found);
+    }
+    let focal_priors = focal_priors(&scene, &found);
+    let rigs = match options.rig {
+        RigTerm::Paper => rig_pairs(&scene),
+        _ => Vec::new(),
+    };
+    let mut models: Vec<MappedModel> = Vec::new();
+    let mut taken: BTreeSet<ImageId> = BTreeSet::new();
+    loop {
+        let mut mapper = Mapper::new(graph, &scene, options);
+        mapper.focal_priors = &focal_priors;
+        mapper.rigs = &rigs;
+        mapper.taken = taken.clone();
+        let mapped = match mapper.run(descriptors, watch) {
+            Ok(mapped) => mapped,
+            // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
+            Err(Error::NoInitialPair { .. } | Error::NothingToAdjust { .. }) if !models.is_empty() => break,
+            Err(error) => return Err(error),
+        };
+        let registered: Vec<ImageId> = mapped.reconstruction.registered().map(|(id, ..)| id).collect();
+        if models.is_empty() || registered.len() >= options.min_model_size {
+            models.push(mapped);
+        }
+        let before = taken.len();
+        taken.extend(registered);
+        if taken.len() == before {
+            break;
+        }
+    }
+    models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
+    if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
+        join(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+    }
+    Ok(models)
+}
+
+/// Joins the largest model with those of cameras that see nothing of it and ride with it, if holding them to a mounting explains tracks
+/// that took no part as well as holding nothing.
+fn join(
+    graph: &CorrespondenceGraph,
+    focal_priors: &[FocalPrior],
+    options: &MapperOptions,
+    models: &mut Vec<MappedModel>,
+    descriptors: &mut Descriptors,
+    watch: &mut Watch,
+) -> Result<(), Error> {
+    let mut index = 1;
+    while index < models.len() {
+        let whole = joined(&models[0].reconstruction, &models[index].reconstruction);
+        // What cannot be held stays apart.
+        let held = whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
+        let Some((reconstruction, rig)) = held else {
+            index += 1;
+            continue;
+        };
+        let further = models.remove(index);
+        let whole = &mut models[0];
+        whole.reconstruction = reconstruction;
+        whole.rig = Some(rig);
+        // They have no camera in common.
+        whole.shutters.extend(further.shutters);
+        whole.row_poses = row_poses(&whole.reconstruction, &whole.shutters);
+        whole.num_loop_pairs += further.num_loop_pairs;
+        whole.failures.extend(further.failures);
+        tell(watch, &Event::Joined { num_images: whole.reconstruction.num_registered() })?;
+    }
+    Ok(())
+}
+
+/// A model with its cameras held to their mountings; `None` where they are better not held.
+fn held(
+    graph: &CorrespondenceGraph,
+    model: Reconstruction,
+    focal_priors: &[FocalPrior],
+    options: &MapperOptions,
+    descriptors: &mut Descriptors,
+) -> Result<Option<(Reconstruction, MountedRig)>, Error> {
+    let mut mapper = Mapper::new(graph, &model, options);
+    mapper.focal_priors = focal_priors;
+    mapper.weigh();
+    mapper.hold(descriptors)?;
+    let Solution { model, rig, .. } = mapper.solution;
+    Ok(rig.filter(|rig| rig.hold.is_some()).map(|rig| (model, rig)))
+}

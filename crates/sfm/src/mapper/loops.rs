@@ -1,0 +1,114 @@
+//! Loops are closed that the mapping has left open.
+
+use rayon::prelude::*;
+use tiepoint_scene::ImagePair;
+
+use super::effort::Effort;
+use super::growth::Mapper;
+use crate::Error;
+use crate::event::{Event, Watch, tell};
+use crate::loop_closure::{
+    Joined, MIN_PAIRS, Meeting, Pairs, agreeing, is_closed, join, pairs, spread_drift,
+};
+
+/// How often loops are closed: one that is hides another.
+const MAX_CLOSURES: usize = 3;
+
+impl Mapper<'_> {
+    /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
+    pub(super) fn close_loops(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        for _ in 0..MAX_CLOSURES {
+            let Pairs { torn, joined } = pairs(self.graph, &self.solution.model);
+            let meetings = self.meetings(&torn, &joined);
+            if meetings.len() < MIN_PAIRS {
+                break;
+            }
+            let torn: Vec<ImagePair> = meetings.iter().map(|meeting| meeting.pair).collect();
+            // What tears them is not drift where it fails. Where the pairs are wrong, or the lens is, closing may leave nothing to adjust.
+            let closed = self.transaction(|mapper| {
+                let before = mapper.solution.model.clone();
+                mapper.close_loop(&joined, &meetings, watch)?;
+                if is_closed(mapper.graph, &mapper.solution.model, &before, &torn) {
+                    Ok(())
+                } else {
+                    Err(Error::LoopNotClosed { pairs: torn.len() })
+                }
+            })?;
+            if closed.is_err() {
+                break;
+            }
+            self.solution.num_loop_pairs += torn.len();
+            tell(watch, &Event::LoopClosed { num_pairs: torn.len() })?;
+        }
+        Ok(())
+    }
+
+    /// How the images of torn pairs should stand to each other.
+    fn meetings(&self, torn: &[ImagePair], joined: &Joined) -> Vec<Meeting> {
+        let meeting = |pair: &ImagePair| {
+            let seed = self.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
+            Meeting::new(&self.solution.model, *pair, self.graph.pairs().get(pair)?, seed)
+        };
+        let meetings: Vec<Meeting> = torn.par_iter().filter_map(meeting).collect();
+        agreeing(&self.solution.model, &meetings, joined)
+    }
+
+    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point each.
+    fn close_loop(&mut self, joined: &Joined, meetings: &[Meeting], watch: &mut Watch) -> Result<(), Error> {
+        spread_drift(&mut self.solution.model, joined, meetings)?;
+        join(self.graph, &mut self.solution.model, meetings.iter().map(|meeting| meeting.pair));
+        self.refine_globally(&Effort::CLOSED, watch)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::ControlFlow;
+
+    use tiepoint_scene::{ImageId, Match, TwoView, TwoViewKind};
+    use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
+
+    use super::*;
+    use crate::adjust::RefineIntrinsics;
+    use crate::mapper::solution::Solution;
+    use crate::options::MapperOptions;
+
+    const IMAGES: usize = 8;
+    const OBSERVATIONS: usize = 200;
+
+    /// Every pair of images is said to see the same where it does not: nothing is left of the model then, but what was before.
+    #[test]
+    fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
+        let mut drive =
+            Drive::new(&DriveOptions { rate_hz: 4.0, ..DriveOptions::default() }).expect("a drive");
+        drive.keep_first(IMAGES);
+        let features =
+            FeatureOptions { observations: 2 * IMAGES * OBSERVATIONS, ..FeatureOptions::default() };
+        let scene = FeatureScene::new(&drive, &features).expect("sound options");
+        let graph = scene.graph(&MatchOptions::default());
+        let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
+        let blank = scene.without_poses();
+        let mut mapper = Mapper::new(&graph, &blank, &options);
+        let watch = &mut |_: &Event| ControlFlow::Continue(());
+        let candidates = mapper.candidates();
+        mapper.initialise(&candidates, watch).expect("an easy scene");
+        mapper.grow(watch).expect("an easy scene");
+        let model = mapper.solution.model.clone();
+
+        let seen = |id: ImageId| -> Vec<u32> {
+            (0..).zip(model.image(id).points()).filter_map(|(k, point)| point.map(|_| k)).collect()
+        };
+        let wrong = graph.pairs().keys().map(|&pair| {
+            // What one sees first, the other sees last.
+            let (a, b) = (seen(pair.a).into_iter(), seen(pair.b).into_iter().rev());
+            let matches = a.zip(b).map(|(a, b)| Match { a, b }).collect();
+            (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
+        });
+        let graph = graph.extended(wrong);
+        let mut mapper =
+            Mapper { solution: Solution::new(model.clone()), ..Mapper::new(&graph, &blank, &options) };
+        assert!(!pairs(&graph, &model).torn.is_empty());
+        mapper.close_loops(watch).expect("no reason to end the run");
+        assert!(mapper.solution.model == model);
+    }
+}

@@ -1,0 +1,14 @@
+//! The mapper: from verified pairs to models.
+
+mod effort;
+mod explained;
+mod focal_trials;
+mod growth;
+mod incremental;
+mod loops;
+mod solution;
+mod stages;
+mod start;
+mod transaction;
+
+pub use incremental::map;

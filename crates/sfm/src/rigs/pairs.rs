@@ -1,0 +1,143 @@
+//! Cameras that ride together: which images were taken at one moment, and what is asked of their relative poses.
+//!
+//! Images are paired by their times, each camera's on its own clock, so the clocks need only agree to better than half the time
+//! between two images. Without times, images of the same file name in their cameras' folders are a pair.
+
+use std::collections::BTreeMap;
+
+use tiepoint_rig::{RelativePose, interval_s};
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
+
+use crate::timeline::{images_in_time, images_of_cameras};
+
+/// Two images of one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RigPair {
+    /// Of the first camera.
+    pub left: ImageId,
+    /// Of another one.
+    pub right: ImageId,
+}
+
+/// The moments of two cameras.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RigPairs {
+    /// The first camera: the others are related to it.
+    pub left: CameraId,
+    /// Another one.
+    pub right: CameraId,
+    /// In order of time.
+    pub pairs: Vec<RigPair>,
+}
+
+/// Pairs the images of every camera with those of the first one. Cameras without a pair are left out.
+pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
+    let images = images_of_cameras(scene);
+    let mut cameras = images.iter();
+    let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
+    cameras
+        .map(|(&right, right_images)| {
+            let pairs = match (images_in_time(scene, left_images), images_in_time(scene, right_images)) {
+                (Some(lefts), Some(rights)) => by_time(&lefts, &rights),
+                _ => by_name(scene, left_images, right_images),
+            };
+            RigPairs { left, right, pairs }
+        })
+        .filter(|rig| !rig.pairs.is_empty())
+        .collect()
+}
+
+/// Pairs of images that are each other's nearest in time, by less than half a typical interval.
+pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
+    let interval = |moments: &[(f64, ImageId)]| {
+        interval_s(&moments.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
+    };
+    let max_difference_s = 0.5 * interval(lefts).max(interval(rights));
+    let nearest = |time_s: f64, others: &[(f64, ImageId)]| -> usize {
+        let after = others.partition_point(|other| other.0 < time_s);
+        let distance =
+            |index: usize| others.get(index).map_or(f64::INFINITY, |other| (other.0 - time_s).abs());
+        if after > 0 && distance(after - 1) <= distance(after) { after - 1 } else { after }
+    };
+    let mut pairs = Vec::new();
+    for (index, &(time_s, left)) in lefts.iter().enumerate() {
+        let Some(&(right_s, right)) = rights.get(nearest(time_s, rights)) else { continue };
+        if nearest(right_s, lefts) == index && (right_s - time_s).abs() <= max_difference_s {
+            pairs.push(RigPair { left, right });
+        }
+    }
+    pairs
+}
+
+pub(crate) fn by_name(scene: &Reconstruction, lefts: &[ImageId], rights: &[ImageId]) -> Vec<RigPair> {
+    let file = |id: ImageId| scene.image(id).name.rsplit('/').next().unwrap_or_default();
+    let rights: BTreeMap<&str, ImageId> = rights.iter().map(|&id| (file(id), id)).collect();
+    let mut pairs: Vec<(&str, RigPair)> = lefts
+        .iter()
+        .filter_map(|&left| Some((file(left), RigPair { left, right: *rights.get(file(left))? })))
+        .collect();
+    pairs.sort_by_key(|(name, _)| *name);
+    pairs.into_iter().map(|(_, pair)| pair).collect()
+}
+
+/// The relative poses of the pairs of which both images have a pose, in order of time.
+pub fn relative_poses(model: &Reconstruction, pairs: &[RigPair]) -> Vec<(RigPair, RelativePose)> {
+    let pose = |image| model.image(image).cam_from_world();
+    pairs
+        .iter()
+        .filter_map(|pair| Some((*pair, RelativePose::between(pose(pair.left)?, pose(pair.right)?))))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_scene::{Camera, Image};
+
+    /// Two cameras with images at the given times; the right one's follow the left one's.
+    fn scene(lefts: &[Option<f64>], rights: &[Option<f64>]) -> Reconstruction {
+        let mut scene = Reconstruction::default();
+        for (folder, times) in [("left", lefts), ("right", rights)] {
+            let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+            let camera =
+                scene.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+            for (index, &time_s) in times.iter().enumerate() {
+                let image =
+                    scene.add_image(Image::new(format!("{folder}/{index:06}.png"), camera, Vec::new()));
+                scene.set_time(image, time_s);
+            }
+        }
+        scene
+    }
+
+    fn pairs(scene: &Reconstruction) -> Vec<(u32, u32)> {
+        let rigs = rig_pairs(scene);
+        rigs.iter().flat_map(|rig| &rig.pairs).map(|pair| (pair.left.0, pair.right.0)).collect()
+    }
+
+    #[test]
+    fn images_of_one_moment_are_each_others_nearest() {
+        // The right clock is 0.04 s ahead, its second image is missing, and it runs on for longer.
+        let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
+        let rights = [0.04, 0.24, 0.34, 0.44].map(Some);
+        assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5), (3, 6)]);
+    }
+
+    #[test]
+    fn at_another_rate_some_images_stay_alone() {
+        let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
+        let rights = [0.01, 0.21].map(Some);
+        assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5)]);
+        assert!(
+            pairs(&scene(&lefts, &[Some(10.0), Some(10.1)])).is_empty(),
+            "these clocks do not agree at all"
+        );
+    }
+
+    #[test]
+    fn without_times_file_names_decide() {
+        assert_eq!(pairs(&scene(&[None; 3], &[None, Some(0.0)])), [(0, 3), (1, 4)]);
+        assert!(rig_pairs(&scene(&[None; 3], &[])).is_empty(), "a lone camera");
+    }
+}

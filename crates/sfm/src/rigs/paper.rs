@@ -1,0 +1,103 @@
+//! The baseline constraint of Huang, Elhashash & Qin 2022 as a term of an adjustment.
+
+use std::collections::BTreeMap;
+
+use tiepoint_ba::{Key, Order};
+use tiepoint_geometry::{Loss, Rigid3};
+use tiepoint_rig::{Baseline, RelativePose, paper};
+use tiepoint_scene::{ImageId, Reconstruction};
+
+use super::pairs::{RigPair, RigPairs, relative_poses};
+use crate::Error;
+use crate::adjust::{Term, TermContext, Variables};
+
+/// The relative poses of two moments, which should be equal: ½ w ‖p_i − p_{i+1}‖².
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaselineLink {
+    /// One moment.
+    pub now: RigPair,
+    /// The next one.
+    pub next: RigPair,
+    /// w.
+    pub weight: f64,
+    /// Which way rotations are written as axis-angle vectors.
+    pub near: RelativePose,
+}
+
+impl BaselineLink {
+    /// In the order of [`tiepoint_rig::Baseline`]'s variables.
+    pub(crate) fn images(&self) -> [ImageId; 4] {
+        [self.now.left, self.now.right, self.next.left, self.next.right]
+    }
+}
+
+/// Links as a term of an adjustment: those of which some image moves. Images that are in no other term are constant.
+#[derive(Clone, Copy, Debug)]
+pub struct BaselineTerm<'a> {
+    /// The links.
+    pub links: &'a [BaselineLink],
+}
+
+impl Term for BaselineTerm<'_> {
+    fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
+        let mut keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
+        for link in self.links {
+            let images = link.images();
+            if !images.iter().any(|image| context.scope.moves(*image) && keys.contains_key(image)) {
+                continue;
+            }
+            let key_of = |image: ImageId| -> Option<Key<Rigid3>> {
+                if let Some(&key) = keys.get(&image) {
+                    return Some(key);
+                }
+                let key = variables
+                    .problem_mut()
+                    .keep(*context.model.image(image).cam_from_world()?, Order::At(image.0));
+                variables.problem_mut().fix(key);
+                keys.insert(image, key);
+                Some(key)
+            };
+            let [a, b, c, d] = images.map(key_of);
+            let (Some(a), Some(b), Some(c), Some(d)) = (a, b, c, d) else { continue };
+            variables.problem_mut().add(
+                (a, b, c, d),
+                Baseline::with_weight(link.weight, link.near),
+                Loss::Trivial,
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// The links of Huang, Elhashash & Qin 2022 while mapping: λ N_p/N_t each (Eq. 2).
+pub fn growing_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLink> {
+    links(model, rigs, |poses, total| {
+        vec![paper::growing_weight(poses.len(), total); poses.len().saturating_sub(1)]
+    })
+}
+
+/// The links of the last adjustment, weighed by how far the relative poses are from their mean now (Eq. 4).
+pub fn final_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLink> {
+    links(model, rigs, |poses, _| paper::final_link_weights(poses))
+}
+
+fn links(
+    model: &Reconstruction,
+    rigs: &[RigPairs],
+    weights: impl Fn(&[RelativePose], usize) -> Vec<f64>,
+) -> Vec<BaselineLink> {
+    let mut links = Vec::new();
+    for rig in rigs {
+        let (pairs, poses): (Vec<RigPair>, Vec<RelativePose>) =
+            relative_poses(model, &rig.pairs).into_iter().unzip();
+        let Some(&near) = poses.first() else { continue };
+        let weights = weights(&poses, rig.pairs.len());
+        links.extend(pairs.windows(2).zip(weights).map(|(w, weight)| BaselineLink {
+            now: w[0],
+            next: w[1],
+            weight,
+            near,
+        }));
+    }
+    links
+}

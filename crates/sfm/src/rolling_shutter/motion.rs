@@ -1,0 +1,222 @@
+//! How cameras move while they take an image, and what that does to keypoints of a rolling shutter.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use tiepoint_geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_geometry::numeric::median;
+use tiepoint_geometry::{Rigid3, so3};
+use tiepoint_rig::Trajectory;
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
+
+use super::readout::RollingShutter;
+use crate::adjust::Shifted;
+use crate::timeline::{posed_in_time, usual};
+
+/// A camera is no more than so many times as fast as it usually is.
+const MAX_SPEED: f64 = 3.0;
+/// Velocities are differences over this time, in seconds.
+const DIFFERENCE_S: f64 = 1e-3;
+
+/// How a camera moves while it takes an image.
+struct Motion {
+    /// In the world, units a second.
+    velocity: Vector3<f64>,
+    /// In the camera's frame, radians a second.
+    angular_velocity: Vector3<f64>,
+}
+
+/// Of the images of which times and neighbours are known, and that do not stand where their camera cannot have been: next to one that was
+/// registered at the wrong place cameras fly, and a few such images outweigh thousands in what the readout is.
+fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
+    let mut motions = Vec::new();
+    for (camera, _) in model.cameras() {
+        let posed = posed_in_time(model, camera);
+        let trajectory = Trajectory::new(posed.iter().map(|(time_s, _, pose)| (*time_s, *pose)));
+        let mut of_camera = Vec::new();
+        for (time_s, id, _) in posed {
+            let Some(first) = trajectory.knots_around(time_s) else { continue };
+            let knots = trajectory.knots(first);
+            let [before, after] = [-0.5, 0.5].map(|side| knots.at(time_s + side * DIFFERENCE_S));
+            let velocity = (after.origin_in_a() - before.origin_in_a()) / DIFFERENCE_S;
+            let angular_velocity = so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
+            of_camera.push((id, Motion { velocity, angular_velocity }));
+        }
+        let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
+        let usual = usual(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
+        motions.extend(of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual));
+    }
+    motions
+}
+
+/// How far the shutters shift all keypoints, about the readouts of now.
+pub(super) fn shifted(
+    model: &Reconstruction,
+    detected: &BTreeMap<ImageId, Vec<Vector2<f64>>>,
+    shutters: &[RollingShutter],
+) -> BTreeMap<ImageId, Vec<Shifted>> {
+    let of_image = |(id, motion): &(ImageId, Motion)| {
+        let readout_s = readout_s(shutters, model.image(*id).camera);
+        // A shift is a difference, and needs some time to be one.
+        let readout_s = if readout_s.abs() < DIFFERENCE_S { DIFFERENCE_S } else { readout_s };
+        (*id, shifts(model, *id, &detected[id], motion, readout_s))
+    };
+    motions(model).par_iter().map(of_image).collect::<Vec<_>>().into_iter().collect()
+}
+
+pub(super) fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
+    shutters.iter().find(|shutter| shutter.camera == camera).map_or(0.0, |shutter| shutter.readout_s)
+}
+
+/// The same of an image. What sees no point is taken to be as far away as the median of what does.
+fn shifts(
+    model: &Reconstruction,
+    image: ImageId,
+    pixels: &[Vector2<f64>],
+    motion: &Motion,
+    readout_s: f64,
+) -> Vec<Shifted> {
+    let (camera, image) = (model.camera_of(image), model.image(image));
+    let pose = image.cam_from_world();
+    let in_camera = |keypoint: usize| {
+        let track = model.track(image.point_of(keypoint as u32)?)?;
+        Some(*pose? * track.xyz)
+    };
+    let mut distances: Vec<f64> = (0..pixels.len()).filter_map(|k| Some(in_camera(k)?.norm())).collect();
+    let distance = median(&mut distances);
+    let shift = |k: usize, pixel: &Vector2<f64>| {
+        let point = match in_camera(k) {
+            Some(point) => point,
+            None => camera.intrinsics.unproject(pixel)? * distance?,
+        };
+        let time_s = (pixel.y / f64::from(camera.height) - 0.5) * readout_s;
+        let velocity = pose?.rotation * motion.velocity;
+        let moved = so3::exp(&(motion.angular_velocity * time_s)) * (point - velocity * time_s);
+        Some((camera.intrinsics.project(&moved)? - camera.intrinsics.project(&point)?) / readout_s)
+    };
+    let shifted = |(k, pixel): (usize, &Vector2<f64>)| Shifted {
+        pixel: *pixel,
+        shift: shift(k, pixel).unwrap_or_default(),
+    };
+    pixels.iter().enumerate().map(shifted).collect()
+}
+
+/// Where a camera with a rolling shutter was while it took an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowPoses {
+    /// Of the camera's centre in the world, in units of the model a second.
+    pub velocity_in_world: Vector3<f64>,
+    /// In the camera's frame, in radians a second.
+    pub angular_velocity_rad_s: Vector3<f64>,
+    /// Time from the first row to the last one, in seconds.
+    pub readout_s: f64,
+    /// Height of the image, in pixels.
+    pub height_px: f64,
+}
+
+impl RowPoses {
+    /// The pose when the row at `y_px` was exposed, from that of the image, which is its middle row's.
+    pub fn cam_from_world(&self, middle: &Rigid3, y_px: f64) -> Rigid3 {
+        let time_s = (y_px / self.height_px - 0.5) * self.readout_s;
+        let shift = middle.rotation * self.velocity_in_world * time_s;
+        let turn = so3::exp(&(self.angular_velocity_rad_s * time_s));
+        Rigid3::new(turn * middle.rotation, turn * (middle.translation - shift))
+    }
+}
+
+/// Of the images of which the motion is known, whose camera has a rolling shutter.
+pub(crate) fn row_poses(model: &Reconstruction, shutters: &[RollingShutter]) -> BTreeMap<ImageId, RowPoses> {
+    let of_image = |(id, motion): (ImageId, Motion)| {
+        let readout_s = readout_s(shutters, model.image(id).camera);
+        let rows = RowPoses {
+            velocity_in_world: motion.velocity,
+            angular_velocity_rad_s: motion.angular_velocity,
+            readout_s,
+            height_px: f64::from(model.camera_of(id).height),
+        };
+        (readout_s != 0.0).then_some((id, rows))
+    };
+    motions(model).into_iter().filter_map(of_image).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_scene::{Camera, Image};
+
+    const IMAGES: usize = 100;
+    const RATE_HZ: f64 = 10.0;
+    const SPEED: f64 = 2.0;
+    const MISPLACED: usize = 50;
+    /// The cubics through it give these images a speed.
+    const BESIDE: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
+
+    /// A camera at constant speed, one of whose images stands far off.
+    fn drive(off_by: f64) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        for i in 0..IMAGES {
+            let id = model.add_image(Image::new(format!("{i}.png"), camera, Vec::new()));
+            let time_s = i as f64 / RATE_HZ;
+            let along = SPEED * time_s + if i == MISPLACED { off_by } else { 0.0 };
+            model.set_time(id, Some(time_s));
+            model.register(id, Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-along, 0.0, 0.0)));
+        }
+        model
+    }
+
+    const READOUT_S: f64 = 0.02;
+    /// Of a pixel: the shift is a difference over the readout time.
+    const ROUNDING_PX: f64 = 1e-9;
+
+    /// What the pose of its row sees of a point is where the shutter has shifted the keypoint to.
+    #[test]
+    fn the_pose_of_a_row_sees_what_the_shutter_shifts() {
+        let mut model = drive(0.0);
+        let id = ImageId(MISPLACED as u32);
+        let motion = Motion {
+            velocity: Vector3::new(SPEED, 0.3, -0.2),
+            angular_velocity: Vector3::new(0.1, -0.4, 0.05),
+        };
+        model
+            .register(id, Rigid3::from_axis_angle(Vector3::new(0.2, -0.1, 0.3), Vector3::new(1.0, 2.0, 0.5)));
+        let (image, camera) = (model.image(id), *model.camera_of(id));
+        let middle = *image.cam_from_world().unwrap();
+        let rows = RowPoses {
+            velocity_in_world: motion.velocity,
+            angular_velocity_rad_s: motion.angular_velocity,
+            readout_s: READOUT_S,
+            height_px: f64::from(camera.height),
+        };
+        for y_px in [0.0, 100.0, 479.0] {
+            let pixel = Vector2::new(200.0, y_px);
+            let point_in_cam = camera.intrinsics.unproject(&pixel).unwrap() * 7.0;
+            let keypoint = tiepoint_scene::Keypoint { pixel, scale_px: 1.0 };
+            let mut one = Reconstruction::default();
+            let camera = one.add_camera(camera);
+            let id = one.add_image(tiepoint_scene::Image::new("a", camera, vec![keypoint; 2]));
+            one.register(id, middle);
+            let observations =
+                (0..2).map(|keypoint| tiepoint_scene::Observation { image: id, keypoint }).collect();
+            let xyz = middle.inverse() * point_in_cam;
+            one.add_track(tiepoint_scene::Track::new(xyz, observations));
+            let shifted = shifts(&one, id, &[pixel], &motion, READOUT_S)[0].shift * READOUT_S;
+            let seen = rows.cam_from_world(&middle, y_px) * xyz;
+            let seen = one.camera(camera).intrinsics.project(&seen).unwrap();
+            assert!((seen - pixel - shifted).norm() < ROUNDING_PX, "{y_px}: {seen} {pixel} {shifted}");
+        }
+    }
+
+    #[test]
+    fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
+        let of = |off_by: f64| {
+            let motions = motions(&drive(off_by));
+            motions.into_iter().map(|(id, motion)| (id.index(), motion.velocity.x)).collect::<Vec<_>>()
+        };
+        assert_eq!(of(0.0).len(), IMAGES);
+        let around: Vec<usize> = of(30.0).into_iter().map(|(index, _)| index).collect();
+        assert_eq!(around, (0..IMAGES).filter(|index| !BESIDE.contains(index)).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,102 @@
+//! The readouts of rolling shutters in an adjustment: each keypoint is shifted in proportion to its camera's.
+
+use std::collections::BTreeMap;
+
+use tiepoint_ba::factors::Prior;
+use tiepoint_ba::{AnyKey, Key, Order, Problem};
+use tiepoint_geometry::Loss;
+use tiepoint_geometry::nalgebra::Vector1;
+use tiepoint_scene::{CameraId, ImageId, Reconstruction};
+
+use super::readout::RollingShutter;
+use crate::Error;
+use crate::adjust::{AdjustOptions, Scope, Shifted, Term, TermContext, Variables, adjust, build, keep_going};
+use crate::noise::noise_of_fit;
+use crate::tracks::without_points_at_infinity;
+
+/// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
+const READOUT_SIGMA_S: f64 = 0.03;
+
+/// The shutters of the cameras, and all keypoints of the images of which they are known to shift any.
+pub(super) struct ShutterTerm<'a> {
+    shutters: &'a [RollingShutter],
+    keypoints: &'a BTreeMap<ImageId, Vec<Shifted>>,
+    /// How long the shutter of a camera takes, in seconds.
+    keys: BTreeMap<CameraId, Key<Vector1<f64>>>,
+    found: Vec<RollingShutter>,
+}
+
+impl<'a> ShutterTerm<'a> {
+    pub(super) fn new(
+        shutters: &'a [RollingShutter],
+        keypoints: &'a BTreeMap<ImageId, Vec<Shifted>>,
+    ) -> Self {
+        Self { shutters, keypoints, keys: BTreeMap::new(), found: Vec::new() }
+    }
+}
+
+impl Term for ShutterTerm<'_> {
+    fn add(&mut self, _: &TermContext, _: &mut Variables) -> Result<(), Error> {
+        Ok(())
+    }
+
+    /// The readout of a camera as a variable.
+    fn add_to_camera(
+        &mut self,
+        context: &TermContext,
+        camera: CameraId,
+        variables: &mut Variables,
+    ) -> Result<(), Error> {
+        if let Some(shutter) = self.shutters.iter().find(|shutter| shutter.camera == camera) {
+            let problem = variables.problem_mut();
+            let key = problem.keep(Vector1::new(shutter.readout_s), Order::Shared);
+            let prior = Prior::new(Vector1::zeros(), &[READOUT_SIGMA_S / context.noise])?;
+            problem.add(key, prior, Loss::Trivial)?;
+            self.keys.insert(camera, key);
+        }
+        Ok(())
+    }
+
+    fn shifts_of(&self, camera: CameraId, image: ImageId) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
+        Some((*self.keys.get(&camera)?, self.keypoints.get(&image)?))
+    }
+
+    fn read(&mut self, problem: &Problem) {
+        let found = |shutter: &RollingShutter| RollingShutter {
+            readout_s: self.keys.get(&shutter.camera).map_or(0.0, |key| problem.get(*key).x),
+            ..*shutter
+        };
+        self.found = self.shutters.iter().map(found).collect();
+    }
+}
+
+/// Adjusts everything with the readouts as variables, and says where those ended.
+pub(super) fn adjust_readouts(
+    model: &mut Reconstruction,
+    options: &AdjustOptions,
+    mut shutters: ShutterTerm,
+) -> Result<Vec<RollingShutter>, Error> {
+    adjust(model, &Scope::Global, options, &mut [&mut shutters], &mut keep_going)?;
+    Ok(shutters.found)
+}
+
+/// The same with standard deviations, from the noise that the model leaves.
+pub(super) fn with_deviations(
+    model: &Reconstruction,
+    options: &AdjustOptions,
+    mut shutters: ShutterTerm,
+) -> Result<Vec<RollingShutter>, Error> {
+    let noise = noise_of_fit(model, &options.loss);
+    let options = &AdjustOptions { noise, ..*options };
+    let near = without_points_at_infinity(model);
+    let variables = build(&near, &Scope::Global, options, &mut [&mut shutters])?;
+    let sd_s = |camera: CameraId| {
+        let keys: [AnyKey; 1] = [(*shutters.keys.get(&camera)?).into()];
+        Some(variables.problem().covariance(&keys).ok()?.matrix()[(0, 0)].sqrt() * noise)
+    };
+    let found = |shutter: &RollingShutter| RollingShutter {
+        readout_sd_s: Some(sd_s(shutter.camera).unwrap_or(f64::INFINITY)),
+        ..*shutter
+    };
+    Ok(shutters.shutters.iter().map(found).collect())
+}

@@ -1,0 +1,228 @@
+//! Tracks: create, continue, complete, merge. Each is a verb of its own that can be called again at any time; each leaves a
+//! consistent model behind and says how many observations it changed.
+//!
+//! After Schönberger & Frahm 2016, sections 4.3 and 4.4.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use tiepoint_geometry::nalgebra::Vector3;
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
+
+use super::triangulation::{self, Sight};
+
+/// When observations belong to one point.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackOptions {
+    /// Largest distance between keypoint and projection when a point is created or continued, in pixels.
+    pub max_create_error_px: f64,
+    /// The same when tracks are completed and merged, between poses that have been adjusted.
+    pub max_merge_error_px: f64,
+    /// Smallest angle between two rays of a new point, in radians.
+    pub min_angle_rad: f64,
+    /// Whether keypoints that match nothing but each other become points. They are many, their points are the least certain,
+    /// and nothing contradicts them; with two images there is nothing else.
+    pub two_view: bool,
+    /// How many correspondences away from a track its further observations are looked for.
+    pub max_transitivity: usize,
+}
+
+impl Default for TrackOptions {
+    fn default() -> Self {
+        Self {
+            max_create_error_px: 12.0,
+            max_merge_error_px: 4.0,
+            min_angle_rad: 1.5_f64.to_radians(),
+            two_view: false,
+            max_transitivity: 5,
+        }
+    }
+}
+
+/// Lets each keypoint of a registered image see a point: one that its correspondences see, or a new one triangulated with
+/// them. Returns how many observations were added.
+pub fn triangulate_image(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    image: ImageId,
+    options: &TrackOptions,
+) -> usize {
+    let mut added = 0;
+    for keypoint in 0..model.image(image).keypoints.len() as u32 {
+        let observation = Observation { image, keypoint };
+        if !options.two_view && graph.is_two_view(observation) {
+            continue;
+        }
+        let targets: Vec<Observation> = graph
+            .correspondences(observation)
+            .iter()
+            .copied()
+            .filter(|t| model.image(t.image).cam_from_world().is_some())
+            .collect();
+        if targets.is_empty() {
+            continue;
+        }
+        if model.image(image).point_of(keypoint).is_none() {
+            added += usize::from(continue_track(model, observation, &targets, options.max_create_error_px));
+        }
+        let mut free: Vec<Observation> = std::iter::once(observation)
+            .chain(targets)
+            .filter(|o| model.image(o.image).point_of(o.keypoint).is_none())
+            .collect();
+        // What one point leaves over may belong to another, where a keypoint was matched to two things.
+        while free.len() >= 2 {
+            let Some((xyz, members)) = create(model, &free, options) else { break };
+            added += members.len();
+            free.retain(|o| !members.contains(o));
+            model.add_track(Track::new(xyz, members));
+        }
+    }
+    added
+}
+
+/// Lets a keypoint see the best-fitting of the points that its correspondences see.
+fn continue_track(
+    model: &mut Reconstruction,
+    observation: Observation,
+    targets: &[Observation],
+    max_error_px: f64,
+) -> bool {
+    let candidates: BTreeSet<PointId> =
+        targets.iter().filter_map(|t| model.image(t.image).point_of(t.keypoint)).collect();
+    let errors = candidates.into_iter().filter_map(|point| {
+        let error = model.error_of_px(&observation, &model.track(point)?.xyz)?;
+        (error <= max_error_px).then_some((error, point))
+    });
+    match errors.min_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((_, point)) => {
+            model.add_observation(point, observation);
+            true
+        }
+        None => false,
+    }
+}
+
+/// A new point from keypoints that see none, with those of them that agree on it.
+fn create(
+    model: &Reconstruction,
+    free: &[Observation],
+    options: &TrackOptions,
+) -> Option<(Vector3<f64>, Vec<Observation>)> {
+    let (members, sights): (Vec<Observation>, Vec<Sight>) =
+        free.iter().filter_map(|o| Some((*o, Sight::of(model, o)?))).unzip();
+    let found = triangulation::triangulate(&sights, options.max_create_error_px, options.min_angle_rad)?;
+    Some((found.xyz, found.inliers.into_iter().map(|index| members[index]).collect()))
+}
+
+/// Tries [`triangulate_image`] again on every registered image: what failed between the poses of an earlier day may succeed
+/// between those of today.
+pub fn retriangulate(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    options: &TrackOptions,
+) -> usize {
+    // Between adjusted poses, what is off by more than a merge allows would be filtered right after.
+    let options = &TrackOptions { max_create_error_px: options.max_merge_error_px, ..*options };
+    let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
+    images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
+}
+
+/// [`retriangulate`], [`complete_tracks`] and [`merge_tracks`] of everything, one after the other.
+pub(crate) fn recreate_tracks(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    options: &TrackOptions,
+) {
+    retriangulate(graph, model, options);
+    let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
+    complete_tracks(graph, model, &points, options);
+    merge_tracks(graph, model, &points, options);
+}
+
+/// Adds to each of `points` the keypoints that are connected to its track by correspondences, see no point yet and fit.
+pub fn complete_tracks(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    points: &[PointId],
+    options: &TrackOptions,
+) -> usize {
+    let mut added = 0;
+    for &point in points {
+        let Some(track) = model.track(point) else { continue };
+        let xyz = track.xyz;
+        let mut queue: VecDeque<(Observation, usize)> = track.observations.iter().map(|o| (*o, 0)).collect();
+        let mut visited: BTreeSet<Observation> = track.observations.iter().copied().collect();
+        while let Some((observation, distance)) = queue.pop_front() {
+            if distance == options.max_transitivity {
+                continue;
+            }
+            for &next in graph.correspondences(observation) {
+                if model.image(next.image).point_of(next.keypoint).is_none()
+                    && model.error_of_px(&next, &xyz).is_some_and(|e| e <= options.max_merge_error_px)
+                    && visited.insert(next)
+                {
+                    model.add_observation(point, next);
+                    queue.push_back((next, distance + 1));
+                    added += 1;
+                }
+            }
+        }
+    }
+    added
+}
+
+/// Merges points that a correspondence connects and that all their observations agree on. Returns how many observations found
+/// themselves in a longer track.
+pub fn merge_tracks(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+    points: &[PointId],
+    options: &TrackOptions,
+) -> usize {
+    let mut merged_observations = 0;
+    for &first in points {
+        let mut point = first;
+        let mut refused = BTreeSet::new();
+        while let Some((other, xyz)) =
+            mergeable(graph, model, point, &mut refused, options.max_merge_error_px)
+        {
+            match model.merge_tracks(point, other, xyz) {
+                Some(merged) => point = merged,
+                None => break,
+            }
+            merged_observations += model.track(point).map_or(0, |track| track.observations.len());
+        }
+    }
+    merged_observations
+}
+
+/// Where two points would be as one: in the middle of their observations.
+pub(crate) fn middle(one: &Track, other: &Track) -> Vector3<f64> {
+    let (n, m) = (one.observations.len() as f64, other.observations.len() as f64);
+    (one.xyz * n + other.xyz * m) / (n + m)
+}
+
+/// Another point that is the same as `point`, and where the two would be together.
+fn mergeable(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    point: PointId,
+    refused: &mut BTreeSet<PointId>,
+    max_error_px: f64,
+) -> Option<(PointId, Vector3<f64>)> {
+    let track = model.track(point)?;
+    for observation in &track.observations {
+        for next in graph.correspondences(*observation) {
+            let Some(other) = model.image(next.image).point_of(next.keypoint) else { continue };
+            if other == point || !refused.insert(other) {
+                continue;
+            }
+            let Some(other_track) = model.track(other) else { continue };
+            let xyz = middle(track, other_track);
+            let fits = |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
+            if track.observations.iter().chain(&other_track.observations).all(fits) {
+                return Some((other, xyz));
+            }
+        }
+    }
+    None
+}

@@ -1,0 +1,17 @@
+//! Points and their tracks: how they are made, completed, merged, selected and dropped.
+
+mod filter;
+mod grow;
+mod hold_out;
+mod infinity;
+mod selection;
+mod triangulation;
+
+pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
+pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
+pub(crate) use grow::{middle, recreate_tracks};
+pub use hold_out::{held_out_rms_px, hold_out_tracks};
+pub(crate) use infinity::without_points_at_infinity;
+pub(crate) use selection::spread_points;
+pub(crate) use triangulation::seen_at;
+pub use triangulation::{Sight, Triangulated, triangulate};

@@ -1,0 +1,11 @@
+//! Pairs of images before there is a model: their geometry, focal lengths, and where to begin.
+
+mod focal;
+mod initial_pair;
+mod verify;
+
+pub(crate) use focal::with_focal;
+pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
+pub use initial_pair::{InitialPair, initial_pairs};
+pub(crate) use initial_pair::{refine, relative_pose};
+pub use verify::{VerifyOptions, View, verify_pair};
