@@ -14,7 +14,7 @@ use tiepoint_sfm::{
     verify_pair,
 };
 
-use crate::common::sample;
+use crate::common::{ate_m, sample};
 
 /// Standard deviation of a keypoint's position, in pixels.
 const NOISE_PX: f64 = 0.3;
@@ -261,11 +261,26 @@ fn the_papers_term_lessens_the_spread_of_the_baseline() {
 /// What is left of a relative pose after two rigid motions were multiplied out.
 const ROUNDING: f64 = 1e-9;
 
-/// The noise of the keypoints scatters relative poses; a mounting that is there takes the scatter away, and the trajectory is no worse.
+/// The true poses as a model.
+fn true_model(truth: &Truth) -> Reconstruction {
+    let mut model = truth.scene.clone();
+    for (index, pose) in truth.poses.iter().enumerate() {
+        model.register(ImageId(index as u32), *pose);
+    }
+    model
+}
+
+/// Centres are off by less where a mounting holds them: ten other seeds (11 to 20) end at 0.685 ± 0.109 of the error without; this is
+/// 2.6 standard deviations more.
+const MAX_ATE_SHARE: f64 = 0.97;
+
+/// The noise of the keypoints scatters relative poses; a mounting that is there takes the scatter away, and the trajectory gets better.
 #[test]
 fn one_mounting_is_found_and_held() {
     let truth = drive(4, 0.03, FOCAL_PX, true);
+    let true_model = true_model(&truth);
     let mut spreads = Vec::new();
+    let mut ates_m = Vec::new();
     for rig in [RigTerm::Off, RigTerm::Soft, RigTerm::Hard, RigTerm::Auto] {
         let MappedModel { reconstruction: model, rig: found_rig, .. } = run_whole(&truth, &calibrated(rig));
         model.validate().expect("a sound model");
@@ -274,6 +289,11 @@ fn one_mounting_is_found_and_held() {
         let found = spread(&poses).expect("ten moments");
         let relative = found.rms_translation / found.mean_baseline;
         spreads.push(relative);
+        ates_m.push(ate_m(&model, &true_model));
+        if rig != RigTerm::Off {
+            let (without_m, with_m) = (ates_m[0], ates_m[ates_m.len() - 1]);
+            assert!(with_m < MAX_ATE_SHARE * without_m, "{rig:?}: {with_m} m, {without_m} without");
+        }
         let hold = found_rig.map(|rig| rig.hold);
         match rig {
             RigTerm::Hard => {
