@@ -18,7 +18,7 @@ fn database(path: &Path, sql: &str) {
     let mut db = Database::create(path).unwrap();
     let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
     let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: false };
-    db.write_cameras(&[camera.clone(), camera]).unwrap();
+    db.write_cameras(&[camera, camera]).unwrap();
     let image = |name: &str, camera| Image::new(name, CameraId(camera), vec![]);
     db.write_images(&[image("a", 0), image("b", 1)]).unwrap();
     db.write_rigs(&[], &[]).unwrap();
@@ -54,11 +54,9 @@ fn views_without_end_are_no_tables() {
 
 #[test]
 fn triggers_generated_columns_and_virtual_tables_are_refused() {
-    let trigger = format!(
-        "CREATE TRIGGER t AFTER INSERT ON images BEGIN INSERT INTO images(name, camera_id) \
-         SELECT name || 'x', camera_id FROM images; END;"
-    );
-    refused(&trigger, "`images` has a trigger, `t`");
+    let trigger = "CREATE TRIGGER t AFTER INSERT ON images BEGIN INSERT INTO images(name, camera_id) \
+         SELECT name || 'x', camera_id FROM images; END;";
+    refused(trigger, "`images` has a trigger, `t`");
     let generated = "ALTER TABLE cameras ADD COLUMN more AS (hex(zeroblob(1000)))";
     refused(generated, "`cameras` has generated columns");
     let found = "DROP TABLE images; CREATE VIRTUAL TABLE images USING fts5(image_id, name, camera_id);";
