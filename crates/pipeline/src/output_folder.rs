@@ -105,11 +105,6 @@ impl OutputFolder {
         self.manifest.files.keys().map(String::as_str)
     }
 
-    /// Whether a file is as this program left it.
-    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
-        self.has_known_content(name)
-    }
-
     /// Refuses, before any work is done, to replace what is somebody's.
     pub(crate) fn refuse_foreign<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
         names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?))
@@ -151,11 +146,11 @@ impl OutputFolder {
         if self.always_ours.contains(&name) {
             return Ok(Owner::Us);
         }
-        Ok(if self.has_known_content(name)? { Owner::Us } else { Owner::Others })
+        Ok(if self.is_as_left(name)? { Owner::Us } else { Owner::Others })
     }
 
-    /// Whether a file has a content that this program gave it.
-    fn has_known_content(&self, name: &str) -> Result<bool, Error> {
+    /// Whether a file is as this program left it: it has a content that this program gave it.
+    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
         let path = self.root.join(name);
         let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
         let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else { return Ok(false) };
@@ -293,7 +288,7 @@ impl OutputFolder {
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // Somebody may have put a file there since a run was killed.
         for (_, name) in &old {
-            if !self.has_known_content(name)? {
+            if !self.is_as_left(name)? {
                 return Err(Error::NotOurs { path: self.root.join(name) });
             }
         }
