@@ -22,7 +22,8 @@ use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 
-const STAGED: &str = ".tiepoint-new";
+/// Where new files are written first; new single files have names that end so.
+pub(crate) const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
 /// Bytes read at once.
