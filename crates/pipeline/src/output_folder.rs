@@ -108,14 +108,14 @@ impl OutputFolder {
 
     /// Refuses, before any work is done, to replace what is somebody's.
     pub(crate) fn refuse_foreign<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
-        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?))
+        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
     /// The same for a staged file: it may have the content that is there.
     pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
-        let owner = self.owner(name)?;
+        let (owner, hash) = self.owner(name)?;
         let staged = hash_of(&self.root.join(STAGED).join(name))?;
-        if staged.is_some() && staged == hash_of(&self.root.join(name))? {
+        if staged.is_some() && staged == self.hash_there(name, &owner, hash)? {
             return Ok(());
         }
         self.refuse(name, &owner)
@@ -130,24 +130,37 @@ impl OutputFolder {
         }
     }
 
-    fn owner(&self, name: &str) -> Result<Owner, Error> {
+    /// Whose a file is, and the hash of its content where that was asked.
+    fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
         let found = match fs::symlink_metadata(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(Owner::Nobody),
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok((Owner::Nobody, None)),
             // A part of the path is a file: it cannot be written either.
             Err(cause) => return Err(Error::Output { path, cause }),
             Ok(found) => found,
         };
         if FileId::of(&path).is_some_and(|id| self.inputs.contains(&id)) {
-            return Ok(Owner::Input);
+            return Ok((Owner::Input, None));
         }
         if !found.is_file() {
-            return Ok(Owner::Others);
+            return Ok((Owner::Others, None));
         }
         if self.always_ours.contains(&name) {
-            return Ok(Owner::Us);
+            return Ok((Owner::Us, None));
         }
-        Ok(if self.is_as_left(name)? { Owner::Us } else { Owner::Others })
+        let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
+        let hash = hash_of(&path)?;
+        let is_known = hash.as_ref().is_some_and(|hash| known.contains(hash));
+        Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
+    }
+
+    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read twice.
+    fn hash_there(&self, name: &str, owner: &Owner, hash: Option<String>) -> Result<Option<String>, Error> {
+        match (owner, hash) {
+            (Owner::Nobody, _) => Ok(None),
+            (_, None) => hash_of(&self.root.join(name)),
+            (_, hash) => Ok(hash),
+        }
     }
 
     /// Whether a file is as this program left it: it has a content that this program gave it.
@@ -237,18 +250,16 @@ impl OutputFolder {
                 order.par_iter().map(|name| hash_of(&staged.join(name))).collect();
             all?
         };
-        let owners: Result<Vec<Owner>, Error> = order.par_iter().map(|name| self.owner(name)).collect();
+        let owners: Result<Vec<(Owner, Option<String>)>, Error> =
+            order.par_iter().map(|name| self.owner(name)).collect();
         let (mut placed, mut kept) = (Vec::new(), 0);
         let mut manifest = self.manifest.clone();
-        for ((name, hash), owner) in order.iter().zip(hashes).zip(owners?) {
+        for ((name, hash), (owner, there)) in order.iter().zip(hashes).zip(owners?) {
             let hash = hash.ok_or_else(|| Error::Output {
                 path: self.root.join(name),
                 cause: io::Error::other("it was not written"),
             })?;
-            let there = match owner {
-                Owner::Nobody => None,
-                _ => hash_of(&self.root.join(name))?,
-            };
+            let there = self.hash_there(name, &owner, there)?;
             if there.as_ref() == Some(&hash) {
                 disk::remove_file(&staged.join(name)).map_err(output(&self.root.join(name)))?;
                 kept += 1;
@@ -364,6 +375,8 @@ fn hash_of(path: &Path) -> Result<Option<String>, Error> {
         Ok(found) if !found.is_file() => return Ok(None),
         Ok(_) => {}
     }
+    #[cfg(test)]
+    tests::HASHED.lock().expect("no test panics with it").push(path.to_owned());
     let mut file = File::open(path).map_err(unreadable)?;
     let (mut hash, mut buffer) = (blake3::Hasher::new(), vec![0; BUFFER_BYTES]);
     loop {
@@ -418,7 +431,12 @@ fn lock(_: &Path) -> Result<Option<File>, Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
+
+    /// Files whose hash was taken, in any test.
+    pub(super) static HASHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
     fn put(folder: &mut OutputFolder, files: &[(&str, &str)], removed: &[&str]) -> Result<usize, Error> {
         for (name, text) in files {
@@ -456,6 +474,22 @@ mod tests {
         assert_eq!(put(&mut folder, &[("mine", "mine")], &["a/b"]).unwrap(), 1);
         assert!(!root.join("a").exists());
         assert!(put(&mut folder, &[("mine", "other")], &[]).is_err());
+    }
+
+    #[test]
+    fn a_file_that_is_replaced_is_read_once_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = OutputFolder::open(dir.path()).unwrap();
+        folder.always_ours(&["ours"]);
+        let names = ["a", "ours", "theirs"];
+        put(&mut folder, &[("a", "1"), ("ours", "1")], &[]).unwrap();
+        fs::write(dir.path().join("theirs"), "2").unwrap();
+        let paths = names.map(|name| dir.path().join(name));
+        let count = || HASHED.lock().unwrap().iter().filter(|path| paths.contains(path)).count();
+        let before = count();
+        assert_eq!(put(&mut folder, &names.map(|name| (name, "2")), &[]).unwrap(), 1);
+        // Each once, and the two that are replaced again before they go, since they may have changed meanwhile.
+        assert_eq!(count() - before, 5);
     }
 
     #[test]
