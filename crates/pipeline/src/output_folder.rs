@@ -242,8 +242,11 @@ impl OutputFolder {
     /// # Errors
     ///
     /// Where a file of somebody would be replaced or removed; then nothing is. Where the system refuses: if that comes after
-    /// the moment that decides, the next [`OutputFolder::open`] goes on.
+    /// the moment that decides, the next [`OutputFolder::open`] goes on, and until then nothing else is published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
+        if Self::is_unfinished(&self.root) {
+            return Err(Error::Unfinished { path: self.root.clone() });
+        }
         let staged = self.root.join(STAGED);
         let hashes: Vec<Option<String>> = {
             let all: Result<Vec<_>, Error> =
@@ -281,7 +284,6 @@ impl OutputFolder {
         (manifest.order, manifest.removed) = (placed, removed);
         manifest.write(&self.root)?;
         self.manifest = manifest;
-        self.remove(COMMITTED)?;
         disk::rename(&staged, &self.root.join(COMMITTED)).map_err(output(&self.root))?;
         disk::sync_folder(&self.root).map_err(output(&self.root))?;
         self.put_in_place()?;
@@ -522,6 +524,26 @@ mod tests {
             assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn what_is_on_its_way_to_its_place_is_not_dropped_for_what_comes_next() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let mut folder = OutputFolder::open(root).unwrap();
+        put(&mut folder, &[("a", "1"), ("b", "1")], &[]).unwrap();
+        // The old files cannot be moved out.
+        fs::write(root.join(REPLACED), "").unwrap();
+        assert!(put(&mut folder, &[("a", "2"), ("b", "2")], &[]).is_err());
+        fs::remove_file(root.join(REPLACED)).unwrap();
+        let error = put(&mut folder, &[("c", "3")], &[]).unwrap_err();
+        assert!(matches!(error, Error::Unfinished { .. }), "{error}");
+        drop(folder);
+        drop(OutputFolder::open(root).unwrap());
+        for name in ["a", "b"] {
+            assert_eq!(fs::read(root.join(name)).unwrap(), b"2", "{name}");
+        }
+        assert!(!root.join("c").exists());
     }
 
     #[test]
