@@ -18,7 +18,8 @@ use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
-use crate::evaluate::{first_folder, model_folder};
+use crate::evaluate::model_folder;
+use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};

@@ -19,7 +19,7 @@ use tiepoint_sfm::{
 };
 
 use crate::evaluate::read_times;
-use crate::rig_over_time::{camera_of_folder, folder_of};
+use crate::image_names::{camera_of_folder, folder_of};
 use crate::workspace::{REPORT, RIG, current_records};
 use crate::{Error, Report, RigCamera, RigFile, Stage, model_folder, option_keys};
 
