@@ -22,7 +22,8 @@ use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 
-const STAGED: &str = ".tiepoint-new";
+/// Where new files are written first; new single files have names that end so.
+pub(crate) const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
 /// Bytes read at once.
@@ -105,21 +106,16 @@ impl OutputFolder {
         self.manifest.files.keys().map(String::as_str)
     }
 
-    /// Whether a file is as this program left it.
-    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
-        self.has_known_content(name)
-    }
-
     /// Refuses, before any work is done, to replace what is somebody's.
     pub(crate) fn refuse_foreign<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
-        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?))
+        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
     /// The same for a staged file: it may have the content that is there.
     pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
-        let owner = self.owner(name)?;
+        let (owner, hash) = self.owner(name)?;
         let staged = hash_of(&self.root.join(STAGED).join(name))?;
-        if staged.is_some() && staged == hash_of(&self.root.join(name))? {
+        if staged.is_some() && staged == self.hash_there(name, &owner, hash)? {
             return Ok(());
         }
         self.refuse(name, &owner)
@@ -134,28 +130,41 @@ impl OutputFolder {
         }
     }
 
-    fn owner(&self, name: &str) -> Result<Owner, Error> {
+    /// Whose a file is, and the hash of its content where that was asked.
+    fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
         let found = match fs::symlink_metadata(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(Owner::Nobody),
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok((Owner::Nobody, None)),
             // A part of the path is a file: it cannot be written either.
             Err(cause) => return Err(Error::Output { path, cause }),
             Ok(found) => found,
         };
         if FileId::of(&path).is_some_and(|id| self.inputs.contains(&id)) {
-            return Ok(Owner::Input);
+            return Ok((Owner::Input, None));
         }
         if !found.is_file() {
-            return Ok(Owner::Others);
+            return Ok((Owner::Others, None));
         }
         if self.always_ours.contains(&name) {
-            return Ok(Owner::Us);
+            return Ok((Owner::Us, None));
         }
-        Ok(if self.has_known_content(name)? { Owner::Us } else { Owner::Others })
+        let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
+        let hash = hash_of(&path)?;
+        let is_known = hash.as_ref().is_some_and(|hash| known.contains(hash));
+        Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
     }
 
-    /// Whether a file has a content that this program gave it.
-    fn has_known_content(&self, name: &str) -> Result<bool, Error> {
+    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read twice.
+    fn hash_there(&self, name: &str, owner: &Owner, hash: Option<String>) -> Result<Option<String>, Error> {
+        match (owner, hash) {
+            (Owner::Nobody, _) => Ok(None),
+            (_, None) => hash_of(&self.root.join(name)),
+            (_, hash) => Ok(hash),
+        }
+    }
+
+    /// Whether a file is as this program left it: it has a content that this program gave it.
+    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
         let path = self.root.join(name);
         let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
         let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else { return Ok(false) };
@@ -233,26 +242,27 @@ impl OutputFolder {
     /// # Errors
     ///
     /// Where a file of somebody would be replaced or removed; then nothing is. Where the system refuses: if that comes after
-    /// the moment that decides, the next [`OutputFolder::open`] goes on.
+    /// the moment that decides, the next [`OutputFolder::open`] goes on, and until then nothing else is published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
+        if Self::is_unfinished(&self.root) {
+            return Err(Error::Unfinished { path: self.root.clone() });
+        }
         let staged = self.root.join(STAGED);
         let hashes: Vec<Option<String>> = {
             let all: Result<Vec<_>, Error> =
                 order.par_iter().map(|name| hash_of(&staged.join(name))).collect();
             all?
         };
-        let owners: Result<Vec<Owner>, Error> = order.par_iter().map(|name| self.owner(name)).collect();
+        let owners: Result<Vec<(Owner, Option<String>)>, Error> =
+            order.par_iter().map(|name| self.owner(name)).collect();
         let (mut placed, mut kept) = (Vec::new(), 0);
         let mut manifest = self.manifest.clone();
-        for ((name, hash), owner) in order.iter().zip(hashes).zip(owners?) {
+        for ((name, hash), (owner, there)) in order.iter().zip(hashes).zip(owners?) {
             let hash = hash.ok_or_else(|| Error::Output {
                 path: self.root.join(name),
                 cause: io::Error::other("it was not written"),
             })?;
-            let there = match owner {
-                Owner::Nobody => None,
-                _ => hash_of(&self.root.join(name))?,
-            };
+            let there = self.hash_there(name, &owner, there)?;
             if there.as_ref() == Some(&hash) {
                 disk::remove_file(&staged.join(name)).map_err(output(&self.root.join(name)))?;
                 kept += 1;
@@ -274,7 +284,6 @@ impl OutputFolder {
         (manifest.order, manifest.removed) = (placed, removed);
         manifest.write(&self.root)?;
         self.manifest = manifest;
-        self.remove(COMMITTED)?;
         disk::rename(&staged, &self.root.join(COMMITTED)).map_err(output(&self.root))?;
         disk::sync_folder(&self.root).map_err(output(&self.root))?;
         self.put_in_place()?;
@@ -293,7 +302,7 @@ impl OutputFolder {
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // Somebody may have put a file there since a run was killed.
         for (_, name) in &old {
-            if !self.has_known_content(name)? {
+            if !self.is_as_left(name)? {
                 return Err(Error::NotOurs { path: self.root.join(name) });
             }
         }
@@ -368,6 +377,8 @@ fn hash_of(path: &Path) -> Result<Option<String>, Error> {
         Ok(found) if !found.is_file() => return Ok(None),
         Ok(_) => {}
     }
+    #[cfg(test)]
+    tests::HASHED.lock().expect("no test panics with it").push(path.to_owned());
     let mut file = File::open(path).map_err(unreadable)?;
     let (mut hash, mut buffer) = (blake3::Hasher::new(), vec![0; BUFFER_BYTES]);
     loop {
@@ -422,7 +433,12 @@ fn lock(_: &Path) -> Result<Option<File>, Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
+
+    /// Files whose hash was taken, in any test.
+    pub(super) static HASHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
     fn put(folder: &mut OutputFolder, files: &[(&str, &str)], removed: &[&str]) -> Result<usize, Error> {
         for (name, text) in files {
@@ -463,6 +479,22 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_is_replaced_is_read_once_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = OutputFolder::open(dir.path()).unwrap();
+        folder.always_ours(&["ours"]);
+        let names = ["a", "ours", "theirs"];
+        put(&mut folder, &[("a", "1"), ("ours", "1")], &[]).unwrap();
+        fs::write(dir.path().join("theirs"), "2").unwrap();
+        let paths = names.map(|name| dir.path().join(name));
+        let count = || HASHED.lock().unwrap().iter().filter(|path| paths.contains(path)).count();
+        let before = count();
+        assert_eq!(put(&mut folder, &names.map(|name| (name, "2")), &[]).unwrap(), 1);
+        // Each once, and the two that are replaced again before they go, since they may have changed meanwhile.
+        assert_eq!(count() - before, 5);
+    }
+
+    #[test]
     fn what_a_killed_run_left_is_ended_and_spares_what_came_since() {
         let dir = tempfile::tempdir().unwrap();
         let (root, outside) = (dir.path().join("out"), dir.path().join("keep"));
@@ -492,6 +524,26 @@ mod tests {
             assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn what_is_on_its_way_to_its_place_is_not_dropped_for_what_comes_next() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let mut folder = OutputFolder::open(root).unwrap();
+        put(&mut folder, &[("a", "1"), ("b", "1")], &[]).unwrap();
+        // The old files cannot be moved out.
+        fs::write(root.join(REPLACED), "").unwrap();
+        assert!(put(&mut folder, &[("a", "2"), ("b", "2")], &[]).is_err());
+        fs::remove_file(root.join(REPLACED)).unwrap();
+        let error = put(&mut folder, &[("c", "3")], &[]).unwrap_err();
+        assert!(matches!(error, Error::Unfinished { .. }), "{error}");
+        drop(folder);
+        drop(OutputFolder::open(root).unwrap());
+        for name in ["a", "b"] {
+            assert_eq!(fs::read(root.join(name)).unwrap(), b"2", "{name}");
+        }
+        assert!(!root.join("c").exists());
     }
 
     #[test]
