@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
 
-use super::stages::beside;
+use super::guard::beside;
 use super::{Database, connect, error, schema};
 use crate::disk::{self, WrittenFile};
 use crate::{Error, Result};

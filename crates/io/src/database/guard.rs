@@ -3,14 +3,13 @@
 //! Views, triggers and functions of the schema are switched off (<https://www.sqlite.org/security.html>). What is left, tables
 //! read from end to end, takes steps in proportion to the file; more than that means pages that lead in circles.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rusqlite::Connection;
 use rusqlite::config::DbConfig;
-
-use super::stages::beside;
 
 /// What a statement says that was stopped.
 pub(super) const STOPPED: &str = "reading it takes more steps than a database of its length can need: it is damaged, or made to take for ever";
@@ -57,4 +56,11 @@ impl Guard {
     pub(super) fn begin(&self) {
         self.steps.store(0, Ordering::Relaxed);
     }
+}
+
+/// A file that SQLite keeps beside a database.
+pub(super) fn beside(file: &Path, suffix: &str) -> PathBuf {
+    let mut name: OsString = file.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
 }

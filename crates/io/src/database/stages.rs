@@ -1,6 +1,5 @@
 //! What the database was made from: a table of ours, which COLMAP passes by.
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -8,7 +7,7 @@ use std::path::{Path, PathBuf};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags, params};
 
-use super::guard::{self, Guard};
+use super::guard::{self, Guard, beside};
 use super::{Database, connect, error, schema};
 use crate::{Error, Result, disk};
 
@@ -151,11 +150,4 @@ fn unchanging(file: &Path) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-".contains(&byte);
     let escaped = |byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
     format!("file://{}?immutable=1", bytes.into_iter().map(escaped).collect::<String>())
-}
-
-/// A file that SQLite keeps beside a database.
-pub(super) fn beside(file: &Path, suffix: &str) -> PathBuf {
-    let mut name: OsString = file.as_os_str().to_owned();
-    name.push(suffix);
-    name.into()
 }
