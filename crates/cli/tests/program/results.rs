@@ -146,7 +146,7 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
     let said = tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.7m").done().stdout();
     assert!(said.contains("scale     the mounting of right beside left is 0.7 m long"), "{said}");
     tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.8m")
-        .failed(1, &["baseline 0.7 m and not 0.8 m", "--redo map"]);
+        .failed(1, &["--baseline 0.7m and not 0.8m", "--redo map"]);
     tiepoint_in(dir, "map {}/ws --baseline 7ft").failed(2, &["--baseline", "m, cm or mm"]);
     // Soft results have no frames on disk, rigid ones have nothing else.
     let rigid = tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();

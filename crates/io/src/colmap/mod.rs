@@ -12,6 +12,7 @@
 
 mod binary;
 mod layout;
+mod names;
 mod tables;
 mod text;
 
@@ -24,6 +25,8 @@ use tiepoint_scene::Reconstruction;
 use crate::disk::{self, WrittenFile};
 use crate::{AtomicFile, Error, Result};
 use layout::Layout;
+pub use names::MODEL_FILES;
+use names::{IMAGES, REQUIRED};
 
 /// How a model is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,17 +56,6 @@ impl Format {
         }
     }
 }
-
-const CAMERAS: &str = "cameras";
-const RIGS: &str = "rigs";
-const FRAMES: &str = "frames";
-const IMAGES: &str = "images";
-const POINTS: &str = "points3D";
-/// The files of a model, without their suffixes, in the order in which they are replaced: no reader takes a model without its
-/// images.
-pub const MODEL_FILES: [&str; 5] = [CAMERAS, RIGS, FRAMES, POINTS, IMAGES];
-/// What every reader wants.
-const REQUIRED: [&str; 3] = [CAMERAS, IMAGES, POINTS];
 
 /// Writes a model into a folder, which is made if need be. A new folder appears with all of its files; in one that is there,
 /// the list of images goes first and comes last, so that nobody reads parts of two models.

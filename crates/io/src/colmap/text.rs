@@ -8,8 +8,9 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
 use super::layout::{FrameRow, Layout, RigRow, file_id};
+use super::names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
-use super::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+
 use crate::binary::pose_numbers;
 use crate::excerpt::Excerpt;
 use crate::text::{Lines, Number, Numbers, Words};

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
 
+use super::connection::{Database, connect, error, fold_log};
 use super::guard::beside;
-use super::{Database, connect, error, schema};
+use super::schema;
 use crate::disk::{self, WrittenFile};
 use crate::{Error, Result};
 
@@ -71,7 +72,7 @@ fn fold(file: &Path, path: &Path) -> Result<()> {
     let fold = |connection: &Connection| {
         // Reading rolls back what a killed transaction left.
         connection.query_row("SELECT count(*) FROM sqlite_master", [], |_| Ok(()))?;
-        super::fold_log(connection)
+        fold_log(connection)
     };
     let connection = connect(file, path)?;
     match fold(&connection) {

@@ -4,7 +4,7 @@ use rusqlite::{OptionalExtension, params};
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_scene::ImageId;
 
-use super::{Database, error};
+use super::connection::{Database, error};
 use crate::Result;
 
 /// COLMAP's number for SIFT among the kinds of descriptors.

@@ -7,7 +7,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Rig, RigId, RigSensor};
 
-use super::{Database, Moment, bytes, numbers};
+use super::connection::{Database, Moment, bytes, numbers};
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 

@@ -7,8 +7,9 @@ use std::path::Path;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags, params};
 
+use super::connection::{Database, connect, error};
 use super::guard::{self, Guard, beside};
-use super::{Database, connect, error, schema};
+use super::schema;
 use crate::{Error, Result, disk};
 
 const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \

@@ -7,12 +7,18 @@ pub mod faults;
 #[cfg(all(feature = "faults", feature = "database"))]
 pub(crate) mod faulty_vfs;
 
+mod operation;
+mod paths;
+
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
+
+pub use operation::Operation;
+pub use paths::folder_of;
 
 /// Ends the name of a file or folder that is being written.
 const PART: &str = ".tiepoint-part";
@@ -41,27 +47,6 @@ fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> 
             done => return done,
         }
     }
-}
-
-/// A change of the file system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Operation {
-    /// A new, empty file.
-    Create,
-    /// Bytes of a file.
-    Write,
-    /// A file's content reaches the disk.
-    Sync,
-    /// A file or folder takes another name.
-    Rename,
-    /// A file or an empty folder goes.
-    Remove,
-    /// A new folder.
-    CreateFolder,
-    /// The names in a folder reach the disk.
-    SyncFolder,
-    /// A transaction of a database.
-    Commit,
 }
 
 /// Called before each change.
@@ -248,14 +233,6 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     #[cfg(unix)]
     File::open(if path.as_os_str().is_empty() { Path::new(".") } else { path })?.sync_all()?;
     Ok(())
-}
-
-/// The folder that a file lies in.
-pub fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
 }
 
 /// The path that symbolic links lead to, whether anything is there or not.
