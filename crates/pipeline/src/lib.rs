@@ -13,6 +13,7 @@ mod fingerprint;
 mod kalibr;
 mod mapping;
 mod matching;
+mod memory;
 mod metric;
 mod ordered;
 mod output_file;

@@ -404,7 +404,10 @@ pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
 /// Whether a name leads to a place in the folder that it is relative to.
 fn is_inside(name: &str) -> bool {
     let mut parts = Path::new(name).components();
-    !name.is_empty() && parts.all(|part| matches!(part, Component::Normal(_)))
+    // On Windows, a name after a colon is that of a stream beside a file.
+    !name.is_empty()
+        && !(cfg!(windows) && name.contains(':'))
+        && parts.all(|part| matches!(part, Component::Normal(_)))
 }
 
 pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
