@@ -4,8 +4,7 @@
 pub enum Error {
     /// A factor names a variable that the problem does not have.
     #[error(
-        "{factor}: variable {position} has slot {slot}, but the problem holds {len} variables of that type"
-    )]
+        "{kind}: variable {position} has slot {slot}, but the problem holds {len} variables of that type", kind = words(factor))]
     UnknownKey {
         /// The factor's type.
         factor: &'static str,
@@ -17,7 +16,7 @@ pub enum Error {
         len: usize,
     },
     /// A key that the problem does not have.
-    #[error("slot {slot} of {variable} does not exist: the problem holds {len} of them")]
+    #[error("slot {slot} of {kind} does not exist: the problem holds {len} of them", kind = words(variable))]
     UnknownVariable {
         /// The variable's type.
         variable: &'static str,
@@ -27,7 +26,7 @@ pub enum Error {
         len: usize,
     },
     /// A factor names one variable twice.
-    #[error("{factor}: variables {first} and {second} are the same")]
+    #[error("{kind}: variables {first} and {second} are the same", kind = words(factor))]
     RepeatedVariable {
         /// The factor's type.
         factor: &'static str,
@@ -37,7 +36,7 @@ pub enum Error {
         second: usize,
     },
     /// A factor joins two variables that were both declared as eliminated; the Schur complement needs them independent.
-    #[error("{factor} number {index}: variables {first} and {second} are both declared eliminated")]
+    #[error("{kind} number {index}: variables {first} and {second} are both declared eliminated", kind = words(factor))]
     TwoEliminated {
         /// The factor's type.
         factor: &'static str,
@@ -49,7 +48,7 @@ pub enum Error {
         second: usize,
     },
     /// A tangent index outside the variable's dimension.
-    #[error("tangent index {index} is out of range: {variable} has {dof} degrees of freedom")]
+    #[error("tangent index {index} is out of range: {kind} has {dof} degrees of freedom", kind = words(variable))]
     TangentIndex {
         /// The variable's type.
         variable: &'static str,
@@ -59,7 +58,7 @@ pub enum Error {
         dof: usize,
     },
     /// A residual or a Jacobian is not finite at the values the solve starts from.
-    #[error("{factor} number {index}: {what} is {value} at the initial values")]
+    #[error("{kind} number {index}: {what} is {value} at the initial values", kind = words(factor))]
     NotFinite {
         /// The factor's type.
         factor: &'static str,
@@ -79,7 +78,7 @@ pub enum Error {
         value: f64,
     },
     /// The loss has a scale that is not a positive number.
-    #[error("{factor}: the scale of {loss} must be positive and finite")]
+    #[error("{kind}: the scale of {loss} must be positive and finite", kind = words(factor))]
     LossScale {
         /// The factor's type.
         factor: &'static str,
@@ -100,7 +99,7 @@ pub enum Error {
     #[error("the problem has changed since its solver was made: make a new solver")]
     StructureChanged,
     /// A variable, or one that it depends on, is not determined by the factors: there is no finite covariance.
-    #[error("the factors do not determine {variable} number {slot}, or what it depends on: fix the gauge")]
+    #[error("the factors do not determine {kind} number {slot}, or what it depends on: fix the gauge", kind = words(variable))]
     Undetermined {
         /// The variable's type.
         variable: &'static str,
@@ -117,4 +116,32 @@ pub enum Error {
         /// The limit.
         limit: usize,
     },
+}
+
+/// The name of a type as words, without its path and parameters: `a::b::RollingShutter<c::D>` is a rolling shutter.
+fn words(type_name: &str) -> String {
+    let name = type_name.split('<').next().unwrap_or_default();
+    let name = name.rsplit("::").next().unwrap_or_default();
+    let mut words = String::new();
+    for (index, c) in name.char_indices() {
+        if c.is_uppercase() && index > 0 {
+            words.push(' ');
+        }
+        words.extend(c.to_lowercase());
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Error;
+
+    #[test]
+    fn messages_have_words_and_no_types() {
+        let factor = "tiepoint_ba::factors::reprojection::RollingReprojection<tiepoint_geometry::Radial>";
+        let error = Error::NotFinite { factor, index: 7, what: "residual", value: f64::INFINITY };
+        assert_eq!(error.to_string(), "rolling reprojection number 7: residual is inf at the initial values");
+        let error = Error::TangentIndex { variable: "nalgebra::Vector3<f64>", index: 4, dof: 3 };
+        assert_eq!(error.to_string(), "tangent index 4 is out of range: vector3 has 3 degrees of freedom");
+    }
 }

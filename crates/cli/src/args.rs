@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use tiepoint_pipeline::eval::Alignment;
+use tiepoint_pipeline::io::{MAX_PIXELS, MOST_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigTerm};
@@ -14,7 +15,7 @@ use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 pub(crate) use values::{ImageSize, Metres, rig_name};
-use values::{NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route};
+use values::{NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route, threads};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -23,7 +24,7 @@ pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
     /// Threads to use; by default as many as the machine has. Results do not depend on it.
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", value_parser = threads)]
     pub(crate) threads: Option<NonZeroUsize>,
     /// Progress as JSON lines on stderr, and the result as one JSON object on stdout.
     #[arg(long, global = true)]
@@ -133,7 +134,14 @@ pub(crate) struct Input {
     /// Where nothing is to be detected: a folder with a mask for each photo, black being out (left/1.jpg.png for left/1.jpg).
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
+    /// Photos of more pixels, in millions, are skipped: a file of a few kilobytes can claim any size, and each pixel takes some 16 bytes of
+    /// memory. However many threads there are, photos wait for each other rather than fill more than half of the free memory.
+    #[arg(long, value_name = "N", default_value_t = MAX_PIXELS / MEGA, value_parser = clap::value_parser!(u64).range(1..=MOST_PIXELS / MEGA))]
+    pub(crate) max_megapixels: u64,
 }
+
+/// Pixels of a megapixel.
+pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {

@@ -32,9 +32,9 @@ impl Output {
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
         let text = if self.json {
-            serde_json::to_string(value).expect("our own types are JSON: string keys") + "\n"
+            json_line(value) + "\n"
         } else {
-            text()
+            text().split_inclusive('\n').map(printable_line).collect()
         };
         let mut stdout = io::stdout();
         written(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
@@ -43,8 +43,9 @@ impl Output {
 
     /// The one sentence that says why nothing more came, on stderr.
     pub(crate) fn error(&self, message: &str) {
+        let message = &*shortened(message);
         let line = if self.json {
-            serde_json::json!({ "event": "error", "message": message }).to_string()
+            json_line(&serde_json::json!({ "event": "error", "message": message }))
         } else {
             printable(&format!("tiepoint: {message}")).into_owned()
         };
@@ -64,14 +65,57 @@ pub(crate) fn not_written(what: &str, cause: &io::Error) -> String {
     )
 }
 
-/// A line for people. Names of files may have control characters, which would tear the line or command
-/// the terminal: escapes take their place.
+/// A line for people. Names of files may have characters that would tear the line, command the terminal or turn the direction of
+/// what follows: escapes take their place.
 pub(crate) fn printable(line: &str) -> Cow<'_, str> {
-    if !line.contains(char::is_control) {
+    if !line.contains(commands_terminal) {
         return Cow::Borrowed(line);
     }
-    let escaped = |c: char| if c.is_control() { c.escape_debug().to_string() } else { c.to_string() };
+    let escaped = |c: char| match c {
+        '\n' | '\r' | '\t' => c.escape_debug().to_string(),
+        c if commands_terminal(c) => c.escape_unicode().to_string(),
+        c => c.to_string(),
+    };
     Cow::Owned(line.chars().map(escaped).collect())
+}
+
+/// Characters of a message that are shown at either end: names in files of others may have any length.
+const SHOWN: usize = 1000;
+
+/// A message without the middle of what is endlessly long.
+fn shortened(message: &str) -> Cow<'_, str> {
+    if message.chars().nth(2 * SHOWN).is_none() {
+        return Cow::Borrowed(message);
+    }
+    let chars: Vec<char> = message.chars().collect();
+    let text = |part: &[char]| part.iter().collect::<String>();
+    Cow::Owned(format!("{} … {}", text(&chars[..SHOWN]), text(&chars[chars.len() - SHOWN..])))
+}
+
+/// A line of a text, with its end.
+fn printable_line(line: &str) -> String {
+    match line.strip_suffix('\n') {
+        Some(line) => format!("{}\n", printable(line)),
+        None => printable(line).into_owned(),
+    }
+}
+
+/// A value as one line of JSON. Its escapes leave no control character above 7E.
+pub(crate) fn json_line(value: &impl Serialize) -> String {
+    let text = serde_json::to_string(value).expect("our own types are JSON: string keys, finite numbers");
+    if !text.contains(commands_terminal) {
+        return text;
+    }
+    let escaped = |c: char| {
+        // All of them lie below FFFF.
+        if commands_terminal(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() }
+    };
+    text.chars().map(escaped).collect()
+}
+
+/// Control characters, separators of lines and paragraphs, and marks of direction.
+fn commands_terminal(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
 /// Writes a line to stderr, if anybody reads it.
@@ -91,12 +135,24 @@ pub(crate) fn one_sentence(message: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{one_sentence, printable};
+    use super::{SHOWN, json_line, one_sentence, printable, printable_line, shortened};
 
     #[test]
     fn a_line_for_people_is_one_line() {
         assert_eq!(printable("photos/ä b.jpg is empty"), "photos/ä b.jpg is empty");
         assert_eq!(printable("a\nb\u{1b}[31m\r\u{7f}\u{85}"), r"a\nb\u{1b}[31m\r\u{7f}\u{85}");
+        assert_eq!(printable("a\u{202e}gpj.exe"), r"a\u{202e}gpj.exe");
+        assert_eq!(printable_line("a\u{9b}2J\n"), "a\\u{9b}2J\n");
+        assert_eq!(json_line(&"é\u{1b}\u{9b}\u{202e}"), r#""é\u001b\u009b\u202e""#);
+    }
+
+    #[test]
+    fn a_message_has_an_end() {
+        let whole = "é".repeat(2 * SHOWN);
+        assert_eq!(shortened(&whole), whole);
+        let long = format!("a{}z", "é".repeat(10_000_000));
+        let short = shortened(&long);
+        assert!(short.starts_with("aé") && short.ends_with("éz") && short.chars().count() == 2 * SHOWN + 3);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use tiepoint_pipeline::Event;
 
 use crate::interrupt::Interrupt;
-use crate::output::{Output, line_to_stderr, printable};
+use crate::output::{Output, json_line, line_to_stderr, printable};
 
 /// Watches a run.
 pub(crate) struct Progress {
@@ -26,7 +26,7 @@ impl Progress {
     /// Tells an event. The run is to stop where this breaks.
     pub(crate) fn watch(&mut self, event: &Event) -> ControlFlow<()> {
         if self.json {
-            line_to_stderr(&serde_json::to_string(event).expect("events are JSON: numbers and strings"));
+            line_to_stderr(&json_line(event));
         } else {
             self.draw(event);
         }
@@ -39,13 +39,13 @@ impl Progress {
         if self.json {
             let event =
                 serde_json::json!({ "event": "rendering", "image": image, "done": done, "total": total });
-            line_to_stderr(&event.to_string());
+            line_to_stderr(&json_line(&event));
             return self.interrupt.flow();
         }
         if done == 0 {
             self.begin("render", total, 0);
         }
-        self.bar.set_message(image.to_owned());
+        self.show(image);
         self.bar.set_position(done as u64);
         self.interrupt.flow()
     }
@@ -83,42 +83,51 @@ impl Progress {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
                     self.set_bar(ProgressBar::new_spinner());
                 }
-                self.bar.set_message(format!("{image}: {read} frames read"));
+                self.show(&format!("{image}: {read} frames read"));
                 self.bar.tick();
             }
             Event::ImageSkipped { why, .. } => {
                 self.say(&format!("skipped {why}"));
                 self.bar.inc(1);
             }
+            Event::FocalIgnored { image, focal_px } => self.say(&format!(
+                "{image}: its EXIF data tell a focal length of {focal_px:.3e} pixels, which no camera has, so it counts as unknown: give \
+                 --focal-prior PX if you know it"
+            )),
             Event::PointsGrey { why } => self.say(&format!("the points have no colours: {why}")),
             Event::ImageDone { image, keypoints } => {
-                self.bar.set_message(format!("{image}: {keypoints} keypoints"));
+                self.show(&format!("{image}: {keypoints} keypoints"));
                 self.bar.inc(1);
             }
             Event::PairDone { image1, image2, inliers, .. } => {
-                self.bar.set_message(format!("{image1}, {image2}: {inliers} matches"));
+                self.show(&format!("{image1}, {image2}: {inliers} matches"));
                 self.bar.inc(1);
             }
             Event::ModelBegan { image1, image2, points } => {
-                self.bar.set_message(format!("began with {image1}, {image2}: {points} points"));
+                self.show(&format!("began with {image1}, {image2}: {points} points"));
                 self.bar.set_position(2);
             }
             Event::ImageRegistered { image, registered, points } => {
-                self.bar.set_message(format!("{image}: {points} points"));
+                self.show(&format!("{image}: {points} points"));
                 self.bar.set_position(registered as u64);
             }
             Event::ModelAdjusted { images, observations, .. } => {
-                self.bar.set_message(format!("adjusted {images} images, {observations} observations"));
+                self.show(&format!("adjusted {images} images, {observations} observations"));
             }
             Event::AdjustmentStep { step, cost } => {
                 if self.bar.is_hidden() {
                     self.set_bar(ProgressBar::new_spinner());
                 }
-                self.bar.set_message(format!("step {step}: cost {cost:.6e}"));
+                self.show(&format!("step {step}: cost {cost:.6e}"));
                 self.bar.tick();
             }
             Event::StageDone { .. } => self.bar.finish_and_clear(),
         }
+    }
+
+    /// What stands behind the bar.
+    fn show(&self, text: &str) {
+        self.bar.set_message(printable(text).into_owned());
     }
 
     /// A line that stays, above the bar.

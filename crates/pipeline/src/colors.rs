@@ -1,13 +1,23 @@
 //! Colours of the points: the mean over the pixels at their observations.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tiepoint_io::{ImageFolder, ImageSource, Rgb};
-use tiepoint_sfm::scene::{Image, PointId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, Image, PointId, Reconstruction};
 
 use crate::Error;
-use crate::ordered::for_each_in_order;
+use crate::memory::budget_bytes;
+use crate::ordered::for_each_within;
+
+/// Bytes that a colour image takes while it is decoded, for each of its pixels: those of a progressive JPEG file.
+pub(crate) const DECODER_BYTES_PER_PIXEL: u64 = 12;
+
+/// The same for a photo of a camera.
+pub(crate) fn decoder_bytes(camera: &Camera) -> u64 {
+    // A camera of a model may claim any size; its photo will not have it.
+    (DECODER_BYTES_PER_PIXEL * u64::from(camera.width)).saturating_mul(u64::from(camera.height)).min(1 << 48)
+}
 
 /// Colours the points of all models from the photos; points of photos that are no longer there stay grey.
 pub(crate) fn color_points<'a>(
@@ -19,12 +29,18 @@ pub(crate) fn color_points<'a>(
         folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
     for model in models {
         let mut sums = vec![([0u32; 3], 0u32); model.point_id_bound()];
-        let images: Vec<(&Image, usize)> = model
+        let images: Vec<(&Image, &Camera, &Path)> = model
             .registered()
-            .filter_map(|(_, image, _)| Some((image, *by_name.get(image.name.as_str())?)))
+            .filter_map(|(_, image, _)| {
+                let path = folder.path(*by_name.get(image.name.as_str())?);
+                Some((image, model.camera(image.camera), path))
+            })
             .collect();
-        let work = |(image, index): &(&Image, usize)| folder.rgb(*index).map(|rgb| colors(image, &rgb));
-        for_each_in_order(&images, work, |_, found| {
+        let work = |(image, camera, path): &(&Image, &Camera, &Path)| {
+            Rgb::read_of_size(path, camera.width, camera.height).map(|rgb| colors(image, &rgb))
+        };
+        let bytes = |(_, camera, _): &(&Image, &Camera, &Path)| decoder_bytes(camera);
+        for_each_within(budget_bytes(), bytes, &images, work, |_, found| {
             for (point, color) in found? {
                 let (sum, count) = &mut sums[point.index()];
                 (0..3).for_each(|channel| sum[channel] += u32::from(color[channel]));

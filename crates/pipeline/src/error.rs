@@ -226,7 +226,10 @@ pub enum Error {
     /// No pair of images has a common view.
     #[error(
         "none of the {pairs} pairs of photos in {path} shows the same things: at least {required} matches must agree with each other, \
-         and the best pair has {best} in all; take photos that overlap more"
+         and the best pair has {best} in all; take photos that overlap more{or}",
+        or = from_exif.map_or_else(String::new, |(focal_px, size)| format!(
+            ", or give --focal-prior PX --redo features if the focal length in their EXIF data, {focal_px:.0} pixels for {size}, is wrong"
+        ))
     )]
     NoOverlap {
         /// The workspace.
@@ -237,6 +240,8 @@ pub enum Error {
         best: usize,
         /// How many are asked for.
         required: usize,
+        /// Focal length in pixels and size of a camera of which EXIF data tell one.
+        from_exif: Option<(f64, Size)>,
     },
     /// A rig term without moments.
     #[error(

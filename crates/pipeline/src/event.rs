@@ -50,6 +50,13 @@ pub enum Event<'a> {
         /// Why, as a sentence.
         why: &'a str,
     },
+    /// The focal length that a photo tells is none that a camera can have, and counts as unknown.
+    FocalIgnored {
+        /// The first photo of its camera.
+        image: &'a str,
+        /// What it tells, in pixels.
+        focal_px: f64,
+    },
     /// The features of an image are in the database.
     ImageDone {
         /// Its name.

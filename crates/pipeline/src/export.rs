@@ -18,10 +18,13 @@ use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
+use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
 use crate::image_names::first_folder;
 use crate::kalibr;
+use crate::memory::budget_bytes;
 use crate::model_place::ModelPlace;
+use crate::ordered::for_each_within;
 use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
@@ -193,11 +196,15 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
     names.push(SCENE.to_owned());
     folder.refuse_foreign(names.iter().map(String::as_str))?;
     let undistorted = undistort::undistort_model(model);
-    photos.par_iter().try_for_each(|(image, path)| -> Result<(), Error> {
+    let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
         let target = folder.stage(&image_name(image))?;
-        Ok(undistort::undistort_image(&Rgb::read(path)?, old, new).write(&target)?)
-    })?;
+        let photo = Rgb::read_of_size(path, old.width, old.height)?;
+        Ok(undistort::undistort_image(&photo, old, new).write(&target)?)
+    };
+    // The photo, and the one that is written.
+    let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
+    for_each_within(budget_bytes(), bytes, &photos, write, |_, written| written)?;
     openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
     folder.publish(&names, &[]).map(drop)
 }

@@ -9,12 +9,13 @@ use std::time::Instant;
 use tiepoint_io::ImageSource;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{Luma, timestamps};
+use tiepoint_io::{ImageInfo, Luma, MAX_PIXELS, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use crate::cameras::Calibration;
 use crate::fingerprint::of_text;
-use crate::ordered::for_each_in_order;
+use crate::memory::budget_bytes;
+use crate::ordered::for_each_within;
 use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
@@ -24,7 +25,7 @@ use crate::{
 };
 
 /// How to extract features.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct FeatureOptions {
     /// What is known of the cameras.
     pub calibration: Calibration,
@@ -32,13 +33,29 @@ pub struct FeatureOptions {
     pub detector: sift::Options,
     /// When the images were taken (CSV with the header `image,seconds`); else from their names or EXIF.
     pub timestamps: Option<PathBuf>,
+    /// Photos of more pixels are skipped, so that a damaged or hostile file cannot ask for any amount of memory. At most
+    /// [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
+    pub max_pixels: u64,
+}
+
+impl Default for FeatureOptions {
+    fn default() -> Self {
+        Self {
+            calibration: Calibration::default(),
+            detector: sift::Options::default(),
+            timestamps: None,
+            max_pixels: MAX_PIXELS,
+        }
+    }
 }
 
 impl FeatureOptions {
     fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
-        let Self { calibration, detector, timestamps } = self;
+        let Self { calibration, detector, timestamps, max_pixels } = self;
         let timestamps = timestamps.as_deref().map(of_text).transpose()?;
-        Ok(Recipe::new(photos.fingerprint()?, option_keys::of_features(calibration, detector, timestamps)))
+        let mut texts = option_keys::of_features(calibration, detector, timestamps);
+        texts.push(option_keys::of_pixel_limit(*max_pixels));
+        Ok(Recipe::new(photos.fingerprint()?, texts))
     }
 }
 
@@ -52,6 +69,7 @@ pub fn extract_features(
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Features;
     options.detector.validate()?;
+    let photos = &photos.with_max_pixels(options.max_pixels);
     let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
     let recipe = options.recipe(photos)?;
     let (usable, mut skipped) = photos.survey()?;
@@ -88,26 +106,37 @@ pub fn extract_features(
     for SkippedImage { image, why } in &skipped {
         tell(watch, &Event::ImageSkipped { image, why })?;
     }
+    if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
+        for photo in firsts(&usable) {
+            let ImageInfo { width, height, exif, .. } = photo.info;
+            if let Some(focal_px) = exif.absurd_focal_px(width, height) {
+                tell(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
+            }
+        }
+    }
 
     let extractors = Extractors { options: options.detector, idle: Mutex::default() };
     let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
-    let taken = for_each_in_order(&tasks, work, |(id, photo), found: Result<Features, Error>| {
-        let image = photos.name(photo);
-        match found {
-            Ok(features) => {
-                let keypoints = features.keypoints.len();
-                database.write_features([(*id, &features)])?;
-                counts[id.index()] = Some(keypoints);
-                tell(watch, &Event::ImageDone { image, keypoints })
+    let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
+    let budget = budget_bytes();
+    let taken =
+        for_each_within(budget, bytes, &tasks, work, |(id, photo), found: Result<Features, Error>| {
+            let image = photos.name(photo);
+            match found {
+                Ok(features) => {
+                    let keypoints = features.keypoints.len();
+                    database.write_features([(*id, &features)])?;
+                    counts[id.index()] = Some(keypoints);
+                    tell(watch, &Event::ImageDone { image, keypoints })
+                }
+                Err(error) => {
+                    let why = error.to_string();
+                    tell(watch, &Event::ImageSkipped { image, why: &why })?;
+                    skipped.push(SkippedImage { image: image.to_owned(), why });
+                    Ok(())
+                }
             }
-            Err(error) => {
-                let why = error.to_string();
-                tell(watch, &Event::ImageSkipped { image, why: &why })?;
-                skipped.push(SkippedImage { image: image.to_owned(), why });
-                Ok(())
-            }
-        }
-    });
+        });
     let found: Vec<usize> = counts.into_iter().flatten().collect();
     if taken.is_err() || found.len() < 2 {
         database.finish()?;
@@ -156,14 +185,18 @@ fn times<'a>(
 
 /// One for each camera number, from its first photo.
 fn cameras(usable: &[Photo], calibration: &Calibration) -> Vec<Camera> {
-    let mut cameras = Vec::new();
-    for photo in usable {
-        // Cameras are numbered in the order of their first photos.
-        if photo.camera == cameras.len() {
-            cameras.push(calibration.camera(&photo.info));
-        }
-    }
-    cameras
+    firsts(usable).map(|photo| calibration.camera(&photo.info)).collect()
+}
+
+/// The first photo of each camera.
+fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
+    // Cameras are numbered in the order of their first photos.
+    let mut known = 0;
+    usable.iter().filter(move |photo| {
+        let is_first = photo.camera == known;
+        known += usize::from(is_first);
+        is_first
+    })
 }
 
 /// The database with cameras and images, but without what is to be made anew.
@@ -224,6 +257,13 @@ impl Extractors {
         // A list of idle extractors is sound even if a thread died that held the lock.
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Bytes that the features of a photo take while they are extracted, for each of its pixels.
+const BYTES_PER_PIXEL: u64 = 16;
+
+fn memory_of(photo: &ImageInfo) -> u64 {
+    BYTES_PER_PIXEL * u64::from(photo.width) * u64::from(photo.height)
 }
 
 fn extract(photos: &Photos, index: usize, extractors: &Extractors) -> Result<Features, Error> {

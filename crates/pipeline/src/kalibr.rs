@@ -7,6 +7,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use tiepoint_io::require_regular_file;
 use tiepoint_sfm::geometry::nalgebra::Matrix4;
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
@@ -19,6 +20,7 @@ const CORNER_PX: f64 = 0.5;
 
 /// The text, and how many cameras it has.
 pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, usize), Error> {
+    require_regular_file(rig)?;
     let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
     let file = RigFile::from_json(rig, &text)?;
     let find = |name: &str| -> Result<&Camera, Error> {
@@ -37,8 +39,10 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         // Writing to a string does not fail.
         let _ = writeln!(
             yaml,
-            "cam{index}:\n  rostopic: /{name}\n  resolution: [{}, {}]",
-            lens.width, lens.height
+            "cam{index}:\n  rostopic: {}\n  resolution: [{}, {}]",
+            yaml_text(&format!("/{name}")),
+            lens.width,
+            lens.height
         );
         yaml += &lens_lines(&lens.intrinsics);
         if let Some(camera) = camera {
@@ -47,6 +51,12 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
         before = pose;
     }
     Ok((yaml, file.cameras.len() + 1))
+}
+
+/// A text as it can stand in YAML: in quotes, as JSON has it, unless it is plain.
+fn yaml_text(text: &str) -> String {
+    let is_plain = text.chars().all(|c| c.is_alphanumeric() || matches!(c, '/' | '_' | '-' | '.'));
+    if is_plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
 }
 
 fn mount_lines(pose: &Rigid3, camera: &RigCamera) -> String {
@@ -92,6 +102,12 @@ mod tests {
     use super::*;
     use crate::RigClock;
     use tiepoint_sfm::scene::Image;
+
+    #[test]
+    fn names_cannot_add_lines() {
+        assert_eq!(yaml_text("/cam_0/left-é.1"), "/cam_0/left-é.1");
+        assert_eq!(yaml_text("/a\n  evil: 1"), r#""/a\n  evil: 1""#);
+    }
 
     #[test]
     fn a_chain_has_lenses_mountings_and_clocks() {

@@ -15,6 +15,7 @@ mod kalibr;
 mod legacy_options;
 mod mapping;
 mod matching;
+mod memory;
 mod metric;
 mod model_place;
 mod option_keys;

@@ -21,7 +21,9 @@ use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
 use crate::workspace::{POINTS, SPARSE};
-use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, option_keys, tell};
+use crate::{
+    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys, tell,
+};
 
 /// How to map.
 #[derive(Clone, Copy, Debug, Default)]
@@ -149,9 +151,16 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
 }
 
 fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
-    let matches = Database::open(&workspace.database())?.read_matches()?;
+    let database = Database::open(&workspace.database())?;
+    let matches = database.read_matches()?;
     let best = matches.iter().map(|(_, matches)| matches.len()).max().unwrap_or(0);
-    Ok(Error::NoOverlap { path: workspace.root().to_owned(), pairs: matches.len(), best, required })
+    let is_given = |option: &&str| workspace.records.option(Stage::Features, option).is_some();
+    let given = [option_keys::INTRINSICS, option_keys::FOCAL_PRIOR];
+    let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
+    let told = cameras.iter().find(|camera| camera.has_focal_prior);
+    let from_exif = told.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
+    let path = workspace.root().to_owned();
+    Ok(Error::NoOverlap { path, pairs: matches.len(), best, required, from_exif })
 }
 
 /// What the mapper tells, with names for ids.

@@ -8,6 +8,7 @@
 //! Where a value has another meaning than before, or a key is new and its value not `none`, the stages of earlier workspaces
 //! differ from those that are asked for. `crate::legacy_options` reads the texts of workspaces from before there were keys.
 
+use tiepoint_io::MAX_PIXELS;
 use tiepoint_io::features::{DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation};
 use tiepoint_sfm::geometry::{Intrinsics, Loss};
 use tiepoint_sfm::matching::{Checks, Method, Options as DescriptorOptions, PairSelection, Preempt};
@@ -24,11 +25,17 @@ pub(crate) const NONE: &str = "none";
 /// Intrinsics that are known: the mapper keeps them.
 pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
+/// A focal length that is known roughly.
+pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
+/// How many pixels a photo may have.
+const MAX_PIXELS_KEY: &str = "features.max_pixels";
+
 /// Keys of options that have a name on the command line.
-const ON_COMMAND_LINE: [(&str, &str); 10] = [
+const ON_COMMAND_LINE: [(&str, &str); 11] = [
     ("features.camera_model", "--camera-model"),
-    ("features.focal_prior", "--focal-prior"),
+    (FOCAL_PRIOR, "--focal-prior"),
     (INTRINSICS, "--intrinsics"),
+    (MAX_PIXELS_KEY, "--max-megapixels"),
     ("features.timestamps", "--timestamps"),
     ("match.pairs", "--pairs"),
     ("match.seed", "--seed"),
@@ -87,7 +94,7 @@ pub(crate) fn of_features(
     };
     let mut texts = vec![
         ("features.camera_model", model.to_owned()),
-        ("features.focal_prior", or_none(focal_px)),
+        (FOCAL_PRIOR, or_none(focal_px)),
         (INTRINSICS, or_none(intrinsics.map(numbers))),
         ("features.timestamps", or_none(timestamps)),
         ("features.detector.first_octave", first_octave.to_string()),
@@ -110,6 +117,12 @@ pub(crate) fn of_features(
         ]),
     }
     texts
+}
+
+/// Of the first stage, too: how many pixels a photo may have. The default is not written, since workspaces from before there was a
+/// limit have photos below it.
+pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
+    (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels)))
 }
 
 /// Of the second stage.
@@ -392,6 +405,7 @@ mod tests {
         let mut keys: Vec<&str> = of_features(&Calibration::default(), &detector, None)
             .into_iter()
             .chain(of_matching(&PairSelection::Exhaustive, &Default::default(), &Default::default(), 0))
+            .chain([of_pixel_limit(MAX_PIXELS)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)
             .collect();

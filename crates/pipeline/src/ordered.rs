@@ -1,4 +1,4 @@
-//! Parallel work whose results are taken in order, with a bounded number of them waiting.
+//! Parallel work whose results are taken in order, with a bounded number of them waiting, and within a budget of memory.
 //!
 //! Tasks run on rayon's current pool; the calling thread takes the results, one by one in the order of the tasks, so that what it
 //! does with them does not depend on the number of threads.
@@ -18,34 +18,53 @@ const NAP: Duration = Duration::from_micros(200);
 pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
     tasks: &[T],
     work: impl Fn(&T) -> R + Sync,
+    take: impl FnMut(&T, R) -> Result<(), E>,
+) -> Result<(), E> {
+    for_each_within(u64::MAX, |_| 0, tasks, work, take)
+}
+
+/// The same for work that takes memory: a task waits until the `bytes` of all that run and its own are within a budget, or until
+/// nothing else runs. So a budget delays, but what comes out does not depend on it.
+pub(crate) fn for_each_within<T: Sync, R: Send, E>(
+    budget: u64,
+    bytes: impl Fn(&T) -> u64,
+    tasks: &[T],
+    work: impl Fn(&T) -> R + Sync,
     mut take: impl FnMut(&T, R) -> Result<(), E>,
 ) -> Result<(), E> {
     let window = WINDOW_PER_THREAD * rayon::current_num_threads();
     let (sender, receiver) = mpsc::channel();
     rayon::in_place_scope(|scope| {
         let work = &work;
-        let start = |index: usize| {
-            if let Some(task) = tasks.get(index) {
-                let sender = sender.clone();
+        let (mut started, mut in_use) = (0, 0u64);
+        // Threads of the pool never wait for memory: one may have stolen its task from within another that holds some.
+        let mut start = |taken: usize, done: Option<usize>| {
+            in_use -= done.map_or(0, |done| bytes(&tasks[done]));
+            while let Some(task) = tasks[..tasks.len().min(taken + window)].get(started)
+                && (in_use == 0 || in_use.saturating_add(bytes(task)) <= budget)
+            {
+                let (sender, index) = (sender.clone(), started);
                 scope.spawn(move |_| {
                     let result = catch_unwind(AssertUnwindSafe(|| work(task)));
                     // Nobody listens after an error.
                     let _ = sender.send((index, result));
                 });
+                in_use += bytes(task);
+                started += 1;
             }
         };
-        (0..window).for_each(start);
         let mut waiting = BTreeMap::new();
         for (index, task) in tasks.iter().enumerate() {
+            start(index, None);
             let result = loop {
                 if let Some(result) = waiting.remove(&index) {
                     break result;
                 }
                 let (done, result) = receive(&receiver);
                 waiting.insert(done, result);
+                start(index, Some(done));
             };
             take(task, result.unwrap_or_else(|panic| resume_unwind(panic)))?;
-            start(index + window);
         }
         Ok(())
     })
@@ -103,6 +122,32 @@ mod tests {
         let count = |_: &()| computed.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         assert_eq!(for_each_in_order(&tasks, count, |_, _| Err("stop")), Err("stop"));
         assert!(computed.into_inner() <= WINDOW_PER_THREAD * rayon::current_num_threads());
+    }
+
+    #[test]
+    fn a_budget_delays_and_changes_nothing() {
+        use std::sync::atomic::{AtomicU64, Ordering};
+        let tasks: Vec<u64> = (0..60).map(|k| 1 + k % 7).collect();
+        let expected: Vec<u64> = tasks.iter().map(|task| task * task).collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(4).build().unwrap();
+        // The last budget is below every task: one at a time.
+        for budget in [u64::MAX, 10, 7, 0] {
+            let (in_use, most) = (AtomicU64::new(0), AtomicU64::new(0));
+            let work = |task: &u64| {
+                most.fetch_max(in_use.fetch_add(*task, Ordering::SeqCst) + task, Ordering::SeqCst);
+                thread::sleep(Duration::from_micros(200));
+                in_use.fetch_sub(*task, Ordering::SeqCst);
+                task * task
+            };
+            let mut taken = Vec::new();
+            let take = |_: &u64, result| {
+                taken.push(result);
+                Ok::<(), ()>(())
+            };
+            pool.install(|| for_each_within(budget, |task| *task, &tasks, work, take)).unwrap();
+            assert_eq!(taken, expected);
+            assert!(most.into_inner() <= budget.max(7), "budget {budget}");
+        }
     }
 
     #[test]

@@ -43,6 +43,11 @@ impl Photos {
         if found < 2 { Err(photos.too_few(found)) } else { Ok(photos) }
     }
 
+    /// The same photos; those of more pixels are skipped.
+    pub(crate) fn with_max_pixels(&self, max_pixels: u64) -> Self {
+        Self { folder: self.folder.clone().with_max_pixels(max_pixels), ..self.clone() }
+    }
+
     pub(crate) fn too_few(&self, usable: usize) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
         let skipped = self.folder.skipped().iter().map(|file| file.why.clone()).collect::<Vec<_>>();

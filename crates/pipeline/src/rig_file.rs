@@ -1,5 +1,6 @@
 //! `rig.json`: the calibration that was found, with its uncertainty, and the clocks.
 
+use std::cmp::Ordering;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -10,6 +11,9 @@ use tiepoint_sfm::{Hold, MountedCamera, MountedRig, Timing};
 
 use crate::Error;
 use crate::image_names::folder_of;
+
+/// The norm of a quaternion of three digits differs from 1 by less.
+const UNIT_TOLERANCE: f64 = 1e-2;
 
 /// The rig of a model: its frame is that of the first camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -73,8 +77,15 @@ pub struct RigClock {
 impl RigFile {
     /// From the text of the file at `path`.
     pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
-        serde_json::from_slice(text)
-            .map_err(|error| Error::Broken { path: path.to_owned(), what: error.to_string() })
+        let broken = |what: String| Error::Broken { path: path.to_owned(), what };
+        let file: Self = serde_json::from_slice(text).map_err(|error| broken(error.to_string()))?;
+        for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
+            let norm = rotation_wxyz.iter().map(|value| value * value).sum::<f64>().sqrt();
+            if (norm - 1.0).abs().partial_cmp(&UNIT_TOLERANCE) != Some(Ordering::Less) {
+                return Err(broken(format!("the rotation of camera {name} has norm {norm} and not 1")));
+            }
+        }
+        Ok(file)
     }
 
     /// `None` without a camera that is held to the first one.
@@ -136,5 +147,26 @@ impl RigCamera {
             translation_sd: widest(3),
             unobservable: camera.companion.blind.map(Into::into),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rotation_that_is_none_is_refused() {
+        let read = |rotation_wxyz| {
+            let camera = RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
+            let file = RigFile { reference: "left".to_owned(), cameras: vec![camera], bad_pairs: None };
+            RigFile::from_json(Path::new("ws/rig.json"), &serde_json::to_vec(&file).unwrap())
+        };
+        assert!(read([0.5, -0.5, 0.5, 0.5]).is_ok() && read([0.0, 0.707, 0.0, 0.707]).is_ok());
+        for none in [[0.0; 4], [1e-9, 0.0, 0.0, 0.0], [1e200, 0.0, 0.0, 1e200], [2.0, 0.0, 0.0, 0.0]] {
+            let error = read(none).unwrap_err().to_string();
+            assert!(error.contains("ws/rig.json: the rotation of camera right has norm"), "{error}");
+        }
+        // serde_json writes what is not finite as null, and refuses that and 1e999 when it reads.
+        assert!(read([f64::NAN; 4]).is_err());
     }
 }

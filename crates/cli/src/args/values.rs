@@ -1,6 +1,7 @@
 //! What stands behind options: values with their bounds, and names.
 
 use std::fmt;
+use std::num::NonZeroUsize;
 use std::str::FromStr;
 
 use tiepoint_pipeline::eval::Alignment;
@@ -43,6 +44,14 @@ impl FromStr for NumberList {
         let number = |word: &str| word.trim().parse().map_err(|_| format!("'{word}' is no number"));
         text.split(',').map(number).collect::<Result<_, _>>().map(Self)
     }
+}
+
+/// More threads than any machine has use for.
+const MOST_THREADS: usize = 1024;
+
+pub(super) fn threads(text: &str) -> Result<NonZeroUsize, String> {
+    let count = text.parse().ok().filter(|count: &NonZeroUsize| count.get() <= MOST_THREADS);
+    count.ok_or_else(|| format!("it must be a number of threads from 1 to {MOST_THREADS}"))
 }
 
 /// A length in pixels that is not zero.

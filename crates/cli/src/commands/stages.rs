@@ -7,7 +7,7 @@ use tiepoint_pipeline::{
 };
 
 use super::Failure;
-use crate::args::{Cameras, Features, Input, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed};
+use crate::args::{Cameras, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed};
 use crate::output::Output;
 use crate::progress::Progress;
 use crate::summary;
@@ -81,6 +81,7 @@ fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, F
     Ok(FeatureOptions {
         calibration: cameras.calibration().map_err(Failure::Usage)?,
         timestamps: input.timestamps.clone(),
+        max_pixels: MEGA * input.max_megapixels,
         ..FeatureOptions::default()
     })
 }

@@ -7,6 +7,7 @@ mod drive;
 mod exits;
 mod experiment;
 mod faults;
+mod hostile;
 mod names;
 mod own_files;
 mod photos;

@@ -1,0 +1,137 @@
+//! Input that would take all memory, all time or the terminal.
+
+use std::fs;
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+
+use crate::{photos, tiepoint, tiepoint_in};
+
+fn jpeg(index: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, 98).encode_image(&photos::photo(index, 0)).unwrap();
+    bytes
+}
+
+/// The same JPEG file with EXIF data of one field: the focal length in millimetres on 35 mm film.
+fn with_focal_length(jpeg: &[u8], film_mm: u16) -> Vec<u8> {
+    let [high, low] = film_mm.to_be_bytes();
+    let tiff = [
+        b"MM\0*\0\0\0\x08".as_slice(),
+        // One field, a long: where the EXIF fields lie. None follows.
+        &[0, 1, 0x87, 0x69, 0, 4, 0, 0, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0],
+        // One field, a short.
+        &[0, 1, 0xA4, 0x05, 0, 3, 0, 0, 0, 1, high, low, 0, 0, 0, 0, 0, 0],
+    ]
+    .concat();
+    let length = (2 + 6 + tiff.len() as u16).to_be_bytes();
+    [&jpeg[..2], &[0xFF, 0xE1], &length, b"Exif\0\0", &tiff, &jpeg[2..]].concat()
+}
+
+#[test]
+fn a_photo_that_claims_two_hundred_megapixels_is_skipped() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 4, 0);
+    let mut bytes = jpeg(0);
+    let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
+    bytes[frame + 5..frame + 9].copy_from_slice(&[0x27, 0x10, 0x4E, 0x20]);
+    fs::write(folder.join("0a.jpg"), &bytes).unwrap();
+    let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    let said = run.stderr();
+    assert!(said.contains("0a.jpg: claims 20000 × 10000 pixels, which take"), "{said}");
+    assert!(run.stdout().contains("4 images"), "{}", run.stdout());
+}
+
+#[test]
+fn the_limit_on_pixels_is_an_option_that_is_remembered() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 4, 0);
+    // A TIFF file without data that claims 17,000 × 17,000 pixels.
+    let entry = |tag: u8, value: u32| [&[tag, 1, 4, 0, 1, 0, 0, 0][..], &value.to_le_bytes()].concat();
+    let tiff = [b"II*\0\x08\0\0\0\x02\0".to_vec(), entry(0, 17_000), entry(1, 17_000), vec![0; 4]].concat();
+    fs::write(dir.path().join("photos/9.tif"), tiff).unwrap();
+    let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    let said = run.stderr();
+    assert!(said.contains("more than 256 million: if it is a photo, give --max-megapixels 289"), "{said}");
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --max-megapixels 289")
+        .failed(1, &["289000000", "--redo features"]);
+    for wrong in ["0", "1001", "many"] {
+        tiepoint_in(dir.path(), &format!("features {{}}/photos -o {{}}/ws --max-megapixels {wrong}"))
+            .failed(2, &["--max-megapixels"]);
+    }
+}
+
+#[test]
+fn threads_beyond_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    for wrong in ["100000", "1025", "18446744073709551616", "0"] {
+        tiepoint_in(dir.path(), &format!("match {{}}/ws --threads {wrong}"))
+            .failed(2, &["--threads", "from 1 to 1024"]);
+    }
+}
+
+#[test]
+fn focal_lengths_that_no_camera_has_are_named_and_not_believed() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    fs::create_dir(&folder).unwrap();
+    for index in 0..4 {
+        fs::write(folder.join(format!("{index}.jpg")), with_focal_length(&jpeg(index), 65_535)).unwrap();
+    }
+    let run = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
+    let said = run.stderr();
+    assert!(said.contains("0.jpg: its EXIF data tell a focal length of 6.0"), "{said}");
+    assert!(said.contains("--focal-prior") && said.lines().count() == 1, "{said}");
+    assert!(run.stdout().contains("4 of 4 images"), "{}", run.stdout());
+}
+
+#[test]
+fn where_exif_tells_a_focal_length_more_overlap_is_not_the_only_advice() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    fs::create_dir(&folder).unwrap();
+    // The same wall twice, and another room: a lens of 2000 mm is none that can be ruled out.
+    let other = {
+        let mut bytes = Vec::new();
+        JpegEncoder::new(&mut bytes).encode_image(&photos::photo(1, 77)).unwrap();
+        bytes
+    };
+    for (name, bytes) in [("0.jpg", jpeg(0)), ("1.jpg", other)] {
+        fs::write(folder.join(name), with_focal_length(&bytes, 2000)).unwrap();
+    }
+    let says = ["overlap more, or give --focal-prior PX", "EXIF", "320 x 240"];
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").failed(1, &says);
+}
+
+#[test]
+fn a_line_of_ten_megabytes_is_not_repeated() {
+    let dir = tempfile::tempdir().unwrap();
+    for text in ["1 1 0 ".to_owned() + &"9".repeat(10_000_000), "x".repeat(10_000_000)] {
+        fs::write(dir.path().join("bal.txt"), text).unwrap();
+        let run = tiepoint_in(dir.path(), "adjust {}/bal.txt").failed(1, &["bal.txt: line 1", "…"]);
+        assert!(run.stderr().len() < 500, "{} bytes", run.stderr().len());
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn names_command_no_terminal_on_stdout_either() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    let photos = dir.path().join("photos");
+    let workspace = dir.path().join("ws\u{1b}[2J\u{9b}5n\u{202e}\n");
+    let arguments = |json: bool| {
+        let path = |path: &Path| path.to_str().unwrap().to_owned();
+        let json = json.then(|| "--json".to_owned());
+        ["features".to_owned(), path(&photos), "-o".to_owned(), path(&workspace)].into_iter().chain(json)
+    };
+    let plain = tiepoint(arguments(false)).done().stdout();
+    assert!(plain.contains(r"ws\u{1b}[2J\u{9b}5n\u{202e}\n"), "{plain}");
+    let commands = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+    assert!(!plain.contains(commands), "{plain:?}");
+    let run = tiepoint(arguments(true)).done();
+    assert!(!run.stdout().contains(commands) && !run.stderr().contains(commands), "{:?}", run.stdout());
+    run.json();
+}

@@ -1,0 +1,46 @@
+//! `evaluate poses` with true poses of each format, and `evaluate cloud`.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+use tiepoint_fuzz::{files, folder, write, write_model};
+use tiepoint_pipeline::eval::Alignment;
+use tiepoint_pipeline::eval::geometry::Sim3;
+use tiepoint_pipeline::{Truth, TruthFormat, evaluate_cloud, evaluate_poses, read_cloud};
+
+fuzz_target!(|data: &[u8]| {
+    let Some((&which, data)) = data.split_first() else { return };
+    let dir = folder();
+    let model = dir.join("ws/sparse/0");
+    write_model(&model);
+    let truth = dir.join("truth");
+    let format = match which % 5 {
+        0 => {
+            write(&truth, data);
+            TruthFormat::Kitti
+        }
+        1 => {
+            write(&truth, data);
+            write(&dir.join("ws/timestamps.csv"), tiepoint_fuzz::TIMES.as_bytes());
+            TruthFormat::Tum
+        }
+        2 => {
+            files(&truth, &["000000.png.camera", "000001.png.camera", "000002.png.camera"], data);
+            TruthFormat::Strecha
+        }
+        3 => {
+            files(&truth, &["cameras.txt", "images.txt", "points3D.txt"], data);
+            TruthFormat::Colmap
+        }
+        _ => {
+            write(&dir.join("cloud.ply"), data);
+            let reference = read_cloud(&model).expect("the model is right");
+            let Ok(cloud) = read_cloud(&dir.join("cloud.ply")) else { return };
+            for alignment in [Alignment::Similarity, Alignment::Rigid, Alignment::None] {
+                let _ = evaluate_cloud(&cloud, &reference, &Sim3::identity(), alignment);
+            }
+            return;
+        }
+    };
+    let _ = evaluate_poses(&model, &Truth { format, path: truth }, None);
+});

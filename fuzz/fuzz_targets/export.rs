@@ -1,0 +1,35 @@
+//! `export` of a model of strangers into every format that needs no photos.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+use tiepoint_fuzz::{files, folder};
+use tiepoint_pipeline::{ExportFormat, export, export_rigid};
+
+fuzz_target!(|data: &[u8]| {
+    let dir = folder();
+    let model = dir.join("ws/sparse/0");
+    let names = [
+        "cameras.txt",
+        "images.txt",
+        "points3D.txt",
+        "rigs.txt",
+        "frames.txt",
+        "../../timestamps.csv",
+        "../../rig.json",
+    ];
+    std::fs::create_dir_all(&model).expect("memory is writable");
+    files(&model, &names, data);
+    for (format, to) in [
+        (ExportFormat::Colmap, "binary"),
+        (ExportFormat::ColmapText, "text"),
+        (ExportFormat::Ply, "a.ply"),
+        (ExportFormat::Tum, "a.tum"),
+        (ExportFormat::Kitti, "a.kitti"),
+        (ExportFormat::Bal, "bal.txt"),
+        (ExportFormat::Kalibr, "camchain.yaml"),
+    ] {
+        let _ = export(&dir.join("ws"), format, &dir.join(to));
+    }
+    let _ = export_rigid(&dir.join("ws"), ExportFormat::Colmap, &dir.join("rigid"));
+});
