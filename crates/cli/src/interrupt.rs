@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tiepoint_pipeline::Stage;
+use tiepoint_pipeline::{Event, Stage};
 
 use crate::args::{Command, Features, Match, Reconstruct};
 use crate::output::Output;
@@ -35,22 +35,32 @@ pub(crate) struct Interrupt {
     is_ending: AtomicBool,
     /// What is on the terminal. It is cleared before the last sentence.
     bar: Mutex<ProgressBar>,
+    /// The stage that `--redo` makes anew in place of what there is.
+    redo: Option<Stage>,
+    /// Whether that stage has begun: what there was is gone, and the command without `--redo` goes on.
+    has_begun_redo: AtomicBool,
 }
 
 impl Default for Interrupt {
     fn default() -> Self {
-        let bar = Mutex::new(ProgressBar::hidden());
-        Self { signal: Arc::default(), is_ending: AtomicBool::new(false), bar }
+        Self::new(None)
     }
 }
 
 impl Interrupt {
+    /// For a command that makes a stage anew in place of what there is.
+    pub(crate) fn new(redo: Option<Stage>) -> Self {
+        let bar = Mutex::new(ProgressBar::hidden());
+        let (is_ending, has_begun_redo) = (AtomicBool::new(false), AtomicBool::new(false));
+        Self { signal: Arc::default(), is_ending, bar, redo, has_begun_redo }
+    }
+
     /// Takes the signals, and ends the program where the run does not end by itself.
     ///
     /// # Errors
     ///
     /// The system refuses a handler or a thread.
-    pub(crate) fn listen(output: &Output, go_on: &'static str) -> io::Result<()> {
+    pub(crate) fn listen(output: &Output) -> io::Result<()> {
         for signal in [SIGINT, SIGTERM] {
             let flag = Arc::clone(&output.interrupt.signal);
             signal_hook::flag::register_usize(signal, flag, signal as usize)?;
@@ -61,13 +71,23 @@ impl Interrupt {
                 thread::sleep(POLL);
             }
             thread::sleep(GRACE);
-            output.interrupt.end_at_once(&output, go_on)
+            output.interrupt.end_at_once(&output)
         })?;
         Ok(())
     }
 
     fn signal(&self) -> Option<usize> {
         Some(self.signal.load(Ordering::Relaxed)).filter(|signal| *signal != 0)
+    }
+
+    /// Takes note of an event. Breaks once a signal came.
+    pub(crate) fn watch(&self, event: &Event) -> ControlFlow<()> {
+        if let Event::StageBegan { stage, .. } = event
+            && self.redo.is_some_and(|redo| redo <= *stage)
+        {
+            self.has_begun_redo.store(true, Ordering::Relaxed);
+        }
+        self.flow()
     }
 
     /// Breaks once a signal came.
@@ -89,14 +109,23 @@ impl Interrupt {
     }
 
     /// The last sentence and the exit code of a run that ended for a signal.
-    pub(crate) fn last_words(&self, go_on: &str) -> Option<(String, u8)> {
+    pub(crate) fn last_words(&self) -> Option<(String, u8)> {
         let signal = self.signal()?;
+        let go_on = self.how_to_go_on();
         let name = if signal == SIGTERM as usize { "SIGTERM" } else { "SIGINT" };
         Some((format!("stopped by {name}: {go_on}"), SIGNAL_BASE + signal as u8))
     }
 
-    fn end_at_once(&self, output: &Output, go_on: &str) -> ! {
-        let (sentence, code) = self.last_words(go_on).unwrap_or_default();
+    fn how_to_go_on(&self) -> &'static str {
+        if self.has_begun_redo.load(Ordering::Relaxed) {
+            "what is complete was kept; give the same command again without --redo to go on"
+        } else {
+            "what is complete was kept; give the same command again to go on"
+        }
+    }
+
+    fn end_at_once(&self, output: &Output) -> ! {
+        let (sentence, code) = self.last_words().unwrap_or_default();
         if self.is_ending.swap(true, Ordering::AcqRel) {
             // The main thread is about to end the program.
             thread::sleep(LAST_WORDS);
@@ -119,14 +148,13 @@ impl Interrupt {
     }
 }
 
-/// What to do after a signal to go on with this command.
-pub(crate) fn how_to_go_on(command: &Command) -> &'static str {
-    match command {
-        Command::Reconstruct(Reconstruct { redo: Some(Stage::Features | Stage::Match), .. })
-        | Command::Features(Features { redo: Some(_), .. })
-        | Command::Match(Match { redo: Some(_), .. }) => {
-            "what is complete was kept; give the same command again without --redo to go on"
-        }
-        _ => "what is complete was kept; give the same command again to go on",
-    }
+/// The stage that a command makes anew in place of what there is. Models stay until the new ones are there.
+pub(crate) fn redone_stage(command: &Command) -> Option<Stage> {
+    let redo = match command {
+        Command::Reconstruct(Reconstruct { redo, .. })
+        | Command::Features(Features { redo, .. })
+        | Command::Match(Match { redo, .. }) => *redo,
+        _ => None,
+    };
+    redo.filter(|stage| *stage != Stage::Map)
 }

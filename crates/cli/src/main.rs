@@ -15,7 +15,7 @@ use clap::error::ErrorKind;
 
 use args::Cli;
 use commands::Failure;
-use interrupt::Interrupt;
+use interrupt::{Interrupt, redone_stage};
 use output::Output;
 
 /// The work could not be done.
@@ -28,9 +28,8 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };
-    let output = Output::new(cli.json);
-    let go_on = interrupt::how_to_go_on(&cli.command);
-    if let Err(error) = Interrupt::listen(&output, go_on) {
+    let output = Output::new(cli.json, Interrupt::new(redone_stage(&cli.command)));
+    if let Err(error) = Interrupt::listen(&output) {
         output.error(&format!("cannot listen for SIGINT and SIGTERM: {error}"));
         return ExitCode::from(COULD_NOT);
     }
@@ -48,7 +47,7 @@ fn main() -> ExitCode {
         Err(Failure::CouldNot(message)) => (message, COULD_NOT),
         Err(Failure::Cancelled) => {
             let cancelled = || (tiepoint_pipeline::Error::Cancelled.to_string(), COULD_NOT);
-            output.interrupt.last_words(go_on).unwrap_or_else(cancelled)
+            output.interrupt.last_words().unwrap_or_else(cancelled)
         }
     };
     output.error(&message);
@@ -62,7 +61,7 @@ fn usage(error: &clap::Error) -> ExitCode {
             match output::written(error.print().and_then(|()| io::stdout().flush())) {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(cause) => {
-                    Output::new(false).error(&output::not_written("this text", &cause));
+                    Output::new(false, Interrupt::default()).error(&output::not_written("this text", &cause));
                     ExitCode::from(COULD_NOT)
                 }
             }
@@ -73,7 +72,7 @@ fn usage(error: &clap::Error) -> ExitCode {
         }
         _ => {
             let json = std::env::args_os().any(|argument| argument == "--json");
-            Output::new(json).error(&output::one_sentence(&error.render().to_string()));
+            Output::new(json, Interrupt::default()).error(&output::one_sentence(&error.render().to_string()));
             ExitCode::from(BAD_USAGE)
         }
     }

@@ -17,8 +17,8 @@ pub(crate) struct Output {
 }
 
 impl Output {
-    pub(crate) fn new(json: bool) -> Self {
-        Self { json, interrupt: Arc::default() }
+    pub(crate) fn new(json: bool, interrupt: Interrupt) -> Self {
+        Self { json, interrupt: Arc::new(interrupt) }
     }
 
     /// The result, on stdout: one JSON object, or lines for people.

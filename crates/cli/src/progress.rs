@@ -30,7 +30,7 @@ impl Progress {
         } else {
             self.draw(event);
         }
-        self.interrupt.flow()
+        self.interrupt.watch(event)
     }
 
     /// An image of a drive is about to be rendered, `done` of `total` being there. The run is to stop

@@ -17,6 +17,7 @@ use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, so3};
 use tiepoint_scene::{Camera, CameraId, Image, ImageId, Keypoint, Observation, Reconstruction, Track};
 
+use crate::excerpt::Excerpt;
 use crate::text::{Lines, Numbers};
 use crate::{AtomicFile, Error, Result};
 
@@ -56,6 +57,9 @@ pub struct Bal {
     /// Who sees what.
     pub observations: Vec<BalObservation>,
 }
+
+/// A rotation by more radians is none: beyond, an angle of 64 bits has lost the digits that count within a turn.
+const MAX_ANGLE_RAD: f64 = 1e6;
 
 /// Half a turn about x: its own inverse, exact in floating point.
 fn half_turn() -> UnitQuaternion<f64> {
@@ -112,6 +116,10 @@ impl Bal {
         let mut cameras = Vec::new();
         for _ in 0..num_cameras {
             let axis_angle_rad = vector("a camera's rotation")?;
+            if axis_angle_rad.amax() > MAX_ANGLE_RAD {
+                let what = format!("the rotation of camera {} is out of range", cameras.len());
+                return Err(Error::content(path, what));
+            }
             let translation = vector("a camera's translation")?;
             let intrinsics = vector("a camera's focal length and distortion")?;
             let [focal_px, k1, k2] = intrinsics.into();
@@ -126,7 +134,7 @@ impl Bal {
             None => lines.next()?.map(|mut words| words.rest().to_owned()),
         };
         if let Some(text) = left_over {
-            return Err(lines.error(format!("`{text}` follows the last of {num_points} points")));
+            return Err(lines.error(format!("`{}` follows the last of {num_points} points", Excerpt(&text))));
         }
         Ok(Self { cameras, points, observations })
     }

@@ -11,6 +11,10 @@ use crate::{Error, Result};
 /// DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
 
+/// Focal lengths in longer sides of the image. The widest lenses of photographers have 0.2 (8 mm on 36 mm), the longest zooms of compact
+/// cameras 83 (3000 mm, Nikon P1000).
+const FOCAL_RANGE: std::ops::RangeInclusive<f64> = 0.1..=150.0;
+
 /// What was found; all is optional, and a photo without EXIF data has nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exif {
@@ -88,8 +92,19 @@ impl Exif {
     }
 
     /// The focal length in pixels of a `width` × `height` image: from the width of the sensor (its longer side) where that is
-    /// given, else from the 35 mm equivalent, else from the resolution of the focal plane.
+    /// given, else from the 35 mm equivalent, else from the resolution of the focal plane. What no camera can have is passed over.
     pub fn focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> Option<f64> {
+        let told = self.told_focal_px(width, height, sensor_width_mm);
+        told.into_iter().flatten().find(|focal_px| is_plausible(*focal_px, width, height))
+    }
+
+    /// A focal length in pixels that is told, where none of those that are told can be true.
+    pub fn absurd_focal_px(&self, width: u32, height: u32) -> Option<f64> {
+        let told = self.told_focal_px(width, height, None).into_iter().flatten().next();
+        told.filter(|_| self.focal_px(width, height, None).is_none())
+    }
+
+    fn told_focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> [Option<f64>; 3] {
         let (width, height) = (f64::from(width), f64::from(height));
         let long_side = width.max(height);
         let from_sensor = || Some(self.focal_mm? / sensor_width_mm? * long_side);
@@ -98,8 +113,12 @@ impl Exif {
         let from_plane = || {
             Some(self.focal_mm? * self.pixels_per_mm? * (long_side / self.long_side_px.unwrap_or(long_side)))
         };
-        from_sensor().or_else(from_film).or_else(from_plane)
+        [from_sensor(), from_film(), from_plane()]
     }
+}
+
+fn is_plausible(focal_px: f64, width: u32, height: u32) -> bool {
+    FOCAL_RANGE.contains(&(focal_px / f64::from(width.max(height))))
 }
 
 /// `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, as if there were no time zones.
@@ -148,7 +167,25 @@ mod tests {
         let film = Exif { focal_35mm: Some(36.0), ..Exif::default() };
         // On a 3:2 image the equivalent by the diagonal is the one by the width: 36 mm are the width.
         assert!((film.focal_px(3000, 2000, None).unwrap() - 3000.0).abs() < 1e-3);
+        // Without a width of the sensor, what the file says of itself counts.
         let plane = Exif { pixels_per_mm: Some(100.0), long_side_px: Some(6000.0), ..exif };
         assert_eq!(plane.focal_px(3000, 2000, None), Some(900.0));
+    }
+
+    #[test]
+    fn focal_lengths_that_no_camera_has_are_passed_over() {
+        for absurd in [1e-6, 2.0, 1e5, 1e300] {
+            let exif = Exif { focal_35mm: Some(absurd), ..Exif::default() };
+            assert_eq!(exif.focal_px(3000, 2000, None), None, "{absurd}");
+            assert!(exif.absurd_focal_px(3000, 2000).is_some(), "{absurd}");
+            // Another one that is told may be true.
+            let both = Exif { focal_mm: Some(18.0), pixels_per_mm: Some(100.0), ..exif };
+            assert_eq!(both.focal_px(3000, 2000, None), Some(1800.0));
+            assert_eq!(both.absurd_focal_px(3000, 2000), None);
+        }
+        for real_mm in [8.0, 15.0, 26.0, 3000.0] {
+            let exif = Exif { focal_35mm: Some(real_mm), ..Exif::default() };
+            assert!(exif.focal_px(4000, 3000, None).is_some() && exif.absurd_focal_px(4000, 3000).is_none());
+        }
     }
 }

@@ -9,12 +9,14 @@ use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
 use crate::manifest::made_files;
-use crate::pixels;
+use crate::pixels::{self, Allowed};
 use crate::regular::{escaped, irregular};
-use crate::{Error, Luma, Result, Rgb};
+use crate::{Error, Luma, MAX_PIXELS, Result, Rgb};
 
 /// Names of files with these endings, in any case, are taken for images.
 const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+/// Files with these endings are photos of telephones, which no well-tried library in Rust reads.
+const HEIF_EXTENSIONS: [&str; 3] = ["heic", "heif", "hif"];
 /// Folders deeper than this below an input are taken for a loop of links.
 const MAX_DEPTH: usize = 16;
 
@@ -73,6 +75,7 @@ pub struct ImageFolder {
     cameras: Vec<String>,
     masks: Vec<Option<PathBuf>>,
     skipped: Vec<SkippedFile>,
+    max_pixels: u64,
 }
 
 impl ImageFolder {
@@ -119,7 +122,14 @@ impl ImageFolder {
             }
             skipped.extend(listing.skipped);
         }
-        let mut this = Self { images: vec![], paths: vec![], cameras: vec![], masks: vec![], skipped };
+        let mut this = Self {
+            images: vec![],
+            paths: vec![],
+            cameras: vec![],
+            masks: vec![],
+            skipped,
+            max_pixels: MAX_PIXELS,
+        };
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
             let camera = CameraId::from_index(known.unwrap_or_else(|| {
@@ -140,6 +150,12 @@ impl ImageFolder {
             }
             _ => Ok(this),
         }
+    }
+
+    /// The same images; those of more than `max_pixels` are refused when they are looked at ([`MAX_PIXELS`] by default).
+    #[must_use]
+    pub fn with_max_pixels(self, max_pixels: u64) -> Self {
+        Self { max_pixels, ..self }
     }
 
     /// What is there and cannot be used, in byte order of the names.
@@ -164,32 +180,35 @@ impl ImageSource for ImageFolder {
 
     fn info(&self, index: usize) -> Result<ImageInfo> {
         let path = &self.paths[index];
-        let exif = Exif::read(path)?;
-        let (width, height) = pixels::dimensions(path, &exif)?;
+        let (exif, width, height) = self.header(path)?;
         let stem = path.file_stem().and_then(|stem| stem.to_str());
         Ok(ImageInfo { width, height, time_s: stem.and_then(time_from_name).or(exif.time_s), exif })
     }
 
     fn luma(&self, index: usize) -> Result<Luma> {
-        Luma::read(&self.paths[index])
+        Luma::read_within(&self.paths[index], &Allowed::Pixels(self.max_pixels))
     }
 
     fn rgb(&self, index: usize) -> Result<Rgb> {
-        Rgb::read(&self.paths[index])
+        Rgb::read_within(&self.paths[index], &Allowed::Pixels(self.max_pixels))
     }
 
     fn mask(&self, index: usize) -> Result<Option<Luma>> {
         let Some(path) = &self.masks[index] else { return Ok(None) };
-        let mask = Luma::read(path)?;
-        let (width, height) = pixels::dimensions(&self.paths[index], &Exif::read(&self.paths[index])?)?;
-        if (mask.width, mask.height) != (width, height) {
-            let what = format!(
-                "the mask has {} × {} pixels, its image {} has {width} × {height}",
-                mask.width, mask.height, self.images[index].name
-            );
-            return Err(Error::content(path, what));
-        }
-        Ok(Some(mask))
+        let (_, width, height) = self.header(&self.paths[index])?;
+        let of = format!("its image {}", self.images[index].name);
+        Luma::read_within(path, &Allowed::Size { width, height, what: "the mask", of: &of }).map(Some)
+    }
+}
+
+impl ImageFolder {
+    /// What an image says of itself: EXIF data, width and height.
+    fn header(&self, path: &Path) -> Result<(Exif, u32, u32)> {
+        // Before the EXIF data, since those of a TIFF file may be anywhere in it.
+        let stored = pixels::stored_size(path)?;
+        let exif = Exif::read(path)?;
+        let (width, height) = pixels::dimensions(path, &exif, stored, &Allowed::Pixels(self.max_pixels))?;
+        Ok((exif, width, height))
     }
 }
 
@@ -281,6 +300,7 @@ impl Listing {
         if depth > 0 {
             self.made.extend(made_files(folder));
         }
+        let mut heif = Vec::new();
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
             let path = entry.map_err(Error::io(folder))?.path();
             let Some(part) = path.file_name().filter(|part| !part.as_encoded_bytes().starts_with(b"."))
@@ -305,6 +325,8 @@ impl Listing {
                         }
                     }
                 }
+            } else if has_extension(&path, &HEIF_EXTENSIONS) {
+                heif.push(part.to_owned());
             } else if !is_named_like_image(&path) || self.made.contains(&path) {
                 continue;
             } else if let Some(kind) = metadata.as_ref().and_then(irregular) {
@@ -320,6 +342,23 @@ impl Listing {
                     }
                 }
             }
+        }
+        // Those that have been converted lie beside.
+        heif.retain(|part: &OsString| {
+            let beside = |ending: &str| folder.join(part).with_extension(ending).is_file();
+            !IMAGE_EXTENSIONS.iter().any(|ending| beside(ending) || beside(&ending.to_uppercase()))
+        });
+        if let Some(first) = heif.iter().min() {
+            let others = match heif.len() - 1 {
+                0 => String::new(),
+                1 => ", as is 1 other file beside it".to_owned(),
+                more => format!(", as are {more} other files beside it"),
+            };
+            let (from, to) = (escaped(Path::new(first)), escaped(&Path::new(first).with_extension("jpg")));
+            let what = format!(
+                "is a HEIC photo{others}, and these are not read: convert them to JPEG, as with `heif-convert {from} {to}`"
+            );
+            self.skip(&folder.join(first), within, &what);
         }
         Ok(())
     }

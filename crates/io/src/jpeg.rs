@@ -60,20 +60,40 @@ fn is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// Width and height, from the header alone.
-pub(crate) fn dimensions(reader: &mut (impl BufRead + Seek)) -> Option<(u32, u32)> {
+/// What the header of the first frame says.
+pub(crate) struct Frame {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Bytes that the data take at least: every block of 8 × 8 samples has a constant part, and its Huffman code has one bit or more
+    /// (ITU-T T.81, F.1.2.1 and G.1.2.1), however the rest is coded.
+    pub(crate) min_bytes: u64,
+}
+
+/// The frame, from the header alone.
+pub(crate) fn frame(reader: &mut (impl BufRead + Seek)) -> Option<Frame> {
     reader.seek(SeekFrom::Start(0)).ok()?;
     while let Some((marker, length)) = next_segment(reader) {
         match marker {
-            // Start of frame, of any kind: precision, height, width. (C4, C8 and CC are no frames.)
+            // Start of frame, of any kind: precision, height, width, components. (C4, C8 and CC are no frames.)
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
-                let mut frame = [0; 5];
+                let mut frame = [0; 6];
                 reader.read_exact(&mut frame).ok()?;
-                let [_, h1, h0, w1, w0] = frame;
-                return Some((
-                    u32::from(u16::from_be_bytes([w1, w0])),
-                    u32::from(u16::from_be_bytes([h1, h0])),
-                ));
+                let [_, h1, h0, w1, w0, count] = frame;
+                // Of each component: its number, how often it is sampled along and across, its table.
+                let mut components = vec![0; 3 * usize::from(count)];
+                reader.read_exact(&mut components).ok()?;
+                let samplings: Vec<[u64; 2]> =
+                    components.chunks(3).map(|c| [u64::from(c[1] >> 4), u64::from(c[1] & 15)]).collect();
+                let size = [[w1, w0], [h1, h0]].map(|side| u64::from(u16::from_be_bytes(side)));
+                let most = [0, 1].map(|axis| samplings.iter().map(|s| s[axis]).max().unwrap_or(0).max(1));
+                let blocks = |sampling: &[u64; 2]| -> u64 {
+                    [0, 1].map(|axis| (size[axis] * sampling[axis]).div_ceil(8 * most[axis])).iter().product()
+                };
+                return Some(Frame {
+                    width: size[0] as u32,
+                    height: size[1] as u32,
+                    min_bytes: samplings.iter().map(blocks).sum::<u64>() / 8,
+                });
             }
             START_OF_SCAN => return None,
             _ => {

@@ -1,7 +1,11 @@
 //! LAS and LAZ files (ASPRS 1.0 to 1.4): what laser scanners deliver, and georeferenced clouds. The layouts are those of the `las`
 //! package.
 
-use std::io::{Cursor, Write};
+mod claims;
+
+use std::fs::File;
+use std::io::{BufReader, Cursor, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use las::point::Format;
@@ -11,8 +15,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use crate::ply::Vertex;
 use crate::{AtomicFile, Error, Result};
 
-/// Points taken at a time.
-const CHUNK: u64 = 1 << 16;
+/// Bytes of points taken at a time.
+const CHUNK_BYTES: u64 = 1 << 21;
 /// Coordinates are whole multiples of this, in units of the cloud (metres): finer than any scanner.
 const RESOLUTION: f64 = 1e-4;
 const GREY: [u8; 3] = [128; 3];
@@ -22,14 +26,25 @@ fn error(path: &Path) -> impl Fn(las::Error) -> Error {
 }
 
 /// Reads the points of a LAS or LAZ file; grey where it has no colours.
+///
+/// # Errors
+///
+/// The file cannot be read, claims more than its length can hold, or is damaged.
 pub fn read(path: &Path) -> Result<Vec<Vertex>> {
-    // Opened here for the sake of the message.
-    std::fs::File::open(path).map_err(Error::io(path))?;
+    let file = File::open(path).map_err(Error::io(path))?;
+    let claims = claims::Claims::new(BufReader::new(file)).map_err(Error::io(path))?;
+    let (announced, record_bytes) = claims.check().map_err(|what| Error::content(path, what))?;
+    // The decompressor panics on some damage.
+    catch_unwind(AssertUnwindSafe(|| read_announced(path, announced, record_bytes)))
+        .unwrap_or_else(|_| Err(Error::content(path, "its compressed points are damaged")))
+}
+
+fn read_announced(path: &Path, announced: u64, record_bytes: u64) -> Result<Vec<Vertex>> {
     let mut reader = Reader::from_path(path).map_err(error(path))?;
-    let announced = reader.header().number_of_points();
     let mut vertices = Vec::new();
     while (vertices.len() as u64) < announced {
-        let points: PointData = reader.read_points(CHUNK).map_err(error(path))?;
+        let points: PointData =
+            reader.read_points((CHUNK_BYTES / record_bytes).max(1)).map_err(error(path))?;
         let before = vertices.len();
         for point in points.points() {
             vertices.push(vertex(&point.map_err(error(path))?));

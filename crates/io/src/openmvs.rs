@@ -87,10 +87,10 @@ fn platforms(path: &Path, model: &Reconstruction) -> Result<(Vec<Platform>, BTre
         if frames.is_empty() {
             continue;
         }
-        let cameras: Vec<_> =
-            rig.sensors.iter().filter_map(|sensor| Some((sensor.camera, sensor.cam_from_rig?))).collect();
+        let on_rig = rig.sensors.iter().map(|sensor| sensor.camera);
+        let cameras: Vec<_> = on_rig.filter_map(|camera| Some((camera, rig.cam_from_rig(camera)?))).collect();
         for (pose, frame) in frames.iter().enumerate() {
-            for image in frame.images.iter().filter(|image| model.image(**image).cam_from_world().is_some()) {
+            for image in &frame.images {
                 let camera = model.image(*image).camera;
                 let camera = cameras.iter().position(|(on_rig, _)| *on_rig == camera).ok_or_else(|| {
                     let name = &model.image(*image).name;

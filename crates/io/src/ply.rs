@@ -8,6 +8,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::Reconstruction;
 
 use crate::binary::Reader;
+use crate::excerpt::Excerpt;
 use crate::{AtomicFile, Error, Result};
 
 /// A point with its colour.
@@ -159,9 +160,10 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
         let count = element.count;
         if count.checked_mul(least).is_none_or(|bytes| bytes > file.remaining() + slack) {
             let left = file.remaining();
-            return Err(
-                file.error(format!("{count} × {} are announced, but {left} bytes follow", element.name))
-            );
+            return Err(file.error(format!(
+                "{count} × {} are announced, but {left} bytes follow",
+                Excerpt(&element.name)
+            )));
         }
         let is_vertex = element.name == "vertex";
         if is_vertex {
@@ -216,7 +218,7 @@ fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
     }
     loop {
         let line = file.line(MAX_HEADER_LINE_BYTES)?;
-        let bad = |file: &Reader| file.error(format!("the header says `{}`", line.trim_end()));
+        let bad = |file: &Reader| file.error(format!("the header says `{}`", Excerpt(line.trim_end())));
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
             ["end_header"] => break,
@@ -294,5 +296,5 @@ fn next_word(file: &mut Reader, word: &mut Vec<u8>, scalar: Scalar) -> Result<f6
     // `nan` is a number; as an integer it is none.
     value
         .filter(|value: &f64| value.is_finite() || !scalar.is_integer())
-        .ok_or_else(|| file.error(format!("`{}` is no number", String::from_utf8_lossy(word))))
+        .ok_or_else(|| file.error(format!("`{}` is no number", Excerpt(&String::from_utf8_lossy(word)))))
 }

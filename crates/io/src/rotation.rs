@@ -24,6 +24,11 @@ pub(crate) fn from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, S
 
 /// The rotation nearest to a matrix that is one but for rounding.
 pub(crate) fn from_matrix(matrix: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
+    // The decomposition goes round for ever where squares overflow; no entry of a rotation is above 1.
+    // What is no number is nowhere near one.
+    if matrix.amax().is_nan() || matrix.amax() > 1.0 + MAX_MATRIX_DEVIATION {
+        return Err("the matrix is no rotation".to_owned());
+    }
     let svd = matrix.svd(true, true);
     let nearest = svd.u.zip(svd.v_t).map(|(u, v_t)| u * v_t).filter(|nearest| nearest.determinant() > 0.0);
     match nearest {

@@ -9,6 +9,7 @@ use std::str::FromStr;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 
+use crate::excerpt::Excerpt;
 use crate::{Error, Result, rotation};
 
 /// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64 characters.
@@ -118,7 +119,7 @@ impl<'a> Words<'a> {
     /// A number of any integer type.
     pub(crate) fn number<T: FromStr>(&mut self, what: &str) -> Result<T> {
         let word = self.word(what)?;
-        word.parse().map_err(|_| self.error(format!("{what} is `{word}`, not a number in range")))
+        word.parse().map_err(|_| self.error(format!("{what} is `{}`, not a number in range", Excerpt(word))))
     }
 
     /// A finite number.
@@ -144,7 +145,11 @@ impl<'a> Words<'a> {
 
     /// Nothing may follow.
     pub(crate) fn end(&self) -> Result<()> {
-        if self.rest.is_empty() { Ok(()) } else { Err(self.error(format!("`{}` follows", self.rest))) }
+        if self.rest.is_empty() {
+            Ok(())
+        } else {
+            Err(self.error(format!("`{}` follows", Excerpt(self.rest))))
+        }
     }
 }
 

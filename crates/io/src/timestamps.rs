@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use crate::excerpt::Excerpt;
 use crate::regular::require_regular_file;
 use crate::text::{Lines, Number};
 use crate::{AtomicFile, Result};
@@ -31,13 +32,13 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
         }
         let text = line.rest();
         let Some((name, seconds)) = text.rsplit_once(',') else {
-            return Err(line.error(format!("`{text}` has no comma: expected {HEADER}")));
+            return Err(line.error(format!("`{}` has no comma: expected {HEADER}", Excerpt(text))));
         };
         let seconds: Option<f64> = seconds.trim().parse().ok().filter(|seconds: &f64| seconds.is_finite());
-        let seconds =
-            seconds.ok_or_else(|| line.error(format!("the time of {name} is not a number of seconds")))?;
+        let seconds = seconds
+            .ok_or_else(|| line.error(format!("the time of {} is not a number of seconds", Excerpt(name))))?;
         if times.insert(name.trim().to_owned(), seconds).is_some() {
-            return Err(line.error(format!("the image {name} is there twice")));
+            return Err(line.error(format!("the image {} is there twice", Excerpt(name))));
         }
     }
     Ok(times)

@@ -7,7 +7,7 @@
 //! | KITTI | 12 numbers: the rows of \[R \| t\] |
 //! | EuRoC | `nanoseconds, tx, ty, tz, qw, qx, qy, qz`, and more columns |
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 
 use tiepoint_geometry::Rigid3;
@@ -110,15 +110,29 @@ pub fn read_euroc(path: &Path) -> Result<Vec<TimedPose>> {
 /// Nanoseconds in a second.
 const GIGA: i64 = 1_000_000_000;
 
+/// A time as EuRoC has it, where it fits: within 292 years of its origin.
+fn nanoseconds(time_s: f64) -> Option<i64> {
+    // Whole seconds apart from the rest: nanoseconds since 1970 do not fit an f64.
+    let whole = time_s.floor();
+    let rest = ((time_s - whole) * GIGA as f64).round() as i64;
+    let fits = whole.abs() < (i64::MAX / GIGA) as f64;
+    fits.then(|| whole as i64 * GIGA + rest)
+}
+
 /// Writes a trajectory in the EuRoC format.
+///
+/// # Errors
+///
+/// The file cannot be written, or a time is not finite or farther than 292 years from its origin.
 pub fn write_euroc(path: &Path, poses: &[TimedPose]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         writeln!(file, "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []")?;
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();
-            // Whole seconds apart from the rest: nanoseconds since 1970 do not fit an f64.
-            let whole = pose.time_s.floor();
-            let nanoseconds = whole as i64 * GIGA + ((pose.time_s - whole) * GIGA as f64).round() as i64;
+            let nanoseconds = nanoseconds(pose.time_s).ok_or_else(|| {
+                let what = format!("the time {} s cannot be written in nanoseconds", Number(pose.time_s));
+                io::Error::new(io::ErrorKind::InvalidInput, what)
+            })?;
             write!(file, "{nanoseconds}")?;
             [t.x, t.y, t.z, q.w, q.i, q.j, q.k]
                 .iter()

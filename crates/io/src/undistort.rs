@@ -58,8 +58,6 @@ fn interpolate(image: &Rgb, pixel: &Vector2<f64>) -> Option<[u8; 3]> {
 /// no point any more.
 pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
     let mut new = Reconstruction::default();
-    new.rigs.clone_from(&model.rigs);
-    new.frames.clone_from(&model.frames);
     for (_, camera) in model.cameras() {
         new.add_camera(pinhole_of(camera));
     }
@@ -81,6 +79,8 @@ pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
             new.register(id, *pose);
         }
     }
+    new.rigs.clone_from(&model.rigs);
+    new.frames.clone_from(&model.frames);
     for (_, track) in model.tracks() {
         let seen = |o: &&Observation| is_seen[o.image.index()][o.keypoint as usize];
         let observations: Vec<_> = track.observations.iter().filter(seen).copied().collect();

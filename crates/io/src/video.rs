@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
 use crate::images::has_extension;
-use crate::pixels::check_size;
+use crate::pixels::{Allowed, MAX_PIXELS};
 use crate::regular::require_regular_file;
 use crate::{Error, Result, Rgb};
 
@@ -169,10 +169,7 @@ impl VideoReader {
     /// The next picture; `None` after the last one. A file that breaks off gives what comes before.
     pub fn next_frame(&mut self) -> Result<Option<VideoFrame>> {
         let image = match read_ppm(&mut self.pictures).map_err(Error::io(&self.path))? {
-            Some((width, height, data)) => {
-                check_size(&self.path, width, height)?;
-                Rgb { width, height, data }
-            }
+            Some((width, height, data)) => Rgb { width, height, data },
             None if self.count > 0 => return Ok(None),
             None => return Err(self.nothing()),
         };
@@ -322,6 +319,9 @@ fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<
     if kind != "P6" || depth != "255" {
         return Err(broken());
     }
+    // A stream that lies about its size makes ffmpeg write just that.
+    let allowed = Allowed::Pixels(MAX_PIXELS).check(width, height);
+    allowed.map_err(|what| std::io::Error::new(std::io::ErrorKind::InvalidData, what))?;
     let length = 3 * u64::from(width) * u64::from(height);
     let mut data = Vec::new();
     stream.take(length).read_to_end(&mut data)?;

@@ -78,6 +78,14 @@ pub enum Error {
         /// Which file.
         path: PathBuf,
     },
+    /// Results of before were written and could not all be moved to their places.
+    #[error(
+        "not all results of before are in their places in {path} yet: give the same command again, which ends that first"
+    )]
+    Unfinished {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The result would be written onto an input.
     #[error("{path} is read by this command, so the result cannot be written there: choose another place")]
     IsInput {

@@ -10,6 +10,7 @@ use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relati
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
+use crate::image_names::{first_folder, number};
 use crate::model_place::ModelPlace;
 use crate::output_folder::OutputFolder;
 use crate::workspace::{current_records, is_workspace};
@@ -221,12 +222,6 @@ pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Resul
     })
 }
 
-/// The folder in the name of the first image, with its `/`.
-pub(crate) fn first_folder(model: &Reconstruction) -> String {
-    let first = model.images().map(|(_, image)| image.name.as_str()).min().unwrap_or("");
-    first.rfind('/').map_or(String::new(), |end| first[..=end].to_owned())
-}
-
 /// Each image that the truth knows, with the model's image where there is one.
 fn associate_images<'a>(
     folder: &Path,
@@ -281,12 +276,6 @@ fn associate_images<'a>(
             pairs.into_iter().map(|(a, b)| (Some(timed[a].1), pose(poses[b].cam_from_world))).collect()
         }
     })
-}
-
-/// The last number in a file's name, before its ending.
-pub(crate) fn number(name: &str) -> Option<usize> {
-    let stem = name.rsplit('/').next()?.split('.').next()?;
-    stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
 }
 
 fn focal_lengths(model: &Reconstruction, pairs: &[(Option<&Image>, TruePose)]) -> Vec<FocalLength> {

@@ -1,6 +1,8 @@
+use std::ops::ControlFlow;
+
 use serde::Serialize;
 
-use crate::Stage;
+use crate::{Error, Stage};
 
 /// What a run tells while it works.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -119,4 +121,19 @@ pub enum Event<'a> {
         /// Wall time of this run's part.
         seconds: f64,
     },
+}
+
+/// Gets every event, in order, on the calling thread; what it returns stops the run.
+pub type Watch<'a> = &'a mut dyn FnMut(&Event) -> ControlFlow<()>;
+
+/// Tells an event.
+///
+/// # Errors
+///
+/// [`Error::Cancelled`] where the run is to stop.
+pub(crate) fn tell(watch: Watch, event: &Event) -> Result<(), Error> {
+    match watch(event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    }
 }

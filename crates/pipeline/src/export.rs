@@ -18,7 +18,8 @@ use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
-use crate::evaluate::{first_folder, model_folder};
+use crate::evaluate::model_folder;
+use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::model_place::ModelPlace;
 use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};

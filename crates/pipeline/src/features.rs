@@ -19,11 +19,9 @@ use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
-    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace, tell,
+    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace, option_keys,
+    tell,
 };
-
-/// Name of the option that says that the intrinsics are known: later stages look for it.
-pub(crate) const INTRINSICS: &str = "intrinsics";
 
 /// How to extract features.
 #[derive(Clone, Debug, Default)]
@@ -38,22 +36,9 @@ pub struct FeatureOptions {
 
 impl FeatureOptions {
     fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
-        let mut options = vec![("detector", format!("{:?}", self.detector))];
-        match self.calibration {
-            Calibration::Unknown { model, focal_px } => {
-                options.push(("camera-model", model.name().to_owned()));
-                options.extend(focal_px.map(|focal_px| ("focal-prior", focal_px.to_string())));
-            }
-            Calibration::Known(intrinsics) => {
-                options.push(("camera-model", intrinsics.kind().name().to_owned()));
-                let params: Vec<String> = intrinsics.params().iter().map(f64::to_string).collect();
-                options.push((INTRINSICS, params.join(",")));
-            }
-        }
-        if let Some(path) = &self.timestamps {
-            options.push(("timestamps", of_text(path)?));
-        }
-        Ok(Recipe::new(photos.fingerprint()?, options))
+        let Self { calibration, detector, timestamps } = self;
+        let timestamps = timestamps.as_deref().map(of_text).transpose()?;
+        Ok(Recipe::new(photos.fingerprint()?, option_keys::of_features(calibration, detector, timestamps)))
     }
 }
 

@@ -11,7 +11,7 @@ use tiepoint_sfm::geometry::nalgebra::Matrix4;
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
 
-use crate::rig_over_time::camera_of_folder;
+use crate::image_names::camera_of_folder;
 use crate::{Error, RigCamera, RigFile};
 
 /// Pixels of ours less those of Kalibr.

@@ -10,11 +10,14 @@ mod event;
 mod export;
 mod features;
 mod fingerprint;
+mod image_names;
 mod kalibr;
+mod legacy_options;
 mod mapping;
 mod matching;
 mod metric;
 mod model_place;
+mod option_keys;
 mod ordered;
 mod output_file;
 mod output_folder;
@@ -33,8 +36,6 @@ mod video;
 mod view;
 mod workspace;
 
-use std::ops::ControlFlow;
-
 pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
@@ -42,7 +43,8 @@ pub use error::{Error, Size};
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses, model_folder,
 };
-pub use event::Event;
+pub(crate) use event::tell;
+pub use event::{Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
 pub use mapping::{MapOptions, map};
@@ -67,13 +69,3 @@ pub use tiepoint_sfm as sfm;
 pub use video::{DEFAULT_EVERY, Opened, open_input};
 pub use view::{Exhibit, Whereabouts, report_html, view};
 pub use workspace::Workspace;
-
-/// Gets every event, in order, on the calling thread; what it returns stops the run.
-pub type Watch<'a> = &'a mut dyn FnMut(&Event) -> ControlFlow<()>;
-
-fn tell(watch: Watch, event: &Event) -> Result<(), Error> {
-    match watch(event) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Cancelled),
-    }
-}

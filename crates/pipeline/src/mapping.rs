@@ -21,7 +21,7 @@ use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
 use crate::workspace::{POINTS, SPARSE};
-use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, features, tell};
+use crate::{Error, Event, MapReport, ModelReport, RigReport, Stage, Watch, Workspace, option_keys, tell};
 
 /// How to map.
 #[derive(Clone, Copy, Debug, Default)]
@@ -41,13 +41,11 @@ pub fn map(
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
     let MapOptions { mapper: mut options, baseline_m } = *options;
-    if workspace.records.option(Stage::Features, features::INTRINSICS).is_some() {
+    if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
         options.refine = RefineIntrinsics::NONE;
     }
-    let words =
-        [("mapper", Some(format!("{options:?}"))), ("baseline", baseline_m.map(|b| format!("{b} m")))];
-    let words = words.into_iter().filter_map(|(name, word)| Some((name, word?)));
-    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, words);
+    let texts = option_keys::of_mapping(&options, baseline_m);
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return tell(watch, &Event::StageKept { stage: STAGE });

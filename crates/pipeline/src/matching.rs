@@ -19,7 +19,7 @@ use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
 use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
-use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, tell};
+use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, option_keys, tell};
 
 /// Images on a side of a tile. 8192 features take 1.4 MiB with their short forms: a tile takes a third of a gigabyte.
 const TILE: u32 = 128;
@@ -59,15 +59,7 @@ impl Default for MatchOptions {
 impl MatchOptions {
     fn recipe(&self, input: String) -> Recipe {
         let Self { pairs, descriptors, verify, seed } = self;
-        Recipe::new(
-            input,
-            [
-                ("pairs", pairs.to_string()),
-                ("matching", format!("{descriptors:?}")),
-                ("verification", format!("{verify:?}")),
-                ("seed", seed.to_string()),
-            ],
-        )
+        Recipe::new(input, option_keys::of_matching(pairs, descriptors, verify, *seed))
     }
 }
 

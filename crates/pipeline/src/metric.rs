@@ -12,7 +12,7 @@ use tiepoint_sfm::rig::{RelativePose, robust_average};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{Companion, MappedModel, Moment, MountedCamera, MountingCovariance, companions};
 
-use crate::rig_over_time::folder_of;
+use crate::image_names::folder_of;
 
 /// What a known distance of two cameras made of a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

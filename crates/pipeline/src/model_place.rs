@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::workspace::{REPORT, RIG, SPARSE, TIMESTAMPS, current_records, is_workspace};
-use crate::{Error, Stage, features};
+use crate::{Error, Stage, option_keys};
 
 /// The folder of a model, relative to the workspace.
 pub(crate) fn model_path(index: usize) -> String {
@@ -48,7 +48,7 @@ impl ModelPlace {
         if !is_workspace(&self.root) {
             return Ok(false);
         }
-        Ok(current_records(&self.root)?.option(Stage::Features, features::INTRINSICS).is_some())
+        Ok(current_records(&self.root)?.option(Stage::Features, option_keys::INTRINSICS).is_some())
     }
 
     /// What is said of the models, the largest first; and which of them this one is.

@@ -8,7 +8,7 @@ use tiepoint_io::AtomicFile;
 use tiepoint_io::disk::{self, FileId};
 
 use crate::Error;
-use crate::output_folder::output;
+use crate::output_folder::{STAGED, output};
 
 /// A PLY file of this program has this line in its header.
 pub(crate) const PLY_MARK: &str = "\ncomment tiepoint\n";
@@ -18,8 +18,6 @@ pub(crate) const COMMENT_MARK: &str = "# tiepoint";
 const PAGE_MARK: &str = "<title>tiepoint</title>";
 /// A mark stands within so many bytes.
 const HEAD_BYTES: u64 = 4096;
-/// The file that a new content is compared in.
-const NEW: &str = ".tiepoint-new";
 
 /// Writes a file that the user named. One that is there is replaced only where it is empty or has this program's mark, or has
 /// the same content; an input of the command never is. `write` gets the path to write to.
@@ -42,7 +40,7 @@ pub(crate) fn write_file<'a>(
         return write(path);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let new = path.with_file_name(format!(".{name}{NEW}"));
+    let new = path.with_file_name(format!(".{name}{STAGED}"));
     let same = write(&new).and_then(|()| is_same(&new, path));
     disk::remove_file(&new).map_err(output(&new))?;
     if same? { Ok(()) } else { Err(Error::NotOurs { path: path.to_owned() }) }

@@ -9,51 +9,25 @@
 //! next one does ([`OutputFolder::open`]). While it is done, the file that readers look for first is missing: nobody reads a
 //! mix of old and new.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Read};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use tiepoint_io::colmap::{self, Format};
+use tiepoint_io::colmap::{self, Format, MODEL_FILES};
 use tiepoint_io::disk::{self, FileId};
-use tiepoint_io::{AtomicFile, MANIFEST};
+use tiepoint_io::{AtomicFile, MANIFEST, Manifest, is_inside};
 use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 
-const PROGRAM: &str = "tiepoint";
-const STAGED: &str = ".tiepoint-new";
+/// Where new files are written first; new single files have names that end so.
+pub(crate) const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
-/// The files of a COLMAP model, without their endings. Every reader wants the last one: it comes last and goes first.
-const MODEL_FILES: [&str; 5] = ["cameras", "rigs", "frames", "points3D", "images"];
-/// Endings of a model's files. Readers prefer one to the other, so both are looked at.
-const MODEL_ENDINGS: [&str; 2] = ["bin", "txt"];
 /// Bytes read at once.
 const BUFFER_BYTES: usize = 1 << 16;
-
-/// What this program made in a folder.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Manifest {
-    program: String,
-    /// By path relative to the folder, with `/`: the content that a file may have. There are two after an interruption.
-    files: BTreeMap<String, BTreeSet<String>>,
-    /// The files that were replaced together last, in the order in which they take their places.
-    #[serde(default)]
-    order: Vec<String>,
-    /// The files that go at the same moment.
-    #[serde(default)]
-    removed: Vec<String>,
-}
-
-impl Default for Manifest {
-    fn default() -> Self {
-        let files = BTreeMap::new();
-        Self { program: PROGRAM.to_owned(), files, order: Vec::new(), removed: Vec::new() }
-    }
-}
 
 /// A folder for results, held by this process.
 #[derive(Debug)]
@@ -86,7 +60,7 @@ impl OutputFolder {
     pub(crate) fn open(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let lock = lock(root)?;
-        let manifest = Manifest::read(root)?.unwrap_or_default();
+        let manifest = read_manifest(root)?.unwrap_or_default();
         let root = root.to_owned();
         let this = Self { root, manifest, inputs: BTreeSet::new(), always_ours: &[], _lock: lock };
         if this.root.join(COMMITTED).is_dir() {
@@ -114,7 +88,7 @@ impl OutputFolder {
                 self.manifest.files.entry(name.clone()).or_default().insert(hash);
             }
         }
-        self.manifest.write(&self.root)
+        Ok(self.manifest.write(&self.root)?)
     }
 
     /// Names of files that are this program's whatever they hold.
@@ -132,21 +106,16 @@ impl OutputFolder {
         self.manifest.files.keys().map(String::as_str)
     }
 
-    /// Whether a file is as this program left it.
-    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
-        self.has_known_content(name)
-    }
-
     /// Refuses, before any work is done, to replace what is somebody's.
     pub(crate) fn refuse_foreign<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
-        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?))
+        names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
     /// The same for a staged file: it may have the content that is there.
     pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
-        let owner = self.owner(name)?;
+        let (owner, hash) = self.owner(name)?;
         let staged = hash_of(&self.root.join(STAGED).join(name))?;
-        if staged.is_some() && staged == hash_of(&self.root.join(name))? {
+        if staged.is_some() && staged == self.hash_there(name, &owner, hash)? {
             return Ok(());
         }
         self.refuse(name, &owner)
@@ -161,28 +130,41 @@ impl OutputFolder {
         }
     }
 
-    fn owner(&self, name: &str) -> Result<Owner, Error> {
+    /// Whose a file is, and the hash of its content where that was asked.
+    fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
         let found = match fs::symlink_metadata(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(Owner::Nobody),
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok((Owner::Nobody, None)),
             // A part of the path is a file: it cannot be written either.
             Err(cause) => return Err(Error::Output { path, cause }),
             Ok(found) => found,
         };
         if FileId::of(&path).is_some_and(|id| self.inputs.contains(&id)) {
-            return Ok(Owner::Input);
+            return Ok((Owner::Input, None));
         }
         if !found.is_file() {
-            return Ok(Owner::Others);
+            return Ok((Owner::Others, None));
         }
         if self.always_ours.contains(&name) {
-            return Ok(Owner::Us);
+            return Ok((Owner::Us, None));
         }
-        Ok(if self.has_known_content(name)? { Owner::Us } else { Owner::Others })
+        let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
+        let hash = hash_of(&path)?;
+        let is_known = hash.as_ref().is_some_and(|hash| known.contains(hash));
+        Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
     }
 
-    /// Whether a file has a content that this program gave it.
-    fn has_known_content(&self, name: &str) -> Result<bool, Error> {
+    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read twice.
+    fn hash_there(&self, name: &str, owner: &Owner, hash: Option<String>) -> Result<Option<String>, Error> {
+        match (owner, hash) {
+            (Owner::Nobody, _) => Ok(None),
+            (_, None) => hash_of(&self.root.join(name)),
+            (_, hash) => Ok(hash),
+        }
+    }
+
+    /// Whether a file is as this program left it: it has a content that this program gave it.
+    pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
         let path = self.root.join(name);
         let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
         let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else { return Ok(false) };
@@ -215,10 +197,9 @@ impl OutputFolder {
         let own = folder.unwrap_or("model");
         let path = self.stage(own)?;
         colmap::write_model(&path, model, format).map_err(|error| self.renamed(error, own, folder))?;
-        let ending = MODEL_ENDINGS[usize::from(format == Format::Text)];
         let mut names = Vec::new();
         for name in MODEL_FILES {
-            let file = format!("{name}.{ending}");
+            let file = format!("{name}.{}", format.suffix());
             match folder {
                 Some(folder) => names.push(format!("{folder}/{file}")),
                 None => {
@@ -261,26 +242,27 @@ impl OutputFolder {
     /// # Errors
     ///
     /// Where a file of somebody would be replaced or removed; then nothing is. Where the system refuses: if that comes after
-    /// the moment that decides, the next [`OutputFolder::open`] goes on.
+    /// the moment that decides, the next [`OutputFolder::open`] goes on, and until then nothing else is published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
+        if Self::is_unfinished(&self.root) {
+            return Err(Error::Unfinished { path: self.root.clone() });
+        }
         let staged = self.root.join(STAGED);
         let hashes: Vec<Option<String>> = {
             let all: Result<Vec<_>, Error> =
                 order.par_iter().map(|name| hash_of(&staged.join(name))).collect();
             all?
         };
-        let owners: Result<Vec<Owner>, Error> = order.par_iter().map(|name| self.owner(name)).collect();
+        let owners: Result<Vec<(Owner, Option<String>)>, Error> =
+            order.par_iter().map(|name| self.owner(name)).collect();
         let (mut placed, mut kept) = (Vec::new(), 0);
         let mut manifest = self.manifest.clone();
-        for ((name, hash), owner) in order.iter().zip(hashes).zip(owners?) {
+        for ((name, hash), (owner, there)) in order.iter().zip(hashes).zip(owners?) {
             let hash = hash.ok_or_else(|| Error::Output {
                 path: self.root.join(name),
                 cause: io::Error::other("it was not written"),
             })?;
-            let there = match owner {
-                Owner::Nobody => None,
-                _ => hash_of(&self.root.join(name))?,
-            };
+            let there = self.hash_there(name, &owner, there)?;
             if there.as_ref() == Some(&hash) {
                 disk::remove_file(&staged.join(name)).map_err(output(&self.root.join(name)))?;
                 kept += 1;
@@ -302,7 +284,6 @@ impl OutputFolder {
         (manifest.order, manifest.removed) = (placed, removed);
         manifest.write(&self.root)?;
         self.manifest = manifest;
-        self.remove(COMMITTED)?;
         disk::rename(&staged, &self.root.join(COMMITTED)).map_err(output(&self.root))?;
         disk::sync_folder(&self.root).map_err(output(&self.root))?;
         self.put_in_place()?;
@@ -321,7 +302,7 @@ impl OutputFolder {
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
         // Somebody may have put a file there since a run was killed.
         for (_, name) in &old {
-            if !self.has_known_content(name)? {
+            if !self.is_as_left(name)? {
                 return Err(Error::NotOurs { path: self.root.join(name) });
             }
         }
@@ -368,43 +349,18 @@ impl Drop for OutputFolder {
     }
 }
 
-impl Manifest {
-    fn read(root: &Path) -> Result<Option<Self>, Error> {
-        let path = root.join(MANIFEST);
-        let text = match fs::read(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(cause) => return Err(Error::Unreadable { path, cause }),
-            Ok(text) => text,
-        };
-        match serde_json::from_slice::<Self>(&text) {
-            Ok(manifest) if manifest.program == PROGRAM && manifest.is_inside() => Ok(Some(manifest)),
-            _ => Err(Error::NotOurs { path }),
-        }
-    }
-
-    /// Whether no name leads out of the folder: the file may come from anybody.
-    fn is_inside(&self) -> bool {
-        self.files.keys().chain(&self.order).chain(&self.removed).all(|name| is_inside(name))
-    }
-
-    fn write(&self, root: &Path) -> Result<(), Error> {
-        let text = serde_json::to_vec(self).expect("our own types are JSON: string keys");
-        let path = root.join(MANIFEST);
-        Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, &text))?)
-    }
+fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
+    Manifest::read(root).map_err(|error| match error {
+        tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
+        _ => Error::NotOurs { path: root.join(MANIFEST) },
+    })
 }
 
 /// The names that a COLMAP model in this folder may have, in both formats.
 pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let name = |ending: &str| MODEL_FILES.map(|name| format!("{prefix}{name}.{ending}"));
-    MODEL_ENDINGS.iter().flat_map(|ending| name(ending)).collect()
-}
-
-/// Whether a name leads to a place in the folder that it is relative to.
-fn is_inside(name: &str) -> bool {
-    let mut parts = Path::new(name).components();
-    !name.is_empty() && parts.all(|part| matches!(part, Component::Normal(_)))
+    let names = |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
+    Format::ALL.into_iter().flat_map(names).collect()
 }
 
 pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
@@ -421,6 +377,8 @@ fn hash_of(path: &Path) -> Result<Option<String>, Error> {
         Ok(found) if !found.is_file() => return Ok(None),
         Ok(_) => {}
     }
+    #[cfg(test)]
+    tests::HASHED.lock().expect("no test panics with it").push(path.to_owned());
     let mut file = File::open(path).map_err(unreadable)?;
     let (mut hash, mut buffer) = (blake3::Hasher::new(), vec![0; BUFFER_BYTES]);
     loop {
@@ -475,7 +433,12 @@ fn lock(_: &Path) -> Result<Option<File>, Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
+
+    /// Files whose hash was taken, in any test.
+    pub(super) static HASHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
     fn put(folder: &mut OutputFolder, files: &[(&str, &str)], removed: &[&str]) -> Result<usize, Error> {
         for (name, text) in files {
@@ -516,6 +479,22 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_is_replaced_is_read_once_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = OutputFolder::open(dir.path()).unwrap();
+        folder.always_ours(&["ours"]);
+        let names = ["a", "ours", "theirs"];
+        put(&mut folder, &[("a", "1"), ("ours", "1")], &[]).unwrap();
+        fs::write(dir.path().join("theirs"), "2").unwrap();
+        let paths = names.map(|name| dir.path().join(name));
+        let count = || HASHED.lock().unwrap().iter().filter(|path| paths.contains(path)).count();
+        let before = count();
+        assert_eq!(put(&mut folder, &names.map(|name| (name, "2")), &[]).unwrap(), 1);
+        // Each once, and the two that are replaced again before they go, since they may have changed meanwhile.
+        assert_eq!(count() - before, 5);
+    }
+
+    #[test]
     fn what_a_killed_run_left_is_ended_and_spares_what_came_since() {
         let dir = tempfile::tempdir().unwrap();
         let (root, outside) = (dir.path().join("out"), dir.path().join("keep"));
@@ -545,6 +524,26 @@ mod tests {
             assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn what_is_on_its_way_to_its_place_is_not_dropped_for_what_comes_next() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let mut folder = OutputFolder::open(root).unwrap();
+        put(&mut folder, &[("a", "1"), ("b", "1")], &[]).unwrap();
+        // The old files cannot be moved out.
+        fs::write(root.join(REPLACED), "").unwrap();
+        assert!(put(&mut folder, &[("a", "2"), ("b", "2")], &[]).is_err());
+        fs::remove_file(root.join(REPLACED)).unwrap();
+        let error = put(&mut folder, &[("c", "3")], &[]).unwrap_err();
+        assert!(matches!(error, Error::Unfinished { .. }), "{error}");
+        drop(folder);
+        drop(OutputFolder::open(root).unwrap());
+        for name in ["a", "b"] {
+            assert_eq!(fs::read(root.join(name)).unwrap(), b"2", "{name}");
+        }
+        assert!(!root.join("c").exists());
     }
 
     #[test]

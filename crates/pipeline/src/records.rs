@@ -4,37 +4,44 @@
 //! all. Where they differ, the database is right.
 //!
 //! The input of the first stage is a fingerprint of the photos; that of a later stage stands for everything before it. Options
-//! are kept as words, so that a difference can be named.
+//! are kept as texts by key ([`crate::option_keys`]), so that a difference can be named. Records of earlier versions become
+//! ones with keys as they are read.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
 
-use crate::{Error, Stage};
+use crate::option_keys::{NONE, shown};
+use crate::{Error, Stage, legacy_options};
 
 /// Raised when the meaning of the file changes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
+/// Options of this version and of those before it had no keys.
+const VERSION_WITHOUT_KEYS: u32 = 2;
 /// Databases of this version know nothing of stages.
 const VERSION_WITHOUT_ROWS: u32 = 1;
 /// The stages whose products lie in the database.
 const IN_DATABASE: [Stage; 2] = [Stage::Features, Stage::Match];
 /// Longer values of options are not quoted in a message.
 const MAX_QUOTED: usize = 48;
+/// More options that differ are counted in a message, and not named.
+const MAX_NAMED: usize = 3;
 
 /// What a stage was, or is to be, made from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Recipe {
     /// Fingerprint of the photos, or of the stage before.
     pub(crate) input: String,
-    /// Options by name.
+    /// Options by key. One that is not given is left out, so that a new one changes no record of before.
     pub(crate) options: BTreeMap<String, String>,
 }
 
 impl Recipe {
     pub(crate) fn new(input: String, options: impl IntoIterator<Item = (&'static str, String)>) -> Self {
-        Self { input, options: options.into_iter().map(|(name, value)| (name.to_owned(), value)).collect() }
+        let given = options.into_iter().filter(|(_, value)| value != NONE);
+        Self { input, options: given.map(|(key, value)| (key.to_owned(), value)).collect() }
     }
 
     /// A fingerprint of the stage: the input of the next.
@@ -49,22 +56,30 @@ impl Recipe {
 
     /// In what this, which was, differs from what is asked for now; as the end of "were made …".
     fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
-        let names = self.options.keys().chain(asked.options.keys());
-        let changed = names.filter(|name| self.options.get(*name) != asked.options.get(*name)).min();
-        if let Some(name) = changed {
-            let value =
-                |recipe: &Self| recipe.options.get(name).cloned().unwrap_or_else(|| "none".to_owned());
-            let (was, is) = (value(self), value(asked));
-            return Some(if was.len().max(is.len()) <= MAX_QUOTED {
-                format!("with {name} {was} and not {is}")
-            } else {
-                format!("with another {name}")
+        let keys: BTreeSet<&String> = self.options.keys().chain(asked.options.keys()).collect();
+        let changed = keys.into_iter().filter(|key| self.options.get(*key) != asked.options.get(*key));
+        let changed: Vec<String> = changed.map(|key| self.changed_option(asked, key)).collect();
+        if !changed.is_empty() {
+            let named = changed[..changed.len().min(MAX_NAMED)].join(", ");
+            return Some(match changed.len().saturating_sub(MAX_NAMED) {
+                0 => format!("with {named}"),
+                more => format!("with {named}, and {more} more that differ"),
             });
         }
         (self.input != asked.input).then(|| match stage {
             Stage::Features => "from other photos, or some have changed since".to_owned(),
             Stage::Match | Stage::Map => "from something that has been made anew since".to_owned(),
         })
+    }
+
+    fn changed_option(&self, asked: &Self, key: &str) -> String {
+        let value = |recipe: &Self| recipe.options.get(key).cloned().unwrap_or_else(|| NONE.to_owned());
+        let (name, was, is) = (shown(key), value(self), value(asked));
+        if was.len().max(is.len()) <= MAX_QUOTED {
+            format!("{name} {was} and not {is}")
+        } else {
+            format!("another {name}")
+        }
     }
 }
 
@@ -75,6 +90,35 @@ struct Record {
     is_complete: bool,
     #[serde(flatten)]
     recipe: Recipe,
+}
+
+/// Gives the options of an earlier version their keys. The input of a stage is the fingerprint of the one before, and follows it.
+fn give_keys(stages: &mut BTreeMap<Stage, Record>) {
+    let mut made: Option<(String, String)> = None;
+    for (stage, record) in stages {
+        let recipe = &mut record.recipe;
+        let before = recipe.fingerprint();
+        recipe.options = legacy_options::by_key(*stage, &recipe.options);
+        if let Some((before, now)) = made
+            && recipe.input == before
+        {
+            recipe.input = now;
+        }
+        made = Some((before, recipe.fingerprint()));
+    }
+}
+
+/// A recipe as it stands in the database.
+#[derive(Serialize, Deserialize)]
+struct RecipeRow {
+    #[serde(default = "version_without_keys")]
+    version: u32,
+    #[serde(flatten)]
+    recipe: Recipe,
+}
+
+fn version_without_keys() -> u32 {
+    VERSION_WITHOUT_KEYS
 }
 
 /// What is to be done about a stage.
@@ -112,9 +156,12 @@ impl Records {
             Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),
             Ok(text) => text,
         };
-        let records: Self = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
-        if ![VERSION_WITHOUT_ROWS, VERSION].contains(&records.version) {
+        let mut records: Self = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
+        if !(VERSION_WITHOUT_ROWS..=VERSION).contains(&records.version) {
             return Err(broken(format!("it is of version {} and not {VERSION}", records.version)));
+        }
+        if records.version <= VERSION_WITHOUT_KEYS {
+            give_keys(&mut records.stages);
         }
         Ok(Some(records))
     }
@@ -138,7 +185,8 @@ impl Records {
     pub(crate) fn rows(&self) -> Vec<StageRow> {
         let row = |stage: &Stage| {
             let Record { is_complete, recipe } = self.stages.get(stage)?;
-            let recipe = String::from_utf8(json(recipe)).ok()?;
+            let recipe = RecipeRow { version: VERSION, recipe: recipe.clone() };
+            let recipe = String::from_utf8(json(&recipe)).ok()?;
             Some(StageRow { stage: stage.name().to_owned(), is_complete: *is_complete, recipe })
         };
         IN_DATABASE.iter().filter_map(row).collect()
@@ -146,16 +194,21 @@ impl Records {
 
     /// Takes what the database holds; models of matches that are gone are forgotten.
     pub(crate) fn take_rows(&mut self, rows: &[StageRow]) {
+        let mut stages = BTreeMap::new();
+        let mut has_keys = true;
         for stage in IN_DATABASE {
             let row = rows.iter().find(|row| row.stage == stage.name());
-            let recipe = row.and_then(|row| serde_json::from_str(&row.recipe).ok());
-            match row.zip(recipe) {
-                Some((row, recipe)) => {
-                    self.stages.insert(stage, Record { is_complete: row.is_complete, recipe });
-                }
-                None => drop(self.stages.remove(&stage)),
+            let recipe = row.and_then(|row| serde_json::from_str::<RecipeRow>(&row.recipe).ok());
+            if let Some((row, RecipeRow { version, recipe })) = row.zip(recipe) {
+                has_keys &= version > VERSION_WITHOUT_KEYS;
+                stages.insert(stage, Record { is_complete: row.is_complete, recipe });
             }
         }
+        if !has_keys {
+            give_keys(&mut stages);
+        }
+        self.forget_database();
+        self.stages.append(&mut stages);
         let made_from = self.stages.get(&Stage::Map).map(|record| record.recipe.input.clone());
         let matches = self.stages.get(&Stage::Match).filter(|record| record.is_complete);
         if made_from.is_some() && made_from != matches.map(|record| record.recipe.fingerprint()) {
@@ -208,9 +261,9 @@ impl Records {
         }
     }
 
-    /// An option of a stage that is there.
-    pub(crate) fn option(&self, stage: Stage, name: &str) -> Option<&str> {
-        self.stages.get(&stage)?.recipe.options.get(name).map(String::as_str)
+    /// An option of a stage that is there; `None` where it was not given.
+    pub(crate) fn option(&self, stage: Stage, key: &str) -> Option<&str> {
+        self.stages.get(&stage)?.recipe.options.get(key).map(String::as_str)
     }
 
     /// The fingerprint of a complete stage.
@@ -232,10 +285,16 @@ pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_io::features as sift;
+    use tiepoint_sfm::matching::{self, Ends, PairSelection};
+    use tiepoint_sfm::{MapperOptions, RigTerm, VerifyOptions};
+
     use super::*;
+    use crate::cameras::Calibration;
+    use crate::option_keys::{of_features, of_mapping, of_matching};
 
     fn recipe(input: &str, pairs: &str) -> Recipe {
-        Recipe::new(input.to_owned(), [("pairs", pairs.to_owned()), ("seed", "0".to_owned())])
+        Recipe::new(input.to_owned(), [("match.pairs", pairs.to_owned()), ("match.seed", "0".to_owned())])
     }
 
     #[test]
@@ -258,7 +317,7 @@ mod tests {
         let error = records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), None).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the matches in ws were made with pairs exhaustive and not sequential:5: give --redo match to make them anew, or \
+            "the matches in ws were made with --pairs exhaustive and not sequential:5: give --redo match to make them anew, or \
              choose another workspace"
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
@@ -288,7 +347,7 @@ mod tests {
         let mut back = Records::read(&path).unwrap().unwrap();
         let kept = back.begin(dir.path(), Stage::Features, &recipe("a", "b"), None).unwrap();
         assert_eq!(kept, Progress::Kept);
-        assert_eq!(back.option(Stage::Features, "pairs"), Some("b"));
+        assert_eq!(back.option(Stage::Features, "match.pairs"), Some("b"));
         std::fs::write(&path, "{").unwrap();
         assert!(Records::read(&path).unwrap_err().to_string().contains("stages.json"));
     }
@@ -318,5 +377,149 @@ mod tests {
         let mut records = same;
         records.forget_database();
         assert!(records.is_complete(Stage::Map), "models need no database");
+    }
+
+    #[test]
+    fn each_option_that_differs_is_named_and_many_are_counted() {
+        let recipe = |options: &[(&'static str, &str)]| {
+            Recipe::new("a".to_owned(), options.iter().map(|(key, value)| (*key, (*value).to_owned())))
+        };
+        let hash = "0123456789abcdef".repeat(4);
+        for (was, is, expected) in [
+            (
+                vec![("mapper.readout", "none")],
+                vec![("mapper.readout", "0.016s")],
+                "--rolling-shutter none and not 0.016s",
+            ),
+            (
+                vec![("mapper.rig", "off"), ("mapper.seed", "0")],
+                vec![("mapper.rig", "auto"), ("mapper.seed", "1")],
+                "--rig off and not auto, --seed 0 and not 1",
+            ),
+            // An option that another version does not have.
+            (vec![], vec![("mapper.loss", "trivial")], "mapper.loss none and not trivial"),
+            (
+                vec![("features.timestamps", &hash)],
+                vec![("features.timestamps", "none")],
+                "another --timestamps",
+            ),
+            (
+                vec![("a", "1"), ("b", "1"), ("c", "1"), ("d", "1"), ("e", "1")],
+                vec![],
+                "a 1 and not none, b 1 and not none, c 1 and not none, and 2 more that differ",
+            ),
+        ] {
+            let how = recipe(&was).difference(&recipe(&is), Stage::Map).unwrap();
+            assert_eq!(how, format!("with {expected}"));
+        }
+    }
+
+    /// `stages.json` of version VERSION as the version before wrote it, for four photos.
+    fn legacy_file(version: u32, pairs: &str) -> (String, [String; 3]) {
+        let detector = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: 0.0066666664, \
+             edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, orientation: Dominant, \
+             normalization: RootL1, domain_sizes: None }";
+        let matching = "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: BruteForce, \
+             preempt: None }";
+        let verification = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, \
+             max_homography_share: 0.8 }";
+        let mapper = "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: true, distortion: true }, \
+             tracks: TrackOptions { max_create_error_px: 12.0, max_merge_error_px: 4.0, \
+             min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }, \
+             filter: FilterOptions { max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }, \
+             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }, \
+             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, global_growth: 1.1, \
+             rig: Auto, readout: None, seed: 0 }";
+        let features = format!(
+            r#"{{ "input": "PHOTOS", "options": {{ "camera-model": "SIMPLE_RADIAL", "detector": "{detector}" }} }}"#
+        );
+        let fingerprint =
+            |recipe: &str| serde_json::from_str::<Recipe>(recipe).expect("as it was").fingerprint();
+        let matches = format!(
+            r#"{{ "input": "{}", "options": {{ "matching": "{matching}", "pairs": "{pairs}", "seed": "0",
+                "verification": "{verification}" }} }}"#,
+            fingerprint(&features)
+        );
+        let models =
+            format!(r#"{{ "input": "{}", "options": {{ "mapper": "{mapper}" }} }}"#, fingerprint(&matches));
+        let complete = |recipe: &str| recipe.replacen('{', r#"{ "is_complete": true,"#, 1);
+        let file = format!(
+            r#"{{ "version": {version}, "inputs": ["photos"], "stages": {{ "features": {}, "match": {}, "map": {} }} }}"#,
+            complete(&features),
+            complete(&matches),
+            complete(&models)
+        );
+        (file, [features, matches, models])
+    }
+
+    /// What a run asks for whose options are the defaults of the command line.
+    fn asked(records: &Records, stage: Stage, pairs: PairSelection) -> Recipe {
+        let dir = Path::new("ws");
+        let mapper = MapperOptions { rig: RigTerm::Auto, ..MapperOptions::default() };
+        let (calibration, detector) = (Calibration::default(), sift::Options::default());
+        let (descriptors, verify) = (matching::Options::default(), VerifyOptions::default());
+        match stage {
+            Stage::Features => Recipe::new("PHOTOS".to_owned(), of_features(&calibration, &detector, None)),
+            Stage::Match => {
+                let input = records.fingerprint(dir, Stage::Features).unwrap();
+                Recipe::new(input, of_matching(&pairs, &descriptors, &verify, 0))
+            }
+            Stage::Map => {
+                let input = records.fingerprint(dir, Stage::Match).unwrap();
+                Recipe::new(input, of_mapping(&mapper, None))
+            }
+        }
+    }
+
+    #[test]
+    fn records_without_keys_go_on_and_differences_are_named() {
+        let (dir, folder) = (Path::new("ws"), tempfile::tempdir().unwrap());
+        let path = folder.path().join("stages.json");
+        let exhaustive = PairSelection::Exhaustive;
+        for version in [1, 2] {
+            let (file, recipes) = legacy_file(version, "exhaustive");
+            std::fs::write(&path, file).unwrap();
+            let read = Records::read(&path).unwrap().unwrap();
+            let rows: Vec<StageRow> = IN_DATABASE
+                .iter()
+                .zip(recipes)
+                .map(|(stage, recipe)| StageRow { stage: stage.name().to_owned(), is_complete: true, recipe })
+                .collect();
+            let mut with_rows = read.clone();
+            with_rows.take_rows(&rows);
+            assert_eq!(with_rows.to_json(), read.to_json(), "the database says the same");
+            // A record that was brought up to date beside a database that was not.
+            std::fs::write(&path, read.clone().upgraded().to_json()).unwrap();
+            let mut upgraded = Records::read(&path).unwrap().unwrap();
+            upgraded.take_rows(&rows);
+            let rows = upgraded.rows();
+            upgraded.take_rows(&rows);
+            for mut records in [read, with_rows, upgraded] {
+                for stage in Stage::ALL {
+                    let recipe = asked(&records, stage, exhaustive);
+                    assert_eq!(records.begin(dir, stage, &recipe, None).unwrap(), Progress::Kept, "{stage}");
+                }
+                let sequential = PairSelection::Sequential { reach: 5, ends: Ends::Open, loops: 0 };
+                let recipe = asked(&records, Stage::Match, sequential);
+                let error = records.begin(dir, Stage::Match, &recipe, None).unwrap_err().to_string();
+                assert!(
+                    error.contains("with --pairs exhaustive and not sequential:5: give --redo"),
+                    "{error}"
+                );
+                let recipe = asked(&records, Stage::Features, exhaustive);
+                let recipe = Recipe { input: "OTHERS".to_owned(), ..recipe };
+                let error = records.begin(dir, Stage::Features, &recipe, None).unwrap_err().to_string();
+                assert!(error.contains("in ws were made from other photos"), "{error}");
+            }
+        }
+        // Models of other matches than those of the database are forgotten as before.
+        let (file, _) = legacy_file(2, "exhaustive");
+        let (_, [features, matches, _]) = legacy_file(2, "sequential:5");
+        std::fs::write(&path, file).unwrap();
+        let mut records = Records::read(&path).unwrap().unwrap();
+        let row =
+            |stage: Stage, recipe| StageRow { stage: stage.name().to_owned(), is_complete: true, recipe };
+        records.take_rows(&[row(Stage::Features, features), row(Stage::Match, matches)]);
+        assert!(records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
     }
 }

@@ -9,7 +9,7 @@ use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{Hold, MountedCamera, MountedRig, Timing};
 
 use crate::Error;
-use crate::rig_over_time::folder_of;
+use crate::image_names::folder_of;
 
 /// The rig of a model: its frame is that of the first camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use tiepoint_eval::geometry::Rigid3;
 use tiepoint_eval::{PosePair, RigOverTime, Statistics, associate, rig_over_time};
-use tiepoint_sfm::scene::{Camera, CameraId, Image, Reconstruction};
+use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 
 use crate::ErrorStatistics;
-use crate::evaluate::number;
+use crate::image_names::{folder_of, number};
 
 /// How constant the relative pose of two cameras is in a model: p_i of the paper, its spread and its drift.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -99,19 +99,4 @@ fn moments(left: &[(f64, Rigid3)], right: &[(f64, Rigid3)]) -> Option<Vec<PosePa
         right_from_world: right[r].1,
     };
     Some(associate(&left_s, &right_s, max_difference_s).into_iter().map(pair).collect())
-}
-
-/// The folder that a camera's images are in, without its `/`.
-pub(crate) fn folder_of(model: &Reconstruction, camera: CameraId) -> String {
-    let image = model.images().find(|(_, image)| image.camera == camera);
-    let name = image.map_or("", |(_, image)| image.name.as_str());
-    name.rsplit_once('/').map_or_else(|| format!("camera {}", camera.0 + 1), |(folder, _)| folder.to_owned())
-}
-
-/// The camera whose images are in a folder.
-pub(crate) fn camera_of_folder<'a>(
-    model: &'a Reconstruction,
-    folder: &str,
-) -> Option<(CameraId, &'a Camera)> {
-    model.cameras().find(|(id, _)| folder_of(model, *id) == folder)
 }

@@ -7,8 +7,8 @@ use tiepoint_sfm::{
     Hold, MappedModel, MountedCamera, MountedRig, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs,
 };
 
+use crate::image_names::folder_of;
 use crate::rig_file::RigFile;
-use crate::rig_over_time::folder_of;
 
 /// Two or more cameras that took images at the same moments.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

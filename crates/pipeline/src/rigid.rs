@@ -19,8 +19,8 @@ use tiepoint_sfm::{
 };
 
 use crate::evaluate::read_times;
+use crate::image_names::{camera_of_folder, folder_of};
 use crate::model_place::ModelPlace;
-use crate::rig_over_time::{camera_of_folder, folder_of};
 use crate::{Error, Report, RigCamera, RigFile, model_folder};
 
 /// What it took to make a model rigid.

@@ -83,11 +83,11 @@ impl Workspace {
                     database.write_stage_rows(&records.rows())?;
                     database.finish()?;
                 }
-                records.upgraded()
+                records
             }
             (records, _) => records,
         };
-        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records };
+        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records: records.upgraded() };
         if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
             this.mend()?;
         }

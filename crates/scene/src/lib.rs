@@ -9,6 +9,7 @@ mod reconstruction;
 mod rig;
 mod track;
 mod two_view;
+mod validate;
 
 pub use camera::Camera;
 pub use correspondence_graph::CorrespondenceGraph;
@@ -16,7 +17,7 @@ pub use error::Error;
 pub use ids::{CameraId, FrameId, ImageId, PointId, RigId};
 pub use image::{Image, Keypoint};
 pub use reconstruction::Reconstruction;
-pub use rig::{Frame, Rig, RigSensor};
+pub use rig::{FRAME_POSE_TOLERANCE, Frame, Rig, RigSensor, is_same_pose};
 pub use tiepoint_geometry as geometry;
 pub use track::{Observation, Track};
 pub use two_view::{ImagePair, Match, TwoView, TwoViewKind};

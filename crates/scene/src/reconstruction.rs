@@ -6,7 +6,8 @@ use std::sync::Arc;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 
-use crate::{Camera, CameraId, Error, Frame, Image, ImageId, Observation, PointId, Rig, Track};
+use crate::rig::is_same_pose;
+use crate::{Camera, CameraId, Frame, Image, ImageId, Observation, PointId, Rig, Track};
 
 /// A model: cameras, images with poses, points with tracks; rigs and frames where images are rigidly connected.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,9 +16,9 @@ pub struct Reconstruction {
     images: Vec<Image>,
     /// `None` where a point was deleted: ids stay valid.
     tracks: Vec<Option<Track>>,
-    /// Rigs of more than one camera with rigid frames; images in no frame ride alone.
+    /// Rigs of more than one camera with rigid frames; images in no frame ride alone. A camera is on one rig at most.
     pub rigs: Vec<Rig>,
-    /// The frames of those rigs.
+    /// The frames of those rigs. An image is in one frame at most.
     pub frames: Vec<Frame>,
 }
 
@@ -44,6 +45,11 @@ impl Reconstruction {
         &mut self.cameras[id.index()]
     }
 
+    /// How many cameras.
+    pub fn num_cameras(&self) -> usize {
+        self.cameras.len()
+    }
+
     /// All cameras, in order of their ids.
     pub fn cameras(&self) -> impl Iterator<Item = (CameraId, &Camera)> {
         self.cameras.iter().enumerate().map(|(index, camera)| (CameraId::from_index(index), camera))
@@ -52,6 +58,11 @@ impl Reconstruction {
     /// An image.
     pub fn image(&self, id: ImageId) -> &Image {
         &self.images[id.index()]
+    }
+
+    /// How many images, registered or not.
+    pub fn num_images(&self) -> usize {
+        self.images.len()
     }
 
     /// All images, registered or not, in order of their ids.
@@ -74,9 +85,26 @@ impl Reconstruction {
         self.camera(self.image(image).camera)
     }
 
-    /// Gives an image a pose, or another one.
+    /// Gives an image a pose, or another one. An image in a frame leaves it, unless the pose is the one that the frame gives.
     pub fn register(&mut self, image: ImageId, cam_from_world: Rigid3) {
         self.images[image.index()].cam_from_world = Some(cam_from_world);
+        let camera = self.image(image).camera;
+        let frame = self.frames.iter().find(|frame| frame.images.contains(&image));
+        let is_of_frame = |frame: &Frame| {
+            let of_frame = frame.cam_from_world(self.rigs.get(frame.rig.index())?, camera)?;
+            Some(is_same_pose(&cam_from_world, &of_frame))
+        };
+        if frame.is_some_and(|frame| is_of_frame(frame) != Some(true)) {
+            self.leave_frame(image);
+        }
+    }
+
+    /// Takes an image out of its frame, and the frame away with its last image.
+    fn leave_frame(&mut self, image: ImageId) {
+        for frame in &mut self.frames {
+            frame.images.retain(|other| *other != image);
+        }
+        self.frames.retain(|frame| !frame.images.is_empty());
     }
 
     /// Moves the keypoints of an image, one pixel each.
@@ -92,15 +120,17 @@ impl Reconstruction {
         self.images[image.index()].time_s = time_s;
     }
 
-    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two are deleted.
+    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two are deleted. An image in a frame
+    /// leaves it.
     pub fn deregister(&mut self, image: ImageId) {
         for keypoint in 0..self.image(image).points.len() as u32 {
             self.remove_observation(Observation { image, keypoint });
         }
         self.images[image.index()].cam_from_world = None;
+        self.leave_frame(image);
     }
 
-    /// Adds a point. Its observations must be of keypoints that see no point yet.
+    /// Adds a point. Its observations must be of keypoints that see no point yet, each once, in images with a pose.
     pub fn add_track(&mut self, track: Track) -> PointId {
         let id = PointId::from_index(self.tracks.len());
         for observation in &track.observations {
@@ -159,7 +189,7 @@ impl Reconstruction {
         self.num_observations() as f64 / self.num_tracks().max(1) as f64
     }
 
-    /// Lets a keypoint see a point; nothing happens if it sees one already or the point is deleted.
+    /// Lets a keypoint of an image with a pose see a point; nothing happens if it sees one already or the point is deleted.
     pub fn add_observation(&mut self, point: PointId, observation: Observation) {
         let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
         if let (None, Some(Some(track))) = (*slot, self.tracks.get_mut(point.index())) {
@@ -245,50 +275,5 @@ impl Reconstruction {
                 cam_from_rig.translation *= new_from_old.scale;
             }
         }
-    }
-
-    /// Checks every invariant.
-    pub fn validate(&self) -> Result<(), Error> {
-        let finite = |ok: bool, what: String| if ok { Ok(()) } else { Err(Error::NotFinite { what }) };
-        for (id, camera) in self.cameras() {
-            finite(
-                camera.intrinsics.params().iter().all(|p| p.is_finite()),
-                format!("a parameter of camera {id:?}"),
-            )?;
-        }
-        for (id, image) in self.images() {
-            if image.camera.index() >= self.cameras.len() {
-                return Err(Error::NoSuchCamera {
-                    image: id,
-                    camera: image.camera,
-                    cameras: self.cameras.len(),
-                });
-            }
-            if let Some(pose) = image.cam_from_world() {
-                let is_finite =
-                    pose.rotation.coords.iter().chain(pose.translation.iter()).all(|v| v.is_finite());
-                finite(is_finite, format!("the pose of image {id:?}"))?;
-            }
-            for (keypoint, point) in image.points.iter().enumerate() {
-                let Some(point) = *point else { continue };
-                let observation = Observation { image: id, keypoint: keypoint as u32 };
-                if !self.track(point).is_some_and(|track| track.observations.contains(&observation)) {
-                    return Err(Error::DanglingKeypoint { image: id, keypoint: keypoint as u32, point });
-                }
-            }
-        }
-        for (point, track) in self.tracks() {
-            finite(track.xyz.iter().all(|v| v.is_finite()), format!("the position of point {point:?}"))?;
-            for &Observation { image, keypoint } in &track.observations {
-                let found = self.image(image).points.get(keypoint as usize).copied().flatten();
-                if found != Some(point) {
-                    return Err(Error::TrackMismatch { point, image, keypoint, found });
-                }
-                if self.image(image).cam_from_world.is_none() {
-                    return Err(Error::UnposedObservation { point, image });
-                }
-            }
-        }
-        Ok(())
     }
 }

@@ -181,6 +181,30 @@ fn a_signal_ends_a_run_whose_reader_sleeps() {
     drop(reader);
 }
 
+/// The first event is that the features are kept. Nobody reads it until the signal is there.
+#[test]
+fn a_stage_that_was_to_be_redone_and_has_not_begun_is_still_to_be_redone() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 3, 0);
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
+    let database = fs::read(dir.path().join("ws/database.db")).unwrap();
+    let (mut stderr, mut reader) = UnixStream::pair().unwrap();
+    stderr.set_nonblocking(true).unwrap();
+    while stderr.write(&[b'\n'; 1024]).is_ok() {}
+    stderr.set_nonblocking(false).unwrap();
+    let mut command = program(dir.path(), "reconstruct photos -o ws --json --redo match");
+    let mut child = command.stdout(Stdio::null()).stderr(OwnedFd::from(stderr)).spawn().unwrap();
+    drop(command);
+    thread::sleep(Duration::from_secs(1));
+    assert!(child.try_wait().unwrap().is_none(), "its first event waits for the reader");
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let mut told = String::new();
+    reader.read_to_string(&mut told).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(told.contains(SAYS) && !told.contains("without --redo"), "{}", told.trim_start());
+    assert!(fs::read(dir.path().join("ws/database.db")).unwrap() == database, "nothing was cleared");
+}
+
 #[test]
 fn control_characters_do_not_reach_the_terminal() {
     let run = tiepoint(["match", "no\u{1b}[31m\nworkspace"]).failed(1, &[r"no\u{1b}[31m\nworkspace"]);

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use serde_json::Value;
 use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::sfm::scene::Reconstruction;
 
 use crate::{photos, tiepoint_in};
 
@@ -145,7 +146,7 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
     let said = tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.7m").done().stdout();
     assert!(said.contains("scale     the mounting of right beside left is 0.7 m long"), "{said}");
     tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.8m")
-        .failed(1, &["baseline 0.7 m and not 0.8 m", "--redo map"]);
+        .failed(1, &["--baseline 0.7m and not 0.8m", "--redo map"]);
     tiepoint_in(dir, "map {}/ws --baseline 7ft").failed(2, &["--baseline", "m, cm or mm"]);
     // Soft results have no frames on disk, rigid ones have nothing else.
     let rigid = tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();
@@ -166,6 +167,17 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         let given = right * frame.rig_from_world;
         assert!((given.translation - pose(1).translation).norm() < 1e-9);
         assert!(given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0));
+    }
+    // Adjusted it stays rigid, and is not refused by its own writer; lenses stay where that is asked for.
+    for (options, are_fixed) in [("", false), ("--fix-intrinsics", true)] {
+        let adjusted = format!("adjusted{options}");
+        tiepoint_in(dir, &format!("adjust {{}}/rigid -o {{}}/{adjusted} {options}")).done();
+        let adjusted = read_model(&dir.join(adjusted)).unwrap();
+        adjusted.validate().unwrap();
+        assert_eq!((adjusted.frames.len(), adjusted.rigs.len()), (3, 1));
+        assert_ne!(adjusted.frames, model.frames, "something moves");
+        let params = |model: &Reconstruction| model.cameras().map(|(_, c)| c.intrinsics).collect::<Vec<_>>();
+        assert_eq!(params(&adjusted) == params(&model), are_fixed);
     }
     tiepoint_in(dir, "export {}/ws --to kalibr --rigid -o {}/c.yaml")
         .failed(1, &["c.yaml", "leave out --rigid"]);

@@ -8,8 +8,9 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
 use super::layout::{FrameRow, Layout, RigRow, file_id};
+use super::names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
-use super::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+
 use crate::binary::{Reader, WriteLe, pose_numbers};
 use crate::{Error, Result};
 

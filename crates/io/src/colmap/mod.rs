@@ -12,6 +12,7 @@
 
 mod binary;
 mod layout;
+mod names;
 mod tables;
 mod text;
 
@@ -24,6 +25,8 @@ use tiepoint_scene::Reconstruction;
 use crate::disk::{self, WrittenFile};
 use crate::{AtomicFile, Error, Result};
 use layout::Layout;
+pub use names::MODEL_FILES;
+use names::{IMAGES, REQUIRED};
 
 /// How a model is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +38,11 @@ pub enum Format {
 }
 
 impl Format {
-    fn suffix(self) -> &'static str {
+    /// Both, the one first that readers prefer.
+    pub const ALL: [Self; 2] = [Self::Binary, Self::Text];
+
+    /// What the names of its files end in, without the dot.
+    pub fn suffix(self) -> &'static str {
         match self {
             Self::Binary => "bin",
             Self::Text => "txt",
@@ -50,25 +57,13 @@ impl Format {
     }
 }
 
-const CAMERAS: &str = "cameras";
-const RIGS: &str = "rigs";
-const FRAMES: &str = "frames";
-const IMAGES: &str = "images";
-const POINTS: &str = "points3D";
-/// In the order in which they are replaced: no reader takes a model without its images.
-const FILES: [&str; 5] = [CAMERAS, RIGS, FRAMES, POINTS, IMAGES];
-/// What every reader wants.
-const REQUIRED: [&str; 3] = [CAMERAS, IMAGES, POINTS];
-
 /// Writes a model into a folder, which is made if need be. A new folder appears with all of its files; in one that is there,
 /// the list of images goes first and comes last, so that nobody reads parts of two models.
 ///
-/// The model must be valid; and where an image is in a frame, the image's pose must be the one that the frame and the rig give
-/// it, since that is the one which COLMAP reads.
-///
 /// # Errors
 ///
-/// Where the model is not valid, where the folder holds a model in the other format, since readers would choose for themselves,
+/// Where the model is not valid ([`Reconstruction::validate`]); where an image in no frame is of a camera that has no pose on its
+/// rig, since COLMAP wants every image in a frame; where the folder holds a model in the other format, since readers would choose for themselves,
 /// and where the system refuses.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
@@ -104,7 +99,7 @@ fn write_new_folder(
     // What a killed run left.
     disk::remove_own_folder(part)?;
     disk::create_folders(part)?;
-    for name in FILES {
+    for name in MODEL_FILES {
         let path = part.join(name).with_extension(format.suffix());
         let mut file = BufWriter::new(WrittenFile::create_new(&path)?);
         write(name, &mut file)?;
@@ -128,7 +123,7 @@ fn write_into_folder(
         return Err(Error::content(stale, what));
     }
     let mut files = Vec::new();
-    for name in FILES {
+    for name in MODEL_FILES {
         let path = dir.join(name).with_extension(format.suffix());
         let mut file = AtomicFile::create(&path)?;
         write(name, &mut file).map_err(Error::io(&path))?;
@@ -150,7 +145,7 @@ fn write_into_folder(
 ///
 /// Images, cameras and points get ids in the order of those in the files. The result is valid.
 pub fn read_model(dir: &Path) -> Result<Reconstruction> {
-    let format = [Format::Binary, Format::Text]
+    let format = Format::ALL
         .into_iter()
         .find(|format| REQUIRED.iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file()));
     let tables = match format {

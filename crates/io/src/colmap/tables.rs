@@ -6,10 +6,11 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
     Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor,
-    Track,
+    Track, is_same_pose,
 };
 
-use super::layout::{FrameRow, RigRow, agree};
+use super::layout::{FrameRow, RigRow};
+use crate::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Scale of a keypoint of which the file does not tell it, in pixels: each counts the same.
@@ -81,7 +82,8 @@ impl Tables {
         // The points that the keypoints name, in the order of the images; emptied as the tracks claim them.
         let mut claims = Vec::with_capacity(self.images.len());
         for row in self.images {
-            let camera = find(dir, "camera", &cameras, row.camera, || format!("image {}", row.name))?;
+            let camera =
+                find(dir, "camera", &cameras, row.camera, || format!("image {}", Excerpt(&row.name)))?;
             let image = model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
             model.register(image, row.cam_from_world);
             claims.push(row.points);
@@ -134,7 +136,8 @@ impl Tables {
 }
 
 /// Puts the rigs of several cameras and their frames into the model. Where an image's pose is not the one that its frame gives
-/// it, the frame's is taken, as COLMAP does.
+/// it, the frame's is taken, as COLMAP does. Where the frame gives none, since the camera has no pose on the rig, the image keeps
+/// its own and is in no frame.
 fn add_rigs(
     dir: &Path,
     model: &mut Reconstruction,
@@ -165,6 +168,7 @@ fn add_rigs(
         sensors_of.push((kept, sensors));
     }
     let mut in_frame = vec![false; images.len()];
+    let mut new_frames = Vec::new();
     for row in frames {
         let by = || format!("frame {}", row.id);
         let (kept, sensors) = &sensors_of[find(dir, "rig", &rig_ids, row.rig, by)?];
@@ -181,17 +185,18 @@ fn add_rigs(
             if std::mem::replace(&mut in_frame[id.index()], true) {
                 return Err(Error::content(dir, format!("image {image} is in two frames")));
             }
-            if let (Some(cam_from_rig), Some(own)) = (sensor.cam_from_rig, model.image(id).cam_from_world()) {
-                let given = cam_from_rig * row.rig_from_world;
-                if !agree(own, &given) {
-                    model.register(id, given);
-                }
+            // A camera alone on its rig is the reference, whose pose is known.
+            let Some(cam_from_rig) = sensor.cam_from_rig else { continue };
+            let of_frame = cam_from_rig * row.rig_from_world;
+            if model.image(id).cam_from_world().is_some_and(|own| !is_same_pose(own, &of_frame)) {
+                model.register(id, of_frame);
             }
             members.push(id);
         }
-        if let Some(rig) = *kept {
-            model.frames.push(Frame { rig, rig_from_world: row.rig_from_world, images: members });
+        if let Some(rig) = kept.filter(|_| !members.is_empty()) {
+            new_frames.push(Frame { rig, rig_from_world: row.rig_from_world, images: members });
         }
     }
+    model.frames = new_frames;
     Ok(())
 }

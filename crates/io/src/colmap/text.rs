@@ -8,9 +8,11 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
 use super::layout::{FrameRow, Layout, RigRow, file_id};
+use super::names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
-use super::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+
 use crate::binary::pose_numbers;
+use crate::excerpt::Excerpt;
 use crate::text::{Lines, Number, Numbers, Words};
 use crate::{Error, Result};
 
@@ -196,7 +198,11 @@ fn read_rig(words: &mut Words<'_>) -> Result<RigRow> {
         let cam_from_rig = match words.word("whether the sensor has a pose")? {
             "0" => None,
             "1" => Some(words.pose("the sensor's pose")?),
-            other => return Err(words.error(format!("whether a sensor has a pose is `{other}`, not 0 or 1"))),
+            other => {
+                return Err(
+                    words.error(format!("whether a sensor has a pose is `{}`, not 0 or 1", Excerpt(other)))
+                );
+            }
         };
         cameras.extend(camera.map(|camera| (camera, cam_from_rig)));
     }
@@ -239,9 +245,9 @@ fn read_images(mut lines: Lines) -> Result<Vec<ImageRow>> {
                 keypoints.push(Keypoint { pixel: Vector2::new(x, y), scale_px: UNKNOWN_SCALE_PX });
                 points.push(match words.word("a keypoint's point")? {
                     "-1" => NO_POINT,
-                    word => {
-                        word.parse().map_err(|_| words.error(format!("a keypoint's point is `{word}`")))?
-                    }
+                    word => word
+                        .parse()
+                        .map_err(|_| words.error(format!("a keypoint's point is `{}`", Excerpt(word))))?,
                 });
             }
         }

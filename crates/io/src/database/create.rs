@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
 
-use super::stages::beside;
-use super::{Database, connect, error, schema};
+use super::connection::{Database, connect, error, fold_log};
+use super::guard::beside;
+use super::schema;
 use crate::disk::{self, WrittenFile};
 use crate::{Error, Result};
 
@@ -43,7 +44,7 @@ impl Database {
             Err(cause) => return Err(Error::io(path)(cause)),
         };
         let part = Part::claim(path, disk::part_of(&target))?;
-        let mut this = Self::with(connect(&part.path, path)?, path);
+        let mut this = Self::with(connect(&part.path, path)?, path)?;
         // A run that is killed throws the part away, so nothing of it need be kept in order on the disk before its end.
         this.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
         this.keep_rows_apart()?;
@@ -71,7 +72,7 @@ fn fold(file: &Path, path: &Path) -> Result<()> {
     let fold = |connection: &Connection| {
         // Reading rolls back what a killed transaction left.
         connection.query_row("SELECT count(*) FROM sqlite_master", [], |_| Ok(()))?;
-        super::fold_log(connection)
+        fold_log(connection)
     };
     let connection = connect(file, path)?;
     match fold(&connection) {

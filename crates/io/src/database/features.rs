@@ -4,7 +4,7 @@ use rusqlite::{OptionalExtension, params};
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_scene::ImageId;
 
-use super::{Database, error};
+use super::connection::{Database, error};
 use crate::Result;
 
 /// COLMAP's number for SIFT among the kinds of descriptors.
@@ -122,6 +122,7 @@ impl Database {
     /// Kind, columns and data of an image's row, once rows · columns fit the data.
     fn table_of(&self, table: &str, kind: &str, image: ImageId) -> Result<Option<(i64, usize, Vec<u8>)>> {
         let sql = format!("SELECT {kind}, rows, cols, data FROM {table} WHERE image_id = ?1");
+        self.guard.begin();
         let mut statement = self.connection.prepare_cached(&sql).map_err(error(&self.path))?;
         let row: Option<(i64, i64, i64, Option<Vec<u8>>)> = statement
             .query_row([self.file_id(image)?], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)))

@@ -5,7 +5,8 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_scene::{ImagePair, Match, TwoView, TwoViewKind};
 
-use super::{Database, MAX_IMAGE_ID, StageRow, bytes, error, numbers};
+use super::connection::{Database, MAX_IMAGE_ID, bytes, error, numbers};
+use super::stages::StageRow;
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 

@@ -1,11 +1,13 @@
 //! Rigs and the moments at which they took images.
 
+use std::collections::BTreeMap;
+
 use rusqlite::params;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Rig, RigId, RigSensor};
 
-use super::{Database, Moment, bytes, numbers};
+use super::connection::{Database, Moment, bytes, numbers};
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 
@@ -100,22 +102,27 @@ impl Database {
             let found = self.cameras.binary_search(&file_id).map(CameraId::from_index);
             found.map_err(|_| self.content(format!("a rig names camera {file_id}, which there is not")))
         };
+        // Two plain queries and no join: where a hostile file lists a rig twice, a join would multiply its sensors.
+        let references: BTreeMap<i64, i64> = self.pairs(&format!(
+            "SELECT rig_id, ref_sensor_id FROM rigs WHERE ref_sensor_type = {SENSOR_CAMERA} ORDER BY rig_id"
+        ))?;
         // Rigs are listed by those sensors that are not the reference: a rig of one does not occur.
-        type SensorRow = (i64, i64, i64, Option<Vec<u8>>);
+        type SensorRow = (i64, i64, Option<Vec<u8>>);
         let rows: Vec<SensorRow> = self.rows(
             &format!(
-                "SELECT rig_id, ref_sensor_id, sensor_id, sensor_from_rig FROM rigs JOIN rig_sensors USING (rig_id) \
-                 WHERE ref_sensor_type = {SENSOR_CAMERA} AND sensor_type = {SENSOR_CAMERA} ORDER BY rig_id, sensor_id"
+                "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = {SENSOR_CAMERA} \
+                 ORDER BY rig_id, sensor_id"
             ),
-            |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)),
+            |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
         )?;
         let mut ids: Vec<i64> = Vec::new();
         let mut rigs: Vec<Rig> = Vec::new();
-        for (id, reference, sensor, pose) in rows {
+        for (id, sensor, pose) in rows {
+            let Some(reference) = references.get(&id) else { continue };
             if ids.last() != Some(&id) {
                 ids.push(id);
                 let reference =
-                    RigSensor { camera: camera(reference)?, cam_from_rig: Some(Rigid3::identity()) };
+                    RigSensor { camera: camera(*reference)?, cam_from_rig: Some(Rigid3::identity()) };
                 rigs.push(Rig { sensors: vec![reference] });
             }
             let pose = pose.map(|pose| {
@@ -131,17 +138,18 @@ impl Database {
                 rig.sensors.push(sensor);
             }
         }
-        let rows: Vec<(i64, i64, i64)> = self.rows(
+        let rig_of: BTreeMap<i64, i64> =
+            self.pairs("SELECT frame_id, rig_id FROM frames ORDER BY frame_id")?;
+        let rows: Vec<(i64, i64)> = self.rows(
             &format!(
-                "SELECT frame_id, rig_id, data_id FROM frames JOIN frame_data USING (frame_id) \
-                 WHERE sensor_type = {SENSOR_CAMERA} ORDER BY frame_id, data_id"
+                "SELECT frame_id, data_id FROM frame_data WHERE sensor_type = {SENSOR_CAMERA} ORDER BY frame_id, data_id"
             ),
-            |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
+            |row| Ok((row.get(0)?, row.get(1)?)),
         )?;
         let mut moments: Vec<Moment> = Vec::new();
         let mut last = None;
-        for (frame, rig, image) in rows {
-            let Ok(rig) = ids.binary_search(&rig) else { continue };
+        for (frame, image) in rows {
+            let Some(Ok(rig)) = rig_of.get(&frame).map(|rig| ids.binary_search(rig)) else { continue };
             let image = self.image_id(image, || format!("frame {frame}"))?;
             match moments.last_mut().filter(|_| last == Some(frame)) {
                 Some(moment) => moment.images.push(image),
@@ -150,5 +158,16 @@ impl Database {
             last = Some(frame);
         }
         Ok((rigs, moments))
+    }
+
+    /// The rows of two numbers, of which the first must differ from row to row.
+    fn pairs(&self, sql: &str) -> Result<BTreeMap<i64, i64>> {
+        let rows: Vec<(i64, i64)> = self.rows(sql, |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let count = rows.len();
+        let pairs: BTreeMap<i64, i64> = rows.into_iter().collect();
+        if pairs.len() < count {
+            return Err(self.content("a rig or a frame is listed twice".to_owned()));
+        }
+        Ok(pairs)
     }
 }

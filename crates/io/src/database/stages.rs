@@ -1,14 +1,15 @@
 //! What the database was made from: a table of ours, which COLMAP passes by.
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{ErrorKind, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags, params};
 
-use super::{Database, connect, error};
+use super::connection::{Database, connect, error};
+use super::guard::{self, Guard, beside};
+use super::schema;
 use crate::{Error, Result, disk};
 
 const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \
@@ -39,6 +40,7 @@ impl Database {
     ///
     /// Where the file cannot be read.
     pub fn stage_rows(&self) -> Result<Option<Vec<StageRow>>> {
+        self.guard.begin();
         read(&self.connection).map_err(error(&self.path))
     }
 
@@ -72,11 +74,11 @@ impl Database {
 pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     let file = std::path::absolute(disk::end_of_links(path).map_err(Error::io(path))?);
     let file = file.map_err(Error::io(path))?;
-    let rows = open_to_read(&file, path)?.and_then(|connection| read(&connection));
+    let rows = open_to_read(&file, path)?.and_then(|mut connection| read_guarded(&mut connection));
     match rows {
         // What a killed transaction of somebody else left must be rolled back, which is a change.
         Err(cause) if is_read_only(&cause) && beside(&file, "-journal").exists() => {
-            read(&connect(&file, path)?).map_err(error(path))
+            read_guarded(&mut connect(&file, path)?).map_err(error(path))
         }
         rows => rows.map_err(error(path)),
     }
@@ -101,6 +103,7 @@ fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>
         } else {
             Connection::open_with_flags(file, flags)?
         };
+        guard::distrust(&connection)?;
         // The log stays for the next one who writes.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
         Ok(connection)
@@ -116,6 +119,12 @@ fn wants_log(file: &Path) -> std::io::Result<bool> {
         Err(cause) if cause.kind() == ErrorKind::UnexpectedEof => Ok(false),
         read => read.map(|()| header[VERSIONS] == WITH_LOG),
     }
+}
+
+/// The same of a database that nobody has looked at; none where its tables are not what they seem.
+fn read_guarded(connection: &mut Connection) -> rusqlite::Result<Option<Vec<StageRow>>> {
+    let _guard = Guard::new(connection)?;
+    if schema::check(connection)?.is_err() { Ok(None) } else { read(connection) }
 }
 
 fn read(connection: &Connection) -> rusqlite::Result<Option<Vec<StageRow>>> {
@@ -142,11 +151,4 @@ fn unchanging(file: &Path) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-".contains(&byte);
     let escaped = |byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
     format!("file://{}?immutable=1", bytes.into_iter().map(escaped).collect::<String>())
-}
-
-/// A file that SQLite keeps beside a database.
-pub(super) fn beside(file: &Path, suffix: &str) -> PathBuf {
-    let mut name: OsString = file.as_os_str().to_owned();
-    name.push(suffix);
-    name.into()
 }

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use super::{Operation, folder_of};
+use super::operation::Operation;
+use super::paths::folder_of;
 
 /// The system's numbers for an error of a disk and for a full one.
 const BROKEN: i32 = if cfg!(windows) { 1117 } else { 5 };

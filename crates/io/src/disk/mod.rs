@@ -7,10 +7,18 @@ pub mod faults;
 #[cfg(all(feature = "faults", feature = "database"))]
 pub(crate) mod faulty_vfs;
 
+mod operation;
+mod paths;
+
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
+
+pub use operation::Operation;
+pub use paths::folder_of;
 
 /// Ends the name of a file or folder that is being written.
 const PART: &str = ".tiepoint-part";
@@ -19,25 +27,26 @@ const MAX_NAME_BYTES: usize = 200;
 /// Links are followed so far, as Linux does.
 const MAX_LINKS: usize = 40;
 
-/// A change of the file system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Operation {
-    /// A new, empty file.
-    Create,
-    /// Bytes of a file.
-    Write,
-    /// A file's content reaches the disk.
-    Sync,
-    /// A file or folder takes another name.
-    Rename,
-    /// A file or an empty folder goes.
-    Remove,
-    /// A new folder.
-    CreateFolder,
-    /// The names in a folder reach the disk.
-    SyncFolder,
-    /// A transaction of a database.
-    Commit,
+/// How long a change is tried again, and how long between: scanners of Windows have a new file open for so long.
+const PATIENCE: Duration = Duration::from_secs(2);
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// Makes a change that somebody may hold up who has the file, or one in the folder, open: on Windows such a file can be neither
+/// renamed nor removed, nor the folder that it is in.
+fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    let start = Instant::now();
+    loop {
+        match change() {
+            Err(cause)
+                if is_held_up
+                    && cause.kind() == io::ErrorKind::PermissionDenied
+                    && start.elapsed() < PATIENCE =>
+            {
+                thread::sleep(PAUSE);
+            }
+            done => return done,
+        }
+    }
 }
 
 /// Called before each change.
@@ -138,7 +147,7 @@ pub fn copy_new(from: &Path, to: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     before(Operation::Rename, to)?;
-    fs::rename(from, to)
+    patiently(cfg!(windows), || fs::rename(from, to))
 }
 
 /// Removes a file, if it is there.
@@ -148,7 +157,7 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn remove_file(path: &Path) -> io::Result<()> {
     before(Operation::Remove, path)?;
-    match fs::remove_file(path) {
+    match patiently(cfg!(windows), || fs::remove_file(path)) {
         Err(cause) if cause.kind() != io::ErrorKind::NotFound => Err(cause),
         _ => Ok(()),
     }
@@ -161,7 +170,7 @@ pub fn remove_file(path: &Path) -> io::Result<()> {
 /// Where the system refuses.
 pub fn remove_empty_folder(path: &Path) -> io::Result<()> {
     before(Operation::Remove, path)?;
-    match fs::remove_dir(path) {
+    match patiently(cfg!(windows), || fs::remove_dir(path)) {
         Err(cause) if !matches!(cause.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
             Err(cause)
         }
@@ -226,14 +235,6 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The folder that a file lies in.
-pub fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
-}
-
 /// The path that symbolic links lead to, whether anything is there or not.
 ///
 /// # Errors
@@ -289,5 +290,27 @@ impl FileId {
         }
         #[cfg(not(unix))]
         path.canonicalize().ok().map(Self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_holds_a_file_open_is_waited_for() {
+        let mut tries = 0;
+        let mut change = |is_held_up, kind, passes: usize| {
+            tries = 0;
+            patiently(is_held_up, || {
+                tries += 1;
+                if tries > passes { Ok(tries) } else { Err(io::Error::from(kind)) }
+            })
+        };
+        let denied = io::ErrorKind::PermissionDenied;
+        assert_eq!(change(true, denied, 3).unwrap(), 4);
+        assert_eq!(change(false, denied, 1).unwrap_err().kind(), denied);
+        let missing = io::ErrorKind::NotFound;
+        assert_eq!(change(true, missing, 1).unwrap_err().kind(), missing);
     }
 }

@@ -148,9 +148,41 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
     }
 
     // A pose that the frame does not give cannot be told to COLMAP.
-    model.register(b, elsewhere);
+    model.frames[0].rig_from_world = elsewhere;
     let error = write_model(tempfile::tempdir().unwrap().path(), &model, Format::Binary).unwrap_err();
     assert!(error.to_string().contains("not the one that its frame and rig give it"), "{error}");
+}
+
+#[test]
+fn an_image_whose_place_on_its_rig_is_not_known_keeps_its_pose_and_is_in_no_frame() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = random_model(1, Riding::Together);
+    write_model(dir.path(), &model, Format::Text).unwrap();
+    let others: String = (2..=model.rigs[0].sensors.len()).map(|id| format!(" CAMERA {id} 0")).collect();
+    let rig = format!("1 {} CAMERA 1{others}", model.rigs[0].sensors.len());
+    let path = dir.path().join("rigs.txt");
+    let lines = fs::read_to_string(&path).unwrap();
+    let lines = lines.lines().map(|line| if line.starts_with("1 ") { &rig } else { line });
+    fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
+    let read = read_model(dir.path()).unwrap();
+    let poses = |model: &Reconstruction| model.registered().map(|(.., pose)| *pose).collect::<Vec<_>>();
+    assert_eq!(poses(&read), poses(&model));
+    assert_eq!(read.frames.len(), model.frames.len());
+    for (frame, whole) in read.frames.iter().zip(&model.frames) {
+        assert_eq!(frame.images, whole.images[..1]);
+    }
+}
+
+/// COLMAP's mapper makes such tracks.
+#[test]
+fn a_track_may_hold_two_keypoints_of_an_image() {
+    let mut model = model_with_gaps();
+    let (point, _) = model.tracks().next().unwrap();
+    model.add_observation(point, Observation { image: tiepoint_scene::ImageId(0), keypoint: 0 });
+    for format in FORMATS {
+        let read = round_trip(&model, format);
+        assert_eq!(read.tracks().map(|(_, track)| track.observations.len()).collect::<Vec<_>>(), [3]);
+    }
 }
 
 fn with_files(files: &[(&str, &str)]) -> Result<Reconstruction, Error> {

@@ -51,7 +51,9 @@ type Platform = (Vec<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)>, Vec<(Matrix3<f
 
 #[test]
 fn openmvs_sees_the_points_where_we_do() {
-    let model = undistort_model(&random_model(11, Riding::Together));
+    let mut model = undistort_model(&random_model(11, Riding::Together));
+    // Where the reference is on its rig goes without saying.
+    model.rigs[0].sensors[0].cam_from_rig = None;
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.mvs");
     openmvs::write(&path, &model, "undistorted").unwrap();

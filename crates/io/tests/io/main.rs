@@ -8,7 +8,11 @@ mod database;
 mod exports;
 mod faults;
 mod formats;
+mod hostile_database;
+mod hostile_images;
+mod hostile_numbers;
 mod images;
 mod las;
+mod las_claims;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;

@@ -245,3 +245,48 @@ impl<'a> Mapper<'a> {
         tell(watch, &event)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::ops::ControlFlow;
+
+    use tiepoint_synth::MatchOptions;
+
+    use super::*;
+    use crate::mapper::test_scene::scene;
+    use crate::register::RegisterOptions;
+
+    /// More than the number of times that an image may fail before the others are refined.
+    const TRIALS: usize = 4;
+
+    /// An image that failed is registered once the others were refined, and told like them.
+    #[test]
+    fn every_image_is_told_also_one_that_had_failed() {
+        let scene = scene();
+        let graph = scene.graph(&MatchOptions::default());
+        let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
+        let blank = scene.without_poses();
+        let mut mapper = Mapper::new(&graph, &blank, &options);
+        let candidates = mapper.candidates();
+        let pair = mapper.initialise(&candidates, &mut |_| ControlFlow::Continue(())).expect("an easy scene");
+        let failing = *mapper.frontier().last().expect("there are more images");
+        let impossible = RegisterOptions { min_inlier_share: 1.1, ..options.register };
+        for _ in 0..TRIALS {
+            let model = &mut mapper.solution.model;
+            let found = mapper.queue.register_next(&graph, model, vec![failing], &impossible);
+            assert_eq!(found, None);
+        }
+        let mut told = BTreeSet::from([pair.a, pair.b]);
+        let mut watch = |event: &Event| {
+            if let Event::Registered { image, .. } = event {
+                told.insert(*image);
+            }
+            ControlFlow::Continue(())
+        };
+        mapper.grow(&mut watch).expect("an easy scene");
+        let registered: BTreeSet<ImageId> = mapper.solution.model.registered().map(|(id, ..)| id).collect();
+        assert_eq!(registered.len(), blank.images().count());
+        assert_eq!(told, registered);
+    }
+}

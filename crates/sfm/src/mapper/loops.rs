@@ -66,25 +66,18 @@ mod tests {
     use std::ops::ControlFlow;
 
     use tiepoint_scene::{ImageId, Match, TwoView, TwoViewKind};
-    use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions};
+    use tiepoint_synth::MatchOptions;
 
     use super::*;
     use crate::adjust::RefineIntrinsics;
     use crate::mapper::solution::Solution;
+    use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
-
-    const IMAGES: usize = 8;
-    const OBSERVATIONS: usize = 200;
 
     /// Every pair of images is said to see the same where it does not: nothing is left of the model then, but what was before.
     #[test]
     fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
-        let mut drive =
-            Drive::new(&DriveOptions { rate_hz: 4.0, ..DriveOptions::default() }).expect("a drive");
-        drive.keep_first(IMAGES);
-        let features =
-            FeatureOptions { observations: 2 * IMAGES * OBSERVATIONS, ..FeatureOptions::default() };
-        let scene = FeatureScene::new(&drive, &features).expect("sound options");
+        let scene = scene();
         let graph = scene.graph(&MatchOptions::default());
         let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
         let blank = scene.without_poses();

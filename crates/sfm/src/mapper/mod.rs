@@ -9,6 +9,8 @@ mod loops;
 mod solution;
 mod stages;
 mod start;
+#[cfg(test)]
+mod test_scene;
 mod transaction;
 
 pub use incremental::map;

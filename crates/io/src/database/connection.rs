@@ -1,0 +1,298 @@
+//! An open database: its cameras and images, and what its tables have in common.
+
+use std::path::{Path, PathBuf};
+
+use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+use tiepoint_scene::{Camera, CameraId, Image, ImageId};
+
+use super::guard::{self, Guard};
+use super::schema;
+use crate::disk::{self, Operation};
+use crate::{Error, Result};
+
+/// COLMAP numbers a pair of images as MAX_IMAGE_ID · (smaller id) + (larger id); ids are below it.
+pub(super) const MAX_IMAGE_ID: i64 = 2_147_483_647;
+
+/// An open database.
+#[derive(Debug)]
+pub struct Database {
+    pub(super) connection: Connection,
+    pub(super) path: PathBuf,
+    /// The file's ids of the cameras, sorted.
+    pub(super) cameras: Vec<i64>,
+    /// The file's ids of the images, sorted.
+    pub(super) images: Vec<i64>,
+    /// The camera of each image.
+    pub(super) camera_of: Vec<CameraId>,
+    pub(super) guard: Guard,
+}
+
+/// The images of one moment, taken by the cameras of one rig; their poses are not known yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// Which rig.
+    pub rig: tiepoint_scene::RigId,
+    /// Its images, one a camera at most.
+    pub images: Vec<ImageId>,
+}
+
+impl Database {
+    /// Opens a database that exists.
+    pub fn open(path: &Path) -> Result<Self> {
+        std::fs::metadata(path).map_err(Error::io(path))?;
+        let mut this = Self::with(connect(path, path)?, path)?;
+        // Before anything else is read: a view of that name could be without end.
+        schema::check(&this.connection).map_err(error(path))?.map_err(|what| this.content(what))?;
+        // Ignored where the file cannot be written: reading goes on.
+        let _ = this.connection.pragma_update(None, "journal_mode", "WAL");
+        this.run("PRAGMA synchronous = NORMAL;")?;
+        this.keep_rows_apart()?;
+        for table in schema::REQUIRED {
+            if this.columns(table)?.is_empty() {
+                return Err(Error::content(
+                    path,
+                    format!("is no COLMAP database: it has no table `{table}`"),
+                ));
+            }
+        }
+        this.cameras = this.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
+        this.index_images()?;
+        Ok(this)
+    }
+
+    /// Without cameras and images; the errors name `path`.
+    pub(super) fn with(mut connection: Connection, path: &Path) -> Result<Self> {
+        let guard = Guard::new(&mut connection).map_err(error(path))?;
+        let path = path.to_owned();
+        Ok(Self { connection, path, cameras: vec![], images: vec![], camera_of: vec![], guard })
+    }
+
+    /// As in COLMAP: replacing an image must not take its keypoints along.
+    pub(super) fn keep_rows_apart(&self) -> Result<()> {
+        self.run("PRAGMA foreign_keys = OFF;")
+    }
+
+    /// Folds the write-ahead log into the file and closes it.
+    pub fn finish(self) -> Result<()> {
+        fold_log(&self.connection).map_err(error(&self.path))?;
+        self.connection.close().map_err(|(_, cause)| error(&self.path)(cause))
+    }
+
+    /// How many cameras.
+    pub fn num_cameras(&self) -> usize {
+        self.cameras.len()
+    }
+
+    /// How many images.
+    pub fn num_images(&self) -> usize {
+        self.images.len()
+    }
+
+    /// Writes all cameras, in order of their ids; those that are there are replaced.
+    pub fn write_cameras(&mut self, cameras: &[Camera]) -> Result<()> {
+        self.transaction(|db| {
+            db.run("DELETE FROM cameras")?;
+            let sql = "INSERT INTO cameras(camera_id, model, width, height, params, prior_focal_length) \
+                       VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
+            for (id, camera) in (1i64..).zip(cameras) {
+                let params = bytes(camera.intrinsics.params());
+                let model = camera.intrinsics.kind().colmap_id();
+                db.execute(
+                    sql,
+                    params![id, model, camera.width, camera.height, params, camera.has_focal_prior],
+                )?;
+            }
+            Ok(())
+        })?;
+        self.cameras = (1..=cameras.len() as i64).collect();
+        Ok(())
+    }
+
+    /// Writes all images, in order of their ids; those that are there are replaced, while keypoints and matches stay with the
+    /// ids. The cameras must be there.
+    pub fn write_images(&mut self, images: &[Image]) -> Result<()> {
+        if let Some(image) = images.iter().find(|image| image.camera.index() >= self.cameras.len()) {
+            return Err(self.content(format!(
+                "image {} names camera {}, but there are {} cameras",
+                image.name,
+                image.camera.0,
+                self.cameras.len()
+            )));
+        }
+        self.transaction(|db| {
+            db.run("DELETE FROM images")?;
+            for (id, image) in (1i64..).zip(images) {
+                let camera = db.cameras[image.camera.index()];
+                let sql = "INSERT INTO images(image_id, name, camera_id) VALUES (?1, ?2, ?3)";
+                db.execute(sql, params![id, image.name, camera])?;
+            }
+            Ok(())
+        })?;
+        self.images = (1..=images.len() as i64).collect();
+        self.camera_of = images.iter().map(|image| image.camera).collect();
+        Ok(())
+    }
+
+    /// Reads all cameras, in order of their ids.
+    pub fn read_cameras(&self) -> Result<Vec<Camera>> {
+        let sql = "SELECT camera_id, model, width, height, params, prior_focal_length FROM cameras ORDER BY camera_id";
+        self.try_rows(sql, |row| {
+            let id: i64 = row.get(0).map_err(error(&self.path))?;
+            let bad = |what: String| self.content(format!("camera {id}: {what}"));
+            let get = |cause: rusqlite::Error| bad(cause.to_string());
+            let kind =
+                CameraModelKind::from_colmap_id(row.get(1).map_err(get)?).map_err(|e| bad(e.to_string()))?;
+            let params = numbers(&row.get::<_, Vec<u8>>(4).map_err(get)?, kind.num_params())
+                .ok_or_else(|| bad(format!("the parameters are not {} numbers", kind.num_params())))?;
+            Ok(Camera {
+                intrinsics: Intrinsics::new(kind, &params).map_err(|e| bad(e.to_string()))?,
+                width: row.get(2).map_err(get)?,
+                height: row.get(3).map_err(get)?,
+                has_focal_prior: row.get::<_, i64>(5).map_err(get)? != 0,
+            })
+        })
+    }
+
+    /// Reads all images, in order of their ids, without keypoints.
+    pub fn read_images(&self) -> Result<Vec<Image>> {
+        let names: Vec<String> = self.rows("SELECT name FROM images ORDER BY image_id", |row| row.get(0))?;
+        Ok(names
+            .into_iter()
+            .zip(&self.camera_of)
+            .map(|(name, camera)| Image::new(name, *camera, vec![]))
+            .collect())
+    }
+
+    pub(super) fn index_images(&mut self) -> Result<()> {
+        let rows: Vec<(i64, i64)> = self
+            .rows("SELECT image_id, camera_id FROM images ORDER BY image_id", |row| {
+                Ok((row.get(0)?, row.get(1)?))
+            })?;
+        for (image, camera) in rows {
+            if !(0..MAX_IMAGE_ID).contains(&image) {
+                return Err(self.content(format!("the id of image {image} is out of range")));
+            }
+            let camera = self.cameras.binary_search(&camera).map_err(|_| {
+                self.content(format!("image {image} names camera {camera}, which there is not"))
+            })?;
+            self.images.push(image);
+            self.camera_of.push(CameraId::from_index(camera));
+        }
+        Ok(())
+    }
+
+    /// The file's id of an image.
+    pub(super) fn file_id(&self, image: ImageId) -> Result<i64> {
+        self.images.get(image.index()).copied().ok_or_else(|| {
+            self.content(format!("there are {} images, and none of index {}", self.images.len(), image.0))
+        })
+    }
+
+    /// Our id of an image of the file.
+    pub(super) fn image_id(&self, file_id: i64, by: impl FnOnce() -> String) -> Result<ImageId> {
+        self.images
+            .binary_search(&file_id)
+            .map(ImageId::from_index)
+            .map_err(|_| self.content(format!("{} names image {file_id}, which there is not", by())))
+    }
+
+    pub(super) fn content(&self, what: String) -> Error {
+        Error::Content { path: self.path.clone(), what }
+    }
+
+    /// The names of a table's columns; none where there is no such table.
+    pub(super) fn columns(&self, table: &str) -> Result<Vec<String>> {
+        self.rows(&format!("SELECT name FROM pragma_table_info('{table}')"), |row| row.get(0))
+    }
+
+    pub(super) fn run(&self, sql: &str) -> Result<()> {
+        self.guard.begin();
+        self.connection.execute_batch(sql).map_err(error(&self.path))
+    }
+
+    pub(super) fn execute(&self, sql: &str, params: &[&dyn rusqlite::ToSql]) -> Result<()> {
+        self.guard.begin();
+        let mut statement = self.connection.prepare_cached(sql).map_err(error(&self.path))?;
+        statement.execute(params).map(drop).map_err(error(&self.path))
+    }
+
+    /// All that `work` writes, or nothing.
+    pub(super) fn transaction(&self, work: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
+        let transaction = self.connection.unchecked_transaction().map_err(error(&self.path))?;
+        work(self)?;
+        disk::before(Operation::Commit, &self.path).map_err(Error::io(&self.path))?;
+        transaction.commit().map_err(error(&self.path))
+    }
+
+    pub(super) fn rows<T>(
+        &self,
+        sql: &str,
+        row: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>> {
+        self.guard.begin();
+        let mut statement = self.connection.prepare(sql).map_err(error(&self.path))?;
+        let rows = statement.query_map([], row).map_err(error(&self.path))?;
+        rows.collect::<rusqlite::Result<_>>().map_err(error(&self.path))
+    }
+
+    /// The same for rows that may be wrong in our terms.
+    pub(super) fn try_rows<T>(
+        &self,
+        sql: &str,
+        mut row: impl FnMut(&Row<'_>) -> Result<T>,
+    ) -> Result<Vec<T>> {
+        self.guard.begin();
+        let mut statement = self.connection.prepare(sql).map_err(error(&self.path))?;
+        let mut rows = statement.query([]).map_err(error(&self.path))?;
+        let mut list = Vec::new();
+        while let Some(next) = rows.next().map_err(error(&self.path))? {
+            list.push(row(next)?);
+        }
+        Ok(list)
+    }
+}
+
+/// Opens `file` to read and write; the errors name `path`. SQLite takes names that begin with `file:` for addresses, and
+/// absolute paths do not.
+pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
+    let file = std::path::absolute(file).map_err(Error::io(path))?;
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    #[cfg(feature = "faults")]
+    let connection = Connection::open_with_flags_and_vfs(file, flags, disk::faulty_vfs::name());
+    #[cfg(not(feature = "faults"))]
+    let connection = Connection::open_with_flags(file, flags);
+    let connection = connection.map_err(error(path))?;
+    guard::distrust(&connection).map_err(error(path))?;
+    Ok(connection)
+}
+
+/// Brings the write-ahead log into the file and removes it.
+pub(super) fn fold_log(connection: &Connection) -> rusqlite::Result<()> {
+    for sql in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA journal_mode = DELETE"] {
+        let mut statement = connection.prepare(sql)?;
+        let mut rows = statement.query([])?;
+        // A failure may come after the first row.
+        while rows.next()?.is_some() {}
+    }
+    Ok(())
+}
+
+pub(super) fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
+    move |cause| {
+        let is_stopped = cause.sqlite_error_code() == Some(ErrorCode::OperationInterrupted);
+        let cause = if is_stopped { guard::STOPPED.to_owned() } else { cause.to_string() };
+        Error::Database { path: path.to_owned(), cause }
+    }
+}
+
+/// `count` little-endian numbers, if the bytes are just that and the numbers finite.
+pub(super) fn numbers(bytes: &[u8], count: usize) -> Option<Vec<f64>> {
+    let (chunks, rest) = bytes.as_chunks::<8>();
+    let values: Vec<f64> = chunks.iter().map(|chunk| f64::from_le_bytes(*chunk)).collect();
+    (rest.is_empty() && values.len() == count && values.iter().all(|v| v.is_finite())).then_some(values)
+}
+
+pub(super) fn bytes(values: &[f64]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}

@@ -1,0 +1,30 @@
+//! What the names of images tell: the folder of their camera, and their number.
+
+use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
+
+/// The folder that a camera's images are in, without its `/`.
+pub(crate) fn folder_of(model: &Reconstruction, camera: CameraId) -> String {
+    let image = model.images().find(|(_, image)| image.camera == camera);
+    let name = image.map_or("", |(_, image)| image.name.as_str());
+    name.rsplit_once('/').map_or_else(|| format!("camera {}", camera.0 + 1), |(folder, _)| folder.to_owned())
+}
+
+/// The camera whose images are in a folder.
+pub(crate) fn camera_of_folder<'a>(
+    model: &'a Reconstruction,
+    folder: &str,
+) -> Option<(CameraId, &'a Camera)> {
+    model.cameras().find(|(id, _)| folder_of(model, *id) == folder)
+}
+
+/// The folder in the name of the first image, with its `/`.
+pub(crate) fn first_folder(model: &Reconstruction) -> String {
+    let first = model.images().map(|(_, image)| image.name.as_str()).min().unwrap_or("");
+    first.rfind('/').map_or(String::new(), |end| first[..=end].to_owned())
+}
+
+/// The last number in a file's name, before its ending.
+pub(crate) fn number(name: &str) -> Option<usize> {
+    let stem = name.rsplit('/').next()?.split('.').next()?;
+    stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
+}

@@ -1,0 +1,406 @@
+//! The options of each stage as texts: a dotted key and a value for every one.
+//!
+//! A stage is kept as long as these texts stay the same, so they are part of the format of a workspace: no key and no value
+//! follows from the name of a field or a type. Every struct is taken apart without `..`, so that a new option does not compile
+//! until it has a key here. Floating-point numbers have the fewest digits that bring them back. `none` is an option that is not
+//! given: records leave it out.
+//!
+//! Where a value has another meaning than before, or a key is new and its value not `none`, the stages of earlier workspaces
+//! differ from those that are asked for. `crate::legacy_options` reads the texts of workspaces from before there were keys.
+
+use tiepoint_io::features::{DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation};
+use tiepoint_sfm::geometry::{Intrinsics, Loss};
+use tiepoint_sfm::matching::{Checks, Method, Options as DescriptorOptions, PairSelection, Preempt};
+use tiepoint_sfm::{
+    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm, TrackOptions,
+    VerifyOptions,
+};
+
+use crate::cameras::Calibration;
+
+/// Value of an option that is not given.
+pub(crate) const NONE: &str = "none";
+
+/// Intrinsics that are known: the mapper keeps them.
+pub(crate) const INTRINSICS: &str = "features.intrinsics";
+
+/// Keys of options that have a name on the command line.
+const ON_COMMAND_LINE: [(&str, &str); 10] = [
+    ("features.camera_model", "--camera-model"),
+    ("features.focal_prior", "--focal-prior"),
+    (INTRINSICS, "--intrinsics"),
+    ("features.timestamps", "--timestamps"),
+    ("match.pairs", "--pairs"),
+    ("match.seed", "--seed"),
+    ("mapper.baseline", "--baseline"),
+    ("mapper.readout", "--rolling-shutter"),
+    ("mapper.rig", "--rig"),
+    ("mapper.seed", "--seed"),
+];
+
+/// What a user calls an option: as on the command line where it is there, else its key.
+pub(crate) fn shown(key: &str) -> &str {
+    ON_COMMAND_LINE.iter().find(|(own, _)| *own == key).map_or(key, |(_, name)| name)
+}
+
+/// Keys with their values.
+type Texts = Vec<(&'static str, String)>;
+
+/// Of the first stage. `timestamps` stands for the content of the file.
+pub(crate) fn of_features(
+    calibration: &Calibration,
+    detector: &DetectorOptions,
+    timestamps: Option<String>,
+) -> Texts {
+    let (model, focal_px, intrinsics) = match calibration {
+        Calibration::Unknown { model, focal_px } => (model.name(), *focal_px, None),
+        Calibration::Known(intrinsics) => (intrinsics.kind().name(), None, Some(intrinsics)),
+    };
+    let numbers = |intrinsics: &Intrinsics| {
+        let params: Vec<String> = intrinsics.params().iter().map(f64::to_string).collect();
+        params.join(",")
+    };
+    let DetectorOptions {
+        first_octave,
+        octaves,
+        levels,
+        peak_threshold,
+        edge_threshold,
+        max_features,
+        limit,
+        max_orientations,
+        orientation,
+        normalization,
+        domain_sizes,
+    } = detector;
+    let limit = match limit {
+        Limit::WholeLevels => "whole_levels",
+        Limit::Exact => "exact",
+    };
+    let orientation = match orientation {
+        Orientation::Dominant => "dominant",
+        Orientation::Upright => "upright",
+    };
+    let normalization = match normalization {
+        Normalization::RootL1 => "root_l1",
+        Normalization::L2 => "l2",
+    };
+    let mut texts = vec![
+        ("features.camera_model", model.to_owned()),
+        ("features.focal_prior", or_none(focal_px)),
+        (INTRINSICS, or_none(intrinsics.map(numbers))),
+        ("features.timestamps", or_none(timestamps)),
+        ("features.detector.first_octave", first_octave.to_string()),
+        ("features.detector.octaves", octaves.to_string()),
+        ("features.detector.levels", levels.to_string()),
+        ("features.detector.peak_threshold", peak_threshold.to_string()),
+        ("features.detector.edge_threshold", edge_threshold.to_string()),
+        ("features.detector.max_features", max_features.to_string()),
+        ("features.detector.limit", limit.to_owned()),
+        ("features.detector.max_orientations", max_orientations.to_string()),
+        ("features.detector.orientation", orientation.to_owned()),
+        ("features.detector.normalization", normalization.to_owned()),
+    ];
+    match domain_sizes {
+        None => texts.push(("features.detector.domain_sizes", NONE.to_owned())),
+        Some(DomainSizes { min, max, count }) => texts.extend([
+            ("features.detector.domain_sizes.min", min.to_string()),
+            ("features.detector.domain_sizes.max", max.to_string()),
+            ("features.detector.domain_sizes.count", count.to_string()),
+        ]),
+    }
+    texts
+}
+
+/// Of the second stage.
+pub(crate) fn of_matching(
+    pairs: &PairSelection,
+    descriptors: &DescriptorOptions,
+    verify: &VerifyOptions,
+    seed: u64,
+) -> Texts {
+    let DescriptorOptions { max_ratio, max_angle_rad, mutual, method, preempt } = descriptors;
+    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } = verify;
+    let method = match method {
+        Method::BruteForce => "brute_force".to_owned(),
+        Method::Forest(checks) => format!("forest:{}", of_checks(checks)),
+        Method::Cheapest(checks) => format!("cheapest:{}", of_checks(checks)),
+    };
+    let mut texts = vec![
+        // As users write it: the format of the option is fixed.
+        ("match.pairs", pairs.to_string()),
+        ("match.seed", seed.to_string()),
+        ("match.descriptors.max_ratio", or_none(*max_ratio)),
+        ("match.descriptors.max_angle_rad", or_none(*max_angle_rad)),
+        ("match.descriptors.mutual", mutual.to_string()),
+        ("match.descriptors.method", method),
+        ("match.verify.max_error_px", max_error_px.to_string()),
+        ("match.verify.min_num_inliers", min_num_inliers.to_string()),
+        ("match.verify.min_essential_share", min_essential_share.to_string()),
+        ("match.verify.max_homography_share", max_homography_share.to_string()),
+    ];
+    texts.push(match preempt {
+        None => ("match.descriptors.preempt", NONE.to_owned()),
+        Some(Preempt { min_matches }) => ("match.descriptors.preempt.min_matches", min_matches.to_string()),
+    });
+    texts
+}
+
+/// Of the third stage.
+pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
+    let MapperOptions {
+        refine: RefineIntrinsics { focal, principal_point, distortion },
+        tracks:
+            TrackOptions { max_create_error_px, max_merge_error_px, min_angle_rad, two_view, max_transitivity },
+        filter: FilterOptions { max_error_px: max_filter_error_px, min_angle_rad: min_filter_angle_rad },
+        register: RegisterOptions { max_error_px, min_num_inliers, min_inlier_share },
+        min_initial_inliers,
+        min_model_size,
+        loss,
+        local_images,
+        global_growth,
+        rig,
+        readout,
+        seed,
+    } = mapper;
+    let rig = match rig {
+        RigTerm::Off => "off",
+        RigTerm::Paper => "paper",
+        RigTerm::Soft => "soft",
+        RigTerm::Hard => "hard",
+        RigTerm::Auto => "auto",
+    };
+    let readout = readout.map(|readout| match readout {
+        Readout::Known(time_s) => format!("{time_s}s"),
+        Readout::Estimated => "estimate".to_owned(),
+    });
+    vec![
+        ("mapper.baseline", or_none(baseline_m.map(|baseline_m| format!("{baseline_m}m")))),
+        ("mapper.rig", rig.to_owned()),
+        ("mapper.readout", or_none(readout)),
+        ("mapper.seed", seed.to_string()),
+        ("mapper.refine.focal", focal.to_string()),
+        ("mapper.refine.principal_point", principal_point.to_string()),
+        ("mapper.refine.distortion", distortion.to_string()),
+        ("mapper.tracks.max_create_error_px", max_create_error_px.to_string()),
+        ("mapper.tracks.max_merge_error_px", max_merge_error_px.to_string()),
+        ("mapper.tracks.min_angle_rad", min_angle_rad.to_string()),
+        ("mapper.tracks.two_view", two_view.to_string()),
+        ("mapper.tracks.max_transitivity", max_transitivity.to_string()),
+        ("mapper.filter.max_error_px", max_filter_error_px.to_string()),
+        ("mapper.filter.min_angle_rad", min_filter_angle_rad.to_string()),
+        ("mapper.register.max_error_px", max_error_px.to_string()),
+        ("mapper.register.min_num_inliers", min_num_inliers.to_string()),
+        ("mapper.register.min_inlier_share", min_inlier_share.to_string()),
+        ("mapper.min_initial_inliers", min_initial_inliers.to_string()),
+        ("mapper.min_model_size", min_model_size.to_string()),
+        ("mapper.loss", of_loss(loss)),
+        ("mapper.local_images", local_images.to_string()),
+        ("mapper.global_growth", global_growth.to_string()),
+    ]
+}
+
+fn or_none(value: Option<impl ToString>) -> String {
+    value.map_or_else(|| NONE.to_owned(), |value| value.to_string())
+}
+
+fn of_checks(checks: &Checks) -> String {
+    match checks {
+        Checks::Total(checks) => format!("total:{checks}"),
+        Checks::PerTree(checks) => format!("per_tree:{checks}"),
+    }
+}
+
+fn of_loss(loss: &Loss) -> String {
+    match loss {
+        Loss::Trivial => "trivial".to_owned(),
+        Loss::Huber(scale) => format!("huber:{scale}"),
+        Loss::SoftL1(scale) => format!("soft_l1:{scale}"),
+        Loss::Cauchy(scale) => format!("cauchy:{scale}"),
+        Loss::GemanMcClure(scale) => format!("geman_mc_clure:{scale}"),
+        Loss::Tukey(scale) => format!("tukey:{scale}"),
+        Loss::Truncated(scale) => format!("truncated:{scale}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_sfm::geometry::CameraModelKind;
+    use tiepoint_sfm::matching::Ends;
+
+    use super::*;
+
+    fn lines(texts: Texts) -> Vec<String> {
+        texts.into_iter().map(|(key, value)| format!("{key} = {value}")).collect()
+    }
+
+    /// A workspace of yesterday is compared with these. A line that must change here makes every workspace different: give
+    /// [`crate::legacy_options`] the old one.
+    #[test]
+    fn keys_and_defaults_stay_what_they_are() {
+        let found = lines(of_features(&Calibration::default(), &DetectorOptions::default(), None));
+        let expected = [
+            "features.camera_model = SIMPLE_RADIAL",
+            "features.focal_prior = none",
+            "features.intrinsics = none",
+            "features.timestamps = none",
+            "features.detector.first_octave = -1",
+            "features.detector.octaves = 4",
+            "features.detector.levels = 3",
+            "features.detector.peak_threshold = 0.0066666664",
+            "features.detector.edge_threshold = 10",
+            "features.detector.max_features = 8192",
+            "features.detector.limit = whole_levels",
+            "features.detector.max_orientations = 2",
+            "features.detector.orientation = dominant",
+            "features.detector.normalization = root_l1",
+            "features.detector.domain_sizes = none",
+        ];
+        assert_eq!(found, expected);
+        let (descriptors, verify) = (DescriptorOptions::default(), VerifyOptions::default());
+        let expected = [
+            "match.pairs = exhaustive",
+            "match.seed = 0",
+            "match.descriptors.max_ratio = 0.8",
+            "match.descriptors.max_angle_rad = 0.7",
+            "match.descriptors.mutual = true",
+            "match.descriptors.method = brute_force",
+            "match.verify.max_error_px = 4",
+            "match.verify.min_num_inliers = 15",
+            "match.verify.min_essential_share = 0.95",
+            "match.verify.max_homography_share = 0.8",
+            "match.descriptors.preempt = none",
+        ];
+        assert_eq!(lines(of_matching(&PairSelection::Exhaustive, &descriptors, &verify, 0)), expected);
+        let expected = [
+            "mapper.baseline = none",
+            "mapper.rig = off",
+            "mapper.readout = none",
+            "mapper.seed = 0",
+            "mapper.refine.focal = true",
+            "mapper.refine.principal_point = true",
+            "mapper.refine.distortion = true",
+            "mapper.tracks.max_create_error_px = 12",
+            "mapper.tracks.max_merge_error_px = 4",
+            "mapper.tracks.min_angle_rad = 0.026179938779914945",
+            "mapper.tracks.two_view = false",
+            "mapper.tracks.max_transitivity = 5",
+            "mapper.filter.max_error_px = 4",
+            "mapper.filter.min_angle_rad = 0.026179938779914945",
+            "mapper.register.max_error_px = 12",
+            "mapper.register.min_num_inliers = 30",
+            "mapper.register.min_inlier_share = 0.25",
+            "mapper.min_initial_inliers = 30",
+            "mapper.min_model_size = 3",
+            "mapper.loss = soft_l1:4",
+            "mapper.local_images = 6",
+            "mapper.global_growth = 1.1",
+        ];
+        assert_eq!(lines(of_mapping(&MapperOptions::default(), None)), expected);
+    }
+
+    /// Values that are not the defaults.
+    #[test]
+    fn other_values_stay_what_they_are() {
+        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 1e-7, 240.0]).unwrap();
+        let detector = DetectorOptions {
+            peak_threshold: 1e-6,
+            limit: Limit::Exact,
+            orientation: Orientation::Upright,
+            normalization: Normalization::L2,
+            domain_sizes: Some(DomainSizes::default()),
+            ..DetectorOptions::default()
+        };
+        let found = lines(of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned())));
+        for expected in [
+            "features.camera_model = PINHOLE",
+            "features.focal_prior = none",
+            "features.intrinsics = 500.25,501,0.0000001,240",
+            "features.timestamps = 0a1b",
+            "features.detector.peak_threshold = 0.000001",
+            "features.detector.limit = exact",
+            "features.detector.orientation = upright",
+            "features.detector.normalization = l2",
+            "features.detector.domain_sizes.min = 0.16666667",
+            "features.detector.domain_sizes.max = 3",
+            "features.detector.domain_sizes.count = 10",
+        ] {
+            assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
+        }
+        let unknown = Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
+        let found = lines(of_features(&unknown, &detector, None));
+        assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
+
+        let pairs = PairSelection::Sequential { reach: 10, ends: Ends::Closed, loops: 5 };
+        let descriptors = |method| DescriptorOptions {
+            max_ratio: None,
+            method,
+            preempt: Some(Preempt { min_matches: 2 }),
+            ..DescriptorOptions::default()
+        };
+        for (method, text) in [
+            (Method::Forest(Checks::Total(64)), "forest:total:64"),
+            (Method::Cheapest(Checks::PerTree(8)), "cheapest:per_tree:8"),
+        ] {
+            let found = lines(of_matching(&pairs, &descriptors(method), &VerifyOptions::default(), u64::MAX));
+            for expected in [
+                "match.pairs = sequential:10+ends+loops:5",
+                "match.seed = 18446744073709551615",
+                "match.descriptors.max_ratio = none",
+                &format!("match.descriptors.method = {text}"),
+                "match.descriptors.preempt.min_matches = 2",
+            ] {
+                assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
+            }
+        }
+
+        for (mapper, baseline_m, expected) in [
+            (
+                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                Some(0.62),
+                "mapper.baseline = 0.62m",
+            ),
+            (MapperOptions { rig: RigTerm::Paper, ..Default::default() }, None, "mapper.rig = paper"),
+            (MapperOptions { rig: RigTerm::Soft, ..Default::default() }, None, "mapper.rig = soft"),
+            (MapperOptions { rig: RigTerm::Hard, ..Default::default() }, None, "mapper.rig = hard"),
+            (MapperOptions { rig: RigTerm::Auto, ..Default::default() }, None, "mapper.rig = auto"),
+            (
+                MapperOptions { readout: Some(Readout::Known(0.016)), ..Default::default() },
+                None,
+                "mapper.readout = 0.016s",
+            ),
+            (
+                MapperOptions { readout: Some(Readout::Estimated), ..Default::default() },
+                None,
+                "mapper.readout = estimate",
+            ),
+            (
+                MapperOptions { loss: Loss::GemanMcClure(0.5), ..Default::default() },
+                None,
+                "mapper.loss = geman_mc_clure:0.5",
+            ),
+            (MapperOptions { loss: Loss::Trivial, ..Default::default() }, None, "mapper.loss = trivial"),
+        ] {
+            let found = lines(of_mapping(&mapper, baseline_m));
+            assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn no_key_is_there_twice_and_every_name_of_the_command_line_has_one() {
+        let (detector, mapper) = (DetectorOptions::default(), MapperOptions::default());
+        let mut keys: Vec<&str> = of_features(&Calibration::default(), &detector, None)
+            .into_iter()
+            .chain(of_matching(&PairSelection::Exhaustive, &Default::default(), &Default::default(), 0))
+            .chain(of_mapping(&mapper, None))
+            .map(|(key, _)| key)
+            .collect();
+        for (key, _) in ON_COMMAND_LINE {
+            assert!(keys.contains(&key), "{key}");
+        }
+        let count = keys.len();
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), count);
+    }
+}
