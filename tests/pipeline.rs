@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Cursor;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use image::imageops::FilterType;
 use tiepoint_pipeline::io::ImageSource as _;
@@ -22,19 +24,35 @@ const MAX_MEAN_CENTRE_ERROR_M: f64 = 6.0 * 2.5e-3;
 /// K.txt of the data set: fx, fy, cx, cy of the full-size photos.
 const FULL_SIZE_INTRINSICS: [f64; 4] = [2759.48, 2764.16, 1520.69, 1006.81];
 
-/// Writes small grey versions of the first `count` photos to `to`.
-fn shrink(data: &Path, count: usize, to: &Path) {
-    let photos = data.join("fountain-P11/images");
-    let folder = tiepoint_pipeline::io::ImageFolder::open(&[photos], None).unwrap();
+/// A photo's name, which is the one that the truth has, and a small grey version as a PNG; the content says what it is.
+type Small = (String, Vec<u8>);
+
+/// Small versions of all photos, made once for all tests.
+fn small_photos(data: &Path) -> &'static [Small] {
+    static PHOTOS: OnceLock<Vec<Small>> = OnceLock::new();
+    PHOTOS.get_or_init(|| {
+        let photos = data.join("fountain-P11/images");
+        let folder = tiepoint_pipeline::io::ImageFolder::open(&[photos], None).unwrap();
+        let shrink = |(index, name): (usize, &str)| {
+            let luma = folder.luma(index).unwrap();
+            let (width, height) = (luma.width / SHRINK * SHRINK, luma.height / SHRINK * SHRINK);
+            let image = image::GrayImage::from_raw(luma.width, luma.height, luma.data).unwrap();
+            let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
+            let small =
+                image::imageops::resize(&image, width / SHRINK, height / SHRINK, FilterType::Triangle);
+            let mut png = Cursor::new(Vec::new());
+            small.write_to(&mut png, image::ImageFormat::Png).unwrap();
+            (name.to_owned(), png.into_inner())
+        };
+        folder.images().iter().map(|photo| photo.name.as_str()).enumerate().map(shrink).collect()
+    })
+}
+
+/// Writes the first `count` small photos to `to`.
+fn write_photos(data: &Path, count: usize, to: &Path) {
     fs::create_dir_all(to).unwrap();
-    for (index, photo) in folder.images().iter().enumerate().take(count) {
-        let luma = folder.luma(index).unwrap();
-        let (width, height) = (luma.width / SHRINK * SHRINK, luma.height / SHRINK * SHRINK);
-        let image = image::GrayImage::from_raw(luma.width, luma.height, luma.data).unwrap();
-        let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
-        let small = image::imageops::resize(&image, width / SHRINK, height / SHRINK, FilterType::Triangle);
-        // The name that the truth has; the content says what it is.
-        small.save_with_format(to.join(&photo.name), image::ImageFormat::Png).unwrap();
+    for (name, png) in small_photos(data).iter().take(count) {
+        fs::write(to.join(name), png).unwrap();
     }
 }
 
@@ -69,7 +87,7 @@ fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
-    shrink(&data, usize::MAX, &photos);
+    write_photos(&data, usize::MAX, &photos);
     let report = run(&photos, &dir.path().join("two"), 2);
     assert_eq!((report.models.len(), report.models[0].registered), (1, 11));
     let truth: Truth = format!("strecha:{}", data.join("fountain-P11/cameras").display()).parse().unwrap();
@@ -87,7 +105,7 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let (photos, workspace) = (dir.path().join("photos"), dir.path().join("ws"));
-    shrink(&data, COUNT, &photos);
+    write_photos(&data, COUNT, &photos);
     run(&photos, &dir.path().join("undisturbed"), 2);
 
     // Stops when the given event comes; tells how far the stage was when it was begun.
@@ -123,7 +141,7 @@ fn what_an_interruption_left_is_not_computed_again() {
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
-    shrink(&data, 4, &folder);
+    write_photos(&data, 4, &folder);
     let photos = Photos::open(&[folder], None).unwrap();
     let mut workspace = Workspace::create(&dir.path().join("ws")).unwrap();
     let mut extract = |limit: usize| {
