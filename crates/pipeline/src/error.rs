@@ -41,7 +41,7 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
         /// What is there.
-        found: &'static str,
+        found: String,
     },
     /// A file of the workspace is not what this program writes.
     #[error("{path}: {what}; delete it to begin anew")]
@@ -127,7 +127,9 @@ pub enum Error {
         stage: Stage,
     },
     /// No rig was found, or none was looked for.
-    #[error("{path} is not there: map two or more cameras with --rig soft, hard or auto first")]
+    #[error(
+        "{path} is not there, since this model's cameras are not held to each other: map with --rig soft, hard or auto"
+    )]
     NoRig {
         /// The file.
         path: PathBuf,

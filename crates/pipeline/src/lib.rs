@@ -9,6 +9,7 @@ mod evaluate;
 mod event;
 mod export;
 mod features;
+mod file_names;
 mod fingerprint;
 mod image_names;
 mod kalibr;

@@ -14,13 +14,13 @@ use tiepoint_sfm::{
 };
 
 use crate::colors::color_points;
+use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::matching::keypoint;
 use crate::metric::{ScaleReport, scale_to_baseline};
-use crate::model_place::{model_path, rig_name};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
-use crate::workspace::{POINTS, SPARSE};
+use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys, tell,
 };
@@ -209,8 +209,9 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let models = (0..).map(model_path).take_while(|model| workspace.root().join(model).is_dir());
     names.extend(models.flat_map(|model| model_names(Some(&model))));
     names.insert(POINTS.to_owned());
-    let num_models = (0..).take_while(|index| workspace.root().join(model_path(*index)).is_dir()).count();
-    names.extend((0..num_models.max(1)).map(rig_name));
+    names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
+    // Also those of others, so that they are refused before any work is done.
+    names.extend(rigs_in(workspace.root()));
     names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
     names.into_iter().collect()
 }
@@ -321,5 +322,11 @@ mod tests {
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
             assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
         }
+        // Also where somebody has deleted a model, or has a file of such a name.
+        std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
+        std::fs::write(root.join("rig-7.json"), "mine").unwrap();
+        let replaced = replaced_names(&workspace);
+        assert!(["rig-2.json", "rig-7.json"].iter().all(|name| replaced.iter().any(|other| other == name)));
+        assert!(workspace.folder.refuse_foreign(replaced.iter().map(String::as_str)).is_err());
     }
 }

@@ -2,18 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::workspace::{REPORT, RIG, SPARSE, TIMESTAMPS, current_records, is_workspace};
-use crate::{Error, Stage, option_keys};
-
-/// The folder of a model, relative to the workspace.
-pub(crate) fn model_path(index: usize) -> String {
-    format!("{SPARSE}/{index}")
-}
-
-/// The file of a model's rig, relative to the workspace: `rig.json` of the largest model, `rig-1.json` of the next.
-pub(crate) fn rig_name(index: usize) -> String {
-    if index == 0 { RIG.to_owned() } else { format!("rig-{index}.json") }
-}
+use crate::file_names::{model_path, rig_name};
+use crate::records::Records;
+use crate::workspace::{DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace};
+use crate::{Stage, option_keys};
 
 /// The workspace that a model's folder lies in, if it does, and its number there.
 pub(crate) struct ModelPlace {
@@ -24,9 +16,16 @@ pub(crate) struct ModelPlace {
 impl ModelPlace {
     /// Of `WORKSPACE/sparse/0`, or of a copy that lies as deep.
     pub(crate) fn of(folder: &Path) -> Self {
-        let whole = folder.canonicalize();
-        let name = whole.as_ref().ok().and_then(|path| path.file_name()?.to_str()?.parse().ok());
-        Self { root: folder.join("../.."), index: name.unwrap_or(0) }
+        let numbered = |path: PathBuf| -> Option<Self> {
+            let index = path.file_name()?.to_str()?.parse().ok()?;
+            Some(Self { root: path.parent()?.parent()?.to_owned(), index })
+        };
+        // A folder of models may be a link to elsewhere; and a link may lead into a workspace.
+        let as_given = std::path::absolute(folder).ok().and_then(numbered);
+        let as_given = as_given.filter(|place| place.root.join(model_path(place.index)).is_dir());
+        let at_the_end = || folder.canonicalize().ok().and_then(numbered);
+        let elsewhere = || Self { root: folder.join("../.."), index: 0 };
+        as_given.or_else(at_the_end).unwrap_or_else(elsewhere)
     }
 
     /// When images were taken.
@@ -39,16 +38,16 @@ impl ModelPlace {
         self.root.join(rig_name(self.index))
     }
 
-    /// Whether the workspace was given the intrinsics of its cameras, which stay then.
-    ///
-    /// # Errors
-    ///
-    /// Where the workspace's records cannot be read.
-    pub(crate) fn has_known_intrinsics(&self) -> Result<bool, Error> {
+    /// Whether the workspace was given the intrinsics of its cameras, which stay then. Where its database is gone, its record tells.
+    pub(crate) fn has_known_intrinsics(&self) -> bool {
         if !is_workspace(&self.root) {
-            return Ok(false);
+            return false;
         }
-        Ok(current_records(&self.root)?.option(Stage::Features, option_keys::INTRINSICS).is_some())
+        let is_given = |records: &Records| records.option(Stage::Features, option_keys::INTRINSICS).is_some();
+        let recorded = || Records::read(&self.root.join(STAGES)).ok().flatten();
+        let has_database = self.root.join(DATABASE).is_file();
+        current_records(&self.root).is_ok_and(|records| is_given(&records))
+            || !has_database && recorded().is_some_and(|records| is_given(&records))
     }
 
     /// What is said of the models, the largest first; and which of them this one is.

@@ -15,8 +15,9 @@ use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::evaluate::{model_folder, read_times};
+use crate::file_names::RIG;
 use crate::output_file::{refuse_foreign_page, write_page};
-use crate::workspace::{REPORT, RIG};
+use crate::workspace::REPORT;
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
 /// The name of the page.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::disk;
 
+use crate::file_names::{RIG, SPARSE, is_rig_name, model_path};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::records::{Progress, Recipe, Records, json};
 use crate::{Error, Report, Stage};
@@ -23,11 +24,9 @@ pub struct Workspace {
 const LOCK: &str = ".lock";
 pub(crate) const STAGES: &str = "stages.json";
 pub(crate) const REPORT: &str = "report.json";
-pub(crate) const RIG: &str = "rig.json";
 pub(crate) const POINTS: &str = "points.ply";
 pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
-const DATABASE: &str = "database.db";
-pub(crate) const SPARSE: &str = "sparse";
+pub(crate) const DATABASE: &str = "database.db";
 /// What a workspace may hold: where a folder is to become one, none of these may be there.
 const RESERVED: [&str; 9] =
     [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html"];
@@ -49,7 +48,8 @@ impl Workspace {
             // What says that this program made it: the record, or, where that is damaged, the database.
             let is_ours = matches!(record, Ok(Some(_)))
                 || database.is_file() && matches!(read_stage_rows(&database), Ok(Some(_)));
-            let found = RESERVED.into_iter().find(|name| fs::symlink_metadata(root.join(name)).is_ok());
+            let reserved = RESERVED.into_iter().map(str::to_owned).chain(rigs_in(root));
+            let found = reserved.into_iter().find(|name| fs::symlink_metadata(root.join(name)).is_ok());
             if let Some(found) = found.filter(|_| !is_ours) {
                 return Err(Error::ForeignWorkspace { path: root.to_owned(), found });
             }
@@ -58,7 +58,7 @@ impl Workspace {
         let mut folder = OutputFolder::open(root)?;
         folder.always_ours(&[STAGES]);
         if !is_claimed {
-            let models = (0..).map(|index| format!("{SPARSE}/{index}"));
+            let models = (0..).map(model_path);
             let models = models.take_while(|model| root.join(model).is_dir());
             let models = models.flat_map(|model| model_names(Some(&model)));
             let names = TAKEN_OVER.iter().map(|name| (*name).to_owned()).chain(models);
@@ -169,11 +169,6 @@ impl Workspace {
         self.root.join(POINTS)
     }
 
-    /// The calibration of the cameras that ride together, and their clocks; there only where they were held to mountings.
-    pub fn rig(&self) -> PathBuf {
-        self.root.join(RIG)
-    }
-
     /// When each image was taken.
     pub fn timestamps(&self) -> PathBuf {
         self.root.join(TIMESTAMPS)
@@ -243,6 +238,12 @@ impl Workspace {
         }
         if self.folder.is_as_left(TIMESTAMPS)? { Ok(Some(path)) } else { Err(Error::ChangedTimes { path }) }
     }
+}
+
+/// The names of files in a folder that are those of models' rigs.
+pub(crate) fn rigs_in(root: &Path) -> impl Iterator<Item = String> {
+    let entries = fs::read_dir(root).into_iter().flatten().flatten();
+    entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(|name| is_rig_name(name))
 }
 
 /// Whether this program works in a folder.

@@ -25,7 +25,7 @@ pub enum Error {
         observations: usize,
     },
     /// What was taken off the keypoints cannot have been done to them.
-    #[error("without it {after} of {before} images still saw anything")]
+    #[error("only {after} of {before} images keep observations")]
     ImagesLost {
         /// Images with a pose before,
         before: usize,
@@ -38,6 +38,14 @@ pub enum Error {
         /// Pairs of images.
         pairs: usize,
     },
+    /// Terms compose the pose of an image twice, or of another image than they said.
+    #[error(
+        "the terms of an adjustment compose the pose of an image twice, or of an image that they did not name"
+    )]
+    ComposedPoses,
+    /// A term of the caller's own cannot join an adjustment.
+    #[error(transparent)]
+    Term(Box<dyn std::error::Error + Send + Sync>),
     /// The optimiser refused the problem.
     #[error(transparent)]
     Adjustment(#[from] tiepoint_ba::Error),

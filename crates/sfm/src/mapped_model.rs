@@ -11,9 +11,9 @@ use crate::rolling_shutter::{RollingShutter, RowPoses};
 pub struct MappedModel {
     /// Cameras, images with poses, points; frames where cameras are held rigidly.
     pub reconstruction: Reconstruction,
-    /// The images that the model began with, the first of them at the origin.
+    /// The images that the model began with. With the paper's rig term the first of them is at the origin.
     pub initial_pair: ImagePair,
-    /// Of cameras that ride together, with a rig term that looks for their mounting; `None` where there is nothing to hold.
+    /// Of cameras that ride together, with a rig term that looks for their mounting; `None` where there is nothing to hold, or that failed.
     pub rig: Option<MountedRig>,
     /// The shutters of its cameras, where they are known or were to be found.
     pub shutters: Vec<RollingShutter>,

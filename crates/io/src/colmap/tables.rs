@@ -161,8 +161,11 @@ fn add_rigs(
             let cam_from_rig = if k == 0 { Some(Rigid3::identity()) } else { cam_from_rig };
             sensors.push(RigSensor { camera: CameraId::from_index(index), cam_from_rig });
         }
-        let kept = (sensors.len() > 1).then(|| {
-            model.rigs.push(Rig { sensors: sensors.clone() });
+        // A camera without a pose on its rig is rigidly connected to none.
+        let posed: Vec<RigSensor> =
+            sensors.iter().filter(|sensor| sensor.cam_from_rig.is_some()).copied().collect();
+        let kept = (posed.len() > 1).then(|| {
+            model.rigs.push(Rig { sensors: posed });
             RigId::from_index(model.rigs.len() - 1)
         });
         sensors_of.push((kept, sensors));

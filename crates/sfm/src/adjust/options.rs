@@ -100,7 +100,8 @@ pub enum Scope<'a> {
 }
 
 impl Scope<'_> {
-    pub(crate) fn moves(&self, image: ImageId) -> bool {
+    /// Whether an image's pose is adjusted.
+    pub fn moves(&self, image: ImageId) -> bool {
         match self {
             Self::Global => true,
             Self::Local(images) => images.contains(&image),

@@ -54,6 +54,10 @@ pub(crate) fn build(
     for term in terms.iter_mut() {
         term.add(&context, &mut variables)?;
     }
+    let found: BTreeSet<ImageId> = variables.composed.iter().map(|(image, _)| *image).collect();
+    if found.len() < variables.composed.len() || found != composed {
+        return Err(Error::ComposedPoses);
+    }
     hold_gauge(&mut variables, &context, options)?;
     carry(&mut variables, &observations)?;
     for (camera, _) in model.cameras() {
@@ -107,7 +111,14 @@ fn hold_gauge(
         of_images.chain(variables.rig_poses.iter().copied()).unzip();
     let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
     let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
-    fix_gauge(variables.problem_mut(), &keys, &fixed, pair)
+    fix_gauge(variables.problem_mut(), &keys, &fixed, pair)?;
+    if let (1, Some((_, composed))) = (keys.len(), variables.composed.first()) {
+        // One moment of a rig: the distance of two of its cameras is the size of the world.
+        let cam_from_rig = composed.cam_from_rig;
+        let place = variables.problem().get(cam_from_rig).translation;
+        variables.problem_mut().fix_tangent(cam_from_rig, &[3 + place.iamax()])?;
+    }
+    Ok(())
 }
 
 /// Lets steps move each pose relative to others that see the same points ([`SpanningTree`]).

@@ -2,9 +2,10 @@
 //!
 //! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of the reference sensor's image,
 //! where the frame has one with observations; otherwise it is a variable of its own. Each further sensor's cam_from_rig is one
-//! variable. In an adjustment of some images alone these are constant, since most frames take no part.
+//! variable, constant where no observation tells it. In an adjustment of some images alone all of these are constant, since most
+//! frames take no part; there a frame moves with its reference image, or, without one, with any of its images.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_ba::{Key, Order, Problem};
 use tiepoint_geometry::Rigid3;
@@ -52,6 +53,29 @@ impl RigidFrames {
         self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
     }
 
+    /// Sensors whose place on their rig no observation tells: of each group of sensors that are joined by the observations of common
+    /// frames, and not to the reference, the first.
+    fn undetermined(&self, is_observed: impl Fn(ImageId) -> bool) -> BTreeSet<(usize, usize)> {
+        // Of each sensor, the first one that it is known to be joined with.
+        let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        for frame in &self.frames {
+            let rig = frame.rig.index();
+            let observed = frame.images.iter().filter(|image| is_observed(**image));
+            let places: Vec<usize> =
+                observed.filter_map(|image| self.sensor_of(frame, *image)).map(|(place, _)| place).collect();
+            let groups: BTreeSet<usize> =
+                places.iter().map(|place| *first.entry((rig, *place)).or_insert(*place)).collect();
+            let Some(&least) = groups.first() else { continue };
+            let of_rig = first.range_mut((rig, 0)..=(rig, usize::MAX));
+            of_rig.filter(|(_, group)| groups.contains(group)).for_each(|(_, group)| *group = least);
+        }
+        first
+            .into_iter()
+            .filter(|((_, place), group)| *place > 0 && place == group)
+            .map(|(key, _)| key)
+            .collect()
+    }
+
     /// Makes the model's rigs, frames and the poses of all images in them what came out.
     pub(super) fn write_back(self, model: &mut Reconstruction) {
         for frame in &self.frames {
@@ -84,6 +108,8 @@ impl Term for RigidFrames {
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let is_local = matches!(context.scope, Scope::Local(_));
         let own: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
+        let undetermined =
+            self.undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
         for (index, frame) in self.frames.iter().enumerate() {
             let reference = frame.images.iter().find(|image| {
                 self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0) && own.contains_key(image)
@@ -108,7 +134,7 @@ impl Term for RigidFrames {
                 let Some((place, pose)) = self.sensor_of(frame, image) else { continue };
                 let key = *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
                     let key = variables.problem_mut().keep(pose, Order::Shared);
-                    if is_local {
+                    if is_local || undetermined.contains(&(frame.rig.index(), place)) {
                         variables.problem_mut().fix(key);
                     }
                     key

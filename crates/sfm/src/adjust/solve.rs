@@ -39,6 +39,8 @@ pub fn adjust(
     };
     let problem = variables.problem_mut();
     let summary = Solver::new(problem, &solver_options)?.solve(problem, watch)?;
+    // They come back with the poses that their rigs have now.
+    model.frames.clear();
     variables.write_back(model);
     terms.iter_mut().for_each(|term| term.read(variables.problem()));
     if let Some(frames) = frames {

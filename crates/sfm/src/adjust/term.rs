@@ -9,6 +9,8 @@ use crate::Error;
 /// What an adjustment has beside the reprojection errors: variables and factors of its own, as of cameras on a rig or of a
 /// rolling shutter.
 ///
+/// [`super::adjust`] adds one itself for the frames that a model has, which composes the poses of their images.
+///
 /// The methods are called in the order in which they stand here, each of them on all terms before the next one.
 pub trait Term {
     /// The images among `posed` (in order of their ids) whose pose is no variable of its own: [`Term::add`] composes it of others,
@@ -22,7 +24,7 @@ pub trait Term {
     ///
     /// # Errors
     ///
-    /// Where the optimiser refuses one of them.
+    /// Where the optimiser refuses one of them; [`Error::Term`] for a reason of its own.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error>;
 
     /// Adds what concerns one camera, before its intrinsics and its observations.
@@ -41,7 +43,8 @@ pub trait Term {
     }
 
     /// A variable that shifts the keypoints of an image in proportion, and how far each: keypoint − shift · variable is what a
-    /// camera that sees all rows at once would have detected.
+    /// camera that sees all rows at once would have detected. There is one for each keypoint of the image. Images whose pose is
+    /// composed are not asked.
     fn shifts_of(&self, camera: CameraId, image: ImageId) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
         let _ = (camera, image);
         None

@@ -9,7 +9,7 @@ use super::focal_trials::choose_focal_lengths;
 use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
-use crate::event::{Event, Watch, tell};
+use crate::event::{Event, OptionalStage, Watch, tell};
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
 use crate::rigs::{Descriptors, MountedRig, joined, rig_pairs};
@@ -27,6 +27,9 @@ pub fn map(
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
     let mut scene = scene.clone();
+    (scene.rigs, scene.frames) = (Vec::new(), Vec::new());
+    let posed: Vec<ImageId> = scene.registered().map(|(id, ..)| id).collect();
+    posed.into_iter().for_each(|image| scene.deregister(image));
     let mut options = *options;
     options.tracks.two_view |= graph.num_images() == 2;
     let options = &options;
@@ -49,9 +52,9 @@ pub fn map(
         mapper.taken = taken.clone();
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
+            Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => return Err(error),
             // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
-            Err(Error::NoInitialPair { .. } | Error::NothingToAdjust { .. }) if !models.is_empty() => break,
-            Err(error) => return Err(error),
+            Err(_) => break,
         };
         let registered: Vec<ImageId> = mapped.reconstruction.registered().map(|(id, ..)| id).collect();
         if models.is_empty() || registered.len() >= options.min_model_size {
@@ -98,6 +101,8 @@ fn join(
         whole.row_poses = row_poses(&whole.reconstruction, &whole.shutters);
         whole.num_loop_pairs += further.num_loop_pairs;
         whole.failures.extend(further.failures);
+        // What failed for one of them has been done for both.
+        whole.failures.retain(|failure| failure.stage != OptionalStage::Rig);
         tell(watch, &Event::Joined { num_images: whole.reconstruction.num_registered() })?;
     }
     Ok(())

@@ -12,7 +12,8 @@ use crate::rolling_shutter::{RollingShutters, row_poses};
 
 /// How often keypoints are straightened by the model in the end, and the model made by them.
 const STRAIGHT_ROUNDS: usize = 3;
-/// Of the images at least this share is left then: a readout that cannot be leaves hardly any, since what it shifts agrees with nothing.
+/// A wrong readout time removes most observations, because the shifted keypoints no longer fit any pose: at least this share of the
+/// images must keep theirs.
 const MIN_STRAIGHTENED: f64 = 0.5;
 
 /// A stage.

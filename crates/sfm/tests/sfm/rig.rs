@@ -194,6 +194,46 @@ fn assert_frames_hold(model: &Reconstruction) {
     }
 }
 
+/// Where no observation tells a camera's place on the rig, it stays: in frames of right images alone, and of left or right ones.
+#[test]
+fn a_calibration_that_no_observation_tells_stays() {
+    let truth = drive(4, 0.03, FOCAL_PX, true);
+    let rigid = run(&truth, &calibrated(RigTerm::Hard));
+    let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
+    let go_on = &mut |_: &_| ControlFlow::Continue(());
+    let is_right = |image: &ImageId| image.index() >= NUM_MOMENTS;
+    let only_right = |image: &ImageId| is_right(image);
+    let alternating = |image: &ImageId| is_right(image) == image.index().is_multiple_of(2);
+    let keeps: [&dyn Fn(&ImageId) -> bool; 2] = [&only_right, &alternating];
+    for keeps in keeps {
+        let mut model = rigid.clone();
+        for image in rigid.images().map(|(id, _)| id).filter(|image| !keeps(image)) {
+            model.deregister(image);
+            model.frames.iter_mut().for_each(|frame| frame.images.retain(|other| *other != image));
+        }
+        model.frames.retain(|frame| !frame.images.is_empty());
+        let before = model.clone();
+        adjust(&mut model, &Scope::Global, &options, &mut [], go_on).expect("an easy scene");
+        assert_eq!(model.rigs, before.rigs);
+        assert_ne!(model.frames, before.frames, "something moves");
+        model.validate().expect("a sound model");
+    }
+    // Of one moment the distance of the cameras is the size of the world.
+    let mut model = rigid.clone();
+    let kept = rigid.frames[2].images.clone();
+    for image in rigid.images().map(|(id, _)| id).filter(|image| !kept.contains(image)) {
+        model.deregister(image);
+    }
+    model.frames = vec![rigid.frames[2].clone()];
+    let length = |model: &Reconstruction| model.rigs[0].sensors[1].cam_from_rig.unwrap().translation.norm();
+    let before = length(&model);
+    adjust(&mut model, &Scope::Global, &options, &mut [], go_on).expect("an easy scene");
+    assert!((length(&model) / before - 1.0).abs() < MAX_LENGTHENED, "{} of {before}", length(&model));
+}
+
+/// Its largest coordinate stays, to second order in a turn; the others are a few hundredths of it.
+const MAX_LENGTHENED: f64 = 0.01;
+
 /// How far the mounting is bent before it is adjusted, in radians, and what may be left of that.
 const BENT_RAD: f64 = 0.01;
 const LEFT_OF_BENT: f64 = 0.05;

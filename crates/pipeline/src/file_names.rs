@@ -1,0 +1,35 @@
+//! Names of files that a workspace has for each of its models.
+
+/// How the cameras of the largest model are held to each other.
+pub(crate) const RIG: &str = "rig.json";
+/// The folder of the models.
+pub(crate) const SPARSE: &str = "sparse";
+
+/// The folder of a model, relative to the workspace.
+pub(crate) fn model_path(index: usize) -> String {
+    format!("{SPARSE}/{index}")
+}
+
+/// The file of a model's rig, relative to the workspace: `rig.json` of the largest model, `rig-1.json` of the next.
+pub(crate) fn rig_name(index: usize) -> String {
+    if index == 0 { RIG.to_owned() } else { format!("rig-{index}.json") }
+}
+
+/// Whether a name is that of a model's rig.
+pub(crate) fn is_rig_name(name: &str) -> bool {
+    let number = name.strip_prefix("rig-").and_then(|rest| rest.strip_suffix(".json"));
+    name == RIG || number.and_then(|number| number.parse().ok()).is_some_and(|index| rig_name(index) == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_rigs_are_told_from_others() {
+        assert!((0..20).all(|index| is_rig_name(&rig_name(index))));
+        let others =
+            ["rig-0.json", "rig-01.json", "rig-.json", "rig-a.json", "rig-1.json.bak", "rig", "rig-1"];
+        assert!(others.iter().all(|name| !is_rig_name(name)));
+    }
+}
