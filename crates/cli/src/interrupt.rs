@@ -1,28 +1,15 @@
-//! SIGINT and SIGTERM: a run ends at its next event, and where none comes soon, at once. Both end in
-//! one sentence that says how to go on.
+//! Whether a signal came, and who ends the program for it.
 
 use std::io;
 use std::ops::ControlFlow;
-use std::process;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
 
 use indicatif::ProgressBar;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::SIGTERM;
 use tiepoint_pipeline::{Event, Stage};
 
-use crate::args::{Command, Features, Match, Reconstruct};
-use crate::output::Output;
-
-/// The program looks this often whether a signal came.
-const POLL: Duration = Duration::from_millis(50);
-/// A run has this long to end by itself: a transaction of the database takes less.
-const GRACE: Duration = Duration::from_secs(1);
-/// Somebody may hold stderr and not read it. Nobody waits longer than this for the last sentence.
-const LAST_WORDS: Duration = Duration::from_millis(500);
 /// What shells add to the number of a signal.
 const SIGNAL_BASE: u8 = 128;
 
@@ -55,28 +42,18 @@ impl Interrupt {
         Self { signal: Arc::default(), is_ending, bar, redo, has_begun_redo }
     }
 
-    /// Takes the signals, and ends the program where the run does not end by itself.
+    /// Notes this signal when it comes.
     ///
     /// # Errors
     ///
-    /// The system refuses a handler or a thread.
-    pub(crate) fn listen(output: &Output) -> io::Result<()> {
-        for signal in [SIGINT, SIGTERM] {
-            let flag = Arc::clone(&output.interrupt.signal);
-            signal_hook::flag::register_usize(signal, flag, signal as usize)?;
-        }
-        let output = output.clone();
-        thread::Builder::new().name("interrupt".to_owned()).spawn(move || {
-            while output.interrupt.signal().is_none() {
-                thread::sleep(POLL);
-            }
-            thread::sleep(GRACE);
-            output.interrupt.end_at_once(&output)
-        })?;
+    /// The system refuses a handler.
+    pub(crate) fn note(&self, signal: i32) -> io::Result<()> {
+        signal_hook::flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;
         Ok(())
     }
 
-    fn signal(&self) -> Option<usize> {
+    /// The number of the signal that came.
+    pub(crate) fn signal(&self) -> Option<usize> {
         Some(self.signal.load(Ordering::Relaxed)).filter(|signal| *signal != 0)
     }
 
@@ -103,9 +80,19 @@ impl Interrupt {
     /// The run has ended, and the caller ends the program. This never returns where the thread that
     /// listens ends it already.
     pub(crate) fn end(&self) {
-        while self.is_ending.swap(true, Ordering::AcqRel) {
+        while !self.begin_end() {
             thread::park();
         }
+    }
+
+    /// Whether the caller is the first that is to end the program.
+    pub(crate) fn begin_end(&self) -> bool {
+        !self.is_ending.swap(true, Ordering::AcqRel)
+    }
+
+    /// Takes what is on the terminal away.
+    pub(crate) fn clear_bar(&self) {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
     }
 
     /// The last sentence and the exit code of a run that ended for a signal.
@@ -123,38 +110,4 @@ impl Interrupt {
             "what is complete was kept; give the same command again to go on"
         }
     }
-
-    fn end_at_once(&self, output: &Output) -> ! {
-        let (sentence, code) = self.last_words().unwrap_or_default();
-        if self.is_ending.swap(true, Ordering::AcqRel) {
-            // The main thread is about to end the program.
-            thread::sleep(LAST_WORDS);
-            process::exit(code.into())
-        }
-        let (tell, told) = mpsc::channel();
-        let speaker = output.clone();
-        // Another thread speaks: this one exits even where stderr does not take the sentence.
-        let speaking = thread::Builder::new().spawn(move || {
-            speaker.interrupt.bar.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
-            speaker.error(&sentence);
-            // The receiver may have waited long enough.
-            let _ = tell.send(());
-        });
-        if speaking.is_ok() {
-            // The program ends either way.
-            let _ = told.recv_timeout(LAST_WORDS);
-        }
-        process::exit(code.into())
-    }
-}
-
-/// The stage that a command makes anew in place of what there is. Models stay until the new ones are there.
-pub(crate) fn redone_stage(command: &Command) -> Option<Stage> {
-    let redo = match command {
-        Command::Reconstruct(Reconstruct { redo, .. })
-        | Command::Features(Features { redo, .. })
-        | Command::Match(Match { redo, .. }) => *redo,
-        _ => None,
-    };
-    redo.filter(|stage| *stage != Stage::Map)
 }

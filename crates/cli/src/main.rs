@@ -2,9 +2,11 @@
 
 mod args;
 mod commands;
+mod failure;
 mod interrupt;
 mod output;
 mod progress;
+mod signals;
 mod summary;
 
 use std::io::{self, Write};
@@ -14,8 +16,8 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 use args::Cli;
-use commands::Failure;
-use interrupt::{Interrupt, redone_stage};
+use failure::Failure;
+use interrupt::Interrupt;
 use output::Output;
 
 /// The work could not be done.
@@ -28,8 +30,8 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };
-    let output = Output::new(cli.json, Interrupt::new(redone_stage(&cli.command)));
-    if let Err(error) = Interrupt::listen(&output) {
+    let output = Output::new(cli.json, Interrupt::new(signals::redone_stage(&cli.command)));
+    if let Err(error) = signals::listen(&output) {
         output.error(&format!("cannot listen for SIGINT and SIGTERM: {error}"));
         return ExitCode::from(COULD_NOT);
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::commands::Failure;
+use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
 /// How to speak: to people, or in JSON to programs; and whether to go on.

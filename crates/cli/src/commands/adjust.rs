@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use tiepoint_pipeline::adjust as adjust_model;
 
-use super::Failure;
 use crate::args::Adjust;
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 

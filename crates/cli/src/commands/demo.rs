@@ -16,10 +16,10 @@ use tiepoint_pipeline::{
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
-use super::Failure;
 use super::judge::{Judged, judge};
 use super::synth::{BASELINE_M, Plan, Rendered, render, scan};
 use crate::args::Demo;
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 

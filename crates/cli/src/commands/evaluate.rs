@@ -4,8 +4,8 @@ use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::{Alignment, find_alignment};
 use tiepoint_pipeline::{Error, evaluate_cloud, evaluate_poses, read_cloud};
 
-use super::Failure;
 use crate::args::{EvaluateCloud, EvaluatePoses};
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::summary;
 

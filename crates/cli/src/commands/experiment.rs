@@ -8,33 +8,29 @@
 //! Each drive and each reconstruction has a folder of its own that is kept: what is complete is not made again.
 
 mod cell;
+mod drive;
 mod side;
 mod tables;
 
-use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tiepoint_pipeline::io::AtomicFile;
 use tiepoint_pipeline::sfm::RigTerm;
-use tiepoint_pipeline::sfm::geometry::CameraModelKind;
-use tiepoint_pipeline::{Calibration, Exhibit, Report, Table, Workspace, report_html};
+use tiepoint_pipeline::{Exhibit, Report, Table, Workspace, report_html};
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
-use super::Failure;
 use super::judge::{read_drive_model, whereabouts};
-use super::synth::{BASELINE_M, Plan, claim, render};
+use super::synth::{BASELINE_M, Plan, claim};
 use crate::args::{Experiment, Scenery, rig_name};
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 use cell::{Cell, Scan, Task};
+use drive::write;
 use side::Side;
 
 /// What the files in the folder were made from.
 const RECORD: &str = "experiment.json";
-/// There once all images of a drive are.
-const RENDERED: &str = "truth/rendered";
 /// Mountings of the paper's Table 3, in its order.
 const MOUNTINGS: [(&str, Mounting); 4] = [
     ("Front", Mounting::Front),
@@ -144,25 +140,6 @@ fn begin(scenery: &Scenery, folder: &Path, plan: &Plan) -> Result<(), Failure> {
     claim(folder, RECORD, &format!("{}pairs {}\n", plan.record(), scenery.pairs), "an experiment")
 }
 
-/// Renders the images of a task, unless they are all there.
-fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<(), Failure> {
-    let mark = plan.folder.join(RENDERED);
-    if fs::read_to_string(&mark).is_ok_and(|text| text == plan.record()) {
-        return Ok(());
-    }
-    render(plan, drive, progress)?;
-    write(&mark, &plan.record())
-}
-
-/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is refined like everything else.
-fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
-    let has_action_lens = scenery.effects.has_action_lens;
-    let model =
-        if has_action_lens { CameraModelKind::ThinPrismFisheye } else { CameraModelKind::SimpleRadial };
-    let focal_px: Vec<f64> = drive.cameras().iter().map(|camera| camera.lens.focal_px()).collect();
-    Calibration::Unknown { model, focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64) }
-}
-
 /// Writes the tables and the page.
 fn finish(
     experiment: &'static str,
@@ -197,8 +174,4 @@ fn finish(
         &tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>(),
     )?;
     Ok(Outcome { experiment, folder, page, cells, tables })
-}
-
-fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    Ok(AtomicFile::write_with(path, |file| file.write_all(text.as_bytes()))?)
 }

@@ -2,8 +2,8 @@
 
 use tiepoint_pipeline::{Exported, export as export_model, export_rigid};
 
-use super::Failure;
 use crate::args::Export;
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::summary;
 

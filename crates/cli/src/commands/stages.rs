@@ -6,8 +6,8 @@ use tiepoint_pipeline::{
     map as map_workspace, match_images as match_workspace, open_input, reconstruct as reconstruct_all,
 };
 
-use super::Failure;
 use crate::args::{Cameras, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed};
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 use crate::summary;

@@ -16,8 +16,8 @@ use tiepoint_pipeline::io::colmap::{Format, write_model};
 use tiepoint_pipeline::io::disk::create_folders;
 use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply};
 
-use super::Failure;
 use crate::args::Synth;
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 

@@ -3,8 +3,8 @@
 use serde::Serialize;
 use tiepoint_pipeline::view as write_report;
 
-use super::Failure;
 use crate::args::View;
+use crate::failure::Failure;
 use crate::output::Output;
 
 pub(crate) fn view(args: &View, output: &Output) -> Result<(), Failure> {

@@ -7,7 +7,7 @@ use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Match, Observation, Reconstruction, TwoView, TwoViewKind,
 };
 
-use super::FeatureScene;
+use super::scene::FeatureScene;
 
 /// Cameras nearer to each other than this, in metres, have only turned.
 const MIN_BASELINE_M: f64 = 1e-3;

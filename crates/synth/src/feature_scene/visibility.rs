@@ -6,7 +6,7 @@ use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_scene::Keypoint;
 
-use super::FeatureOptions;
+use super::options::FeatureOptions;
 use crate::Drive;
 use crate::render::surface_at;
 use crate::world::Ray;

@@ -7,6 +7,7 @@
 //! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z forward, with its origin on the
 //! road under the rear axle.
 
+mod motion;
 mod vehicle;
 
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -14,47 +15,12 @@ use tiepoint_geometry::{Rigid3, Rng, so3};
 
 use crate::error::{Error, require};
 use crate::route::Route;
-use vehicle::{HEAVE, PITCH, ROLL, State, TRAVELLED, X, Y, YAW};
+pub use motion::Motion;
+use vehicle::{HEAVE, PITCH, ROLL, STEP_S, State, TRAVELLED, X, Y, YAW};
 
-/// Step of the integration, in seconds.
-const STEP_S: f64 = 1e-3;
 /// The engine's frequency, and how slowly its strength comes and goes.
 const VIBRATION_HZ: f64 = 12.0;
 const VIBRATION_BEAT_HZ: f64 = 0.37;
-
-/// How the vehicle is driven.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Motion {
-    /// Cruising speed, in m/s.
-    pub speed_mps: f64,
-    /// How many times it stops on the way.
-    pub stops: usize,
-    /// How long each stop takes, in seconds.
-    pub stop_duration_s: f64,
-    /// The lane: metres to the left of the centre line.
-    pub lane_left_m: f64,
-    /// A loop is driven this much further than once round, so that its ends see the same, in metres.
-    pub overlap_m: f64,
-    /// How far body pitch, roll and heave go: 1 as a car's, 0 not at all.
-    pub suspension: f64,
-    /// Amplitude of the 12 Hz vibration about each axis, in radians.
-    pub vibration_rad: f64,
-}
-
-impl Default for Motion {
-    /// 25 mph in the right lane, two stops; the body still.
-    fn default() -> Self {
-        Self {
-            speed_mps: 11.0,
-            stops: 2,
-            stop_duration_s: 3.0,
-            lane_left_m: -1.75,
-            overlap_m: 15.0,
-            suspension: 0.0,
-            vibration_rad: 0.0,
-        }
-    }
-}
 
 /// How the vehicle moves at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]

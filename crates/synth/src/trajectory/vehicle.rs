@@ -9,9 +9,11 @@
 
 use tiepoint_geometry::{Rng, nalgebra::SVector};
 
-use super::{Motion, STEP_S};
+use super::motion::Motion;
 use crate::route::{Route, RoutePosition};
 
+/// Step of the integration, in seconds.
+pub(super) const STEP_S: f64 = 1e-3;
 /// Distance between the axles, in metres.
 const WHEELBASE_M: f64 = 2.7;
 /// Time constants of steering and throttle, in seconds.

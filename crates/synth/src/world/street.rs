@@ -3,11 +3,11 @@
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 
-use super::StreetOptions;
 use super::builder::{Block, Builder, on_ground};
 use super::building::{Style, house};
 use super::furniture::{CAR_LENGTH_M, car, hedge, in_range, lamp, street_sign, tree};
 use super::ground::{KERB_M, PAVEMENT_M};
+use super::options::StreetOptions;
 use crate::route::{Route, RoutePosition};
 
 /// Houses keep this far from every kerb, in metres.

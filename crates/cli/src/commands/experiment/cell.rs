@@ -14,12 +14,12 @@ use tiepoint_pipeline::{
 };
 use tiepoint_synth::Drive;
 
+use super::drive::{calibration, rendered, write};
 use super::side::Side;
-use super::{calibration, rendered, write};
 use crate::args::{Scenery, rig_name};
-use crate::commands::Failure;
 use crate::commands::judge::{Judged, judge};
 use crate::commands::synth::{Plan, driven_m, scan};
+use crate::failure::Failure;
 use crate::progress::Progress;
 
 /// A trajectory is aligned to the truth by three places or more.

@@ -1,0 +1,42 @@
+//! The images of a drive, and what is known of its cameras.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use tiepoint_pipeline::Calibration;
+use tiepoint_pipeline::io::AtomicFile;
+use tiepoint_pipeline::sfm::geometry::CameraModelKind;
+use tiepoint_synth::Drive;
+
+use crate::args::Scenery;
+use crate::commands::synth::{Plan, render};
+use crate::failure::Failure;
+use crate::progress::Progress;
+
+/// There once all images of a drive are.
+const RENDERED: &str = "truth/rendered";
+
+/// Renders the images of a task, unless they are all there.
+pub(super) fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<(), Failure> {
+    let mark = plan.folder.join(RENDERED);
+    if fs::read_to_string(&mark).is_ok_and(|text| text == plan.record()) {
+        return Ok(());
+    }
+    render(plan, drive, progress)?;
+    write(&mark, &plan.record())
+}
+
+/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is refined like everything else.
+pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
+    let has_action_lens = scenery.effects.has_action_lens;
+    let model =
+        if has_action_lens { CameraModelKind::ThinPrismFisheye } else { CameraModelKind::SimpleRadial };
+    let focal_px: Vec<f64> = drive.cameras().iter().map(|camera| camera.lens.focal_px()).collect();
+    Calibration::Unknown { model, focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64) }
+}
+
+/// Writes a file, whole or not at all.
+pub(super) fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    Ok(AtomicFile::write_with(path, |file| file.write_all(text.as_bytes()))?)
+}
