@@ -8,6 +8,8 @@ use tiepoint_pipeline::{
     SplitReport,
 };
 
+use crate::output::printable;
+
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
 /// Images that are farther apart in time are of different instants, in seconds: a millisecond is a centimetre at 10 m/s.
@@ -17,8 +19,8 @@ const WORTH_SAYING_S: f64 = 0.001;
 pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     let mut text = String::new();
     let mut line = |arguments: std::fmt::Arguments| {
-        // Writing to a string does not fail.
-        let _ = writeln!(text, "{arguments}");
+        // One line, whatever the names in it. Writing to a string does not fail.
+        let _ = writeln!(text, "{}", printable(&arguments.to_string()));
     };
     if let Some(features) = &report.stages.features {
         let skipped = match features.skipped.len() {
@@ -218,7 +220,7 @@ pub(crate) fn rigid(report: &RigidReport) -> String {
     let mut text = format!(
         "rigid     {} in {frames} frames of {images} images, {free_images} images free; mean reprojection error {:.3} px, before {:.3} px; \
          {} of {} observations fit\n",
-        cameras.join(" and "),
+        printable(&cameras.join(" and ")),
         report.error_after_px,
         report.error_before_px,
         report.observations_after,

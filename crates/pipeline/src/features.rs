@@ -141,7 +141,7 @@ pub fn extract_features(
     if taken.is_err() || found.len() < 2 {
         database.finish()?;
         taken?;
-        return Err(photos.too_few(found.len()));
+        return Err(photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect()));
     }
     let seconds = start.elapsed().as_secs_f64();
     let cameras = cameras.iter().enumerate();

@@ -40,7 +40,11 @@ impl Photos {
             masks: masks.map(Path::to_owned),
         };
         let found = photos.folder.images().len();
-        if found < 2 { Err(photos.too_few(found)) } else { Ok(photos) }
+        if found < 2 {
+            let why = photos.folder.skipped().iter().map(|file| file.why.clone()).collect();
+            return Err(photos.too_few(found, why));
+        }
+        Ok(photos)
     }
 
     /// The same photos; those of more pixels are skipped.
@@ -48,10 +52,11 @@ impl Photos {
         Self { folder: self.folder.clone().with_max_pixels(max_pixels), ..self.clone() }
     }
 
-    pub(crate) fn too_few(&self, usable: usize) -> Error {
+    /// With the reasons why the others are skipped.
+    pub(crate) fn too_few(&self, usable: usize, skipped: Vec<String>) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
-        let skipped = self.folder.skipped().iter().map(|file| file.why.clone()).collect::<Vec<_>>();
-        Error::TooFewPhotos { path, found: self.folder.images().len() + skipped.len(), usable, skipped }
+        let found = self.folder.images().len() + self.folder.skipped().len();
+        Error::TooFewPhotos { path, found, usable, skipped }
     }
 
     /// The files that are read.
@@ -116,6 +121,9 @@ impl Photos {
             };
             photos.push(Photo { index, camera, info });
         }
-        if photos.len() < 2 { Err(self.too_few(photos.len())) } else { Ok((photos, skipped)) }
+        if photos.len() < 2 {
+            return Err(self.too_few(photos.len(), skipped.into_iter().map(|photo| photo.why).collect()));
+        }
+        Ok((photos, skipped))
     }
 }

@@ -47,16 +47,29 @@ fn a_photo_that_claims_two_hundred_megapixels_is_skipped() {
 fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 4, 0);
-    // A TIFF file without data that claims 17,000 × 17,000 pixels.
-    let entry = |tag: u8, value: u32| [&[tag, 1, 4, 0, 1, 0, 0, 0][..], &value.to_le_bytes()].concat();
-    let tiff = [b"II*\0\x08\0\0\0\x02\0".to_vec(), entry(0, 17_000), entry(1, 17_000), vec![0; 4]].concat();
-    fs::write(dir.path().join("photos/9.tif"), tiff).unwrap();
+    // A TIFF file that claims 17,000 × 17,000 pixels: their data may be anywhere.
+    let path = dir.path().join("photos/9.tif");
+    photos::photo(0, 0).save(&path).unwrap();
+    let mut tiff = fs::read(&path).unwrap();
+    for tag in [0, 1] {
+        let entry = [tag, 1, 4, 0, 1, 0, 0, 0];
+        let at = tiff.windows(8).position(|window| window == entry).unwrap();
+        tiff[at + 8..at + 12].copy_from_slice(&17_000u32.to_le_bytes());
+    }
+    fs::write(&path, tiff).unwrap();
     let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     let said = run.stderr();
     assert!(said.contains("more than 256 million: if it is a photo, give --max-megapixels 289"), "{said}");
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws --max-megapixels 289")
         .failed(1, &["289000000", "--redo features"]);
+    // Where nothing else is left, the sentence says why.
+    for index in 0..4 {
+        fs::remove_file(dir.path().join(format!("photos/{index}.png"))).unwrap();
+    }
+    fs::copy(&path, dir.path().join("photos/8.tif")).unwrap();
+    tiepoint_in(dir.path(), "features {}/photos -o {}/other")
+        .failed(1, &["0 usable photos of 2", "2 skipped", "give --max-megapixels 289"]);
     for wrong in ["0", "1001", "many"] {
         tiepoint_in(dir.path(), &format!("features {{}}/photos -o {{}}/ws --max-megapixels {wrong}"))
             .failed(2, &["--max-megapixels"]);

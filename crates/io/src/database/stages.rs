@@ -75,12 +75,13 @@ pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     let file = std::path::absolute(disk::end_of_links(path).map_err(Error::io(path))?);
     let file = file.map_err(Error::io(path))?;
     let rows = open_to_read(&file, path)?.and_then(|mut connection| read_guarded(&mut connection));
+    let whole = |rows: std::result::Result<_, String>| rows.map_err(|what| Error::content(path, what));
     match rows {
         // What a killed transaction of somebody else left must be rolled back, which is a change.
         Err(cause) if is_read_only(&cause) && beside(&file, "-journal").exists() => {
-            read_guarded(&mut connect(&file, path)?).map_err(error(path))
+            read_guarded(&mut connect(&file, path)?).map_err(error(path)).and_then(whole)
         }
-        rows => rows.map_err(error(path)),
+        rows => rows.map_err(error(path)).and_then(whole),
     }
 }
 
@@ -121,10 +122,15 @@ fn wants_log(file: &Path) -> std::io::Result<bool> {
     }
 }
 
-/// The same of a database that nobody has looked at; none where its tables are not what they seem.
-fn read_guarded(connection: &mut Connection) -> rusqlite::Result<Option<Vec<StageRow>>> {
+/// The same of a database that nobody has looked at; why not, where its tables are not what they seem.
+fn read_guarded(
+    connection: &mut Connection,
+) -> rusqlite::Result<std::result::Result<Option<Vec<StageRow>>, String>> {
     let _guard = Guard::new(connection)?;
-    if schema::check(connection)?.is_err() { Ok(None) } else { read(connection) }
+    match schema::check(connection)? {
+        Ok(()) => read(connection).map(Ok),
+        Err(what) => Ok(Err(what)),
+    }
 }
 
 fn read(connection: &Connection) -> rusqlite::Result<Option<Vec<StageRow>>> {
