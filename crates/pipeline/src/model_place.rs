@@ -55,3 +55,33 @@ impl ModelPlace {
         (self.root.join(REPORT), self.index)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_model_is_found_by_links_and_behind_them() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().canonicalize().unwrap();
+        for folder in ["ws/sparse/0", "ws/sparse/1", "disk/far/model", "copies/5"] {
+            fs::create_dir_all(root.join(folder)).unwrap();
+        }
+        std::os::unix::fs::symlink(root.join("ws/sparse/1"), root.join("current")).unwrap();
+        std::os::unix::fs::symlink(root.join("disk/far/model"), root.join("ws/sparse/2")).unwrap();
+        for (folder, name) in [
+            ("ws/sparse/0", "ws/rig.json"),
+            ("ws/sparse/1", "ws/rig-1.json"),
+            ("ws/sparse/../sparse/1/", "ws/rig-1.json"),
+            ("current", "ws/rig-1.json"),
+            ("ws/sparse/2", "ws/rig-2.json"),
+        ] {
+            let rig = ModelPlace::of(&root.join(folder)).rig();
+            let found = rig.parent().unwrap().canonicalize().unwrap().join(rig.file_name().unwrap());
+            assert_eq!(found, root.join(name), "{folder}");
+        }
+    }
+}
