@@ -15,8 +15,10 @@ const FOCAL_PX: f64 = 0.6 * 320.0;
 /// Half a loop in images of a quarter of the demo's pixels, two metres from one to the next: 0.12 m were measured. A focal length or a start
 /// that is wrong costs metres.
 const MAX_ATE_M: f64 = 0.3;
-/// Of the median distance of the cameras at images of one moment, from what it truly is.
-const MAX_BASELINE_ERROR_M: f64 = 0.1;
+/// Of the median distance of the cameras at images of one moment, as a share of what it truly is. Without a term and with `auto`, seeds 2 to 5
+/// and 7 end within 0.016; the paper's term takes images of one moment for images of one instant, and ends within 0.049.
+const MAX_BASELINE_ERROR: f64 = 0.05;
+const MAX_BASELINE_ERROR_PAPER: f64 = 0.1;
 /// Median distance of points to the surface that their pixels show, over that of points of exactly known cameras: at this size the
 /// keypoints alone leave decimetres, and cameras known to centimetres add little.
 const MAX_OVER_FLOOR: f64 = 4.0;
@@ -121,6 +123,12 @@ fn the_demo_reconstructs_what_it_rendered() {
     assert_eq!([&off["rig"], &paper["rig"], &auto["rig"]], ["off", "paper", "auto"]);
     assert_eq!(auto["report"]["models"][0]["registered"], 2 * FRAMES, "{auto}");
     let true_m = true_baseline_m(&dir.join("demo/drive"));
+    for (run, max_error) in
+        [(off, MAX_BASELINE_ERROR), (paper, MAX_BASELINE_ERROR_PAPER), (auto, MAX_BASELINE_ERROR)]
+    {
+        let baseline_m = run["baseline"]["baseline"]["median"].as_f64().unwrap();
+        assert!((baseline_m / true_m - 1.0).abs() < max_error, "{baseline_m} m, truly {true_m} m");
+    }
     for run in [off, paper] {
         let model = &run["report"]["models"][0];
         assert_eq!(model["registered"], 2 * FRAMES, "{model}");
@@ -129,8 +137,6 @@ fn the_demo_reconstructs_what_it_rendered() {
         assert!(model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1, "{model}");
         let surface = |which: &str| run["surface"][which]["median"].as_f64().unwrap();
         assert!(surface("near") < MAX_OVER_FLOOR * surface("near_floor"), "{}", run["surface"]);
-        let baseline_m = run["baseline"]["baseline"]["median"].as_f64().unwrap();
-        assert!((baseline_m - true_m).abs() < MAX_BASELINE_ERROR_M, "{baseline_m} m, truly {true_m} m");
     }
     assert_eq!(paper["report"]["models"][0]["rig"]["paper"]["lambda"], 500.0);
     let evaluation = &off["poses"];
