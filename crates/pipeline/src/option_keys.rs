@@ -27,8 +27,8 @@ pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
 /// A focal length that is known roughly.
 pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
-/// How many pixels a photo may have.
-const MAX_PIXELS_KEY: &str = "features.max_pixels";
+/// How many pixels a photo may have, in millions as on the command line.
+const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
 /// Keys of options that have a name on the command line.
 const ON_COMMAND_LINE: [(&str, &str); 11] = [
@@ -122,7 +122,7 @@ pub(crate) fn of_features(
 /// Of the first stage, too: how many pixels a photo may have. The default is not written, since workspaces from before there was a
 /// limit have photos below it.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
-    (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels)))
+    (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
 
 /// Of the second stage.
