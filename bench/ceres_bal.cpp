@@ -1,10 +1,12 @@
 // Ceres on a problem of "Bundle adjustment in the large", for bench/ba.py.
 //
-//   g++ -O3 -march=native -std=c++17 -I/usr/include/eigen3 bench/ceres_bal.cpp -o ceres_bal -lceres -lglog
-//   ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt analytic|automatic
+//   g++ -O3 -march=native -std=c++17 -I/usr/include/eigen3 bench/ceres_bal.cpp -o ceres_bal -lceres
+//   -lglog ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt
+//   analytic|automatic
 //
-// Prints "seconds cost" after the set-up and after every step, and writes the adjusted problem. Derivatives are analytic, as ours
-// are, so that automatic differentiation is no part of the comparison; or automatic, as in Ceres' bundle_adjuster.
+// Prints "seconds cost" after the set-up and after every step, and writes the adjusted problem.
+// Derivatives are analytic, as ours are, so that automatic differentiation is no part of the
+// comparison; or automatic, as in Ceres' bundle_adjuster.
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
 
@@ -20,7 +22,8 @@ class Snavely : public ceres::SizedCostFunction<2, 9, 3> {
  public:
   Snavely(double x, double y) : x_(x), y_(y) {}
 
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
     const double* camera = parameters[0];
     const double* point = parameters[1];
     double rotated[3];
@@ -48,11 +51,13 @@ class Snavely : public ceres::SizedCostFunction<2, 9, 3> {
       // d (R p) / d w = -[R p]x J_l(w), J_l the left Jacobian of the rotation group.
       double left[9];
       LeftJacobian(camera, left);
-      const double minus_hat[9] = {0, rotated[2], -rotated[1], -rotated[2], 0, rotated[0], rotated[1], -rotated[0], 0};
+      const double minus_hat[9] = {
+          0, rotated[2], -rotated[1], -rotated[2], 0, rotated[0], rotated[1], -rotated[0], 0};
       for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) {
           d_rotated[3 * i + j] = 0;
-          for (int k = 0; k < 3; ++k) d_rotated[3 * i + j] += minus_hat[3 * i + k] * left[3 * k + j];
+          for (int k = 0; k < 3; ++k)
+            d_rotated[3 * i + j] += minus_hat[3 * i + k] * left[3 * k + j];
         }
       }
       for (int r = 0; r < 2; ++r) {
@@ -71,7 +76,8 @@ class Snavely : public ceres::SizedCostFunction<2, 9, 3> {
     if (jacobians[1] != nullptr) {
       for (int r = 0; r < 2; ++r) {
         for (int j = 0; j < 3; ++j) {
-          jacobians[1][3 * r + j] = d_p[3 * r] * rotation[3 * j] + d_p[3 * r + 1] * rotation[3 * j + 1] +
+          jacobians[1][3 * r + j] = d_p[3 * r] * rotation[3 * j] +
+                                    d_p[3 * r + 1] * rotation[3 * j + 1] +
                                     d_p[3 * r + 2] * rotation[3 * j + 2];
         }
       }
@@ -95,7 +101,8 @@ class Snavely : public ceres::SizedCostFunction<2, 9, 3> {
     }
     const double hat[9] = {0, -w[2], w[1], w[2], 0, -w[0], -w[1], w[0], 0};
     for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) left[3 * i + j] = (i == j ? a : 0) + b * hat[3 * i + j] + c * w[i] * w[j];
+      for (int j = 0; j < 3; ++j)
+        left[3 * i + j] = (i == j ? a : 0) + b * hat[3 * i + j] + c * w[i] * w[j];
     }
   }
 
@@ -109,7 +116,8 @@ struct SnavelyAutomatic {
   bool operator()(const T* camera, const T* point, T* residuals) const {
     T p[3];
     ceres::AngleAxisRotatePoint(camera, point, p);
-    const T u = -(p[0] + camera[3]) / (p[2] + camera[5]), v = -(p[1] + camera[4]) / (p[2] + camera[5]);
+    const T u = -(p[0] + camera[3]) / (p[2] + camera[5]),
+            v = -(p[1] + camera[4]) / (p[2] + camera[5]);
     const T s = u * u + v * v;
     const T scale = camera[6] * (1.0 + s * (camera[7] + camera[8] * s));
     residuals[0] = scale * u - x;
@@ -124,11 +132,15 @@ int main(int argc, char** argv) {
   if (argc != 7) return 2;
   FILE* file = std::fopen(argv[1], "r");
   int num_cameras, num_points, num_observations;
-  if (file == nullptr || std::fscanf(file, "%d %d %d", &num_cameras, &num_points, &num_observations) != 3) return 1;
+  if (file == nullptr ||
+      std::fscanf(file, "%d %d %d", &num_cameras, &num_points, &num_observations) != 3)
+    return 1;
   std::vector<int> camera(num_observations), point(num_observations);
   std::vector<double> pixels(2 * num_observations), x(9 * num_cameras + 3 * num_points);
   for (int i = 0; i < num_observations; ++i) {
-    if (std::fscanf(file, "%d %d %lf %lf", &camera[i], &point[i], &pixels[2 * i], &pixels[2 * i + 1]) != 4) return 1;
+    if (std::fscanf(file, "%d %d %lf %lf", &camera[i], &point[i], &pixels[2 * i],
+                    &pixels[2 * i + 1]) != 4)
+      return 1;
   }
   for (double& number : x) {
     if (std::fscanf(file, "%lf", &number) != 1) return 1;
@@ -166,14 +178,16 @@ int main(int argc, char** argv) {
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
   for (const auto& it : summary.iterations) {
-    std::printf("%.6f %.9e\n", summary.preprocessor_time_in_seconds + it.cumulative_time_in_seconds, it.cost);
+    std::printf("%.6f %.9e\n", summary.preprocessor_time_in_seconds + it.cumulative_time_in_seconds,
+                it.cost);
   }
 
   file = std::fopen(argv[5], "w");
   if (file == nullptr) return 1;
   std::fprintf(file, "%d %d %d\n", num_cameras, num_points, num_observations);
   for (int i = 0; i < num_observations; ++i) {
-    std::fprintf(file, "%d %d %.17g %.17g\n", camera[i], point[i], pixels[2 * i], pixels[2 * i + 1]);
+    std::fprintf(file, "%d %d %.17g %.17g\n", camera[i], point[i], pixels[2 * i],
+                 pixels[2 * i + 1]);
   }
   for (double number : x) std::fprintf(file, "%.17g\n", number);
   std::fclose(file);

@@ -1,20 +1,24 @@
 #!/usr/bin/env python3
-"""A real rig without calibration: the mounting that tiepoint finds from 13 pairs of a chessboard, beside OpenCV's stereo calibration.
+"""A real rig without calibration: the mounting that tiepoint finds from 13 pairs of a chessboard,
+beside OpenCV's stereo calibration.
 
   pip install opencv-python-headless numpy scipy
   cargo build --release
   TIEPOINT_DATA=... python bench/chess.py
 
-The set is OpenCV's (stereo_chess: left01..left14.jpg, right01..right14.jpg, without 10). Two cameras stand still on a stand and the board is
-moved before them: seen from the board, the rig moves. A chessboard's corners look all alike, so that keypoints by appearance match nothing
-(2 of 26 images): both programs get the same corners, found by OpenCV, and who is who; tiepoint as keypoints and matches in its database, without
-the corners' places on the board, with a focal length that is 20 % wrong and no distortion to begin with, OpenCV with their places.
-Prints the angle between the two rotations of the mounting, the angle between the baselines, and the ratio of focal lengths.
+The set is OpenCV's (stereo_chess: left01..left14.jpg, right01..right14.jpg, without 10). Two
+cameras stand still on a stand and the board is moved before them: seen from the board, the rig
+moves. A chessboard's corners look all alike, so that keypoints by appearance match nothing (2 of 26
+images): both programs get the same corners, found by OpenCV, and who is who; tiepoint as keypoints
+and matches in its database, without the corners' places on the board, with a focal length that is
+20 % wrong and no distortion to begin with, OpenCV with their places. Prints the angle between the
+two rotations of the mounting, the angle between the baselines, and the ratio of focal lengths.
 
-Which of the two is nearer to the truth? OpenCV believes the board to be flat and its corners to be where they should be. So a third
-calibration stands beside both: scipy's least squares over the same corners with OpenCV's lens, cameras rigid to each other and the corners' places free, begun from OpenCV's
-calibration; and the jackknife's standard deviation of OpenCV's rotation (Efron 1982: each pair left out in turn).
-"""
+Which of the two is nearer to the truth? OpenCV believes the board to be flat and its corners to be
+where they should be. So a third calibration stands beside both: scipy's least squares over the same
+corners with OpenCV's lens, cameras rigid to each other and the corners' places free, begun from
+OpenCV's calibration; and the jackknife's standard deviation of OpenCV's rotation (Efron 1982: each
+pair left out in turn)."""
 
 import argparse
 import itertools
@@ -65,7 +69,17 @@ def opencv_calibration(pairs, size):
     _, k2, d2, _, _ = cv2.calibrateCamera(grids, rights, size, None, None)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-9)
     rms, k1, d1, k2, d2, r, t, _, _ = cv2.stereoCalibrate(
-        grids, lefts, rights, k1, d1, k2, d2, size, criteria=criteria, flags=cv2.CALIB_USE_INTRINSIC_GUESS)  # fmt: skip
+        grids,
+        lefts,
+        rights,
+        k1,
+        d1,
+        k2,
+        d2,
+        size,
+        criteria=criteria,
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+    )
     return rms, k1, k2, r, t.ravel()
 
 
@@ -81,13 +95,15 @@ def jackknife_deg(pairs, size, r):
 
 
 def free_board(pairs, size, r, t):
-    """Least squares over cameras (f, cx, cy, k1, k2, p1, p2; pixels are square), mounting, the board's poses and its corners, from a calibration's R and T:
-    rms, principal points, R and T."""
+    """Least squares over cameras (f, cx, cy, k1, k2, p1, p2; pixels are square), mounting, the
+    board's poses and its corners, from a calibration's R and T: rms, principal points, R and T."""
     grid = board()
     count = len(grid)
     lenses, poses = [], []
     for corners in zip(*pairs):
-        _, k, d, turns, places = cv2.calibrateCamera([grid] * len(pairs), corners, size, None, None, flags=cv2.CALIB_FIX_K3)
+        _, k, d, turns, places = cv2.calibrateCamera(
+            [grid] * len(pairs), corners, size, None, None, flags=cv2.CALIB_FIX_K3
+        )
         lenses.append([k[0, 0], k[0, 2], k[1, 2], *d.ravel()[:4]])
         poses.append(np.hstack([np.squeeze(turns), np.squeeze(places)]))
     # Seven coordinates hold the board's place, turn and size.
@@ -120,26 +136,35 @@ def free_board(pairs, size, r, t):
     for image in range(2 * len(pairs)):
         rows = slice(2 * count * image, 2 * count * (image + 1))
         pose = first_pose + 6 * (image // 2)
-        pattern[rows, :7], pattern[rows, 7:20], pattern[rows, pose : pose + 6] = 1 - image % 2, image % 2, 1
+        pattern[rows, :7], pattern[rows, 7:20], pattern[rows, pose : pose + 6] = (
+            1 - image % 2,
+            image % 2,
+            1,
+        )
         for column, coordinate in enumerate(moving):
             row = 2 * (count * image + coordinate // 3)
             pattern[row : row + 2, first_corner + column] = 1
-    found = least_squares(residuals, start, jac_sparsity=pattern, x_scale="jac", max_nfev=200, xtol=1e-12, ftol=1e-12)
+    found = least_squares(
+        residuals, start, jac_sparsity=pattern, x_scale="jac", max_nfev=200, xtol=1e-12, ftol=1e-12
+    )
     rms = np.sqrt((found.fun**2).sum() / (len(found.fun) / 2))
     x = found.x
     return rms, (x[1:3], x[8:10]), Rotation.from_rotvec(x[14:17]).as_matrix(), x[17:20]
 
 
 def put_corners(database, corners, size):
-    """Replaces keypoints, matches and two-view geometries by those of the corners; pixels count from the first one's corner."""
+    """Replaces keypoints, matches and two-view geometries by those of the corners; pixels count
+    from the first one's corner."""
     connection = sqlite3.connect(database)
     names = connection.execute("SELECT image_id, name FROM images ORDER BY image_id").fetchall()
     for table in ("keypoints", "descriptors", "matches", "two_view_geometries"):
         connection.execute(f"DELETE FROM {table}")
     points = {image: corners[name].reshape(-1, 2).astype(np.float64) + 0.5 for image, name in names}
     for image, pixels in points.items():
-        connection.execute("INSERT INTO keypoints(image_id, rows, cols, data) VALUES (?, ?, 2, ?)",
-                           (image, len(pixels), pixels.astype("<f4").tobytes()))  # fmt: skip
+        connection.execute(
+            "INSERT INTO keypoints(image_id, rows, cols, data) VALUES (?, ?, 2, ?)",
+            (image, len(pixels), pixels.astype("<f4").tobytes()),
+        )
     k = np.array([[FOCAL_PRIOR_PX, 0, size[0] / 2], [0, FOCAL_PRIOR_PX, size[1] / 2], [0, 0, 1]])
     for a, b in itertools.combinations(sorted(points), 2):
         count = len(points[a])
@@ -151,27 +176,47 @@ def put_corners(database, corners, size):
         _, rotation, direction, _ = cv2.recoverPose(essential, points[a], points[b], k)
         x, y, z, w = Rotation.from_matrix(rotation).as_quat()
         pair = a * MAX_IMAGES + b
-        connection.execute("INSERT INTO matches(pair_id, rows, cols, data) VALUES (?, ?, 2, ?)", (pair, count, rows))
+        connection.execute(
+            "INSERT INTO matches(pair_id, rows, cols, data) VALUES (?, ?, 2, ?)",
+            (pair, count, rows),
+        )
         blob = lambda values: np.asarray(values, "<f8").tobytes()
         connection.execute(
-            "INSERT INTO two_view_geometries(pair_id, rows, cols, data, config, F, E, qvec, tvec) VALUES (?, ?, 2, ?, ?, ?, ?, ?, ?)",
-            (pair, count, rows, CALIBRATED, blob(fundamental), blob(essential), blob([w, x, y, z]), blob(direction.ravel())))  # fmt: skip
+            "INSERT INTO two_view_geometries(pair_id, rows, cols, data, config, F, E, qvec, tvec)"
+            " VALUES (?, ?, 2, ?, ?, ?, ?, ?, ?)",
+            (
+                pair,
+                count,
+                rows,
+                CALIBRATED,
+                blob(fundamental),
+                blob(essential),
+                blob([w, x, y, z]),
+                blob(direction.ravel()),
+            ),
+        )
     connection.commit()
     connection.close()
 
 
 def run(command):
-    done = subprocess.run(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(
+        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     if done.returncode:
         sys.exit(done.stderr.strip().splitlines()[-1])
     return done.stdout
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rig", default="hard")
     parser.add_argument("--seed", default="0")
-    parser.add_argument("--work", type=Path, help="where to put the workspace (default: the system's)")
+    parser.add_argument(
+        "--work", type=Path, help="where to put the workspace (default: the system's)"
+    )
     parser.add_argument("--program", type=Path)
     arguments = parser.parse_args()
     program = program_of(arguments)
@@ -195,37 +240,66 @@ def main():
                 (folder / "photos" / camera / f"{number}.jpg").write_bytes(path.read_bytes())
                 by_name[f"{camera}/{number}.jpg"] = corners
         rms, k1, k2, r, t = opencv_calibration(pairs, size)
-        print(f"OpenCV: {len(pairs)} pairs, {rms:.3f} px, focal {k1[0, 0]:.1f} / {k2[0, 0]:.1f} px, baseline {np.linalg.norm(t):.4f} squares")
+        print(
+            f"OpenCV: {len(pairs)} pairs, {rms:.3f} px, focal {k1[0, 0]:.1f} / {k2[0, 0]:.1f} px,"
+            f" baseline {np.linalg.norm(t):.4f} squares"
+        )
         workspace = folder / "ws"
         lens = ["--focal-prior", FOCAL_PRIOR_PX, "--camera-model", "OPENCV"]
         run([program, "features", folder / "photos", "-o", workspace, *lens])
         run([program, "match", workspace, "--seed", arguments.seed])
         put_corners(workspace / "database.db", by_name, size)
-        done = run([program, "map", workspace, "--rig", arguments.rig, "--seed", arguments.seed, "--json"])
+        done = run(
+            [program, "map", workspace, "--rig", arguments.rig, "--seed", arguments.seed, "--json"]
+        )
         model = json.loads(done)["models"][0]
-        print(f"tiepoint: {model['registered']} of {model['images']} images, {model['points']} points, {model['mean_reprojection_error_px']:.3f} px")
+        print(
+            f"tiepoint: {model['registered']} of {model['images']} images, {model['points']}"
+            f" points, {model['mean_reprojection_error_px']:.3f} px"
+        )
         if not (workspace / "rig.json").exists():
             sys.exit("tiepoint: no mounting was found")
         camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
-        own_r, own_t = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix(), np.array(camera["translation"])
+        own_r, own_t = Rotation.from_quat(
+            np.roll(camera["rotation_wxyz"], -1)
+        ).as_matrix(), np.array(camera["translation"])
         direction_from = lambda t: degrees(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t))
         angle, direction = degrees_between(own_r, r), direction_from(t)
         focal = [c["params"][0] for c in model["cameras"]]
         ratio = " / ".join(f"{100 * (own / k[0, 0] - 1):+.2f} %" for own, k in zip(focal, (k1, k2)))
-        print(f"rotation off by {angle:.3f} degrees, direction of the baseline by {direction:.3f} degrees, focal lengths by {ratio}")
+        print(
+            f"rotation off by {angle:.3f} degrees, direction of the baseline by {direction:.3f}"
+            f" degrees, focal lengths by {ratio}"
+        )
         middles = [c["params"][2:4] for c in model["cameras"]]
-        shifts = ", ".join(f"{name} ({own[0] - 0.5 - k[0, 2]:+.2f}, {own[1] - 0.5 - k[1, 2]:+.2f}) px"
-                           for name, own, k in zip(("left", "right"), middles, (k1, k2)))  # fmt: skip
+        shifts = ", ".join(
+            f"{name} ({own[0] - 0.5 - k[0, 2]:+.2f}, {own[1] - 0.5 - k[1, 2]:+.2f}) px"
+            for name, own, k in zip(("left", "right"), middles, (k1, k2))
+        )
         print(f"principal points, ours less OpenCV's: {shifts}")
         # What a shift of the principal points alone would turn the mounting by.
-        turn = [np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]]) for own, k in zip(middles, (k1, k2))]
-        print(f"of which their difference is worth {np.degrees(np.linalg.norm(turn[1] - turn[0])):.3f} degrees; "
-              f"our standard deviation {camera['rotation_sd_deg']:.3f} degrees, OpenCV's {jackknife_deg(pairs, size, r):.3f} by jackknife")  # fmt: skip
+        turn = [
+            np.array([(own[0] - 0.5 - k[0, 2]) / k[0, 0], (own[1] - 0.5 - k[1, 2]) / k[1, 1]])
+            for own, k in zip(middles, (k1, k2))
+        ]
+        print(
+            "of which their difference is worth"
+            f" {np.degrees(np.linalg.norm(turn[1] - turn[0])):.3f} degrees; our standard deviation"
+            f" {camera['rotation_sd_deg']:.3f} degrees, OpenCV's"
+            f" {jackknife_deg(pairs, size, r):.3f} by jackknife"
+        )
         rms, free_middles, free_r, free_t = free_board(pairs, size, r, t)
-        shifts = ", ".join(f"{name} ({own[0] - 0.5 - k[0]:+.2f}, {own[1] - 0.5 - k[1]:+.2f}) px"
-                           for name, own, k in zip(("left", "right"), middles, free_middles))  # fmt: skip
-        print(f"scipy, the board's corners free: {rms:.3f} px; rotation {degrees_between(free_r, r):.3f} degrees from OpenCV's, {degrees_between(free_r, own_r):.3f} "
-              f"from ours; direction {direction_from(free_t):.3f} degrees from ours; principal points, ours less these: {shifts}")  # fmt: skip
+        shifts = ", ".join(
+            f"{name} ({own[0] - 0.5 - k[0]:+.2f}, {own[1] - 0.5 - k[1]:+.2f}) px"
+            for name, own, k in zip(("left", "right"), middles, free_middles)
+        )
+        print(
+            f"scipy, the board's corners free: {rms:.3f} px; rotation"
+            f" {degrees_between(free_r, r):.3f} degrees from OpenCV's,"
+            f" {degrees_between(free_r, own_r):.3f} from ours; direction"
+            f" {direction_from(free_t):.3f} degrees from ours; principal points, ours less these:"
+            f" {shifts}"
+        )
 
 
 if __name__ == "__main__":

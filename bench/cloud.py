@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
-"""`tiepoint evaluate cloud` beside CloudCompare (and scipy) on the same clouds: mean absolute distance and its deviation.
+"""`tiepoint evaluate cloud` beside CloudCompare (and scipy) on the same clouds: mean absolute
+distance and its deviation.
 
   apt install cloudcompare xvfb; pip install numpy scipy
   cargo build --release
   python bench/cloud.py [--points 30000] [--seed 1]
   python bench/cloud.py --cloud WORKSPACE/points.ply --reference scan.ply
 
-Without files of yours it makes a street of two facades with windows and a road: the reference dense and with the noise of a laser
-scanner, the cloud sparse, noisier, with a few points far out, and 0.3 m and 1 degree off. Measured twice: as the clouds lie
-(all three must agree to what single precision leaves), and after a rigid alignment by closest points with 80 % overlap.
-"""
+Without files of yours it makes a street of two facades with windows and a road: the reference dense
+and with the noise of a laser scanner, the cloud sparse, noisier, with a few points far out, and 0.3
+m and 1 degree off. Measured twice: as the clouds lie (all three must agree to what single precision
+leaves), and after a rigid alignment by closest points with 80 % overlap."""
 
 import argparse
 import json
@@ -25,13 +26,17 @@ from program import program_of
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-TOLERANCE_M = 1e-4  # of distances where nothing is aligned: coordinates in single precision, up to 100 m
+TOLERANCE_M = (
+    1e-4  # of distances where nothing is aligned: coordinates in single precision, up to 100 m
+)
 
 
 def street(count, rng):
     """Random points on a road, and on two facades with windows set back by 0.2 m, 80 m long."""
     along, height = rng.uniform(0, 80, count), rng.uniform(0, 9, count)
-    depth = np.where((along % 3 > 1) & (along % 3 < 2.2) & (height % 3 > 1) & (height % 3 < 2.4), 0.2, 0.0)
+    depth = np.where(
+        (along % 3 > 1) & (along % 3 < 2.2) & (height % 3 > 1) & (height % 3 < 2.4), 0.2, 0.0
+    )
     side = rng.integers(0, 3, count)
     wall = np.stack([along, np.where(side == 0, -8 - depth, 8 + depth), height], 1)
     road = np.stack([along, rng.uniform(-8, 8, count), np.zeros(count)], 1)
@@ -45,7 +50,11 @@ def write_ply(path, points):
 
 
 def tiepoint(program, cloud, reference, align):
-    done = subprocess.run([program, "evaluate", "cloud", cloud, reference, "--align", align, "--json"], capture_output=True, text=True)
+    done = subprocess.run(
+        [program, "evaluate", "cloud", cloud, reference, "--align", align, "--json"],
+        capture_output=True,
+        text=True,
+    )
     if done.returncode != 0:
         sys.exit(done.stderr)
     distance = json.loads(done.stdout)["distance"]
@@ -56,13 +65,28 @@ def cloudcompare(cloud, reference, align, folder):
     """Its command line prints "Mean distance = ... / std deviation = ..."."""
     for file in (cloud, reference):  # it writes beside what it reads
         shutil.copy(file, folder / file.name)
-    command = ["CloudCompare", "-SILENT", "-AUTO_SAVE", "OFF", "-O", folder / cloud.name, "-O", folder / reference.name]
-    command += ["-ICP", "-OVERLAP", "80", "-ITER", "200", "-RANDOM_SAMPLING_LIMIT", "1000000"] if align == "rigid" else []
+    command = [
+        "CloudCompare",
+        "-SILENT",
+        "-AUTO_SAVE",
+        "OFF",
+        "-O",
+        folder / cloud.name,
+        "-O",
+        folder / reference.name,
+    ]
+    command += (
+        ["-ICP", "-OVERLAP", "80", "-ITER", "200", "-RANDOM_SAMPLING_LIMIT", "1000000"]
+        if align == "rigid"
+        else []
+    )
     command += ["-C2C_DIST"]
     if shutil.which("xvfb-run"):
         command = ["xvfb-run", "-a", *command]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=300)
-    found = re.findall(r"[Mm]ean distance = ([\d.eE+-]+) / std deviation = ([\d.eE+-]+)", done.stdout)
+    found = re.findall(
+        r"[Mm]ean distance = ([\d.eE+-]+) / std deviation = ([\d.eE+-]+)", done.stdout
+    )
     if not found:
         sys.exit("CloudCompare printed no distance:\n" + done.stdout[-2000:] + done.stderr[-2000:])
     return tuple(map(float, found[-1]))
@@ -88,11 +112,19 @@ def read_ply(path):
     head, body = path.read_bytes().split(b"end_header\n", 1)
     count = int(re.search(rb"element vertex (\d+)", head)[1])
     width = 12 + head.count(b"property uchar")
-    return np.frombuffer(body, np.uint8, count * width).reshape(count, width)[:, :12].copy().view("<f4").astype(float)
+    return (
+        np.frombuffer(body, np.uint8, count * width)
+        .reshape(count, width)[:, :12]
+        .copy()
+        .view("<f4")
+        .astype(float)
+    )
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--points", type=int, default=30_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cloud", type=Path)
@@ -103,18 +135,34 @@ def main():
     rng, failed = np.random.default_rng(arguments.seed), False
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        cloud_file, reference_file = arguments.cloud or folder / "cloud.ply", arguments.reference or folder / "reference.ply"
+        cloud_file, reference_file = (
+            arguments.cloud or folder / "cloud.ply",
+            arguments.reference or folder / "reference.ply",
+        )
         if not arguments.cloud:
             cloud = street(arguments.points, rng) + rng.normal(0, 0.05, (arguments.points, 3))
             cloud[: arguments.points // 50] += rng.normal(0, 5, (arguments.points // 50, 3))
-            cloud = cloud @ Rotation.from_rotvec([0, 0, np.radians(1)]).as_matrix().T + [0.2, -0.2, 0.1]
+            cloud = cloud @ Rotation.from_rotvec([0, 0, np.radians(1)]).as_matrix().T + [
+                0.2,
+                -0.2,
+                0.1,
+            ]
             write_ply(cloud_file, cloud)
-            write_ply(reference_file, street(20 * arguments.points, rng) + rng.normal(0, 0.015, (20 * arguments.points, 3)))
+            write_ply(
+                reference_file,
+                street(20 * arguments.points, rng)
+                + rng.normal(0, 0.015, (20 * arguments.points, 3)),
+            )
         cloud, reference = read_ply(cloud_file), read_ply(reference_file)
-        print(f"{len(cloud)} points against {len(reference)}: mean and standard deviation of the distances\n")
+        print(
+            f"{len(cloud)} points against {len(reference)}: mean and standard deviation of the"
+            " distances\n"
+        )
         print("| alignment | tiepoint | CloudCompare | scipy |\n|---|---|---|---|")
         for align in ("none", "rigid"):
-            ours, simple = tiepoint(program, cloud_file, reference_file, align), scipy(cloud, reference, align)
+            ours, simple = tiepoint(program, cloud_file, reference_file, align), scipy(
+                cloud, reference, align
+            )
             theirs = None
             if shutil.which("CloudCompare"):
                 (folder / align).mkdir()
@@ -122,7 +170,12 @@ def main():
             show = lambda pair: f"{pair[0]:.5f} ± {pair[1]:.5f}" if pair else "not installed"
             print(f"| {align} | {show(ours)} | {show(theirs)} | {show(simple)} |", flush=True)
             if align == "none":
-                failed = any(abs(a - b) > TOLERANCE_M for other in (theirs, simple) if other for a, b in zip(ours, other))
+                failed = any(
+                    abs(a - b) > TOLERANCE_M
+                    for other in (theirs, simple)
+                    if other
+                    for a, b in zip(ours, other)
+                )
     if failed:
         sys.exit("FAILED: they disagree where nothing is aligned")
 

@@ -1,17 +1,20 @@
 #!/usr/bin/env python3
-"""COLMAP and tiepoint on the same photos in one run: wall time, accuracy against truth, observations.
+"""COLMAP and tiepoint on the same photos in one run: wall time, accuracy against truth,
+observations.
 
   pip install numpy pycolmap==4.2.1
   cargo build --release
   TIEPOINT_DATA=... python bench/colmap.py                     every data set, one seed
-  TIEPOINT_DATA=... python bench/colmap.py fountain-P11 --calibration known --seeds 5 --only tiepoint
-  TIEPOINT_DATA=... python bench/colmap.py sceaux --check      pycolmap opens what we wrote and maps from our matches
+  TIEPOINT_DATA=... python bench/colmap.py fountain-P11 --calibration known --seeds 5 \\
+      --only tiepoint
+  TIEPOINT_DATA=... python bench/colmap.py sceaux --check
+      (pycolmap opens what we wrote and maps from our matches)
 
-Both run on the CPU with the same number of threads, from photos to a model on disk, each in a process of its own. COLMAP
-has its defaults (SIFT, exhaustive matching or the same list of pairs as ours, incremental mapper), but one camera a folder
-as ours. Truth is compared after a similarity (Umeyama 1991): the mean distance of camera centres, and for kitti04 the root
-mean square (ATE) over the left camera. Results go to bench/results/colmap-*.json.
-"""
+Both run on the CPU with the same number of threads, from photos to a model on disk, each in a
+process of its own. COLMAP has its defaults (SIFT, exhaustive matching or the same list of pairs as
+ours, incremental mapper), but one camera a folder as ours. Truth is compared after a similarity
+(Umeyama 1991): the mean distance of camera centres, and for kitti04 the root mean square (ATE) over
+the left camera. Results go to bench/results/colmap-*.json."""
 
 import argparse
 import contextlib
@@ -35,7 +38,8 @@ MODEL_TOLERANCE_PX = 1e-6  # both programs compute the same sum of distances, in
 
 
 class Dataset:
-    """Photos, truth and how to run them; `known` is fx, fy, cx, cy with (0.5, 0.5) the centre of the first pixel."""
+    """Photos, truth and how to run them; `known` is fx, fy, cx, cy with (0.5, 0.5) the centre of
+    the first pixel."""
 
     def __init__(self, folder, known=None, truth=None, reach=None, uncalibrated=True):
         self.images = folder / "images"
@@ -44,7 +48,8 @@ class Dataset:
         self.names = sorted(p.relative_to(self.images).as_posix() for p in files)
 
     def pairs(self):
-        """The sequential pairs that tiepoint matches: neighbours up to `reach`, within and across cameras."""
+        """The sequential pairs that tiepoint matches: neighbours up to `reach`, within and across
+        cameras."""
         cameras = {}
         for name in self.names:
             cameras.setdefault(name.split("/")[0], []).append(name)
@@ -64,7 +69,10 @@ def matrix_k(path):
 
 def strecha_centres(folder):
     """Camera centres by image name: the line after the rotation of NAME.camera."""
-    return {p.name.removesuffix(".camera"): np.loadtxt(p.open().readlines()[7:8]) for p in sorted(folder.glob("*.camera"))}
+    return {
+        p.name.removesuffix(".camera"): np.loadtxt(p.open().readlines()[7:8])
+        for p in sorted(folder.glob("*.camera"))
+    }
 
 
 def kitti_centres(path, prefix):
@@ -79,16 +87,21 @@ def load(name, data):
     if name == "sceaux":
         return Dataset(folder, matrix_k(folder / "K.txt"))
     # KITTI counts pixel centres from whole numbers, hence + 0.5.
-    p0 = np.array([float(v) for v in (folder / "calib.txt").read_text().split("\n")[0].split()[1:]]).reshape(3, 4)
+    p0 = np.array(
+        [float(v) for v in (folder / "calib.txt").read_text().split("\n")[0].split()[1:]]
+    ).reshape(3, 4)
     known = (p0[0, 0], p0[1, 1], p0[0, 2] + 0.5, p0[1, 2] + 0.5)
-    return Dataset(folder, known, kitti_centres(folder / "poses.txt", "left"), reach=10, uncalibrated=False)
+    return Dataset(
+        folder, known, kitti_centres(folder / "poses.txt", "left"), reach=10, uncalibrated=False
+    )
 
 
 DATASETS = ["fountain-P11", "Herz-Jesus-P8", "sceaux", "kitti04"]
 
 
 def umeyama(source, target):
-    """Scale, rotation and translation that bring `source` (n x 3) closest to `target` in the least-squares sense."""
+    """Scale, rotation and translation that bring `source` (n x 3) closest to `target` in the
+    least-squares sense."""
     mean_s, mean_t = source.mean(0), target.mean(0)
     s, t = source - mean_s, target - mean_t
     u, d, vt = np.linalg.svd(t.T @ s / len(s))
@@ -142,11 +155,17 @@ def run_colmap(work, images, known, pairs, threads, seed):
     reader, extraction = pycolmap.ImageReaderOptions(), pycolmap.FeatureExtractionOptions()
     extraction.num_threads = threads
     if known:
-        reader.camera_model, reader.camera_params = "PINHOLE", ",".join(map(repr, map(float, known)))
+        reader.camera_model, reader.camera_params = "PINHOLE", ",".join(
+            map(repr, map(float, known))
+        )
     pycolmap.extract_features(
-        database, images, camera_mode=pycolmap.CameraMode.PER_FOLDER, reader_options=reader,
-        extraction_options=extraction, device=cpu,
-    )  # fmt: skip
+        database,
+        images,
+        camera_mode=pycolmap.CameraMode.PER_FOLDER,
+        reader_options=reader,
+        extraction_options=extraction,
+        device=cpu,
+    )
     lap("features")
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = threads
@@ -168,18 +187,26 @@ def map_database(database, images, sparse, known, threads, seed):
     mapping.num_threads, mapping.random_seed = threads, seed
     if known:
         mapping.ba_refine_focal_length = mapping.ba_refine_extra_params = False
-        mapping.mapper.abs_pose_refine_focal_length = mapping.mapper.abs_pose_refine_extra_params = False
+        mapping.mapper.abs_pose_refine_focal_length = (
+            mapping.mapper.abs_pose_refine_extra_params
+        ) = False
     sparse.mkdir(parents=True, exist_ok=True)
     return pycolmap.incremental_mapping(database, images, sparse, mapping)
 
 
 def make_rig(database, model=None, cameras=("left", "right"), calibration=None):
-    """One rig of all cameras, a folder each; its calibration is given (cam_from_rig of each camera), the model's, or unknown."""
-    sensors = [pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0) for k, name in enumerate(cameras)]
+    """One rig of all cameras, a folder each; its calibration is given (cam_from_rig of each
+    camera), the model's, or unknown."""
+    sensors = [
+        pycolmap.RigConfigCamera(image_prefix=f"{name}/", ref_sensor=k == 0)
+        for k, name in enumerate(cameras)
+    ]
     for sensor, name in list(zip(sensors, cameras))[1:] if calibration else []:
         sensor.cam_from_rig = calibration[name]
     with pycolmap.Database.open(database) as opened:
-        pycolmap.apply_rig_config([pycolmap.RigConfig(cameras=sensors)], opened, *([model] if model else []))
+        pycolmap.apply_rig_config(
+            [pycolmap.RigConfig(cameras=sensors)], opened, *([model] if model else [])
+        )
 
 
 def map_globally(database, images, sparse, known, threads, seed):
@@ -188,24 +215,45 @@ def map_globally(database, images, sparse, known, threads, seed):
     options.num_threads, options.random_seed = threads, seed
     if known:
         adjustment = options.mapper.bundle_adjustment
-        adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
+        adjustment.refine_focal_length = adjustment.refine_principal_point = (
+            adjustment.refine_extra_params
+        ) = False
     sparse.mkdir(parents=True, exist_ok=True)
     return pycolmap.global_mapping(database, images, sparse, options)
 
 
 def colmap_in_process(work, dataset, known, arguments, seed):
     """Its wall seconds as a user would see them, the start of the process left out."""
-    job = dict(work=str(work), images=str(dataset.images), known=known, threads=arguments.threads, seed=seed)
+    job = dict(
+        work=str(work),
+        images=str(dataset.images),
+        known=known,
+        threads=arguments.threads,
+        seed=seed,
+    )
     job["pairs"] = dataset.pairs() if dataset.reach else None
     log = (work / "colmap.log").open("w")
     done = subprocess.run(
-        [sys.executable, __file__, "--job", json.dumps(job)], stdout=subprocess.PIPE, stderr=log, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, __file__, "--job", json.dumps(job)],
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        check=True,
+    )
     return json.loads(done.stdout.strip().split("\n")[-1])
 
 
 def tiepoint(work, dataset, known, arguments, seed):
-    command = [arguments.program, "reconstruct", dataset.images, "-o", work, "--seed", seed, "--json"]
+    command = [
+        arguments.program,
+        "reconstruct",
+        dataset.images,
+        "-o",
+        work,
+        "--seed",
+        seed,
+        "--json",
+    ]
     command += ["--threads", arguments.threads, "--rig", "off"]
     if known:
         command += ["--intrinsics", ",".join(repr(float(v)) for v in known)]
@@ -218,15 +266,22 @@ def tiepoint(work, dataset, known, arguments, seed):
     if done.returncode != 0:
         sys.exit(f"tiepoint failed, see {log.name}:\n" + Path(log.name).read_text()[-2000:])
     report = json.loads((work / "report.json").read_text())
-    return {stage: report["stages"][stage]["seconds"] for stage in ("features", "match", "map")}, wall
+    return {
+        stage: report["stages"][stage]["seconds"] for stage in ("features", "match", "map")
+    }, wall
 
 
 def read_models(sparse):
-    return [pycolmap.Reconstruction(folder) for folder in sorted(sparse.iterdir()) if (folder / "images.bin").exists()]
+    return [
+        pycolmap.Reconstruction(folder)
+        for folder in sorted(sparse.iterdir())
+        if (folder / "images.bin").exists()
+    ]
 
 
 def check(work, dataset, known, arguments):
-    """pycolmap reads our files, computes the error that we report, and maps every image from our matches."""
+    """pycolmap reads our files, computes the error that we report, and maps every image from our
+    matches."""
     report = json.loads((work / "report.json").read_text())
     problems, out = [], {}
     model = pycolmap.Reconstruction(work / "sparse/0")
@@ -234,14 +289,21 @@ def check(work, dataset, known, arguments):
     error = model.compute_mean_reprojection_error()
     model.update_point_3d_errors()
     recomputed = model.compute_mean_reprojection_error()
-    out["error_px"] = {"reported": ours["mean_reprojection_error_px"], "stored": error, "recomputed": recomputed}
+    out["error_px"] = {
+        "reported": ours["mean_reprojection_error_px"],
+        "stored": error,
+        "recomputed": recomputed,
+    }
     for name, value in (("stored", error), ("recomputed", recomputed)):
         if abs(value - ours["mean_reprojection_error_px"]) > MODEL_TOLERANCE_PX:
-            problems.append(f"{name} error {value} px, reported {ours['mean_reprojection_error_px']} px")
+            problems.append(
+                f"{name} error {value} px, reported {ours['mean_reprojection_error_px']} px"
+            )
     for name, value in (
-        ("registered", model.num_reg_images()), ("points", model.num_points3D()),
+        ("registered", model.num_reg_images()),
+        ("points", model.num_points3D()),
         ("observations", model.compute_num_observations()),
-    ):  # fmt: skip
+    ):
         out[name] = value
         if value != ours[name]:
             problems.append(f"{name} {value}, reported {ours[name]}")
@@ -253,35 +315,59 @@ def check(work, dataset, known, arguments):
         shutil.copy(work / "database.db", database)
         with contextlib.closing(pycolmap.Database.open(database)) as opened:
             out["database"] = {
-                "images": opened.num_images(), "keypoints": opened.num_keypoints(),
-                "verified_pairs": opened.num_verified_image_pairs(), "inlier_matches": opened.num_inlier_matches(),
-            }  # fmt: skip
+                "images": opened.num_images(),
+                "keypoints": opened.num_keypoints(),
+                "verified_pairs": opened.num_verified_image_pairs(),
+                "inlier_matches": opened.num_inlier_matches(),
+            }
             if opened.num_images() != len(dataset.names):
-                problems.append(f"database holds {opened.num_images()} images of {len(dataset.names)}")
-        models = map_database(database, dataset.images, Path(folder) / "sparse", known, arguments.threads, 0)
+                problems.append(
+                    f"database holds {opened.num_images()} images of {len(dataset.names)}"
+                )
+        models = map_database(
+            database, dataset.images, Path(folder) / "sparse", known, arguments.threads, 0
+        )
         best = largest(models.values())
         out["colmap_from_our_matches"] = measure(best, dataset) if best else None
         if not best or best.num_reg_images() != len(dataset.names):
             registered = best.num_reg_images() if best else 0
-            problems.append(f"COLMAP registers {registered} of {len(dataset.names)} images from our matches")
+            problems.append(
+                f"COLMAP registers {registered} of {len(dataset.names)} images from our matches"
+            )
     out["problems"] = problems
     return out
 
 
 def show(label, row):
-    accuracy = f"{row['mean_centre_error_mm']:7.2f} mm  ATE {row['ate_cm']:6.3f} cm" if "ate_cm" in row else " " * 26
+    accuracy = (
+        f"{row['mean_centre_error_mm']:7.2f} mm  ATE {row['ate_cm']:6.3f} cm"
+        if "ate_cm" in row
+        else " " * 26
+    )
     stages = " ".join(f"{k} {v:.1f}" for k, v in row["seconds"].items())
     print(
-        f"  {label:<10} {row['wall_s']:7.1f} s  {row['registered']:3d}/{row['images']}  {accuracy}  "
-        f"{row['mean_reprojection_error_px']:.4f} px  {row['observations']} observations  "
-        f"track {row['mean_track_length']:.2f}  [{stages}]",
+        f"  {label:<10} {row['wall_s']:7.1f} s  {row['registered']:3d}/{row['images']}  {accuracy} "
+        f" {row['mean_reprojection_error_px']:.4f} px  {row['observations']} observations  track"
+        f" {row['mean_track_length']:.2f}  [{stages}]",
         flush=True,
     )
 
 
 def summary(rows):
-    keys = ["wall_s", "registered", "mean_centre_error_mm", "ate_cm", "mean_reprojection_error_px", "observations", "mean_track_length"]
-    return {key: statistics.median(row[key] for row in rows) for key in keys if all(key in row for row in rows)}
+    keys = [
+        "wall_s",
+        "registered",
+        "mean_centre_error_mm",
+        "ate_cm",
+        "mean_reprojection_error_px",
+        "observations",
+        "mean_track_length",
+    ]
+    return {
+        key: statistics.median(row[key] for row in rows)
+        for key in keys
+        if all(key in row for row in rows)
+    }
 
 
 def run_case(name, calibration, arguments, out):
@@ -291,7 +377,9 @@ def run_case(name, calibration, arguments, out):
     case = {"data": name, "calibration": calibration, "colmap": [], "tiepoint": []}
     for seed in range(arguments.seeds):
         for program in ("colmap", "tiepoint"):
-            if arguments.only not in (None, program) or (program == "colmap" and seed >= arguments.colmap_seeds):
+            if arguments.only not in (None, program) or (
+                program == "colmap" and seed >= arguments.colmap_seeds
+            ):
                 continue
             with tempfile.TemporaryDirectory(dir=arguments.work) as folder:
                 work = Path(folder) / "workspace"
@@ -301,7 +389,12 @@ def run_case(name, calibration, arguments, out):
                     wall = sum(seconds.values())
                 else:
                     seconds, wall = tiepoint(work, dataset, known, arguments, seed)
-                row = {"seed": seed, "wall_s": wall, "seconds": seconds, **measure(largest(read_models(work / "sparse")), dataset)}
+                row = {
+                    "seed": seed,
+                    "wall_s": wall,
+                    "seconds": seconds,
+                    **measure(largest(read_models(work / "sparse")), dataset),
+                }
                 case[program].append(row)
                 show(program, row)
                 if program == "tiepoint" and arguments.check:
@@ -310,10 +403,17 @@ def run_case(name, calibration, arguments, out):
                         print(f"  CHECK FAILED: {problem}", flush=True)
                     if not row["check"]["problems"]:
                         error = row["check"]["error_px"]
-                        print(f"  check: pycolmap finds {error['recomputed']:.6f} px, as reported, and registers all images from our matches")
-    case["median"] = {program: summary(case[program]) for program in ("colmap", "tiepoint") if case[program]}
+                        print(
+                            f"  check: pycolmap finds {error['recomputed']:.6f} px, as reported,"
+                            " and registers all images from our matches"
+                        )
+    case["median"] = {
+        program: summary(case[program]) for program in ("colmap", "tiepoint") if case[program]
+    }
     if len(case["median"]) == 2:
-        case["time_ratio"] = case["median"]["tiepoint"]["wall_s"] / case["median"]["colmap"]["wall_s"]
+        case["time_ratio"] = (
+            case["median"]["tiepoint"]["wall_s"] / case["median"]["colmap"]["wall_s"]
+        )
         print(f"  tiepoint takes {case['time_ratio']:.3f} of COLMAP's time", flush=True)
     if arguments.seeds > 1:
         print(f"  medians: {json.dumps(case['median'])}", flush=True)
@@ -321,21 +421,31 @@ def run_case(name, calibration, arguments, out):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("datasets", nargs="*", default=DATASETS, metavar="DATASET", help=", ".join(DATASETS))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "datasets", nargs="*", default=DATASETS, metavar="DATASET", help=", ".join(DATASETS)
+    )
     parser.add_argument("--calibration", choices=["both", "known", "none"], default="both")
     parser.add_argument("--seeds", type=int, default=1, help="runs of ours, seeds 0, 1, ...")
     parser.add_argument("--colmap-seeds", type=int, default=1, help="runs of COLMAP")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", choices=["colmap", "tiepoint"], help="run one of the two")
-    parser.add_argument("--check", action="store_true", help="pycolmap reads and uses what we wrote")
+    parser.add_argument(
+        "--check", action="store_true", help="pycolmap reads and uses what we wrote"
+    )
     parser.add_argument("--program", type=Path, default=None, help="the tiepoint to run")
     parser.add_argument("--data", type=Path, default=os.environ.get("TIEPOINT_DATA"))
-    parser.add_argument("--work", type=Path, default=None, help="where to put workspaces (default: the system's)")
+    parser.add_argument(
+        "--work", type=Path, default=None, help="where to put workspaces (default: the system's)"
+    )
     parser.add_argument("--job", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     # Its log would drown ours; a job's goes to a file.
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.INFO.value if arguments.job else pycolmap.logging.Level.ERROR.value
+    pycolmap.logging.minloglevel = (
+        pycolmap.logging.Level.INFO.value if arguments.job else pycolmap.logging.Level.ERROR.value
+    )
     if arguments.job:
         job = json.loads(arguments.job)
         seconds = run_colmap(Path(job.pop("work")), Path(job.pop("images")), **job)
@@ -350,11 +460,16 @@ def main():
         arguments.program = program_of(arguments)
     out = {
         "when": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
-        "machine": platform.processor() or platform.machine(), "threads": arguments.threads,
-        "load_before": os.getloadavg(), "pycolmap": pycolmap.__version__, "cases": [],
-    }  # fmt: skip
+        "machine": platform.processor() or platform.machine(),
+        "threads": arguments.threads,
+        "load_before": os.getloadavg(),
+        "pycolmap": pycolmap.__version__,
+        "cases": [],
+    }
     for name in arguments.datasets:
-        calibrations = ["none", "known"] if arguments.calibration == "both" else [arguments.calibration]
+        calibrations = (
+            ["none", "known"] if arguments.calibration == "both" else [arguments.calibration]
+        )
         for calibration in calibrations:
             if calibration == "known" or load(name, arguments.data).uncalibrated:
                 run_case(name, calibration, arguments, out)
@@ -364,7 +479,12 @@ def main():
     path = results / f"colmap-{stamp}.json"
     path.write_text(json.dumps(out, indent=1))
     print(path.relative_to(ROOT))
-    failed = [p for case in out["cases"] for row in case["tiepoint"] for p in row.get("check", {}).get("problems", [])]
+    failed = [
+        p
+        for case in out["cases"]
+        for row in case["tiepoint"]
+        for p in row.get("check", {}).get("problems", [])
+    ]
     sys.exit(1 if failed else 0)
 
 

@@ -3,11 +3,12 @@
 
     bench/durability.py [--program target/release/tiepoint] [--stops 1000] [--seed 0]
 
-For each of a set of system calls that change files, strace (apt install strace) sends SIGKILL at the n-th call of a run of
-`reconstruct`, of its redoings, exports and `adjust`, on four small rendered photos. Then: the photos must be the same bytes,
-and the same command (with --redo where the program asks for it) must end with the models of an undisturbed run. The sweep
-inside the process, with full disks and failing writes, is TIEPOINT_ALL_FAULTS=1 cargo test -p tiepoint --test program faults.
-"""
+For each of a set of system calls that change files, strace (apt install strace) sends SIGKILL at
+the n-th call of a run of `reconstruct`, of its redoings, exports and `adjust`, on four small
+rendered photos. Then: the photos must be the same bytes, and the same command (with --redo where
+the program asks for it) must end with the models of an undisturbed run. The sweep inside the
+process, with full disks and failing writes, is TIEPOINT_ALL_FAULTS=1 cargo test -p tiepoint --test
+program faults."""
 
 import argparse
 import collections
@@ -20,12 +21,35 @@ import subprocess
 import tempfile
 import time
 
-CALLS = ["openat", "write", "pwrite64", "fsync", "fdatasync", "ftruncate", "rename", "renameat", "unlink", "unlinkat",
-         "mkdir", "rmdir", "fchmod", "close"]
+CALLS = [
+    "openat",
+    "write",
+    "pwrite64",
+    "fsync",
+    "fdatasync",
+    "ftruncate",
+    "rename",
+    "renameat",
+    "unlink",
+    "unlinkat",
+    "mkdir",
+    "rmdir",
+    "fchmod",
+    "close",
+]
 COMMANDS = [
     ("reconstruct", "reconstruct {d}/drive -o {d}/ws --rig off --threads 1"),
-    ("redo features", "reconstruct {d}/drive -o {d}/ws --rig off --threads 1 --camera-model RADIAL --redo features"),
-    ("redo match", "reconstruct {d}/drive -o {d}/ws --rig off --threads 1 --pairs sequential:2 --redo match"),
+    (
+        "redo features",
+        (
+            "reconstruct {d}/drive -o {d}/ws --rig off --threads 1 --camera-model RADIAL --redo"
+            " features"
+        ),
+    ),
+    (
+        "redo match",
+        "reconstruct {d}/drive -o {d}/ws --rig off --threads 1 --pairs sequential:2 --redo match",
+    ),
     ("redo map", "reconstruct {d}/drive -o {d}/ws --rig off --threads 1 --redo map"),
     ("colmap", "export {d}/ws --to colmap -o {d}/out --threads 1"),
     ("nerfstudio", "export {d}/ws --to nerfstudio -o {d}/out --threads 1"),
@@ -43,9 +67,15 @@ def run(program, line, folder, prefix=()):
 def hashes(folder, names):
     found = {}
     for name in names:
-        for path in sorted((folder / name).rglob("*")) if (folder / name).is_dir() else [folder / name]:
-            if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts):
-                found[str(path.relative_to(folder))] = hashlib.blake2b(path.read_bytes()).hexdigest()
+        for path in (
+            sorted((folder / name).rglob("*")) if (folder / name).is_dir() else [folder / name]
+        ):
+            if path.is_file() and not any(
+                part.startswith(".") for part in path.relative_to(folder).parts
+            ):
+                found[str(path.relative_to(folder))] = hashlib.blake2b(
+                    path.read_bytes()
+                ).hexdigest()
     return found
 
 
@@ -75,11 +105,19 @@ def main():
         shutil.copytree(base, folder)
         if name == "reconstruct":
             shutil.rmtree(folder / "ws")
-        # The absolute paths of inputs are in the workspace; each folder has the same name, so that they stay true.
+        # The absolute paths of inputs are in the workspace; each folder has the same name, so that
+        # they stay true.
         log = root / "log"
-        ended = run(program, line, folder, ["strace", "-f", "-qq", "-e", "trace=" + ",".join(CALLS), "-o", str(log)])
+        ended = run(
+            program,
+            line,
+            folder,
+            ["strace", "-f", "-qq", "-e", "trace=" + ",".join(CALLS), "-o", str(log)],
+        )
         assert ended.returncode == 0, ended.stderr
-        counts = collections.Counter(re.findall(r"^\d+ +(\w+)\(", log.read_text(errors="replace"), re.M))
+        counts = collections.Counter(
+            re.findall(r"^\d+ +(\w+)\(", log.read_text(errors="replace"), re.M)
+        )
         for call, count in counts.items():
             cases.extend((name, line, call, n) for n in range(1, count + 1))
         expected[name] = results(folder)
@@ -96,7 +134,12 @@ def main():
         if name == "reconstruct":
             shutil.rmtree(folder / "ws")
         inject = f"inject={call}:signal=SIGKILL:when={n}"
-        killed = run(program, line, folder, ["strace", "-f", "-qq", "-o", "/dev/null", "-e", f"trace={call}", "-e", inject])
+        killed = run(
+            program,
+            line,
+            folder,
+            ["strace", "-f", "-qq", "-o", "/dev/null", "-e", f"trace={call}", "-e", inject],
+        )
         stops += killed.returncode != 0
         case = f"{name}: {call} {n}"
         if hashes(folder, ["drive"]) != photos:

@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
-"""The paper's Tables 3 and 4 in the rendered world with COLMAP's columns: `tiepoint experiment`, then COLMAP on the same matches.
+"""The paper's Tables 3 and 4 in the rendered world with COLMAP's columns: `tiepoint experiment`,
+then COLMAP on the same matches.
 
   pip install numpy pycolmap==4.2.1
   cargo build --release
   python bench/experiment.py --output tiepoint-experiment [-- --seed 2 --size 640x480 ...]
 
-What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database: keypoints, matches, camera model and first focal
-length are ours. For Traditional it knows of no rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown
-rig: without, then with the rig that the first run gives (`apply_rig_config`), whose frames are the images nearest to each other by their
-stamps; that takes the place of the paper's rig_bundle_adjuster, which COLMAP no longer has. Each of its rows gets so many minutes. Models are put
-into `colmap/sparse/0` of the workspaces, where `tiepoint experiment` finds and judges them like its own.
-"""
+What stands behind `--` goes to `tiepoint experiment`. COLMAP maps a copy of each database:
+keypoints, matches, camera model and first focal length are ours. For Traditional it knows of no
+rig. For Constrained (row `paper`) it is run twice, as its documentation has it for an unknown rig:
+without, then with the rig that the first run gives (`apply_rig_config`), whose frames are the
+images nearest to each other by their stamps; that takes the place of the paper's
+rig_bundle_adjuster, which COLMAP no longer has. Each of its rows gets so many minutes. Models are
+put into `colmap/sparse/0` of the workspaces, where `tiepoint experiment` finds and judges them like
+its own."""
 
 import argparse
 import multiprocessing
@@ -37,7 +40,9 @@ def stamps_of(drive):
 
 def partners(stamps):
     """Right images with the left one nearest in time, each used once."""
-    lefts, rights = ([name for name in stamps if name.startswith(side)] for side in ("left/", "right/"))
+    lefts, rights = (
+        [name for name in stamps if name.startswith(side)] for side in ("left/", "right/")
+    )
     times = np.array([stamps[name] for name in lefts])
     found = {}
     for right in rights:
@@ -49,7 +54,8 @@ def partners(stamps):
 
 
 def write(model, folder, names=None):
-    """A model where `tiepoint experiment` looks for it; `names` are those that images had before."""
+    """A model where `tiepoint experiment` looks for it; `names` are those that images had
+    before."""
     target = folder / "colmap/sparse/0"
     shutil.rmtree(folder / "colmap", ignore_errors=True)
     target.mkdir(parents=True)
@@ -59,7 +65,8 @@ def write(model, folder, names=None):
 
 
 def ended(minutes, function, *arguments):
-    """Calls it in a process of its own, which is killed after so many minutes; whether it came to its end."""
+    """Calls it in a process of its own, which is killed after so many minutes; whether it came to
+    its end."""
     process = multiprocessing.Process(target=function, args=arguments)
     process.start()
     process.join(60 * minutes)
@@ -93,14 +100,21 @@ def traditional(workspace, drive):
 
 
 def with_frames(database, drive):
-    """Renames right images after the left ones nearest in time, since COLMAP joins images of one file name to frames. Returns the old names."""
+    """Renames right images after the left ones nearest in time, since COLMAP joins images of one
+    file name to frames. Returns the old names."""
     pairs = partners(stamps_of(drive))
     renamed = {right: f"right/{left.removeprefix('left/')}" for right, left in pairs.items()}
     connection = sqlite3.connect(database)
-    names = [name for (name,) in connection.execute("SELECT name FROM images WHERE name LIKE 'right/%'")]
+    names = [
+        name for (name,) in connection.execute("SELECT name FROM images WHERE name LIKE 'right/%'")
+    ]
     new = {name: renamed.get(name, f"right/alone-{name.removeprefix('right/')}") for name in names}
-    connection.executemany("UPDATE images SET name = ? WHERE name = ?", [(f"{to}.new", was) for was, to in new.items()])
-    connection.executemany("UPDATE images SET name = ? WHERE name = ?", [(to, f"{to}.new") for to in new.values()])
+    connection.executemany(
+        "UPDATE images SET name = ? WHERE name = ?", [(f"{to}.new", was) for was, to in new.items()]
+    )
+    connection.executemany(
+        "UPDATE images SET name = ? WHERE name = ?", [(to, f"{to}.new") for to in new.values()]
+    )
     connection.commit()
     connection.close()
     return {to: was for was, to in new.items()}
@@ -121,7 +135,9 @@ def constrained(workspace, drive):
 def main():
     own = sys.argv[1 : sys.argv.index("--")] if "--" in sys.argv else sys.argv[1:]
     options = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--output", type=Path, default=Path("tiepoint-experiment"))
     parser.add_argument("--only", choices=["mounting", "baseline"])
     parser.add_argument("--minutes", type=float, default=15.0)
@@ -136,9 +152,14 @@ def main():
         subprocess.run(list(map(str, command)), check=True, stdout=subprocess.DEVNULL)
         folder = arguments.output / which
         if which == "mounting":
-            tasks = [(folder / name / "off", folder / name / "drive", traditional) for name in MOUNTINGS]
+            tasks = [
+                (folder / name / "off", folder / name / "drive", traditional) for name in MOUNTINGS
+            ]
         else:
-            tasks = [(folder / "off", folder / "drive", traditional), (folder / "paper", folder / "drive", constrained)]
+            tasks = [
+                (folder / "off", folder / "drive", traditional),
+                (folder / "paper", folder / "drive", constrained),
+            ]
         for workspace, drive, run in tasks:
             if (workspace / "colmap/sparse/0").exists():
                 continue

@@ -1,17 +1,19 @@
 #!/usr/bin/env python3
-"""Nearest neighbours of OpenCV (brute force, FLANN) and tiepoint on the same descriptors, in one run; and what preemptive
-matching loses.
+"""Nearest neighbours of OpenCV (brute force, FLANN) and tiepoint on the same descriptors, in one
+run; and what preemptive matching loses.
 
   pip install numpy opencv-python-headless
   TIEPOINT_DATA=... python bench/matching.py [search] [large] [preempt]
 
-search   8192 x 8192 RootSIFT descriptors of two photos: time of brute force, recall over time of the kd-forests.
-large    the same forests with 100,000 and 1,000,000 points (all features of three data sets), 2,000 queries.
-preempt  pairs of four sequences: verified pairs (fundamental matrix, 15 inliers) that the largest features alone would
+search 8192 x 8192 RootSIFT descriptors of two photos: time of brute force, recall over time of the
+kd-forests. large the same forests with 100,000 and 1,000,000 points (all features of three data
+sets), 2,000 queries. preempt pairs of four sequences: verified pairs (fundamental matrix, 15
+inliers) that the largest features alone would
          have given up.
 
-Everything runs on one thread; times are the minimum over the repetitions. Let nothing else run meanwhile.
-"""
+Everything runs on one thread; times are the minimum over the repetitions. Let nothing else run
+meanwhile."""
+
 import glob, json, os, subprocess, sys, tempfile, time
 import cv2, numpy as np
 
@@ -24,11 +26,14 @@ cv2.setNumThreads(1)
 
 
 def sift(path, limit=8192, scale=1.0, contrast=0.02 / 3 * 2):
-    """Keypoints (x, y, sigma) and RootSIFT bytes. OpenCV's contrast threshold is COLMAP's, times the 3 levels, over 1.5."""
+    """Keypoints (x, y, sigma) and RootSIFT bytes. OpenCV's contrast threshold is COLMAP's, times
+    the 3 levels, over 1.5."""
     image = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
     if scale != 1.0:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    points, descriptors = cv2.SIFT_create(limit, contrastThreshold=contrast).detectAndCompute(image, None)
+    points, descriptors = cv2.SIFT_create(limit, contrastThreshold=contrast).detectAndCompute(
+        image, None
+    )
     if limit:
         points, descriptors = points[:limit], descriptors[:limit]
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
@@ -37,8 +42,21 @@ def sift(path, limit=8192, scale=1.0, contrast=0.02 / 3 * 2):
 
 
 def example(name, *arguments):
-    command = ["cargo", "run", "--quiet", "--release", "-p", "tiepoint-matching", "--example", name, "--", *map(str, arguments)]
-    lines = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
+    command = [
+        "cargo",
+        "run",
+        "--quiet",
+        "--release",
+        "-p",
+        "tiepoint-matching",
+        "--example",
+        name,
+        "--",
+        *map(str, arguments),
+    ]
+    lines = subprocess.run(
+        command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout.splitlines()
     return [json.loads(line) for line in lines]
 
 
@@ -55,8 +73,8 @@ def nearest_distances(queries, points, block=65536):
     q = queries.astype(np.float32)
     best = np.full(len(q), np.inf, np.float32)
     for start in range(0, len(points), block):
-        p = points[start:start + block].astype(np.float32)
-        d = (q ** 2).sum(1)[:, None] + (p ** 2).sum(1)[None] - 2 * q @ p.T
+        p = points[start : start + block].astype(np.float32)
+        d = (q**2).sum(1)[:, None] + (p**2).sum(1)[None] - 2 * q @ p.T
         best = np.minimum(best, d.min(1))
     return best
 
@@ -76,16 +94,29 @@ def compare(queries, points, trees_list):
     if len(points) < 20000:
         seconds, _ = shortest(lambda: cv2.BFMatcher(cv2.NORM_L2).knnMatch(q, p, k=2), 1)
         print(f"  {'OpenCV brute force, one way':36} {1e3 * seconds:9.1f} ms")
-    print("  trees checks | FLANN us/query  recall | tiepoint us/query  recall | build FLANN, tiepoint s")
+    print(
+        "  trees checks | FLANN us/query  recall | tiepoint us/query  recall | build FLANN,"
+        " tiepoint s"
+    )
     for trees in trees_list:
         flann_build, index = shortest(lambda: cv2.flann_Index(p, dict(algorithm=1, trees=trees)), 1)
         for checks in CHECKS:
-            seconds, (found, _) = shortest(lambda: index.knnSearch(q, 2, params=dict(checks=checks)))
+            seconds, (found, _) = shortest(
+                lambda: index.knnSearch(q, 2, params=dict(checks=checks))
+            )
             difference = (queries.astype(np.int64) - points[found[:, 0]].astype(np.int64)) ** 2
             recall = (difference.sum(1) <= truth + 0.5).mean()
-            row, = [r for r in ours if r["method"] == "forest" and (r["trees"], r["checks"]) == (trees, checks)]
-            print(f"  {trees:5} {checks:6} | {1e6 * seconds / len(q):14.1f}  {recall:.4f} | {1e6 * row['seconds'] / len(q):17.1f}  {row['recall']:.4f}"
-                  f" | {flann_build:.2f}  {row['build_seconds']:.2f}", flush=True)
+            (row,) = [
+                r
+                for r in ours
+                if r["method"] == "forest" and (r["trees"], r["checks"]) == (trees, checks)
+            ]
+            print(
+                f"  {trees:5} {checks:6} | {1e6 * seconds / len(q):14.1f}  {recall:.4f} |"
+                f" {1e6 * row['seconds'] / len(q):17.1f}  {row['recall']:.4f} | {flann_build:.2f} "
+                f" {row['build_seconds']:.2f}",
+                flush=True,
+            )
 
 
 def images(*pattern):
@@ -99,7 +130,11 @@ def search():
 
 def large():
     everything = []
-    for photo in images("fountain-P11", "images", "*.jpg") + images("sceaux", "images", "*") + images("Herz-Jesus-P8", "images", "*.jpg"):
+    for photo in (
+        images("fountain-P11", "images", "*.jpg")
+        + images("sceaux", "images", "*")
+        + images("Herz-Jesus-P8", "images", "*.jpg")
+    ):
         everything.append(sift(photo, 0, 0.7, 0.004)[1])
     everything = np.concatenate(everything)
     everything = everything[np.random.default_rng(0).permutation(len(everything))]
@@ -136,13 +171,20 @@ def preempt():
                 row["inliers"] = 0 if mask is None else int(mask.sum())
         full, hasty = (np.mean([row[key] for row in rows]) for key in ("full_ms", "preempt_ms"))
         verified = [row for row in rows if row["inliers"] >= MIN_INLIERS]
-        print(f"\n{name}: {len(rows)} pairs, {len(verified)} verified; {full:.2f} ms in full, {hasty:.3f} ms on 512 features")
+        print(
+            f"\n{name}: {len(rows)} pairs, {len(verified)} verified; {full:.2f} ms in full,"
+            f" {hasty:.3f} ms on 512 features"
+        )
         print("  leading  at least | verified pairs lost (their inliers) | other pairs given up")
         for k, leading in enumerate(rows[0]["leading"]):
             for least in (1, 2, 3, 4, 6, 8):
                 lost = sorted(row["inliers"] for row in verified if row["counts"][k] < least)
                 others = [row["counts"][k] < least for row in rows if row["inliers"] < MIN_INLIERS]
-                print(f"  {leading:7} {least:9} | {len(lost):4} {lost[-6:]} | {sum(others)} of {len(others)}", flush=True)
+                print(
+                    f"  {leading:7} {least:9} | {len(lost):4} {lost[-6:]} | {sum(others)} of"
+                    f" {len(others)}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-//! The arrows of ARCHITECTURE.md hold: a crate uses the crates that the list below allows, and nothing else.
+//! The arrows of ARCHITECTURE.md hold: a crate uses the crates that the list below allows, and
+//! nothing else.
 //!
-//! Dependencies must be in the list itself. Dev-dependencies may be any crate below (along the list's arrows), and the
-//! synthesiser, which makes scenes for tests of everything above the nouns. What Cargo resolved is asked of Cargo.
+//! Dependencies must be in the list itself. Dev-dependencies may be any crate below (along the
+//! list's arrows), and the synthesiser, which makes scenes for tests of everything above the nouns.
+//! What Cargo resolved is asked of Cargo.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -28,15 +30,17 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("tests", LIBRARIES),
 ];
 
-const LIBRARIES: &[&str] =
-    &["geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm", "pipeline"];
+const LIBRARIES: &[&str] = &[
+    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
+    "pipeline",
+];
 
 /// Crates without C code, whatever features they have by default.
 const PURE: &[&str] =
     &["geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm"];
 
-/// Packages that depend on a C compiler for one file of assembly on machines that we do not build for: `generator`, of kiddo, on
-/// powerpc64.
+/// Packages that depend on a C compiler for one file of assembly on machines that we do not build
+/// for: `generator`, of kiddo, on powerpc64.
 const ASSEMBLERS: &[&str] = &["generator"];
 
 /// The crates that the tests of others may use: one makes scenes, one judges what came out.
@@ -44,7 +48,8 @@ const FOR_TESTS: &[&str] = &["synth", "eval"];
 
 /// Packages that compile or link C when they appear among a crate's dependencies.
 fn is_c(package: &str) -> bool {
-    package.ends_with("-sys") || ["cc", "cmake", "bindgen", "pkg-config", "vcpkg"].contains(&package)
+    package.ends_with("-sys")
+        || ["cc", "cmake", "bindgen", "pkg-config", "vcpkg"].contains(&package)
 }
 
 fn cargo(arguments: &[&str]) -> String {
@@ -54,7 +59,11 @@ fn cargo(arguments: &[&str]) -> String {
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
         .output()
         .expect("cargo, which runs this test, can be run");
-    assert!(output.status.success(), "cargo {arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "cargo {arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).expect("cargo writes UTF-8")
 }
 
@@ -110,13 +119,17 @@ fn the_arrows_hold() {
     let (crates, edges) = manifests();
     let arrows: BTreeMap<&str, &[&str]> = ARROWS.iter().copied().collect();
     for name in &crates {
-        assert!(arrows.contains_key(name.as_str()), "crate {name} has no line in the list of arrows");
+        assert!(
+            arrows.contains_key(name.as_str()),
+            "crate {name} has no line in the list of arrows"
+        );
     }
     for Edge { user, provider, is_dev } in &edges {
         let direct = arrows[user.as_str()].contains(&provider.as_str());
         let by_tests = *is_dev
             && (below(user).contains(provider.as_str())
-                || (FOR_TESTS.contains(&provider.as_str()) && !below(provider).contains(user.as_str()))
+                || (FOR_TESTS.contains(&provider.as_str())
+                    && !below(provider).contains(user.as_str()))
                 || (provider == user));
         assert!(direct || by_tests, "{user} <- {provider} is no arrow of ARCHITECTURE.md");
     }
@@ -150,18 +163,32 @@ fn pure_crates_carry_no_c() {
     let (crates, _) = manifests();
     for name in PURE.iter().filter(|name| crates.contains(**name)) {
         let package = format!("tiepoint-{name}");
-        let tree = cargo(&["tree", "-p", &package, "-e", "normal,build", "--prefix", "depth", "--no-dedupe"]);
+        let tree = cargo(&[
+            "tree",
+            "-p",
+            &package,
+            "-e",
+            "normal,build",
+            "--prefix",
+            "depth",
+            "--no-dedupe",
+        ]);
         // The packages on the way from ours to the line's.
         let mut path: Vec<&str> = Vec::new();
         for line in tree.lines() {
             let name = line.trim_start_matches(|c: char| c.is_ascii_digit());
-            let depth: usize = line[..line.len() - name.len()].parse().expect("a line begins with its depth");
+            let depth: usize =
+                line[..line.len() - name.len()].parse().expect("a line begins with its depth");
             path.truncate(depth);
             let user = path.last().copied().unwrap_or_default();
             path.push(name.split(' ').next().unwrap_or_default());
             let found = path[depth];
             let is_allowed = ASSEMBLERS.contains(&user);
-            assert!(is_allowed || !is_c(found), "{package} brings C code by default: {}", path.join(" <- "));
+            assert!(
+                is_allowed || !is_c(found),
+                "{package} brings C code by default: {}",
+                path.join(" <- ")
+            );
         }
         assert!(tree.contains(&package), "cargo tree lists {package} itself");
     }
@@ -181,7 +208,8 @@ const CHANGES_FILES: [&str; 11] = [
     "symlink(",
     "set_len(",
 ];
-/// Where they may be called: the one module for it, what locks files, and the renderer, which knows no other crate.
+/// Where they may be called: the one module for it, what locks files, and the renderer, which knows
+/// no other crate.
 const MAY_CHANGE_FILES: [&str; 5] = [
     "crates/io/src/disk/mod.rs",
     "crates/io/src/atomic.rs",
@@ -200,7 +228,8 @@ fn files_are_changed_in_one_place() {
             let path = entry.unwrap().path();
             let name = path.strip_prefix(&root).unwrap().to_str().unwrap().replace('\\', "/");
             if path.is_dir() {
-                let is_source = !["tests", "benches", "examples"].iter().any(|other| name.ends_with(other));
+                let is_source =
+                    !["tests", "benches", "examples"].iter().any(|other| name.ends_with(other));
                 folders.extend(is_source.then_some(path));
             } else if name.ends_with(".rs") && !MAY_CHANGE_FILES.contains(&name.as_str()) {
                 looked_at += 1;

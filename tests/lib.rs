@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod architecture;
+mod lines;
 mod modules;
 mod pipeline;
 mod skipped;

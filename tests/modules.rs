@@ -1,8 +1,9 @@
 //! Circles between the files of a crate.
 //!
-//! A file uses another where an import or a path in it names what the other defines. What is imported through a module that only
-//! re-exports it is an edge to where it is defined, so that `lib.rs` and `mod.rs` count for what they define themselves. Left out are
-//! code that is compiled for tests alone, links in documentation, and methods that are called without naming their type.
+//! A file uses another where an import or a path in it names what the other defines. What is
+//! imported through a module that only re-exports it is an edge to where it is defined, so that
+//! `lib.rs` and `mod.rs` count for what they define themselves. Left out are code that is compiled
+//! for tests alone, links in documentation, and methods that are called without naming their type.
 
 mod graph;
 mod source;
@@ -13,7 +14,8 @@ use std::path::Path;
 
 use graph::{Edges, Files, edges};
 
-/// The circles of a crate, given its folder `src`: for each the files, and the edges between them with one place of each.
+/// The circles of a crate, given its folder `src`: for each the files, and the edges between them
+/// with one place of each.
 pub(crate) fn circles_in(src: &Path) -> Vec<String> {
     circles(&edges(&files_below(src)))
 }
@@ -24,7 +26,8 @@ fn files_below(src: &Path) -> Files {
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("a folder of sources can be listed") {
             let path = entry.expect("a folder of sources can be listed").path();
-            let name = path.strip_prefix(src).expect("it is below").to_str().expect("names are UTF-8");
+            let name =
+                path.strip_prefix(src).expect("it is below").to_str().expect("names are UTF-8");
             if path.is_dir() {
                 folders.push(path);
             } else if name.ends_with(".rs") {
@@ -95,14 +98,19 @@ mod tests {
     fn circles_are_found() {
         let found = edges(&files(&[
             ("lib.rs", "mod a; mod b; pub use a::{Outer, inner::Inner};"),
-            ("a/mod.rs", "pub mod inner; mod leaf; pub struct Outer(inner::Inner); pub use leaf::Leaf;"),
+            (
+                "a/mod.rs",
+                "pub mod inner; mod leaf; pub struct Outer(inner::Inner); pub use leaf::Leaf;",
+            ),
             (
                 "a/inner.rs",
-                "use super::Leaf; use crate::b::c as d; pub struct Inner; fn f() -> u8 { super::leaf::LEN + d() }",
+                "use super::Leaf; use crate::b::c as d; pub struct Inner; fn f() -> u8 { \
+                super::leaf::LEN + d() }",
             ),
             (
                 "a/leaf.rs",
-                "pub struct Leaf; pub const LEN: u8 = 1; #[cfg(test)] mod tests { use crate::Outer; }",
+                "pub struct Leaf; pub const LEN: u8 = 1; #[cfg(test)] mod tests { use \
+                crate::Outer; }",
             ),
             ("b.rs", "/* crate::a */ pub fn c() -> u8 { crate::Outer::f(\"crate::b\") }"),
         ]));
@@ -127,17 +135,25 @@ mod tests {
         assert!(circles[0].contains("b.rs -> a/mod.rs (b.rs:1: crate::Outer::f)"), "{circles:?}");
     }
 
-    /// A module that re-exports, a module and a function of one name, a macro, names by `*`, and inline modules make none.
+    /// A module that re-exports, a module and a function of one name, a macro, names by `*`, and
+    /// inline modules make none.
     #[test]
     fn what_only_looks_like_a_circle_is_none() {
         let found = edges(&files(&[
             (
                 "lib.rs",
-                "mod a; mod b; mod c; #[macro_export] macro_rules! m { () => { $crate::c::C } }\n pub use a::a;",
+                "mod a; mod b; mod c; #[macro_export] macro_rules! m { () => { $crate::c::C } }\n \
+                pub use a::a;",
             ),
             ("a/mod.rs", "mod x; mod y; pub(super) use x::a; pub(crate) use y::{Y, inner};"),
-            ("a/x.rs", "use super::*; pub fn a() -> Y { inner::f() } macro_rules! z { () => {} } use z;"),
-            ("a/y.rs", "pub struct Y; pub mod inner { use super::Y; pub fn f() -> super::Y { Y } }"),
+            (
+                "a/x.rs",
+                "use super::*; pub fn a() -> Y { inner::f() } macro_rules! z { () => {} } use z;",
+            ),
+            (
+                "a/y.rs",
+                "pub struct Y; pub mod inner { use super::Y; pub fn f() -> super::Y { Y } }",
+            ),
             ("b.rs", "use crate::a::{self, Y}; use std::a; fn g() -> Y { a::inner::f(); b::h() }"),
             ("c.rs", "pub struct C; use super::a; fn h() { a::Y }"),
         ]));

@@ -1,4 +1,5 @@
-//! The pipeline on real photos, made small so that the tests stay short: fountain-P11 of Strecha et al. 2008.
+//! The pipeline on real photos, made small so that the tests stay short: fountain-P11 of Strecha et
+//! al. 2008.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,14 +18,16 @@ use tiepoint_pipeline::{
 
 use crate::skipped;
 
-/// The photos are made smaller by this factor: 3072 x 2048 to 512 x 341 (the last two lines are cut off).
+/// The photos are made smaller by this factor: 3072 x 2048 to 512 x 341 (the last two lines are cut
+/// off).
 const SHRINK: u32 = 6;
 /// Full-size photos with known intrinsics give 2.5 mm; a pixel is `SHRINK` times as large here.
 const MAX_MEAN_CENTRE_ERROR_M: f64 = 6.0 * 2.5e-3;
 /// K.txt of the data set: fx, fy, cx, cy of the full-size photos.
 const FULL_SIZE_INTRINSICS: [f64; 4] = [2759.48, 2764.16, 1520.69, 1006.81];
 
-/// A photo's name, which is the one that the truth has, and a small grey version as a PNG; the content says what it is.
+/// A photo's name, which is the one that the truth has, and a small grey version as a PNG; the
+/// content says what it is.
 type Small = (String, Vec<u8>);
 
 /// Small versions of all photos, made once for all tests.
@@ -38,8 +41,12 @@ fn small_photos(data: &Path) -> &'static [Small] {
             let (width, height) = (luma.width / SHRINK * SHRINK, luma.height / SHRINK * SHRINK);
             let image = image::GrayImage::from_raw(luma.width, luma.height, luma.data).unwrap();
             let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
-            let small =
-                image::imageops::resize(&image, width / SHRINK, height / SHRINK, FilterType::Triangle);
+            let small = image::imageops::resize(
+                &image,
+                width / SHRINK,
+                height / SHRINK,
+                FilterType::Triangle,
+            );
             let mut png = Cursor::new(Vec::new());
             small.write_to(&mut png, image::ImageFormat::Png).unwrap();
             (name.to_owned(), png.into_inner())
@@ -68,17 +75,23 @@ fn calibrated() -> Options {
 fn run(photos: &Path, workspace: &Path, threads: usize) -> Report {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
-        reconstruct(&[photos.to_owned()], workspace, &calibrated(), &mut |_| ControlFlow::Continue(()))
-            .unwrap()
+        reconstruct(&[photos.to_owned()], workspace, &calibrated(), &mut |_| {
+            ControlFlow::Continue(())
+        })
+        .unwrap()
     })
 }
 
 /// The files that must be the same.
 fn results(workspace: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files: Vec<PathBuf> =
-        fs::read_dir(workspace.join("sparse/0")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut files: Vec<PathBuf> = fs::read_dir(workspace.join("sparse/0"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     files.push(workspace.join("points.ply"));
-    let read = |path: PathBuf| (path.strip_prefix(workspace).unwrap().to_owned(), fs::read(&path).unwrap());
+    let read = |path: PathBuf| {
+        (path.strip_prefix(workspace).unwrap().to_owned(), fs::read(&path).unwrap())
+    };
     files.into_iter().map(read).collect()
 }
 
@@ -90,13 +103,17 @@ fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
     write_photos(&data, usize::MAX, &photos);
     let report = run(&photos, &dir.path().join("two"), 2);
     assert_eq!((report.models.len(), report.models[0].registered), (1, 11));
-    let truth: Truth = format!("strecha:{}", data.join("fountain-P11/cameras").display()).parse().unwrap();
+    let truth: Truth =
+        format!("strecha:{}", data.join("fountain-P11/cameras").display()).parse().unwrap();
     let evaluation = evaluate_poses(&dir.path().join("two"), &truth, None).unwrap();
     assert_eq!((evaluation.images, evaluation.registered), (11, 11));
     let mean_m = evaluation.centre_error.mean;
     assert!(mean_m < MAX_MEAN_CENTRE_ERROR_M, "mean centre error {mean_m} m");
     run(&photos, &dir.path().join("one"), 1);
-    assert!(results(&dir.path().join("one")) == results(&dir.path().join("two")), "not the same bytes");
+    assert!(
+        results(&dir.path().join("one")) == results(&dir.path().join("two")),
+        "not the same bytes"
+    );
 }
 
 #[test]
@@ -111,12 +128,13 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     // Stops when the given event comes; tells how far the stage was when it was begun.
     let stop_at = |stop: &dyn Fn(&Event) -> bool| {
         let mut done_before = 0;
-        let result = reconstruct(std::slice::from_ref(&photos), &workspace, &calibrated(), &mut |event| {
-            if let Event::StageBegan { done, .. } = event {
-                done_before = *done;
-            }
-            if stop(event) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        });
+        let result =
+            reconstruct(std::slice::from_ref(&photos), &workspace, &calibrated(), &mut |event| {
+                if let Event::StageBegan { done, .. } = event {
+                    done_before = *done;
+                }
+                if stop(event) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            });
         assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
         done_before
     };
@@ -132,7 +150,10 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     let done = stop_at(&|event| matches!(event, Event::ImageRegistered { .. }));
     assert_eq!((pairs.get_mut(), done), (&mut 4, 0), "the mapper begins anew");
     let report = run(&photos, &workspace, 2);
-    assert_eq!(report.stages.matches.as_ref().map(|matches| matches.pairs), Some(COUNT * (COUNT - 1) / 2));
+    assert_eq!(
+        report.stages.matches.as_ref().map(|matches| matches.pairs),
+        Some(COUNT * (COUNT - 1) / 2)
+    );
     assert!(results(&workspace) == results(&dir.path().join("undisturbed")), "not the same bytes");
 }
 
@@ -146,13 +167,22 @@ fn what_an_interruption_left_is_not_computed_again() {
     let mut workspace = Workspace::create(&dir.path().join("ws")).unwrap();
     let mut extract = |limit: usize| {
         let mut images = Vec::new();
-        let result =
-            extract_features(&photos, &mut workspace, &FeatureOptions::default(), None, &mut |event| {
+        let result = extract_features(
+            &photos,
+            &mut workspace,
+            &FeatureOptions::default(),
+            None,
+            &mut |event| {
                 if let Event::ImageDone { image, .. } = event {
                     images.push((*image).to_owned());
                 }
-                if images.len() == limit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-            });
+                if images.len() == limit {
+                    ControlFlow::Break(())
+                } else {
+                    ControlFlow::Continue(())
+                }
+            },
+        );
         (images, result.is_ok())
     };
     let (first, done) = extract(3);

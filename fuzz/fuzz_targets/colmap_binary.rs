@@ -12,7 +12,8 @@ fuzz_target!(|data: &[u8]| {
     files(&dir, &names, data);
     let Ok(model) = read_model(&dir) else { return };
     model.validate().expect("what is read is valid");
-    // Rigs of one camera vanish, and names may be such that no text holds them: writing may be refused.
+    // Rigs of one camera vanish, and names may be such that no text holds them: writing may be
+    // refused.
     let copy = dir.join("copy");
     if write_model(&copy, &model, Format::Binary).is_ok() {
         let back = read_model(&copy).expect("what was written can be read");

@@ -11,7 +11,8 @@ use tiepoint_io::las;
 static QUIET: Once = Once::new();
 
 fuzz_target!(|data: &[u8]| {
-    // The reader catches the panics of the decompressor, and the fuzzer would take them for crashes.
+    // The reader catches the panics of the decompressor, and the fuzzer would take them for
+    // crashes.
     QUIET.call_once(|| std::panic::set_hook(Box::new(|_| {})));
     let _ = las::read(&file("cloud.laz", data));
 });

@@ -1,4 +1,5 @@
-//! What the fuzz targets share: bytes become files in a folder in memory, and several files are one input.
+//! What the fuzz targets share: bytes become files in a folder in memory, and several files are one
+//! input.
 
 use std::cell::RefCell;
 use std::fs;
@@ -56,7 +57,8 @@ pub fn files(dir: &Path, names: &[&str], data: &[u8]) {
 
 /// A COLMAP model of two cameras on a rig, as text.
 pub const MODEL: [(&str, &str); 5] = [
-    ("cameras.txt", "1 PINHOLE 640 480 500 500 320 240\n2 SIMPLE_RADIAL 640 480 500 320 240 0.01\n"),
+    ("cameras.txt", "1 PINHOLE 640 480 500 500 320 240\n2 SIMPLE_RADIAL 640 480 500 320 240 \
+    0.01\n"),
     ("rigs.txt", "1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 -0.5 0 0\n"),
     (
         "frames.txt",
@@ -71,7 +73,8 @@ pub const MODEL: [(&str, &str); 5] = [
     ),
     (
         "points3D.txt",
-        "1 0 0 5 255 0 0 1 1 0 2 0 3 0 4 0\n2 0.1 0.1 5 0 255 0 1 1 1 2 1 3 1 4 1\n3 -0.2 -0.2 5 0 0 255 1 1 2 2 2 3 2 4 2\n",
+        "1 0 0 5 255 0 0 1 1 0 2 0 3 0 4 0\n2 0.1 0.1 5 0 255 0 1 1 1 2 1 3 1 4 1\n3 -0.2 -0.2 5 \
+        0 0 255 1 1 2 2 2 3 2 4 2\n",
     ),
 ];
 

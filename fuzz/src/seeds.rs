@@ -1,4 +1,5 @@
-//! Writes the first inputs of every target into `corpus/`: small files that are right, from which the fuzzer goes on.
+//! Writes the first inputs of every target into `corpus/`: small files that are right, from which
+//! the fuzzer goes on.
 
 use std::path::Path;
 
@@ -84,8 +85,10 @@ fn main() -> Outcome {
     put("bal", "problem", &read("bal.txt")?);
     put("adjust", "problem", &[&[0], &read("bal.txt")?[..]].concat());
     put("ply", "binary", &read("a.ply")?);
-    let ascii = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty float y\nproperty short z\n\
-                  property uchar red\nelement face 1\nproperty list uchar int i\nend_header\n1 2 3 4\n5 6 7 8\n1 0\n";
+    let ascii = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty float \
+    y\nproperty short z\n\
+                  property uchar red\nelement face 1\nproperty list uchar int i\nend_header\n1 2 \
+                  3 4\n5 6 7 8\n1 0\n";
     put("ply", "ascii", ascii);
     let vertices = ply::read(&dir.join("a.ply"))?;
     for name in ["a.las", "a.laz"] {
@@ -99,7 +102,8 @@ fn main() -> Outcome {
     put("evaluate", "colmap", &[&[3], &text[..]].concat());
     put("evaluate", "cloud", &[&[4], &read("a.ply")?[..]].concat());
     put("calibrations", "strecha", camera.as_bytes());
-    put("calibrations", "kitti", b"P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -378 0 700 180 0 0 0 1 0\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n");
+    put("calibrations", "kitti", b"P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -378 0 700 \
+    180 0 0 0 1 0\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n");
     put("listing", "manifest", br#"{"program": "tiepoint", "files": {"1.jpg": {}, "a/2.png": "x", "../b/1.jpg": null}}"#);
     let stages = br#"{"version": 2, "inputs": ["/photos"], "stages": {"features": {"is_complete": true, "input": "f", "options": {"seed": "0"}}}}"#;
     let mut records = stages.to_vec();

@@ -1,4 +1,5 @@
-//! Which file of a crate uses which: imports and paths are followed to the file that defines what they name.
+//! Which file of a crate uses which: imports and paths are followed to the file that defines what
+//! they name.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -52,7 +53,8 @@ enum Named {
     Elsewhere,
 }
 
-/// Names that are being looked up, by the module in which they are: an import may name itself, where a macro is meant.
+/// Names that are being looked up, by the module in which they are: an import may name itself,
+/// where a macro is meant.
 type Pending = Vec<(usize, String)>;
 
 impl Module {
@@ -70,7 +72,8 @@ impl Graph {
         for name in &source.files {
             let candidates = [format!("{folder}{name}.rs"), format!("{folder}{name}/mod.rs")];
             let found = candidates.iter().find(|path| files.contains_key(*path));
-            let path = found.unwrap_or_else(|| panic!("{file}: mod {name} has no file of {candidates:?}"));
+            let path =
+                found.unwrap_or_else(|| panic!("{file}: mod {name} has no file of {candidates:?}"));
             let inner = read(&files[path]);
             let child = Module::new(path, Some(this), root);
             let child = self.load(files, child, &format!("{folder}{name}/"), inner);
@@ -87,7 +90,8 @@ impl Graph {
 
     fn follow_all(&mut self, module: usize) {
         let source = std::mem::take(&mut self.modules[module].source);
-        let (imports, words, paths) = (source.imports.clone(), source.words.clone(), source.paths.clone());
+        let (imports, words, paths) =
+            (source.imports.clone(), source.words.clone(), source.paths.clone());
         self.modules[module].source = source;
         for import in &imports {
             let named = self.import(module, import, &mut Vec::new());
@@ -107,7 +111,8 @@ impl Graph {
         }
     }
 
-    /// An edge to where the items are. A module that is named leads to nothing by itself: what is named in it will.
+    /// An edge to where the items are. A module that is named leads to nothing by itself: what is
+    /// named in it will.
     fn add(&mut self, user: usize, named: &BTreeSet<Named>, path: &Path) {
         for &named in named {
             let Named::Item(provider) = named else { continue };
@@ -133,7 +138,12 @@ impl Graph {
     }
 
     /// What a path names that is written in a module.
-    fn resolve(&self, module: usize, segments: &[String], pending: &mut Pending) -> BTreeSet<Named> {
+    fn resolve(
+        &self,
+        module: usize,
+        segments: &[String],
+        pending: &mut Pending,
+    ) -> BTreeSet<Named> {
         let mut at = module;
         let mut rest = segments;
         while let [first, others @ ..] = rest {
@@ -141,14 +151,20 @@ impl Graph {
                 "crate" => self.modules[at].root,
                 "self" => at,
                 "super" => self.modules[at].parent.unwrap_or_else(|| {
-                    panic!("{}: {} leaves the crate", self.modules[module].file, segments.join("::"))
+                    panic!(
+                        "{}: {} leaves the crate",
+                        self.modules[module].file,
+                        segments.join("::")
+                    )
                 }),
                 _ => break,
             };
             rest = others;
         }
         let is_absolute = rest.len() < segments.len();
-        let Some((last, before)) = rest.split_last() else { return BTreeSet::from([Named::Module(at)]) };
+        let Some((last, before)) = rest.split_last() else {
+            return BTreeSet::from([Named::Module(at)]);
+        };
         for (i, segment) in before.iter().enumerate() {
             let named = self.look_up(at, segment, pending);
             let module = named.iter().find_map(|named| match named {
@@ -174,7 +190,12 @@ impl Graph {
 
     /// What stands for a name that a module does not have, unless one of its macros may define it.
     fn undefined(&self, module: usize) -> BTreeSet<Named> {
-        self.modules[module].source.calls_macros.then_some(Named::Item(module)).into_iter().collect()
+        self.modules[module]
+            .source
+            .calls_macros
+            .then_some(Named::Item(module))
+            .into_iter()
+            .collect()
     }
 
     /// What a name means in a module, without its place in a path.

@@ -38,7 +38,8 @@ pub(super) struct Source {
 }
 
 /// Words before the name of an item.
-const ITEMS: [&str; 9] = ["struct", "enum", "union", "trait", "fn", "const", "static", "type", "macro_rules"];
+const ITEMS: [&str; 9] =
+    ["struct", "enum", "union", "trait", "fn", "const", "static", "type", "macro_rules"];
 /// Other words that an item may begin with.
 const ITEM_STARTS: [&str; 6] = ["mod", "use", "impl", "unsafe", "extern", "async"];
 
@@ -89,7 +90,9 @@ impl<'a> Reader<'a> {
         let mut exports_macro = false;
         while let Some(kind) = self.peek(0) {
             match kind {
-                Kind::Punctuation('#') if self.is(1, '[') || (self.is(1, '!') && self.is(2, '[')) => {
+                Kind::Punctuation('#')
+                    if self.is(1, '[') || (self.is(1, '!') && self.is(2, '[')) =>
+                {
                     let words = self.attribute();
                     exports_macro |= words.contains(&"macro_export");
                     if is_for_tests(&words) {
@@ -97,7 +100,8 @@ impl<'a> Reader<'a> {
                     }
                 }
                 Kind::Punctuation(open @ ('{' | '(' | '[')) => {
-                    let after_bang = self.at > 0 && self.tokens[self.at - 1].kind == Kind::Punctuation('!');
+                    let after_bang =
+                        self.at > 0 && self.tokens[self.at - 1].kind == Kind::Punctuation('!');
                     source.calls_macros |= depth == 0 && after_bang && open != '[';
                     depth += 1;
                     self.at += 1;
@@ -120,7 +124,8 @@ impl<'a> Reader<'a> {
                 }
                 Kind::Word(word) => {
                     if depth == 0 && ITEMS.contains(&word) {
-                        let name = (1..3).find_map(|ahead| self.word(ahead).filter(|name| *name != "mut"));
+                        let name =
+                            (1..3).find_map(|ahead| self.word(ahead).filter(|name| *name != "mut"));
                         let names = if exports_macro && word == "macro_rules" {
                             &mut source.exported_macros
                         } else {
@@ -176,7 +181,8 @@ impl<'a> Reader<'a> {
                 self.skip_group();
             }
         }
-        let is_item = self.word(0).is_some_and(|word| ITEMS.contains(&word) || ITEM_STARTS.contains(&word));
+        let is_item =
+            self.word(0).is_some_and(|word| ITEMS.contains(&word) || ITEM_STARTS.contains(&word));
         let is_import = self.word(0) == Some("use");
         while let Some(kind) = self.peek(0) {
             match kind {
@@ -209,7 +215,11 @@ impl<'a> Reader<'a> {
         if self.take(';') {
             source.files.push(name);
         } else {
-            assert!(self.take('{'), "line {}: mod {name} has neither a file nor a body", self.line());
+            assert!(
+                self.take('{'),
+                "line {}: mod {name} has neither a file nor a body",
+                self.line()
+            );
             let inner = self.module();
             assert!(self.take('}'), "line {}: mod {name} does not end", self.line());
             source.inline.push((name, inner));
@@ -235,7 +245,8 @@ impl<'a> Reader<'a> {
             let name = if self.take('*') {
                 "*".to_owned()
             } else {
-                let word = self.word(0).unwrap_or_else(|| panic!("line {line}: an import without a name"));
+                let word =
+                    self.word(0).unwrap_or_else(|| panic!("line {line}: an import without a name"));
                 self.at += 1;
                 // `a::{self}` is `a`.
                 if word != "self" || prefix.is_empty() {
@@ -269,24 +280,30 @@ impl<'a> Reader<'a> {
             }
             self.at += 1;
         }
-        // What follows `::` without a name before it is another crate's, or an item of a generic type.
+        // What follows `::` without a name before it is another crate's, or an item of a generic
+        // type.
         if segments.len() > 1 && !continues {
             source.paths.push(Path { segments, line });
         }
     }
 }
 
-/// Whether an attribute leaves out what follows unless it is compiled for tests: `cfg(test)`, `cfg(all(test, …))`.
+/// Whether an attribute leaves out what follows unless it is compiled for tests: `cfg(test)`,
+/// `cfg(all(test, …))`.
 fn is_for_tests(words: &[&str]) -> bool {
     words.first() == Some(&"cfg")
-        && words.iter().zip(words.iter().skip(1)).any(|(before, word)| *word == "test" && *before != "not")
+        && words
+            .iter()
+            .zip(words.iter().skip(1))
+            .any(|(before, word)| *word == "test" && *before != "not")
         && !words.contains(&"any")
 }
 
 #[test]
 fn imports_are_read_whole() {
     let source = read(
-        "use crate::a::{self, b::{C as D, e}, f::*};\n pub(crate) use super::super::g;\n use ::std::h;\n \
+        "use crate::a::{self, b::{C as D, e}, f::*};\n pub(crate) use super::super::g;\n use \
+        ::std::h;\n \
          use self::i as _;",
     );
     let shown = |import: &Import| format!("{} {}", import.path.segments.join("::"), import.name);
@@ -310,7 +327,8 @@ fn what_is_for_tests_is_left_out() {
     let source = read(
         "#[cfg(test)] mod tests; #[cfg(test)] mod more { use crate::a; }\n\
          #[cfg(test)] #[allow(x)] pub(crate) fn f<A, B>(x: [A; 2]) -> B { crate::b::c() }\n\
-         #[cfg(not(test))] fn g() { crate::d::e(); #[cfg(test)] if h { crate::f::g() } crate::h::i() }\n\
+         #[cfg(not(test))] fn g() { crate::d::e(); #[cfg(test)] if h { crate::f::g() } \
+         crate::h::i() }\n\
          #[cfg(all(test, unix))] use crate::{j, k};\n\
          struct S { #[cfg(test)] pub(crate) a: crate::l::M, b: crate::n::O }\n\
          mod inner { pub(in super::super) const P: u8 = super::q::R; }",

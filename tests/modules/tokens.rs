@@ -110,7 +110,8 @@ fn quoted(text: &str) -> usize {
     body.find(|c| !is_word(c)).map_or(text.len(), |len| 1 + len)
 }
 
-/// Where a literal ends that begins before `body`: behind the first `quote` that no backslash escapes.
+/// Where a literal ends that begins before `body`: behind the first `quote` that no backslash
+/// escapes.
 fn closed(body: &str, quote: u8) -> Option<usize> {
     let mut escaped = false;
     let is_end = |byte: u8| {
@@ -132,5 +133,8 @@ fn comments_and_literals_name_nothing() {
         _ => None,
     });
     // The b of a byte is a word here, which is no path.
-    assert_eq!(words.collect::<Vec<_>>(), [("a", 2), ("e", 2), ("n", 3), ("type", 3), ("o", 3), ("b", 3)]);
+    assert_eq!(
+        words.collect::<Vec<_>>(),
+        [("a", 2), ("e", 2), ("n", 3), ("type", 3), ("o", 3), ("b", 3)]
+    );
 }

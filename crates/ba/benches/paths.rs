@@ -1,5 +1,6 @@
-//! The paths that a solve spends its time on: the analysis, a step with all that belongs to it, the cost alone, and covariances.
-//! A short drive of two cameras with intrinsics of their own that are held, as most adjustments have them.
+//! The paths that a solve spends its time on: the analysis, a step with all that belongs to it, the
+//! cost alone, and covariances. A short drive of two cameras with intrinsics of their own that are
+//! held, as most adjustments have them.
 
 use std::ops::ControlFlow;
 
@@ -18,14 +19,17 @@ const SIGHT: usize = 5;
 fn drive() -> (Problem, Vec<Key<Rigid3>>) {
     let (mut problem, mut rng) = (Problem::new(), Rng::stream(1, &[]));
     let lens = Vector4::new(900.0, 900.0, 960.0, 540.0);
-    let lens_key = problem.keep(lens, Order::Shared);
+    let lens_key = problem.add_parameter(lens, Order::Shared);
     problem.fix(lens_key);
     let at = |i: usize, side: usize| {
-        Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-(i as f64) - 0.8 * side as f64, 0.0, 0.0))
+        Rigid3::from_axis_angle(
+            Vector3::zeros(),
+            Vector3::new(-(i as f64) - 0.8 * side as f64, 0.0, 0.0),
+        )
     };
     let poses: Vec<_> = (0..MOMENTS)
         .flat_map(|i| [0, 1].map(|side| (i, side)))
-        .map(|(i, side)| problem.keep(at(i, side), Order::At(i as u32)))
+        .map(|(i, side)| problem.add_parameter(at(i, side), Order::At(i as u32)))
         .collect();
     problem.fix(poses[0]);
     problem.fix(poses[1]);
@@ -37,13 +41,18 @@ fn drive() -> (Problem, Vec<Key<Rigid3>>) {
                 6.0 + 6.0 * rng.uniform(),
             );
             let off = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
-            let key = problem.eliminate(point + off);
+            let key = problem.add_landmark(point + off);
             for j in i..(i + SIGHT).min(MOMENTS) {
                 for side in 0..2 {
-                    let Some(pixel) = Pinhole::project(&lens, &(at(j, side) * point)) else { continue };
-                    let factor =
-                        Reprojection::<Pinhole>::new(pixel + Vector2::new(rng.normal(), rng.normal()), 1.0);
-                    let added = problem.add((lens_key, poses[2 * j + side], key), factor, Loss::Huber(2.0));
+                    let Some(pixel) = Pinhole::project(&lens, &(at(j, side) * point)) else {
+                        continue;
+                    };
+                    let factor = Reprojection::<Pinhole>::new(
+                        pixel + Vector2::new(rng.normal(), rng.normal()),
+                        1.0,
+                    );
+                    let added =
+                        problem.add((lens_key, poses[2 * j + side], key), factor, Loss::Huber(2.0));
                     assert!(added.is_ok());
                 }
             }
@@ -54,7 +63,9 @@ fn drive() -> (Problem, Vec<Key<Rigid3>>) {
 
 fn paths(criterion: &mut Criterion) {
     let (problem, poses) = drive();
-    criterion.bench_function("analysis", |b| b.iter(|| Solver::new(&problem, &Options::default()).is_ok()));
+    criterion.bench_function("analysis", |b| {
+        b.iter(|| Solver::new(&problem, &Options::default()).is_ok())
+    });
     criterion.bench_function("cost", |b| b.iter(|| problem.cost()));
     let keys = [poses[10].into(), poses[70].into()];
     criterion.bench_function("covariance", |b| b.iter(|| problem.covariance(&keys).is_ok()));
@@ -64,7 +75,8 @@ fn paths(criterion: &mut Criterion) {
         ("step, iterative", LinearSolver::Iterative, 0),
         ("step, dense, refined", LinearSolver::Dense, 1),
     ] {
-        let options = Options { linear_solver, refinements, max_iterations: 1, ..Options::default() };
+        let options =
+            Options { linear_solver, refinements, max_iterations: 1, ..Options::default() };
         criterion.bench_function(name, |b| {
             let made = || {
                 let (problem, _) = drive();
@@ -72,8 +84,9 @@ fn paths(criterion: &mut Criterion) {
                 (problem, solver)
             };
             let step = |(mut problem, solver): (Problem, Result<Solver, _>)| {
-                let solved = solver
-                    .and_then(|mut solver| solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())));
+                let solved = solver.and_then(|mut solver| {
+                    solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))
+                });
                 assert!(solved.is_ok_and(|summary| summary.iterations.len() == 1));
             };
             b.iter_batched(made, step, BatchSize::LargeInput);

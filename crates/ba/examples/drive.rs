@@ -1,10 +1,11 @@
-//! How time and memory grow with the length of a drive: two cameras that ride together, some thousand moments, tracks of a few
-//! moments each, intrinsics that all images of a camera share.
+//! How time and memory grow with the length of a drive: two cameras that ride together, some
+//! thousand moments, tracks of a few moments each, intrinsics that all images of a camera share.
 //!
 //! `cargo run --release --example drive -- [MOMENTS [POINTS_PER_MOMENT]] [--no-rig] [--loop]`
 //!
-//! Consecutive moments are joined by a factor of four poses that wants the rig to stay as it is; `--no-rig` leaves it out. With
-//! `--loop` the drive is a circle whose end sees the points of its beginning.
+//! Consecutive moments are joined by a factor of four poses that wants the rig to stay as it is;
+//! `--no-rig` leaves it out. With `--loop` the drive is a circle whose end sees the points of its
+//! beginning.
 #![allow(clippy::print_stdout)] // a program may
 
 use std::ops::ControlFlow;
@@ -16,15 +17,20 @@ use tiepoint_ba::{Error, Factor, Linear, Loss, Options, Order, Problem, Refs, So
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
-/// The position of the right camera in the left one's frame at one moment, minus that at the next. Variables: left and right
-/// `cam_from_world`, then those of the next moment.
+/// The position of the right camera in the left one's frame at one moment, minus that at the next.
+/// Variables: left and right `cam_from_world`, then those of the next moment.
 struct SameBaseline {
     sigma: f64,
 }
 
-/// The right camera's centre in the left frame, t_l − R_l R_rᵀ t_r, with its derivatives by both poses.
-fn baseline(left: &Rigid3, right: &Rigid3) -> (Vector3<f64>, SMatrix<f64, 3, 6>, SMatrix<f64, 3, 6>) {
-    let left_from_right = (left.rotation * right.rotation.inverse()).to_rotation_matrix().into_inner();
+/// The right camera's centre in the left frame, t_l − R_l R_rᵀ t_r, with its derivatives by both
+/// poses.
+fn baseline(
+    left: &Rigid3,
+    right: &Rigid3,
+) -> (Vector3<f64>, SMatrix<f64, 3, 6>, SMatrix<f64, 3, 6>) {
+    let left_from_right =
+        (left.rotation * right.rotation.inverse()).to_rotation_matrix().into_inner();
     let centre = left.translation - left_from_right * right.translation;
     let (mut d_left, mut d_right) = (SMatrix::<f64, 3, 6>::zeros(), SMatrix::<f64, 3, 6>::zeros());
     d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&centre));
@@ -48,12 +54,18 @@ const SIGHT: usize = 5;
 const STEP_M: f64 = 0.5;
 const NOISE_PX: f64 = 0.5;
 
-fn drive(moments: usize, points_per_moment: usize, rig: bool, closed: bool) -> Result<Problem, Error> {
+fn drive(
+    moments: usize,
+    points_per_moment: usize,
+    rig: bool,
+    closed: bool,
+) -> Result<Problem, Error> {
     let mut rng = Rng::stream(5, &[]);
     let mut problem = Problem::new();
     let lens = Vector4::new(900.0, 900.0, 960.0, 540.0);
-    let lenses = [0, 1].map(|_| problem.keep(lens + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared));
-    lenses.iter().try_for_each(|&lens| problem.fix_tangent(lens, &[2, 3]))?;
+    let lenses = [0, 1]
+        .map(|_| problem.add_parameter(lens + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared));
+    lenses.iter().try_for_each(|&lens| problem.fix_dofs(lens, &[2, 3]))?;
     let radius = STEP_M * moments as f64 / std::f64::consts::TAU;
     let right_from_left = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.8, 0.0, 0.0));
     // Driving along x, looking to the side, along z; around a circle when it closes.
@@ -75,19 +87,22 @@ fn drive(moments: usize, points_per_moment: usize, rig: bool, closed: bool) -> R
             let mut three = || Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.002;
             Rigid3::from_axis_angle(three(), three() * 5.0)
         };
-        poses.push(
-            both.map(|pose| problem.keep(if i < 2 { pose } else { off() * pose }, Order::At(i as u32))),
-        );
+        poses.push(both.map(|pose| {
+            problem.add_parameter(if i < 2 { pose } else { off() * pose }, Order::At(i as u32))
+        }));
         truth.push(both);
     }
     poses[0].iter().chain(&poses[1]).for_each(|&pose| problem.fix(pose));
     for i in 0..moments {
         for _ in 0..points_per_moment {
-            let in_left =
-                Vector3::new(6.0 * rng.uniform() - 2.0, 6.0 * rng.uniform() - 3.0, 6.0 + 6.0 * rng.uniform());
+            let in_left = Vector3::new(
+                6.0 * rng.uniform() - 2.0,
+                6.0 * rng.uniform() - 3.0,
+                6.0 + 6.0 * rng.uniform(),
+            );
             let point = truth[i][0].inverse() * in_left;
             let off = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
-            let key = problem.eliminate(point + off);
+            let key = problem.add_landmark(point + off);
             for j in i..i + SIGHT {
                 let j = match closed {
                     true => j % moments,
@@ -96,8 +111,8 @@ fn drive(moments: usize, points_per_moment: usize, rig: bool, closed: bool) -> R
                 };
                 for side in 0..2 {
                     // One keypoint in five is not found.
-                    let seen =
-                        Pinhole::project(&lens, &(truth[j][side] * point)).filter(|_| rng.below(5) > 0);
+                    let seen = Pinhole::project(&lens, &(truth[j][side] * point))
+                        .filter(|_| rng.below(5) > 0);
                     let Some(pixel) = seen else { continue };
                     let pixel = pixel + Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
                     let factor = Reprojection::<Pinhole>::new(pixel, NOISE_PX);
@@ -117,8 +132,10 @@ fn drive(moments: usize, points_per_moment: usize, rig: bool, closed: bool) -> R
 /// Mean squared residual, as a plain check that the solve went where it should.
 fn mean_square(problem: &Problem) -> f64 {
     let residuals = problem.residuals::<2, Reprojection<Pinhole>>();
-    let norms: SVector<f64, 2> =
-        residuals.iter().flatten().fold(SVector::zeros(), |sum, r| sum + Vector2::new(r.norm_squared(), 2.0));
+    let norms: SVector<f64, 2> = residuals
+        .iter()
+        .flatten()
+        .fold(SVector::zeros(), |sum, r| sum + Vector2::new(r.norm_squared(), 2.0));
     norms.x / norms.y
 }
 
@@ -148,14 +165,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let analysis = begin.elapsed();
     let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
     let steps = summary.iterations.len().max(1) as f64;
-    // From the end of one step to that of the next, without the first linearisation and what memory costs that is new.
-    let mut lasted: Vec<f64> =
-        summary.iterations.windows(2).map(|two| (two[1].elapsed - two[0].elapsed).as_secs_f64()).collect();
+    // From the end of one step to that of the next, without the first linearisation and what memory
+    // costs that is new.
+    let mut lasted: Vec<f64> = summary
+        .iterations
+        .windows(2)
+        .map(|two| (two[1].elapsed - two[0].elapsed).as_secs_f64())
+        .collect();
     lasted.sort_by(f64::total_cmp);
     let median = lasted.get(lasted.len() / 2).copied().unwrap_or(f64::NAN);
     println!("{summary}");
     println!(
-        "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step (median {median:.3}); {:.2} GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
+        "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step (median {median:.3}); {:.2} \
+        GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
         2 * moments,
         problem.num_factors(),
         analysis.as_secs_f64(),

@@ -1,4 +1,5 @@
-//! The smallest problem: a damped oscillation through noisy samples with some gross errors, from residuals alone.
+//! The smallest problem: a damped oscillation through noisy samples with some gross errors, from
+//! residuals alone.
 //!
 //! `cargo run --example fit_curve`
 
@@ -28,13 +29,14 @@ fn main() -> Result<(), Error> {
     let truth = Vector4::new(2.0, 0.3, 4.0, 0.5);
     let mut rng = tiepoint_geometry::Rng::stream(0, &[]);
     let mut problem = Problem::new();
-    let curve = problem.keep(Vector4::new(1.0, 0.1, 3.8, 0.0), Order::Shared);
+    let curve = problem.add_parameter(Vector4::new(1.0, 0.1, 3.8, 0.0), Order::Shared);
     let sigma = 0.05;
     for i in 0..200 {
         let t = f64::from(i) * 0.02;
         let gross = if i % 10 == 0 { 3.0 } else { 0.0 };
-        let value =
-            truth[0] * (-truth[1] * t).exp() * (truth[2] * t + truth[3]).cos() + sigma * rng.normal() + gross;
+        let value = truth[0] * (-truth[1] * t).exp() * (truth[2] * t + truth[3]).cos()
+            + sigma * rng.normal()
+            + gross;
         problem.add(curve, AutoDiff(Sample { t, value, sigma }), Loss::Cauchy(1.0))?;
     }
     let mut solver = Solver::new(&problem, &Options::default())?;

@@ -1,8 +1,9 @@
 //! How well variables are determined: blocks of (JᵀJ)⁻¹ at the current values.
 //!
-//! A step of the eliminated variable p follows that of the kept ones as δ_p = A_p δ_c with A_p = −L⁻ᵀY (see `eliminate`), so
-//! with the reduced system S and A the selection of columns for a kept variable,
-//! `cov(a, b) = A_a S⁻¹ A_bᵀ`, and `(LLᵀ)⁻¹` on top where a and b are the same eliminated variable.
+//! A step of the eliminated variable p follows that of the kept ones as δ_p = A_p δ_c with A_p =
+//! −L⁻ᵀY (see `eliminate`), so with the reduced system S and A the selection of columns for a kept
+//! variable, `cov(a, b) = A_a S⁻¹ A_bᵀ`, and `(LLᵀ)⁻¹` on top where a and b are the same eliminated
+//! variable.
 
 use nalgebra::DMatrix;
 
@@ -17,12 +18,12 @@ use crate::summary::Times;
 use crate::system::System;
 use crate::variable::{AnyKey, Role};
 
-/// A direction whose variance is larger than it would be were all other variables known by this factor is not determined:
-/// of the 16 digits of a double, the condition number has eaten 13.
+/// A direction whose variance is larger than it would be were all other variables known by this
+/// factor is not determined: of the 16 digits of a double, the condition number has eaten 13.
 const MAX_INFLATION: f64 = 1e13;
 
-/// Covariances of some variables, in tangent coordinates. Right when the factors' residuals have unit variance and their
-/// losses are trivial, or nearly.
+/// Covariances of some variables, in tangent coordinates. Right when the factors' residuals have
+/// unit variance and their losses are trivial, or nearly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
     keys: Vec<AnyKey>,
@@ -54,7 +55,8 @@ impl Covariance {
 }
 
 impl Problem {
-    /// The covariance of some variables at the current values. Directions that are fixed have none: zeros.
+    /// The covariance of some variables at the current values. Directions that are fixed have none:
+    /// zeros.
     pub fn covariance(&self, keys: &[AnyKey]) -> Result<Covariance, Error> {
         let mut first = vec![0];
         for key in keys {
@@ -65,7 +67,8 @@ impl Problem {
         let linearised = system.linearize(self, &self.values, 0.0, &mut Times::default());
         linearised.check_finite(self)?;
         let columns = system.structure.columns;
-        let undetermined = |key: &AnyKey| Error::Undetermined { variable: key.type_name, slot: key.slot };
+        let undetermined =
+            |key: &AnyKey| Error::Undetermined { variable: key.type_name, slot: key.slot };
         let Some(first_key) = keys.first() else {
             return Ok(Covariance { keys: Vec::new(), first, matrix: DMatrix::zeros(0, 0) });
         };
@@ -118,7 +121,8 @@ impl Parts {
         }
     }
 
-    /// The columns of a kept variable, whose directions begin at `at`. `None` when nothing determines one of them.
+    /// The columns of a kept variable, whose directions begin at `at`. `None` when nothing
+    /// determines one of them.
     fn add_kept(
         &mut self,
         system: &SchurSystem,
@@ -132,7 +136,8 @@ impl Parts {
         }
         let block = &system.structure.blocks[place.block as usize];
         for (column, i) in block.free_columns().enumerate() {
-            let direction = i.checked_sub(place.offset as usize).filter(|&direction| direction < dof);
+            let direction =
+                i.checked_sub(place.offset as usize).filter(|&direction| direction < dof);
             if let Some(direction) = direction {
                 self.a[(block.reduced + column, at + direction)] = 1.0;
                 let diagonal = system.reduced.diagonal[block.at + i];
@@ -145,7 +150,8 @@ impl Parts {
         Some(())
     }
 
-    /// A_pᵀ of an eliminated variable, its own (LLᵀ)⁻¹ and the diagonal of its V. `None` when nothing determines it.
+    /// A_pᵀ of an eliminated variable, its own (LLᵀ)⁻¹ and the diagonal of its V. `None` when
+    /// nothing determines it.
     fn add_eliminated(
         &mut self,
         system: &SchurSystem,
@@ -155,15 +161,17 @@ impl Parts {
     ) -> Option<()> {
         let structure = &system.structure;
         let (chunk, cell) = structure.chunks.iter().find_map(|chunk| {
-            let is_it =
-                |cell: &&Cell| cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot);
+            let is_it = |cell: &&Cell| {
+                cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot)
+            };
             chunk.cells.iter().find(is_it).map(|cell| (chunk, cell))
         })?;
         let p = cell.dof as usize;
         let stash = CellStash::of(&system.memory, cell, chunk);
         let factor = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
         let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
-        // A direction that is held has a one on V's diagonal, for want of anything else, and no variance.
+        // A direction that is held has a one on V's diagonal, for want of anything else, and no
+        // variance.
         let moves = |k: usize| free >> k & 1 == 1;
         for k in (0..p).filter(|&k| moves(k)) {
             let diagonal = stash.diagonal(k, 0.0);

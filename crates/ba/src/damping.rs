@@ -1,7 +1,8 @@
-//! How much to trust the linear model: Nielsen's rule (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
-//! problems", algorithm 3.16), which is also that of Ceres' trust region, but bolder where the model was right. With the rule
-//! as it is, a gain ratio of 0.8 step after step, as in the valleys of bundle adjustment, hardly lowers λ: Ladybug-49 takes 32
-//! steps instead of some 20.
+//! How much to trust the linear model: Nielsen's rule (Madsen, Nielsen, Tingleff 2004, "Methods for
+//! non-linear least squares problems", algorithm 3.16), which is also that of Ceres' trust region,
+//! but bolder where the model was right. With the rule as it is, a gain ratio of 0.8 step after
+//! step, as in the valleys of bundle adjustment, hardly lowers λ: Ladybug-49 takes 32 steps instead
+//! of some 20.
 
 /// From these gain ratios on, best first, λ falls by these factors.
 const BOLD: [(f64, f64); 2] = [(0.9, 0.1), (0.7, MAX_DECREASE)];
@@ -29,7 +30,8 @@ impl Damping {
     /// After a step that lowered the cost by `gain_ratio` times what the model promised.
     pub(crate) fn accepted(&mut self, gain_ratio: f64) {
         let bold = BOLD.iter().find(|(from, _)| gain_ratio >= *from).map(|(_, factor)| *factor);
-        let factor = bold.unwrap_or_else(|| (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE));
+        let factor =
+            bold.unwrap_or_else(|| (1.0 - (2.0 * gain_ratio - 1.0).powi(3)).max(MAX_DECREASE));
         self.lambda = (self.lambda * factor).max(self.least);
         self.increase = 2.0;
     }
@@ -52,8 +54,9 @@ impl Damping {
     }
 }
 
-/// λD of a direction with this entry on the diagonal of JᵀJ: Marquardt's scaling, which makes the step independent of units. A
-/// direction that no factor sees gets a one for now, and stays where it is.
+/// λD of a direction with this entry on the diagonal of JᵀJ: Marquardt's scaling, which makes the
+/// step independent of units. A direction that no factor sees gets a one for now, and stays where
+/// it is.
 #[inline(always)]
 pub(crate) fn marquardt(diagonal: f64, lambda: f64) -> f64 {
     if diagonal > 0.0 { lambda * diagonal } else { 1.0 }

@@ -11,8 +11,8 @@ use crate::summary::{IterationRecord, Summary, Termination, Times};
 use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
-/// A step that gains next to nothing ends a solve, unless the linear model promised that many times as much: then it was a bad step,
-/// and a shorter one may gain something.
+/// A step that gains next to nothing ends a solve, unless the linear model promised that many times
+/// as much: then it was a bad step, and a shorter one may gain something.
 const MIN_GAIN_RATIO: f64 = 0.1;
 
 /// One solve on its way.
@@ -53,11 +53,25 @@ impl<'a> Descent<'a> {
         now.check_finite(problem)?;
         let initial_cost = now.cost;
         let iterations = Vec::new();
-        Ok(Self { system, options, problem, trial, now, initial_cost, damping, iterations, times, begin })
+        Ok(Self {
+            system,
+            options,
+            problem,
+            trial,
+            now,
+            initial_cost,
+            damping,
+            iterations,
+            times,
+            begin,
+        })
     }
 
     /// Goes down until nothing is to be gained, or `watch` stops it.
-    pub(crate) fn run(&mut self, watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>) -> Termination {
+    pub(crate) fn run(
+        &mut self,
+        watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+    ) -> Termination {
         loop {
             if let Some(termination) = self.needs_no_step() {
                 return termination;
@@ -69,7 +83,8 @@ impl<'a> Descent<'a> {
             }
             let before = self.now;
             let mut outcome = self.judge(&attempt);
-            // What comes after the last step of a solve needs no derivatives, unless factors have gone or may have come to exist.
+            // What comes after the last step of a solve needs no derivatives, unless factors have
+            // gone or may have come to exist.
             let others = before.missing + attempt.lost > 0;
             if others {
                 outcome.accepted &= self.linearize(outcome.accepted, &before);
@@ -105,7 +120,8 @@ impl<'a> Descent<'a> {
     /// Where the next step leads. One that cannot be computed leads to infinite cost.
     fn attempt(&mut self, lambda: f64) -> Attempt {
         let values = &self.problem.values;
-        let attempt = self.system.attempt(self.problem, values, self.trial, lambda, &mut self.times);
+        let attempt =
+            self.system.attempt(self.problem, values, self.trial, lambda, &mut self.times);
         attempt.unwrap_or(Attempt { promise: f64::INFINITY, cost: f64::INFINITY, lost: 0 })
     }
 
@@ -127,12 +143,14 @@ impl<'a> Descent<'a> {
         Outcome { decrease, gain_ratio, accepted }
     }
 
-    /// Linearises after a step that was taken or not, from `before`. Gives whether it stays taken: where the cost is finite but
-    /// its derivatives are not, the step is as bad as one that raises the cost.
+    /// Linearises after a step that was taken or not, from `before`. Gives whether it stays taken:
+    /// where the cost is finite but its derivatives are not, the step is as bad as one that raises
+    /// the cost.
     fn linearize(&mut self, accepted: bool, before: &Linearised) -> bool {
         let next = self.linearize_here();
         if next.cost.is_finite() && next.gradient_max.is_finite() {
-            // `residual` and `linearize` of a factor round differently: compare only what the same one has measured.
+            // `residual` and `linearize` of a factor round differently: compare only what the same
+            // one has measured.
             let same = next.missing == before.missing && self.now.missing == before.missing;
             let cost = if same { self.now.cost } else { next.cost };
             self.now = Linearised { cost, ..next };

@@ -1,10 +1,11 @@
-/// What can be wrong with a problem or with a question about it. A solve that ends without success is no error: see
-/// [`Termination`](crate::Termination).
+/// What can be wrong with a problem or with a question about it. A solve that ends without success
+/// is no error: see [`Termination`](crate::Termination).
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A factor names a variable that the problem does not have.
     #[error(
-        "{kind}: variable {position} has slot {slot}, but the problem holds {len} variables of that type", kind = words(factor))]
+        "{kind}: variable {position} has slot {slot}, but the problem holds {len} variables of \
+        that type", kind = words(factor))]
     UnknownKey {
         /// The factor's type.
         factor: &'static str,
@@ -16,7 +17,8 @@ pub enum Error {
         len: usize,
     },
     /// A key that the problem does not have.
-    #[error("slot {slot} of {kind} does not exist: the problem holds {len} of them", kind = words(variable))]
+    #[error("slot {slot} of {kind} does not exist: the problem holds {len} of \
+    them", kind = words(variable))]
     UnknownVariable {
         /// The variable's type.
         variable: &'static str,
@@ -35,8 +37,10 @@ pub enum Error {
         /// Second position.
         second: usize,
     },
-    /// A factor joins two variables that were both declared as eliminated; the Schur complement needs them independent.
-    #[error("{kind} number {index}: variables {first} and {second} are both declared eliminated", kind = words(factor))]
+    /// A factor joins two variables that were both declared as eliminated; the Schur complement
+    /// needs them independent.
+    #[error("{kind} number {index}: variables {first} and {second} are both declared \
+    eliminated", kind = words(factor))]
     TwoEliminated {
         /// The factor's type.
         factor: &'static str,
@@ -48,7 +52,8 @@ pub enum Error {
         second: usize,
     },
     /// A tangent index outside the variable's dimension.
-    #[error("tangent index {index} is out of range: {kind} has {dof} degrees of freedom", kind = words(variable))]
+    #[error("tangent index {index} is out of range: {kind} has {dof} degrees of \
+    freedom", kind = words(variable))]
     TangentIndex {
         /// The variable's type.
         variable: &'static str,
@@ -98,8 +103,10 @@ pub enum Error {
     /// The problem got variables, factors or fixings after the solver was made from it.
     #[error("the problem has changed since its solver was made: make a new solver")]
     StructureChanged,
-    /// A variable, or one that it depends on, is not determined by the factors: there is no finite covariance.
-    #[error("the factors do not determine {kind} number {slot}, or what it depends on: fix the gauge", kind = words(variable))]
+    /// A variable, or one that it depends on, is not determined by the factors: there is no finite
+    /// covariance.
+    #[error("the factors do not determine {kind} number {slot}, or what it depends on: fix the \
+    gauge", kind = words(variable))]
     Undetermined {
         /// The variable's type.
         variable: &'static str,
@@ -118,7 +125,8 @@ pub enum Error {
     },
 }
 
-/// The name of a type as words, without its path and parameters: `a::b::RollingShutter<c::D>` is a rolling shutter.
+/// The name of a type as words, without its path and parameters: `a::b::RollingShutter<c::D>` is a
+/// rolling shutter.
 fn words(type_name: &str) -> String {
     let name = type_name.split('<').next().unwrap_or_default();
     let name = name.rsplit("::").next().unwrap_or_default();
@@ -138,10 +146,17 @@ mod tests {
 
     #[test]
     fn messages_have_words_and_no_types() {
-        let factor = "tiepoint_ba::factors::reprojection::RollingReprojection<tiepoint_geometry::Radial>";
+        let factor =
+            "tiepoint_ba::factors::reprojection::RollingReprojection<tiepoint_geometry::Radial>";
         let error = Error::NotFinite { factor, index: 7, what: "residual", value: f64::INFINITY };
-        assert_eq!(error.to_string(), "rolling reprojection number 7: residual is inf at the initial values");
+        assert_eq!(
+            error.to_string(),
+            "rolling reprojection number 7: residual is inf at the initial values"
+        );
         let error = Error::TangentIndex { variable: "nalgebra::Vector3<f64>", index: 4, dof: 3 };
-        assert_eq!(error.to_string(), "tangent index 4 is out of range: vector3 has 3 degrees of freedom");
+        assert_eq!(
+            error.to_string(),
+            "tangent index 4 is out of range: vector3 has 3 degrees of freedom"
+        );
     }
 }

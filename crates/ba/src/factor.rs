@@ -1,18 +1,20 @@
-//! What a problem is made of: a factor is a measurement, with a residual of the variables it joins and its derivatives.
+//! What a problem is made of: a factor is a measurement, with a residual of the variables it joins
+//! and its derivatives.
 
 use nalgebra::SVector;
 use tiepoint_geometry::{Block, Manifold};
 
 use crate::variable::{Key, Values};
 
-/// One term of the cost: ½ ρ(|r|²) with a residual r of `R` numbers, which should have unit variance when the measurement is
-/// right (divide by its standard deviation).
+/// One term of the cost: ½ ρ(|r|²) with a residual r of `R` numbers, which should have unit
+/// variance when the measurement is right (divide by its standard deviation).
 ///
-/// The method that must be written is [`Factor::linearize`]; write [`Factor::residual`] too where it is much cheaper. To write
-/// the residual alone and have it differentiated, see [`AutoDiff`](crate::AutoDiff).
+/// The method that must be written is [`Factor::linearize`]; write [`Factor::residual`] too where
+/// it is much cheaper. To write the residual alone and have it differentiated, see
+/// [`AutoDiff`](crate::AutoDiff).
 ///
-/// `None` means that the factor does not exist at these values, such as the pixel of a point behind the camera: see the crate's
-/// front page for what the solver makes of it.
+/// `None` means that the factor does not exist at these values, such as the pixel of a point behind
+/// the camera: see the crate's front page for what the solver makes of it.
 pub trait Factor<const R: usize>: Send + Sync + 'static {
     /// The types of its variables, as a tuple: `(Rigid3, Vector3<f64>)`.
     type Vars: Vars;

@@ -1,7 +1,8 @@
 //! One large array of numbers, on huge pages where the system has them for whoever asks.
 //!
-//! The first touch of a page of 4 KiB costs about a microsecond: 3 of the 20 ms that Ladybug-49 took, whose array has 11 MB. With
-//! pages of 2 MiB there are 500 times fewer of them, and fewer misses of the translation buffer ever after.
+//! The first touch of a page of 4 KiB costs about a microsecond: 3 of the 20 ms that Ladybug-49
+//! took, whose array has 11 MB. With pages of 2 MiB there are 500 times fewer of them, and fewer
+//! misses of the translation buffer ever after.
 
 use std::ops::{Deref, DerefMut, Range};
 

@@ -5,17 +5,20 @@ use crate::error::Error;
 pub struct Options {
     /// Stop after so many attempted steps.
     pub max_iterations: usize,
-    /// Stop when a step lowers the cost by less than this fraction of it, and the linear model did not promise much more.
+    /// Stop when a step lowers the cost by less than this fraction of it, and the linear model did
+    /// not promise much more.
     pub function_tolerance: f64,
     /// Stop when no component of the gradient is larger, in units of cost per unit of the variable.
     pub gradient_tolerance: f64,
-    /// Stop when the linear model promises to lower the cost by less than the square of this, as a fraction of the cost: the step
-    /// then moves the residuals by less than this fraction of their norm.
+    /// Stop when the linear model promises to lower the cost by less than the square of this, as a
+    /// fraction of the cost: the step then moves the residuals by less than this fraction of their
+    /// norm.
     pub step_tolerance: f64,
     /// Damping λ of the first step, relative to the diagonal of JᵀJ.
     pub initial_damping: f64,
-    /// After each step, every eliminated variable takes up to so many Gauss-Newton steps of its own, with the kept ones held,
-    /// as long as they pay: cheap beside a step of all, of which fewer are then needed.
+    /// After each step, every eliminated variable takes up to so many Gauss-Newton steps of its
+    /// own, with the kept ones held, as long as they pay: cheap beside a step of all, of which
+    /// fewer are then needed.
     pub refinements: usize,
     /// How the linear system is solved.
     pub linear_solver: LinearSolver,
@@ -38,22 +41,25 @@ impl Default for Options {
 /// How the linear system of each step is solved.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LinearSolver {
-    /// From the structure: [`Qr`](Self::Qr) where nothing is eliminated and the Jacobian is small, else
-    /// [`Dense`](Self::Dense) for few kept columns or a full reduced system, else [`Sparse`](Self::Sparse).
+    /// From the structure: [`Qr`](Self::Qr) where nothing is eliminated and the Jacobian is small,
+    /// else [`Dense`](Self::Dense) for few kept columns or a full reduced system, else
+    /// [`Sparse`](Self::Sparse).
     #[default]
     Auto,
-    /// QR factorisation of the whole dense Jacobian, with nothing eliminated: for small ill-conditioned problems, since it does
-    /// not square the condition number. Needs memory for residuals × columns.
+    /// QR factorisation of the whole dense Jacobian, with nothing eliminated: for small
+    /// ill-conditioned problems, since it does not square the condition number. Needs memory for
+    /// residuals × columns.
     Qr,
     /// Dense Cholesky factorisation of the reduced system.
     Dense,
-    /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not fit into 4 GiB, as
-    /// [`Iterative`](Self::Iterative).
+    /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not
+    /// fit into 4 GiB, as [`Iterative`](Self::Iterative).
     Sparse,
-    /// Conjugate gradients on the reduced system, preconditioned by its diagonal blocks; where it has more numbers than the
-    /// observations, as [`Implicit`](Self::Implicit).
+    /// Conjugate gradients on the reduced system, preconditioned by its diagonal blocks; where it
+    /// has more numbers than the observations, as [`Implicit`](Self::Implicit).
     Iterative,
-    /// The same without putting the reduced system together: memory grows with the observations alone.
+    /// The same without putting the reduced system together: memory grows with the observations
+    /// alone.
     Implicit,
 }
 

@@ -9,7 +9,9 @@ use crate::error::Error;
 use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
 use crate::retraction::Retraction;
 use crate::run::{AnyRun, Run};
-use crate::variable::{AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free};
+use crate::variable::{
+    AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free,
+};
 
 /// Variables on manifolds and factors between them: minimise Σ ½ ρ(|r|²).
 #[derive(Default)]
@@ -40,19 +42,26 @@ impl Problem {
     }
 
     /// Adds a variable that stays in the reduced system.
-    pub fn keep<V: Manifold>(&mut self, value: V, order: Order) -> Key<V> {
+    pub fn add_parameter<V: Manifold>(&mut self, value: V, order: Order) -> Key<V> {
         self.insert(value, Role::Kept(order))
     }
 
-    /// Adds a variable that is eliminated from the linear system before it is solved (Schur complement): one of many that
-    /// share factors with few others and never with each other, such as a point. At most 6 degrees of freedom.
-    pub fn eliminate<V: Manifold>(&mut self, value: V) -> Key<V> {
+    /// Adds a variable that is eliminated from the linear system before it is solved (Schur
+    /// complement): one of many that share factors with few others and never with each other, such
+    /// as a point. At most 6 degrees of freedom.
+    pub fn add_landmark<V: Manifold>(&mut self, value: V) -> Key<V> {
         const { assert!(V::DOF <= MAX_ELIMINATED_DOF, "too many degrees of freedom to eliminate") };
         self.insert(value, Role::Eliminated)
     }
 
     fn insert<V: Manifold>(&mut self, value: V, role: Role) -> Key<V> {
-        const { assert!(V::DOF >= 1 && V::DOF <= MAX_DOF, "a variable has 1 to 64 degrees of freedom") };
+        const {
+            assert!(
+                V::DOF >= 1 && V::DOF <= MAX_DOF,
+                "a variable has 1 to 64 degrees of \
+        freedom"
+            )
+        };
         let (store, values) = self.values.store_mut::<V>();
         let slot = values.len() as u32;
         values.push(value);
@@ -77,16 +86,20 @@ impl Problem {
             Some(run) => run,
             None => {
                 let mut stores = Vec::with_capacity(F::Vars::COUNT);
-                for (position, store) in F::Vars::stores(&ValuesRef(&self.values)).into_iter().enumerate() {
+                for (position, store) in
+                    F::Vars::stores(&ValuesRef(&self.values)).into_iter().enumerate()
+                {
                     let slot = slots.as_ref()[position];
-                    let unknown = Error::UnknownKey { factor: type_name::<F>(), position, slot, len: 0 };
+                    let unknown =
+                        Error::UnknownKey { factor: type_name::<F>(), position, slot, len: 0 };
                     stores.push(store.ok_or(unknown)?);
                 }
                 self.runs.push(Box::new(Run::<F, R>::new(stores)));
                 self.runs.len() - 1
             }
         };
-        let run = self.runs[run].as_any_mut().downcast_mut::<Run<F, R>>().expect("found by its type");
+        let run =
+            self.runs[run].as_any_mut().downcast_mut::<Run<F, R>>().expect("found by its type");
         check_slots::<F>(&self.metas, run.stores(), slots.as_ref())?;
         run.push(slots, factor, loss);
         self.revision += 1;
@@ -98,7 +111,8 @@ impl Problem {
         self.retraction = Some(Box::new(retraction));
     }
 
-    /// Holds a variable constant. (A key of another problem that this one does not have is ignored.)
+    /// Holds a variable constant. (A key of another problem that this one does not have is
+    /// ignored.)
     pub fn fix<V: Manifold>(&mut self, key: Key<V>) {
         self.set_free(key, 0);
     }
@@ -108,10 +122,11 @@ impl Problem {
         self.set_free(key, all_free(V::DOF));
     }
 
-    /// Holds the listed tangent directions of a variable constant, in addition to those already held: no step moves it along them. For
-    /// a pose, that holds its centre where all three of τ are listed; one of them is a direction that turns with the camera (see
-    /// CONVENTIONS.md of `tiepoint-geometry`).
-    pub fn fix_tangent<V: Manifold>(&mut self, key: Key<V>, indices: &[usize]) -> Result<(), Error> {
+    /// Holds the listed tangent directions of a variable constant, in addition to those already
+    /// held: no step moves it along them. For a pose, that holds its centre where all three of τ
+    /// are listed; one of them is a direction that turns with the camera (see CONVENTIONS.md of
+    /// `tiepoint-geometry`).
+    pub fn fix_dofs<V: Manifold>(&mut self, key: Key<V>, indices: &[usize]) -> Result<(), Error> {
         let mut free = self.meta(key)?.free;
         for &index in indices {
             if index >= V::DOF {
@@ -151,12 +166,15 @@ impl Problem {
     /// # Panics
     /// As indexing does, when the key comes from another problem and names nothing in this one.
     pub fn get<V: Manifold>(&self, key: Key<V>) -> V {
-        let store =
-            self.values.find(TypeId::of::<V>()).expect("a key names a variable of the problem that made it");
+        let store = self
+            .values
+            .find(TypeId::of::<V>())
+            .expect("a key names a variable of the problem that made it");
         self.values.slice::<V>(store as u16)[key.slot as usize]
     }
 
-    /// Changes the value of a variable. (A key of another problem that this one does not have is ignored.)
+    /// Changes the value of a variable. (A key of another problem that this one does not have is
+    /// ignored.)
     pub fn set<V: Manifold>(&mut self, key: Key<V>, value: V) {
         if self.meta(key).is_ok() {
             self.values.store_mut::<V>().1[key.slot as usize] = value;
@@ -196,8 +214,8 @@ impl Problem {
         cost
     }
 
-    /// The residuals of all factors of type `F` at the current values, in the order in which they were added; `None` where
-    /// a factor does not exist.
+    /// The residuals of all factors of type `F` at the current values, in the order in which they
+    /// were added; `None` where a factor does not exist.
     pub fn residuals<const R: usize, F: Factor<R>>(&self) -> Vec<Option<SVector<f64, R>>> {
         let run = self.runs.iter().find_map(|run| run.as_any().downcast_ref::<Run<F, R>>());
         run.map_or_else(Vec::new, |run| run.residuals(&self.values))
@@ -228,7 +246,11 @@ fn check_slots<F>(metas: &[Vec<Meta>], stores: &[u16], slots: &[u32]) -> Result<
             return Err(Error::UnknownKey { factor: type_name::<F>(), position, slot, len });
         }
         if let Some(first) = (0..position).find(|&i| stores[i] == store && slots[i] == slot) {
-            return Err(Error::RepeatedVariable { factor: type_name::<F>(), first, second: position });
+            return Err(Error::RepeatedVariable {
+                factor: type_name::<F>(),
+                first,
+                second: position,
+            });
         }
     }
     Ok(())

@@ -1,5 +1,6 @@
-//! The whole Jacobian as one dense matrix, and its QR factorisation: for small problems that the squared condition number of
-//! normal equations would spoil, and as the slow twin of the elimination.
+//! The whole Jacobian as one dense matrix, and its QR factorisation: for small problems that the
+//! squared condition number of normal equations would spoil, and as the slow twin of the
+//! elimination.
 
 use std::time::Instant;
 
@@ -16,9 +17,9 @@ use crate::summary::Times;
 use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
-/// Where a column vanishes — an exponential underflows — nothing but damping holds its variable back. So it is damped by no less than
-/// this part of what it was damped by first. (Ceres does so by scaling columns once and bounding their diagonal: MGH17 of the
-/// NIST problems depends on it.)
+/// Where a column vanishes — an exponential underflows — nothing but damping holds its variable
+/// back. So it is damped by no less than this part of what it was damped by first. (Ceres does so
+/// by scaling columns once and bounding their diagonal: MGH17 of the NIST problems depends on it.)
 const LEAST_SCALE: f64 = 1e-6;
 
 pub(crate) struct QrSystem {
@@ -75,7 +76,13 @@ impl System for QrSystem {
         (self.structure.columns, 0)
     }
 
-    fn linearize(&mut self, problem: &Problem, values: &Values, _: f64, times: &mut Times) -> Linearised {
+    fn linearize(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        _: f64,
+        times: &mut Times,
+    ) -> Linearised {
         let begin = Instant::now();
         self.jacobian.fill(0.0);
         let (mut first_row, mut at) = (0, 0);
@@ -88,12 +95,16 @@ impl System for QrSystem {
             run.linearize(values, &factors, Rows { rows: &mut numbers, costs });
             for (factor, rows) in numbers.chunks_exact((height * stride).max(1)).enumerate() {
                 let mut column = 0;
-                for ((&store, &slot), &dof) in run.stores().iter().zip(run.slots(factor)).zip(run.dofs()) {
+                for ((&store, &slot), &dof) in
+                    run.stores().iter().zip(run.slots(factor)).zip(run.dofs())
+                {
                     let place = self.structure.places[store as usize][slot as usize];
                     if place.block != crate::structure::NONE {
                         let block = &self.structure.blocks[place.block as usize];
-                        let before = (block.free & ((1u64 << place.offset) - 1)).count_ones() as usize;
-                        let free = (0..dof).filter(|i| block.free >> (place.offset as usize + i) & 1 == 1);
+                        let before =
+                            (block.free & ((1u64 << place.offset) - 1)).count_ones() as usize;
+                        let free =
+                            (0..dof).filter(|i| block.free >> (place.offset as usize + i) & 1 == 1);
                         for (to, i) in (block.reduced + before..).zip(free) {
                             for r in 0..height {
                                 self.jacobian[(first_row + r, to)] = rows[r * stride + column + i];

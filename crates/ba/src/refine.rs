@@ -1,8 +1,9 @@
-//! What a step costs, and eliminated variables on their own, with the kept ones held: Gauss-Newton steps that cost little, for
-//! nothing but small blocks have to be solved, and that take out of the way what is not linear in these variables (Jeong, Nister,
-//! Steedly, Szeliski, Kweon 2012, "Pushing the envelope of modern methods for bundle adjustment", section 5.2: embedded point
-//! iterations). Each variable keeps a step only if it lowers the cost of its own factors, so that nothing gets worse; and takes
-//! another only if that has paid.
+//! What a step costs, and eliminated variables on their own, with the kept ones held: Gauss-Newton
+//! steps that cost little, for nothing but small blocks have to be solved, and that take out of the
+//! way what is not linear in these variables (Jeong, Nister, Steedly, Szeliski, Kweon 2012,
+//! "Pushing the envelope of modern methods for bundle adjustment", section 5.2: embedded point
+//! iterations). Each variable keeps a step only if it lowers the cost of its own factors, so that
+//! nothing gets worse; and takes another only if that has paid.
 #![allow(clippy::needless_range_loop)] // one index runs through several arrays
 
 use std::ops::Range;
@@ -16,14 +17,16 @@ use crate::variable::{FIXED, Values};
 
 /// λ of these steps: against singular blocks, not for caution.
 const LAMBDA: f64 = 1e-6;
-/// A variable goes on as long as a step lowers its cost by more than this part of the mean over all such variables.
+/// A variable goes on as long as a step lowers its cost by more than this part of the mean over all
+/// such variables.
 const WORTH_REFINING: f64 = 1e-2;
 
 /// Where a step leads, and from there.
 pub(crate) struct Refine {
     rounds: usize,
     pub(crate) chunks: Vec<Part>,
-    /// For each store, where the steps are, or [`FIXED`]; empty for stores without an eliminated variable.
+    /// For each store, where the steps are, or [`FIXED`]; empty for stores without an eliminated
+    /// variable.
     step_at: Vec<Vec<u32>>,
     /// Steps of the eliminated variables.
     steps: Vec<f64>,
@@ -51,7 +54,10 @@ pub(crate) struct Part {
 
 impl Refine {
     pub(crate) fn new(problem: &Problem, structure: &Structure, rounds: usize) -> Self {
-        let part = |chunk: &Chunk| Part { costs: vec![0.0; chunk.factors.numbers.len()], ..Part::default() };
+        let part = |chunk: &Chunk| Part {
+            costs: vec![0.0; chunk.factors.numbers.len()],
+            ..Part::default()
+        };
         let mut this = Self {
             rounds,
             chunks: structure.chunks.iter().map(part).collect(),
@@ -70,8 +76,11 @@ impl Refine {
         self.step_at = structure.step_at.clone();
         for at in self.step_at.iter_mut().flatten() {
             // Behind those of the kept ones.
-            *at =
-                if *at == FIXED { FIXED } else { at.checked_sub(structure.kept_len as u32).unwrap_or(FIXED) };
+            *at = if *at == FIXED {
+                FIXED
+            } else {
+                at.checked_sub(structure.kept_len as u32).unwrap_or(FIXED)
+            };
         }
         for at in &mut self.step_at {
             if at.iter().all(|&at| at == FIXED) {
@@ -79,8 +88,10 @@ impl Refine {
             }
         }
         for (part, chunk) in self.chunks.iter_mut().zip(&structure.chunks) {
-            let longest =
-                chunk.batches.iter().map(|batch| batch_len(problem, chunk, batch.stretches.clone()));
+            let longest = chunk
+                .batches
+                .iter()
+                .map(|batch| batch_len(problem, chunk, batch.stretches.clone()));
             part.rows = vec![0.0; longest.max().unwrap_or(0)];
             let factors = |batch: &Batch| {
                 let stretches = &chunk.stretches[batch.stretches.clone()];
@@ -93,8 +104,8 @@ impl Refine {
         self.base = problem.values.clone();
     }
 
-    /// The cost at `trial`. Of the factors of eliminated variables, the derivatives come along, and with them the steps of the
-    /// first round. `sums` knows which factors count.
+    /// The cost at `trial`. Of the factors of eliminated variables, the derivatives come along, and
+    /// with them the steps of the first round. `sums` knows which factors count.
     pub(crate) fn evaluate(
         &mut self,
         problem: &Problem,
@@ -106,10 +117,14 @@ impl Refine {
         let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
         for_chunks(&structure.chunks, &mut tasks, |chunk, (part, steps, sums)| {
             if refine {
-                part.active.iter_mut().zip(&chunk.cells).for_each(|(active, cell)| *active = cell.dof > 0);
+                part.active
+                    .iter_mut()
+                    .zip(&chunk.cells)
+                    .for_each(|(active, cell)| *active = cell.dof > 0);
                 part.step(problem, trial, chunk, steps, true);
             }
-            for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN) {
+            for stretch in chunk.stretches.iter().filter(|stretch| !refine || stretch.own == NO_OWN)
+            {
                 let range = stretch.start..stretch.end;
                 let run = &problem.runs[stretch.run as usize];
                 run.costs(trial, &chunk.factors.numbers[range.start..], &mut part.costs[range]);
@@ -123,7 +138,8 @@ impl Refine {
         self.chunks.iter().fold(0.0, |sum, part| sum + part.cost)
     }
 
-    /// Takes the steps of the eliminated variables from `trial`, as long as they pay. [`Refine::evaluate`] has been there.
+    /// Takes the steps of the eliminated variables from `trial`, as long as they pay.
+    /// [`Refine::evaluate`] has been there.
     pub(crate) fn improve(
         &mut self,
         problem: &Problem,
@@ -131,8 +147,12 @@ impl Refine {
         structure: &Structure,
         sums: &[Sums],
     ) {
-        let cells =
-            structure.chunks.iter().flat_map(|chunk| &chunk.cells).filter(|cell| cell.dof > 0).count();
+        let cells = structure
+            .chunks
+            .iter()
+            .flat_map(|chunk| &chunk.cells)
+            .filter(|cell| cell.dof > 0)
+            .count();
         for round in 0..self.rounds {
             if round > 0 {
                 let mut tasks = Self::tasks(&mut self.chunks, &mut self.steps, structure, sums);
@@ -142,7 +162,9 @@ impl Refine {
                 });
             }
             let worth = WORTH_REFINING * self.cost() / cells.max(1) as f64;
-            for ((trial, base), at) in trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_at) {
+            for ((trial, base), at) in
+                trial.stores.iter_mut().zip(&mut self.base.stores).zip(&self.step_at)
+            {
                 if !at.is_empty() {
                     std::mem::swap(trial, base);
                     trial.plus_all(&**base, &self.steps, at);
@@ -184,7 +206,8 @@ impl Refine {
         tasks
     }
 
-    /// Takes a cell out of the first round: its variable is not where [`Refine::evaluate`] found it.
+    /// Takes a cell out of the first round: its variable is not where [`Refine::evaluate`] found
+    /// it.
     pub(crate) fn leave_out(&mut self, chunk: usize, cell: usize, structure: &Structure) {
         if let Some(active) = self.chunks[chunk].active.get_mut(cell) {
             *active = false;
@@ -220,7 +243,9 @@ fn stretches_of<'a>(
 ) -> impl Iterator<Item = (u16, u8, Range<usize>)> + use<'a> {
     let Range { start, end } = *factors;
     (chunk.stretches[batch.stretches.clone()].iter())
-        .map(move |stretch| (stretch.run, stretch.own, stretch.start.max(start)..stretch.end.min(end)))
+        .map(move |stretch| {
+            (stretch.run, stretch.own, stretch.start.max(start)..stretch.end.min(end))
+        })
         .filter(|(_, _, range)| !range.is_empty())
 }
 
@@ -234,13 +259,22 @@ impl Part {
         }
     }
 
-    /// The steps of a chunk's active variables, and zero for the others; and the costs of their factors, if they are not known.
-    fn step(&mut self, problem: &Problem, from: &Values, chunk: &Chunk, steps: &mut [f64], costs: bool) {
+    /// The steps of a chunk's active variables, and zero for the others; and the costs of their
+    /// factors, if they are not known.
+    fn step(
+        &mut self,
+        problem: &Problem,
+        from: &Values,
+        chunk: &Chunk,
+        steps: &mut [f64],
+        costs: bool,
+    ) {
         steps.fill(0.0);
         for batch in &chunk.batches {
             let mut rest = batch.cells.clone();
             while let Some(cells) = next_active(&self.active, &mut rest) {
-                let factors = chunk.factors_of(cells.start).start..chunk.cells[cells.end - 1].end as usize;
+                let factors =
+                    chunk.factors_of(cells.start).start..chunk.cells[cells.end - 1].end as usize;
                 let mut at = 0;
                 for (run, own, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
@@ -273,9 +307,16 @@ impl Part {
         }
     }
 
-    /// Takes over the costs of what has become better, and lists the cells that have not. Those that gained less than `worth`
-    /// are done.
-    fn judge(&mut self, problem: &Problem, to: &Values, chunk: &Chunk, counted: &[f64], worth: f64) {
+    /// Takes over the costs of what has become better, and lists the cells that have not. Those
+    /// that gained less than `worth` are done.
+    fn judge(
+        &mut self,
+        problem: &Problem,
+        to: &Values,
+        chunk: &Chunk,
+        counted: &[f64],
+        worth: f64,
+    ) {
         self.worse.clear();
         for batch in &chunk.batches {
             let mut rest = batch.cells.clone();
@@ -284,7 +325,8 @@ impl Part {
                 let factors = start..chunk.cells[cells.end - 1].end as usize;
                 for (run, _, range) in stretches_of(chunk, batch, &factors) {
                     let run = &problem.runs[run as usize];
-                    let costs = &mut self.next_costs[range.start - factors.start..range.end - factors.start];
+                    let costs = &mut self.next_costs
+                        [range.start - factors.start..range.end - factors.start];
                     run.costs(to, &chunk.factors.numbers[range.start..], costs);
                 }
                 for cell in cells {
@@ -292,7 +334,8 @@ impl Part {
                     start = range.end;
                     let (mut old, mut new) = (0.0, 0.0);
                     let mut alive = true;
-                    let next_costs = &self.next_costs[range.start - factors.start..range.end - factors.start];
+                    let next_costs =
+                        &self.next_costs[range.start - factors.start..range.end - factors.start];
                     for (i, &next) in range.clone().zip(next_costs) {
                         alive &= survives(counted[i], next);
                         if !counted[i].is_nan() {
@@ -314,14 +357,23 @@ impl Part {
 }
 
 /// The Gauss-Newton step of one variable. Gives the length of its factors' rows.
-fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f64], to: &mut [f64]) -> usize {
+fn step<const P: usize>(
+    chunk: &Chunk,
+    cell: &Cell,
+    first: usize,
+    rows: &mut [f64],
+    to: &mut [f64],
+) -> usize {
     let (mut v, mut g, mut at) = ([[0.0; P]; P], [0.0; P], 0);
     for &shape in &chunk.factors.shape_of[first..cell.end as usize] {
         let shape = &chunk.factors.shapes[shape as usize];
         let rows = &mut rows[at..][..shape.rows * (P + 1)];
         at += rows.len();
-        for held in
-            shape.held.iter().filter_map(|column| column.checked_sub(shape.eliminated)).filter(|&i| i < P)
+        for held in shape
+            .held
+            .iter()
+            .filter_map(|column| column.checked_sub(shape.eliminated))
+            .filter(|&i| i < P)
         {
             rows.chunks_exact_mut(P + 1).for_each(|row| row[held] = 0.0);
         }
@@ -337,7 +389,8 @@ fn step<const P: usize>(chunk: &Chunk, cell: &Cell, first: usize, rows: &mut [f6
     for i in 0..P {
         v[i][i] += marquardt(v[i][i], LAMBDA);
     }
-    // V = L D Lᵀ with ones on the diagonal of L: without square roots, which so short a loop hangs on. Meanwhile L⁻¹ g.
+    // V = L D Lᵀ with ones on the diagonal of L: without square roots, which so short a loop hangs
+    // on. Meanwhile L⁻¹ g.
     let mut inverse = [0.0; P];
     for j in 0..P {
         inverse[j] = 1.0 / v[j][j];

@@ -1,4 +1,5 @@
-//! How a step moves the variables: each by itself along its tangent, and then as a [`Retraction`] has it.
+//! How a step moves the variables: each by itself along its tangent, and then as a [`Retraction`]
+//! has it.
 
 use std::any::TypeId;
 
@@ -6,14 +7,15 @@ use tiepoint_geometry::Manifold;
 
 use crate::variable::{AnyKey, FIXED, Values};
 
-/// Moves variables by a step otherwise than each by itself. To first order it has to be the same step, since the linear system that
-/// the step solves knows of no other.
+/// Moves variables by a step otherwise than each by itself. To first order it has to be the same
+/// step, since the linear system that the step solves knows of no other.
 pub trait Retraction: Send + Sync {
-    /// Moves all variables. In `moved` each has been moved by itself; those that are fixed are where they were.
+    /// Moves all variables. In `moved` each has been moved by itself; those that are fixed are
+    /// where they were.
     fn retract(&self, step: &Step<'_>, moved: &mut Moved<'_>);
 
-    /// Moves one variable by `tangent` in place of its part of the step. In `moved` it has been moved by itself, and all others are
-    /// where [`Retraction::retract`] has left them.
+    /// Moves one variable by `tangent` in place of its part of the step. In `moved` it has been
+    /// moved by itself, and all others are where [`Retraction::retract`] has left them.
     fn retract_one(&self, step: &Step<'_>, key: AnyKey, tangent: &[f64], moved: &mut Moved<'_>);
 }
 
@@ -26,7 +28,8 @@ pub struct Step<'a> {
     pub(crate) at: &'a [Vec<u32>],
 }
 
-/// The part of a step that belongs to the variables of one type, which are numbered as [`Key::index`](crate::Key::index) does.
+/// The part of a step that belongs to the variables of one type, which are numbered as
+/// [`Key::index`](crate::Key::index) does.
 #[derive(Clone, Copy)]
 pub struct StepOf<'a, V> {
     values: &'a [V],
@@ -41,7 +44,11 @@ impl<'a> Step<'a> {
     /// That of the variables of type `V`; `None` where there are none.
     pub fn of<V: Manifold>(&self) -> Option<StepOf<'a, V>> {
         let store = self.values.find(TypeId::of::<V>())?;
-        Some(StepOf { values: self.values.slice(store as u16), numbers: self.numbers, at: &self.at[store] })
+        Some(StepOf {
+            values: self.values.slice(store as u16),
+            numbers: self.numbers,
+            at: &self.at[store],
+        })
     }
 
     /// Moves everything from the values to `to`.

@@ -1,5 +1,5 @@
-//! All factors of one type, behind an interface that does not know the type: what is done per factor is monomorphised, what is
-//! called through a table is called per stretch of factors.
+//! All factors of one type, behind an interface that does not know the type: what is done per
+//! factor is monomorphised, what is called through a table is called per stretch of factors.
 
 use std::any::{Any, type_name};
 
@@ -84,14 +84,17 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
             fetch(&self.factors, ahead as usize);
             fetch(&self.slots, ahead as usize);
         }
-        if let Some(slots) = factors.get(i + AHEAD / 2).and_then(|&ahead| self.slots.get(ahead as usize)) {
+        if let Some(slots) =
+            factors.get(i + AHEAD / 2).and_then(|&ahead| self.slots.get(ahead as usize))
+        {
             F::Vars::fetch(slices, slots);
         }
     }
 
     /// The derivatives by variable number `I`, or by [`ALL`].
     ///
-    /// The factors' linearisation is inlined, or should be: then what the other variables would get is never computed.
+    /// The factors' linearisation is inlined, or should be: then what the other variables would get
+    /// is never computed.
     #[inline(always)]
     fn linearize_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
@@ -123,7 +126,8 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         }
     }
 
-    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the bits are the same.
+    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the
+    /// bits are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn linearize_avx2<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
@@ -168,8 +172,9 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
     }
 }
 
-/// What [`AnyRun::linearize`] fills: for each factor, `rows()` rows of `stride()` numbers — the Jacobian of all its variables
-/// side by side, then the residual, both times the square root of the loss' slope — and its cost.
+/// What [`AnyRun::linearize`] fills: for each factor, `rows()` rows of `stride()` numbers — the
+/// Jacobian of all its variables side by side, then the residual, both times the square root of the
+/// loss' slope — and its cost.
 pub(crate) struct Rows<'a> {
     pub(crate) rows: &'a mut [f64],
     pub(crate) costs: &'a mut [f64],
@@ -194,11 +199,12 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn stride(&self) -> usize {
         row_len(self.dofs())
     }
-    /// Linearises the first of the listed factors, as many as there are costs; to know of more of them helps to have their memory in
-    /// time. A factor that does not exist gets rows of zeros and [`NO_COST`]; one whose residual is
-    /// not finite gets an infinite cost.
+    /// Linearises the first of the listed factors, as many as there are costs; to know of more of
+    /// them helps to have their memory in time. A factor that does not exist gets rows of zeros and
+    /// [`NO_COST`]; one whose residual is not finite gets an infinite cost.
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>);
-    /// The same by variable number `own` alone: rows of its degrees of freedom and the residual, without padding.
+    /// The same by variable number `own` alone: rows of its degrees of freedom and the residual,
+    /// without padding.
     fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>);
     /// Costs of the listed factors, as in [`AnyRun::linearize`].
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]);
@@ -206,8 +212,8 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
 }
 
-/// The cost ½ρ of a squared norm, and √ρ': iteratively reweighted least squares, for ½ρ'|r + Jδ|² has the gradient of ½ρ and,
-/// for ρ'' ≤ 0, lies above it.
+/// The cost ½ρ of a squared norm, and √ρ': iteratively reweighted least squares, for ½ρ'|r + Jδ|²
+/// has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
 #[inline(always)]
 fn rate(loss: &Loss, squared_norm: f64) -> (f64, f64) {
     let [rho, slope] = match *loss {
@@ -296,8 +302,10 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
             }
             F::Vars::write_rows::<R>(&jacobians, 1.0, &mut rows, stride);
             let jacobian = rows.chunks_exact(stride).flat_map(|row| &row[..total]);
-            // A number whose square overflows spoils the normal equations as much as one that is not finite.
-            if let Some(&value) = jacobian.into_iter().find(|value| !(*value * *value).is_finite()) {
+            // A number whose square overflows spoils the normal equations as much as one that is
+            // not finite.
+            if let Some(&value) = jacobian.into_iter().find(|value| !(*value * *value).is_finite())
+            {
                 return Some((index, "Jacobian", value));
             }
         }

@@ -1,4 +1,5 @@
-//! The system with the declared variables eliminated: chunks of cells in parallel, then the reduced system.
+//! The system with the declared variables eliminated: chunks of cells in parallel, then the reduced
+//! system.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -22,7 +23,8 @@ const DENSE_COLUMNS: usize = 600;
 /// Above, if the reduced system is at least so full, and memory for it is no question.
 const DENSE_FILL: f64 = 0.3;
 const MAX_DENSE_COLUMNS: usize = 10_000;
-/// How often the step of an eliminated variable is halved before it is given up, when it would end a factor's existence.
+/// How often the step of an eliminated variable is halved before it is given up, when it would end
+/// a factor's existence.
 const HALVINGS: i32 = 6;
 
 pub(crate) struct SchurSystem {
@@ -39,12 +41,20 @@ pub(crate) struct SchurSystem {
 }
 
 impl SchurSystem {
-    pub(crate) fn new(problem: &Problem, solver: LinearSolver, refinements: usize) -> Result<Self, Error> {
+    pub(crate) fn new(
+        problem: &Problem,
+        solver: LinearSolver,
+        refinements: usize,
+    ) -> Result<Self, Error> {
         let shared = problem.num_factors() > FACTORS_PER_CHUNK;
         Self::on_pool(shared, || Self::new_here(problem, solver, refinements))
     }
 
-    fn new_here(problem: &Problem, solver: LinearSolver, refinements: usize) -> Result<Self, Error> {
+    fn new_here(
+        problem: &Problem,
+        solver: LinearSolver,
+        refinements: usize,
+    ) -> Result<Self, Error> {
         if solver == LinearSolver::Implicit {
             return Self::implicit(problem, refinements);
         }
@@ -54,13 +64,15 @@ impl SchurSystem {
             LinearSolver::Sparse | LinearSolver::Iterative => false,
             _ => prefers_dense(&structure),
         };
-        let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0 {
+        let (name, factorisation): (_, Box<dyn Factorisation>) = if dense || structure.columns == 0
+        {
             ("dense Cholesky", Box::new(Dense::new(&structure)))
         } else {
             let Ok(columns) = Columns::new(&structure) else {
                 return Self::implicit(problem, refinements);
             };
-            let direct = if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
+            let direct =
+                if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
             match direct {
                 Ok(sparse) => ("sparse Cholesky", Box::new(sparse)),
                 // What a product has to read decides.
@@ -104,14 +116,16 @@ impl SchurSystem {
         }
     }
 
-    /// Runs all of `work` on the thread pool if there is something to share out. Called from outside, each parallel stretch would
-    /// put the calling thread to sleep and wake it: some ten times a step, 50 µs each.
+    /// Runs all of `work` on the thread pool if there is something to share out. Called from
+    /// outside, each parallel stretch would put the calling thread to sleep and wake it: some ten
+    /// times a step, 50 µs each.
     fn on_pool<R: Send>(shared: bool, work: impl FnOnce() -> R + Send) -> R {
         if shared { rayon::scope(|_| work()) } else { work() }
     }
 
-    /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of those that live no longer
-    /// even so. Gives how many those are; `None` where a factor of kept variables alone is ended, or one is not finite.
+    /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of
+    /// those that live no longer even so. Gives how many those are; `None` where a factor of kept
+    /// variables alone is ended, or one is not finite.
     fn rescue(
         &mut self,
         problem: &Problem,
@@ -143,7 +157,8 @@ impl SchurSystem {
     }
 }
 
-/// Halves the step of one cell's variable until all its factors exist that existed before, and gives their cost.
+/// Halves the step of one cell's variable until all its factors exist that existed before, and
+/// gives their cost.
 fn shorten(
     problem: &Problem,
     step: &Step<'_>,
@@ -172,8 +187,9 @@ fn shorten(
     false
 }
 
-/// Gives factors that something else than their variable ends, as a camera that moves past a point, the cost that they had: they
-/// gain a step nothing and do not hold up all others. Gives how many; `None` if one is there but not finite.
+/// Gives factors that something else than their variable ends, as a camera that moves past a point,
+/// the cost that they had: they gain a step nothing and do not hold up all others. Gives how many;
+/// `None` if one is there but not finite.
 fn let_go(factors: Range<usize>, before: &[f64], after: &mut [f64]) -> Option<usize> {
     let mut lost = 0;
     for i in factors {
@@ -236,7 +252,8 @@ impl System for SchurSystem {
             let step = Step { values, numbers: step, at: &structure.step_at };
             step.take(problem.retraction.as_deref(), trial);
             times.back_substitute += begin.elapsed();
-            let (cost, lost) = self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
+            let (cost, lost) =
+                self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
             Some(Attempt { promise, cost, lost })
         })
     }
@@ -327,8 +344,8 @@ impl SchurSystem {
         promise.is_finite().then_some(promise)
     }
 
-    /// The cost at `trial`, refined, and how many factors were let go for it; `None` where a factor that existed does not, or is
-    /// not finite.
+    /// The cost at `trial`, refined, and how many factors were let go for it; `None` where a factor
+    /// that existed does not, or is not finite.
     fn trial_cost(
         &mut self,
         problem: &Problem,

@@ -1,4 +1,5 @@
-//! From a problem to its solution: the choice of a linear solver, and what is found once for many solves.
+//! From a problem to its solution: the choice of a linear solver, and what is found once for many
+//! solves.
 
 use std::ops::ControlFlow;
 
@@ -13,11 +14,12 @@ use crate::summary::{IterationRecord, Summary};
 use crate::system::System;
 use crate::variable::{Role, Values};
 
-/// Up to so many numbers in a dense Jacobian, with nothing to eliminate, it is factorised itself rather than squared.
+/// Up to so many numbers in a dense Jacobian, with nothing to eliminate, it is factorised itself
+/// rather than squared.
 const QR_NUMBERS: usize = 100_000;
 
-/// The structure of a problem — which blocks there are, in which order they are eliminated, who works on what — found once,
-/// and the memory to solve it as often as wanted with changing values.
+/// The structure of a problem — which blocks there are, in which order they are eliminated, who
+/// works on what — found once, and the memory to solve it as often as wanted with changing values.
 pub struct Solver {
     options: Options,
     system: Box<dyn System>,
@@ -45,7 +47,8 @@ impl Solver {
         Ok(Self { options: options.clone(), system: system?, trial, revision: problem.revision })
     }
 
-    /// Moves the problem's variables downhill. `watch` is called after every attempted step and may stop the solve.
+    /// Moves the problem's variables downhill. `watch` is called after every attempted step and may
+    /// stop the solve.
     pub fn solve(
         &mut self,
         problem: &mut Problem,
@@ -64,6 +67,7 @@ impl Solver {
 fn prefers_qr(problem: &Problem) -> bool {
     let eliminates =
         problem.metas.iter().flatten().any(|meta| meta.role == Role::Eliminated && meta.free != 0);
-    let columns: usize = (problem.metas.iter().flatten()).map(|meta| meta.free.count_ones() as usize).sum();
+    let columns: usize =
+        (problem.metas.iter().flatten()).map(|meta| meta.free.count_ones() as usize).sum();
     !eliminates && columns * (problem.num_residuals() + columns) <= QR_NUMBERS
 }

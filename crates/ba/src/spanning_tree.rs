@@ -1,11 +1,14 @@
 //! Steps in which poses move relative to other poses, and points relative to poses.
 //!
-//! A step is computed in the world's frame, and there poses and points are moved in straight lines. Where a long chain of them bends or
-//! grows, what is far along the chain moves far, and on a straight line neighbours part that should turn together: by second order in the
-//! motion of the whole, while the measurements know only of that of one against the next. So a step is read as one of each pose relative
-//! to its parent in a tree of poses, and of each point relative to a pose that sees it, and these are composed from the roots of the tree:
-//! to first order the same step, and exact where everything turns, moves or grows as one. (The parametrisation of relative bundle adjustment — Sibley,
-//! Mei, Reid & Newman 2009 — for moving alone; the linear system remains that of the world's frame, which is sparse.)
+//! A step is computed in the world's frame, and there poses and points are moved in straight lines.
+//! Where a long chain of them bends or grows, what is far along the chain moves far, and on a
+//! straight line neighbours part that should turn together: by second order in the motion of the
+//! whole, while the measurements know only of that of one against the next. So a step is read as
+//! one of each pose relative to its parent in a tree of poses, and of each point relative to a pose
+//! that sees it, and these are composed from the roots of the tree: to first order the same step,
+//! and exact where everything turns, moves or grows as one. (The parametrisation of relative bundle
+//! adjustment — Sibley, Mei, Reid & Newman 2009 — for moving alone; the linear system remains that
+//! of the world's frame, which is sparse.)
 
 use std::any::TypeId;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -24,8 +27,9 @@ const NO_POSE: u32 = u32::MAX;
 /// Points that one task moves, at least.
 const POINTS_PER_TASK: usize = 500;
 
-/// The relative retraction: poses (`cam_from_world`) move relative to others that see the same points, and points (in the world) relative to a
-/// pose that sees them, so that a long chain bends where a step would tear it. Of a long drive far fewer steps are needed.
+/// The relative retraction: poses (`cam_from_world`) move relative to others that see the same
+/// points, and points (in the world) relative to a pose that sees them, so that a long chain bends
+/// where a step would tear it. Of a long drive far fewer steps are needed.
 #[derive(Clone, Debug, Default)]
 pub struct SpanningTree {
     /// Poses and their parents, parents before children.
@@ -35,29 +39,37 @@ pub struct SpanningTree {
 }
 
 impl SpanningTree {
-    /// `sights` are which pose sees which point, as the factors have it. Poses that are to hold still should do so already. One of
-    /// which only some directions are held moves along these by second order in the step.
+    /// `sights` are which pose sees which point, as the factors have it. Poses that are to hold
+    /// still should do so already. One of which only some directions are held moves along these by
+    /// second order in the step.
     ///
     /// # Errors
     /// [`Error::UnknownVariable`] where the problem does not have a pose or a point.
-    pub fn new(problem: &Problem, sights: &[(Key<Rigid3>, Key<Vector3<f64>>)]) -> Result<Self, Error> {
+    pub fn new(
+        problem: &Problem,
+        sights: &[(Key<Rigid3>, Key<Vector3<f64>>)],
+    ) -> Result<Self, Error> {
         for &(pose, point) in sights {
             problem.locate(&pose.into())?;
             problem.locate(&point.into())?;
         }
-        let slots: Vec<(u32, u32)> = sights.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
+        let slots: Vec<(u32, u32)> =
+            sights.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
         let poses = problem.values.find(TypeId::of::<Rigid3>()).map(|store| &problem.metas[store]);
         let is_fixed = |slot: u32| poses.is_some_and(|poses| poses[slot as usize].free == 0);
         Ok(Self::over(&slots, is_fixed))
     }
 
-    /// A pose's parent shares many points with it: such pairs are the maximum spanning tree (Prim 1957), whose roots are the poses that hold
-    /// still. A point moves relative to the first pose that sees it. `sights` are (pose, point).
+    /// A pose's parent shares many points with it: such pairs are the maximum spanning tree (Prim
+    /// 1957), whose roots are the poses that hold still. A point moves relative to the first pose
+    /// that sees it. `sights` are (pose, point).
     fn over(sights: &[(u32, u32)], is_fixed: impl Fn(u32) -> bool) -> Self {
-        let mut by_point: Vec<(u32, u32)> = sights.iter().map(|&(pose, point)| (point, pose)).collect();
+        let mut by_point: Vec<(u32, u32)> =
+            sights.iter().map(|&(pose, point)| (point, pose)).collect();
         by_point.par_sort_unstable();
         by_point.dedup();
-        let mut pose_of_point = vec![NO_POSE; by_point.last().map_or(0, |(point, _)| *point as usize + 1)];
+        let mut pose_of_point =
+            vec![NO_POSE; by_point.last().map_or(0, |(point, _)| *point as usize + 1)];
         let mut pairs: Vec<(u32, u32)> = Vec::new();
         for seen in by_point.chunk_by(|a, b| a.0 == b.0) {
             let (point, first) = seen[0];
@@ -96,7 +108,9 @@ impl SpanningTree {
 
 impl Retraction for SpanningTree {
     fn retract(&self, step: &Step<'_>, moved: &mut Moved<'_>) {
-        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else { return };
+        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else {
+            return;
+        };
         let Some((after, places)) = moved.two_mut::<Rigid3, Vector3<f64>>() else { return };
         let before = poses.values();
         for &(pose, parent) in &self.poses {
@@ -109,9 +123,11 @@ impl Retraction for SpanningTree {
             let centre = carried(&before[parent], &of_parent, &after[parent], &place, &own.centre);
             let from_parent = before[pose].rotation * before[parent].rotation.inverse();
             let turn = so3::exp(&(own.turn - from_parent * of_parent.turn));
-            // Each is a product with the one before: without this their norms would grow along the chain.
-            let rotation =
-                UnitQuaternion::new_normalize((turn * from_parent * after[parent].rotation).into_inner());
+            // Each is a product with the one before: without this their norms would grow along the
+            // chain.
+            let rotation = UnitQuaternion::new_normalize(
+                (turn * from_parent * after[parent].rotation).into_inner(),
+            );
             after[pose] = Rigid3::new(rotation, -(rotation * centre));
         }
         let after = &*after;
@@ -125,7 +141,9 @@ impl Retraction for SpanningTree {
     }
 
     fn retract_one(&self, step: &Step<'_>, key: AnyKey, tangent: &[f64], moved: &mut Moved<'_>) {
-        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else { return };
+        let (Some(poses), Some(points)) = (step.of::<Rigid3>(), step.of::<Vector3<f64>>()) else {
+            return;
+        };
         let Some(point) = key.typed::<Vector3<f64>>().map(Key::index) else { return };
         let Some((after, places)) = moved.two_mut::<Rigid3, Vector3<f64>>() else { return };
         if let Some(place) = self.moved(&poses, after, (point, &points.values()[point]), tangent) {
@@ -139,8 +157,10 @@ fn maximum_spanning_tree(
     neighbours: &BTreeMap<u32, Vec<(usize, u32)>>,
     is_fixed: impl Fn(u32) -> bool,
 ) -> Vec<(u32, u32)> {
-    let (fixed, others): (Vec<u32>, Vec<u32>) = neighbours.keys().partition(|&&pose| is_fixed(pose));
-    let edges = |from: u32| neighbours[&from].iter().map(move |&(weight, pose)| (weight, pose, from));
+    let (fixed, others): (Vec<u32>, Vec<u32>) =
+        neighbours.keys().partition(|&&pose| is_fixed(pose));
+    let edges =
+        |from: u32| neighbours[&from].iter().map(move |&(weight, pose)| (weight, pose, from));
     let mut next: BinaryHeap<_> = fixed.iter().flat_map(|&pose| edges(pose)).collect();
     let mut reached: BTreeSet<u32> = fixed.into_iter().collect();
     let mut others = others.into_iter();
@@ -176,8 +196,9 @@ impl Motion {
     }
 }
 
-/// Where a pose that was `before` and is `after`, and that a step moves by `motion`, carries a place that the step moves by `shift`: in the
-/// frame of the pose the place moves in a straight line.
+/// Where a pose that was `before` and is `after`, and that a step moves by `motion`, carries a
+/// place that the step moves by `shift`: in the frame of the pose the place moves in a straight
+/// line.
 fn carried(
     before: &Rigid3,
     motion: &Motion,
@@ -201,9 +222,11 @@ mod tests {
     const POSES: usize = 6;
     /// Rounding of places some tens of units from the origin, moved a few times.
     const TOLERANCE: f64 = 1e-12;
-    /// Of two retractions that agree to first order, halving the step leaves this share of the difference, and a bit.
+    /// Of two retractions that agree to first order, halving the step leaves this share of the
+    /// difference, and a bit.
     const SECOND_ORDER: f64 = 0.26;
-    /// So short a step that only the second order matters; and the difference that rounding leaves of it.
+    /// So short a step that only the second order matters; and the difference that rounding leaves
+    /// of it.
     const SHORT: f64 = 1e-3;
     const ROUNDING: f64 = 1e-12;
 
@@ -211,24 +234,27 @@ mod tests {
         [-limit..limit, -limit..limit, -limit..limit].prop_map(Vector3::from)
     }
 
-    /// Poses along a line and points beside it, each seen by two neighbours; the first pose holds still if `hold` says so.
+    /// Poses along a line and points beside it, each seen by two neighbours; the first pose holds
+    /// still if `hold` says so.
     fn chain(offs: &[(Vector3<f64>, Vector3<f64>)], hold: bool) -> (Problem, SpanningTree) {
         let mut problem = Problem::new();
         let poses: Vec<_> = (0..POSES)
             .map(|i| {
                 let centre = Vector3::new(5.0 * i as f64, 0.0, 0.0) + offs[i].0;
                 let rotation = so3::exp(&offs[i].1);
-                problem.keep(Rigid3::new(rotation, -(rotation * centre)), Order::At(i as u32))
+                problem
+                    .add_parameter(Rigid3::new(rotation, -(rotation * centre)), Order::At(i as u32))
             })
             .collect();
         if hold {
             problem.fix(poses[0]);
         }
         let points: Vec<_> = (0..POSES)
-            .map(|i| problem.eliminate(Vector3::new(5.0 * i as f64, 1.0, 8.0) + offs[i].1))
+            .map(|i| problem.add_landmark(Vector3::new(5.0 * i as f64, 1.0, 8.0) + offs[i].1))
             .collect();
-        let sights: Vec<_> =
-            (0..POSES).flat_map(|i| [i, i + 1].map(|k| (poses[k.min(POSES - 1)], points[i]))).collect();
+        let sights: Vec<_> = (0..POSES)
+            .flat_map(|i| [i, i + 1].map(|k| (poses[k.min(POSES - 1)], points[i])))
+            .collect();
         let tree = SpanningTree::new(&problem, &sights).unwrap();
         (problem, tree)
     }
@@ -252,14 +278,23 @@ mod tests {
     }
 
     /// The step of a world that turns about its origin, grows and is shifted.
-    fn as_one(problem: &Problem, turn: &Vector3<f64>, growth: f64, shift: &Vector3<f64>) -> Vec<f64> {
+    fn as_one(
+        problem: &Problem,
+        turn: &Vector3<f64>,
+        growth: f64,
+        shift: &Vector3<f64>,
+    ) -> Vec<f64> {
         let moves = |place: &Vector3<f64>| turn.cross(place) + place * growth + shift;
         let mut step = Vec::new();
         for pose in problem.values.slice::<Rigid3>(0) {
             let tau = -(pose.rotation * moves(&pose.origin_in_a()));
             step.extend((-(pose.rotation * turn)).iter().chain(tau.iter()).copied());
         }
-        problem.values.slice::<Vector3<f64>>(1).iter().for_each(|point| step.extend(moves(point).iter()));
+        problem
+            .values
+            .slice::<Vector3<f64>>(1)
+            .iter()
+            .for_each(|point| step.extend(moves(point).iter()));
         step
     }
 
@@ -268,10 +303,14 @@ mod tests {
     }
 
     proptest! {
-        /// However far: what the cameras see is as large as the world has become, and else as it was.
+        /// However far: what the cameras see is as large as the world has become, and else as it
+        /// was.
         #[test]
         fn what_moves_as_one_stays_together(
-            offs in offs(), turn in vector(1.0), growth in -0.5..1.0f64, shift in vector(10.0),
+            offs in offs(),
+            turn in vector(1.0),
+            growth in -0.5..1.0f64,
+            shift in vector(10.0),
         ) {
             let chain = chain(&offs, false);
             let problem = &chain.0;
@@ -281,8 +320,12 @@ mod tests {
             let old_points = problem.values.slice::<Vector3<f64>>(1);
             for i in 0..POSES {
                 for k in 0..POSES {
-                    let (seen, was) = (poses[i] * points[k], old_poses[i] * old_points[k] * (1.0 + growth));
-                    prop_assert!((seen - was).norm() < TOLERANCE * was.norm().max(1.0), "{seen} {was}");
+                    let (seen, was) =
+                        (poses[i] * points[k], old_poses[i] * old_points[k] * (1.0 + growth));
+                    prop_assert!(
+                        (seen - was).norm() < TOLERANCE * was.norm().max(1.0),
+                        "{seen} {was}"
+                    );
                 }
             }
         }
@@ -314,8 +357,8 @@ mod tests {
         assert_ne!(poses[1], problem.values.slice::<Rigid3>(0)[1]);
     }
 
-    /// Poses 0 and 2 see most in common, 3 sees as much of 2 as of 0 and hangs on the later one, 7 sees points that no other does; 1 holds still,
-    /// and 4 with it.
+    /// Poses 0 and 2 see most in common, 3 sees as much of 2 as of 0 and hangs on the later one, 7
+    /// sees points that no other does; 1 holds still, and 4 with it.
     #[test]
     fn parents_share_most_points() {
         let mut point = 0;

@@ -4,7 +4,8 @@ use std::time::Duration;
 /// Why a solve ended. None of these is an error: the values are always the best that were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Termination {
-    /// The last step lowered the cost by less than [`Options::function_tolerance`](crate::Options::function_tolerance).
+    /// The last step lowered the cost by less than
+    /// [`Options::function_tolerance`](crate::Options::function_tolerance).
     FunctionTolerance,
     /// The gradient is below [`Options::gradient_tolerance`](crate::Options::gradient_tolerance).
     GradientTolerance,
@@ -125,7 +126,8 @@ impl fmt::Display for Summary {
         };
         write!(
             f,
-            "{:?} after {} steps: cost {:.6e} -> {:.6e}, {} residuals, {} + {} columns, {}{missing}, {:.1} ms",
+            "{:?} after {} steps: cost {:.6e} -> {:.6e}, {} residuals, {} + {} columns, \
+            {}{missing}, {:.1} ms",
             self.termination,
             self.iterations.len(),
             self.initial_cost,

@@ -37,11 +37,18 @@ pub(crate) trait System: Send {
     /// Columns of the linear system, and those eliminated before.
     fn columns(&self) -> (usize, usize);
     /// Linearises at `values`. (λ is needed where elimination is part of it.)
-    fn linearize(&mut self, problem: &Problem, values: &Values, lambda: f64, times: &mut Times)
-    -> Linearised;
-    /// Solves for the step from `values`, writes where it leads to `trial`, and evaluates the cost there of the factors that existed
-    /// where the system was linearised. May shorten the steps of single eliminated variables to keep their factors alive, and let
-    /// go of factors that live no longer even where those stand still. `None` when the system cannot be solved with this damping.
+    fn linearize(
+        &mut self,
+        problem: &Problem,
+        values: &Values,
+        lambda: f64,
+        times: &mut Times,
+    ) -> Linearised;
+    /// Solves for the step from `values`, writes where it leads to `trial`, and evaluates the cost
+    /// there of the factors that existed where the system was linearised. May shorten the steps of
+    /// single eliminated variables to keep their factors alive, and let go of factors that live no
+    /// longer even where those stand still. `None` when the system cannot be solved with this
+    /// damping.
     fn attempt(
         &mut self,
         problem: &Problem,

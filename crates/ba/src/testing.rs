@@ -1,4 +1,5 @@
-//! Laws that a factor must obey, as plain functions on values: a new factor costs one line in a test.
+//! Laws that a factor must obey, as plain functions on values: a new factor costs one line in a
+//! test.
 
 use tiepoint_geometry::{Block, Manifold};
 
@@ -37,7 +38,10 @@ macro_rules! impl_move_vars {
                 let _ = first;
                 values
             }
-            fn column<const R: usize>(jacobians: &Self::Jacobians<R>, direction: usize) -> Vec<f64> {
+            fn column<const R: usize>(
+                jacobians: &Self::Jacobians<R>,
+                direction: usize,
+            ) -> Vec<f64> {
                 let mut first = 0;
                 $(
                     if (first..first + $V::DOF).contains(&direction) {
@@ -61,13 +65,14 @@ impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5);
 impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6);
 impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7);
 
-/// Step of the numeric derivative. The error of Richardson's extrapolation is of order step⁴, that of rounding ε / step: 1e-3
-/// makes both about 1e-12.
+/// Step of the numeric derivative. The error of Richardson's extrapolation is of order step⁴, that
+/// of rounding ε / step: 1e-3 makes both about 1e-12.
 const STEP: f64 = 1e-3;
 
-/// Checks a factor's Jacobian against numeric derivatives (central differences, extrapolated once) and its `residual` against
-/// its `linearize`. `tolerance` is relative to the largest number in the Jacobian and the residual. `Err` says which column
-/// differs and by how much; a factor that does not exist near these values is an error too.
+/// Checks a factor's Jacobian against numeric derivatives (central differences, extrapolated once)
+/// and its `residual` against its `linearize`. `tolerance` is relative to the largest number in the
+/// Jacobian and the residual. `Err` says which column differs and by how much; a factor that does
+/// not exist near these values is an error too.
 pub fn check_jacobians<F, const R: usize>(
     factor: &F,
     values: <F::Vars as MoveVars>::Owned,
@@ -87,8 +92,11 @@ where
     let again = residual_at(&values)?;
     let directions: usize = F::Vars::DOFS.iter().sum();
     let columns: Vec<Vec<f64>> = (0..directions).map(|i| F::Vars::column(&jacobians, i)).collect();
-    let largest =
-        columns.iter().flatten().chain(residual.iter()).fold(1e-300, |max: f64, x| max.max(x.abs()));
+    let largest = columns
+        .iter()
+        .flatten()
+        .chain(residual.iter())
+        .fold(1e-300, |max: f64, x| max.max(x.abs()));
     if (residual - again).amax() > tolerance * largest {
         return Err(format!("residual() gives {again:?}, linearize() {residual:?}"));
     }
@@ -101,7 +109,10 @@ where
         let numeric = (central(STEP / 2.0)? * 4.0 - central(STEP)?) / 3.0;
         let error = numeric.iter().zip(column).fold(0.0, |max: f64, (a, b)| max.max((a - b).abs()));
         if error.is_nan() || error > tolerance * largest {
-            return Err(format!("column {direction}: analytic {column:?}, numeric {:?}", numeric.as_slice()));
+            return Err(format!(
+                "column {direction}: analytic {column:?}, numeric {:?}",
+                numeric.as_slice()
+            ));
         }
     }
     Ok(())

@@ -88,9 +88,11 @@ impl<V: Manifold> From<Key<V>> for AnyKey {
 /// Where a kept variable stands in the order in which the reduced system is factorised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Order {
-    /// With the others of this moment, say a frame number: variables that share factors should be near in time.
+    /// With the others of this moment, say a frame number: variables that share factors should be
+    /// near in time.
     At(u32),
-    /// Last: a variable that many moments share, such as the intrinsics of a camera or the calibration of a rig.
+    /// Last: a variable that many moments share, such as the intrinsics of a camera or the
+    /// calibration of a rig.
     Shared,
 }
 

@@ -15,7 +15,9 @@ use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 pub(crate) use values::{ImageSize, Metres, rig_name};
-use values::{NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route, threads};
+use values::{
+    NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route, threads,
+};
 
 /// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
@@ -39,7 +41,8 @@ pub(crate) enum Command {
     Features(Features),
     /// Second stage: which images show the same things; matches and two-view geometries.
     Match(Match),
-    /// Third stage: poses and points, into WORKSPACE/sparse/0 (and 1, ... where the photos do not hang together).
+    /// Third stage: poses and points, into WORKSPACE/sparse/0 (and 1, ... where the photos do not
+    /// hang together).
     Map(Map),
     /// Bundle adjustment alone, of a COLMAP model or a BAL problem.
     Adjust(Adjust),
@@ -48,16 +51,19 @@ pub(crate) enum Command {
     Evaluate(Evaluate),
     /// Writes a result in another format.
     Export(Export),
-    /// Writes report.html into a workspace: cloud, cameras and plots in one file to open in a browser, offline too.
+    /// Writes report.html into a workspace: cloud, cameras and plots in one file to open in a
+    /// browser, offline too.
     View(View),
     /// Renders the drive of two cameras along a street, with the truth beside it.
     Synth(Synth),
-    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it without a constraint between
-    /// its two cameras, with the paper's and with one mounting, compares all with the truth.
+    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it
+    /// without a constraint between its two cameras, with the paper's and with one mounting,
+    /// compares all with the truth.
     Demo(Demo),
-    /// The experiments of Huang, Elhashash & Qin 2022 in a rendered world: tables as theirs, clouds, trajectories, and what is true. By
-    /// default a run of a minute or two; --length 2200 --rate 10 --size 2000x1500 is as large as theirs. A model of COLMAP's in
-    /// the folder colmap/sparse/0 of a workspace gets a column beside ours.
+    /// The experiments of Huang, Elhashash & Qin 2022 in a rendered world: tables as theirs,
+    /// clouds, trajectories, and what is true. By default a run of a minute or two; --length 2200
+    /// --rate 10 --size 2000x1500 is as large as theirs. A model of COLMAP's in the folder
+    /// colmap/sparse/0 of a workspace gets a column beside ours.
     #[command(subcommand)]
     Experiment(Experiment),
 }
@@ -118,25 +124,34 @@ pub(crate) struct Map {
 
 #[derive(Debug, Args)]
 pub(crate) struct Input {
-    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several; each video is one camera (this needs the
-    /// program ffmpeg).
+    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several;
+    /// each video is one camera (this needs the program ffmpeg).
     #[arg(required = true, value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
     /// Where to work and to leave the results; also a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
-    /// Of a video, one frame of so many is taken, the sharpest; frames that show nothing new, at a stop, are left out.
+    /// Of a video, one frame of so many is taken, the sharpest; frames that show nothing new, at a
+    /// stop, are left out.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_EVERY)]
     pub(crate) every: NonZeroUsize,
-    /// When the photos were taken: CSV with the header `image,seconds`. By default from their names or EXIF.
+    /// When the photos were taken: CSV with the header `image,seconds`. By default from their names
+    /// or EXIF.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) timestamps: Option<PathBuf>,
-    /// Where nothing is to be detected: a folder with a mask for each photo, black being out (left/1.jpg.png for left/1.jpg).
+    /// Where nothing is to be detected: a folder with a mask for each photo, black being out
+    /// (left/1.jpg.png for left/1.jpg).
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
-    /// Photos of more pixels, in millions, are skipped: a file of a few kilobytes can claim any size, and each pixel takes some 16 bytes of
-    /// memory. However many threads there are, photos wait for each other rather than fill more than half of the free memory.
-    #[arg(long, value_name = "N", default_value_t = MAX_PIXELS / MEGA, value_parser = clap::value_parser!(u64).range(1..=MOST_PIXELS / MEGA))]
+    /// Photos of more pixels, in millions, are skipped: a file of a few kilobytes can claim any
+    /// size, and each pixel takes some 16 bytes of memory. However many threads there are, photos
+    /// wait for each other rather than fill more than half of the free memory.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = MAX_PIXELS / MEGA,
+        value_parser = clap::value_parser!(u64).range(1..=MOST_PIXELS / MEGA)
+    )]
     pub(crate) max_megapixels: u64,
 }
 
@@ -145,8 +160,9 @@ pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
-    /// Known intrinsics of every camera, in pixels, (0.5, 0.5) being the centre of the first one; they stay fixed. OpenCV and KITTI
-    /// count from (0, 0): add 0.5 to cx and cy. Four numbers are a PINHOLE, more an OPENCV with k1,k2,p1,p2.
+    /// Known intrinsics of every camera, in pixels, (0.5, 0.5) being the centre of the first one;
+    /// they stay fixed. OpenCV and KITTI count from (0, 0): add 0.5 to cx and cy. Four numbers are
+    /// a PINHOLE, more an OPENCV with k1,k2,p1,p2.
     #[arg(
         long,
         value_name = "fx,fy,cx,cy[,k..]",
@@ -154,38 +170,44 @@ pub(crate) struct Cameras {
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
-    /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else 1.2 times the larger side.
+    /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else
+    /// 1.2 times the larger side.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE. Pixels count as square where it has two focal lengths
-    /// [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE. Pixels count as
+    /// square where it has two focal lengths [default: SIMPLE_RADIAL].
     #[arg(long, value_name = "NAME", value_parser = camera_model)]
     pub(crate) camera_model: Option<CameraModelKind>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Pairs {
-    /// Which photos to match: exhaustive (each with every other), sequential:N (N neighbours before and after, within a camera and
-    /// across cameras), sequential:N+ends (and the first N with the last N), sequential:N+loops:K (and, wherever the drive comes
-    /// by again, with the K that look most alike), similar:K (those alone, for photos in no order).
+    /// Which photos to match: exhaustive (each with every other), sequential:N (N neighbours before
+    /// and after, within a camera and across cameras), sequential:N+ends (and the first N with the
+    /// last N), sequential:N+loops:K (and, wherever the drive comes by again, with the K that look
+    /// most alike), similar:K (those alone, for photos in no order).
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Exhaustive)]
     pub(crate) pairs: PairSelection,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Mapping {
-    /// What holds cameras that ride together to each other: off (nothing), paper (the baseline constraint of Huang, Elhashash & Qin
-    /// 2022: the relative pose at one moment equals that at the next), soft (one mounting for each camera, as firmly as held-out
-    /// tracks allow), hard (one mounting, exactly), auto (the firmest of these that held-out tracks do not contradict). Times of the photos
-    /// may be on clocks that disagree: they are found (paper: to half the time between two photos).
+    /// What holds cameras that ride together to each other: off (nothing), paper (the baseline
+    /// constraint of Huang, Elhashash & Qin 2022: the relative pose at one moment equals that at
+    /// the next), soft (one mounting for each camera, as firmly as held-out tracks allow), hard
+    /// (one mounting, exactly), auto (the firmest of these that held-out tracks do not contradict).
+    /// Times of the photos may be on clocks that disagree: they are found (paper: to half the time
+    /// between two photos).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
-    /// Distance of the first camera and the next (in the order of their folders), with its unit: m, cm or mm. The result is scaled so that
-    /// they are that far apart; by default its unit is arbitrary.
+    /// Distance of the first camera and the next (in the order of their folders), with its unit: m,
+    /// cm or mm. The result is scaled so that they are that far apart; by default its unit is
+    /// arbitrary.
     #[arg(long, value_name = "0.62m")]
     pub(crate) baseline: Option<Metres>,
-    /// Of cameras whose rows are exposed one after the other: the time from the first row to the last one, as 16ms, or `estimate`. It needs times of
-    /// the photos. By default all rows count as exposed at once.
+    /// Of cameras whose rows are exposed one after the other: the time from the first row to the
+    /// last one, as 16ms, or `estimate`. It needs times of the photos. By default all rows count as
+    /// exposed at once.
     #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
     pub(crate) rolling_shutter: Option<Readout>,
 }
@@ -205,7 +227,8 @@ pub(crate) struct Adjust {
     /// Where to write the result, in the format of the input; without it, only the costs are told.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
-    /// Leave focal lengths and distortion as they are. (Those that a workspace was given with --intrinsics stay anyway.)
+    /// Leave focal lengths and distortion as they are. (Those that a workspace was given with
+    /// --intrinsics stay anyway.)
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
 }
@@ -214,22 +237,26 @@ pub(crate) struct Adjust {
 pub(crate) enum Evaluate {
     /// Camera poses: centre errors after a similarity, relative-pose AUC, focal length.
     Poses(EvaluatePoses),
-    /// A cloud: distance of its points to the nearest ones of a reference, a laser scan say, after alignment.
+    /// A cloud: distance of its points to the nearest ones of a reference, a laser scan say, after
+    /// alignment.
     Cloud(EvaluateCloud),
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateCloud {
-    /// A PLY, LAS or LAZ file, a workspace, or a folder with a COLMAP model. (LAS and LAZ need a build with --features las.)
+    /// A PLY, LAS or LAZ file, a workspace, or a folder with a COLMAP model. (LAS and LAZ need a
+    /// build with --features las.)
     pub(crate) cloud: PathBuf,
     /// What it is compared with: as above.
     pub(crate) reference: PathBuf,
-    /// What is found before distances are measured: similarity (from anywhere, by the clouds' own axes and then closest points), rigid
-    /// (a motion from where the cloud is), none. With a scale, closest points hide drift.
+    /// What is found before distances are measured: similarity (from anywhere, by the clouds' own
+    /// axes and then closest points), rigid (a motion from where the cloud is), none. With a scale,
+    /// closest points hide drift.
     #[arg(long, value_name = "FREEDOM", default_value = "similarity", value_parser = alignment)]
     pub(crate) align: Alignment,
-    /// Puts the cloud of a workspace where its cameras belong, given true poses in the world of the reference, and only moves it
-    /// rigidly from there: the honest way. FORMAT as in `evaluate poses`.
+    /// Puts the cloud of a workspace where its cameras belong, given true poses in the world of the
+    /// reference, and only moves it rigidly from there: the honest way. FORMAT as in
+    /// `evaluate poses`.
     #[arg(long, value_name = "FORMAT:PATH", conflicts_with = "align")]
     pub(crate) truth: Option<Truth>,
 }
@@ -238,11 +265,12 @@ pub(crate) struct EvaluateCloud {
 pub(crate) struct EvaluatePoses {
     /// A folder with a COLMAP model, or a workspace.
     pub(crate) model: PathBuf,
-    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (the number of an image is the line), tum (by time), colmap
-    /// (a model).
+    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (the number of an image is
+    /// the line), tum (by time), colmap (a model).
     #[arg(long, value_name = "FORMAT:PATH")]
     pub(crate) truth: Truth,
-    /// Compares only images whose names begin with this. By default all; for kitti and tum those of the first camera.
+    /// Compares only images whose names begin with this. By default all; for kitti and tum those of
+    /// the first camera.
     #[arg(long, value_name = "PREFIX")]
     pub(crate) images: Option<String>,
 }
@@ -251,15 +279,16 @@ pub(crate) struct EvaluatePoses {
 pub(crate) struct Export {
     /// A workspace, or a folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap and colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one camera), bal, openmvs (a folder with scene.mvs
-    /// and undistorted images), nerfstudio (a folder with transforms.json, images and cloud), kalibr (the rig with its clocks, as camchain.yaml).
+    /// colmap and colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one
+    /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
+    /// with transforms.json, images and cloud), kalibr (the rig with its clocks, as camchain.yaml).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
-    /// Adjusts first with every camera held exactly to one calibration, whatever --rig it was mapped with, and makes the moments frames
-    /// of a rig; what that does to the errors is told.
+    /// Adjusts first with every camera held exactly to one calibration, whatever --rig it was
+    /// mapped with, and makes the moments frames of a rig; what that does to the errors is told.
     #[arg(long)]
     pub(crate) rigid: bool,
 }
@@ -272,10 +301,12 @@ pub(crate) struct View {
 
 #[derive(Debug, Args)]
 pub(crate) struct Synth {
-    /// Where to write: left/, right/ and timestamps.csv as cameras leave them, and truth/. New, empty, or of the same drive.
+    /// Where to write: left/, right/ and timestamps.csv as cameras leave them, and truth/. New,
+    /// empty, or of the same drive.
     #[arg(short, long = "output", value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// At most so many images of each camera, the first ones; by default the whole drive around the block.
+    /// At most so many images of each camera, the first ones; by default the whole drive around the
+    /// block.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
@@ -287,7 +318,8 @@ pub(crate) struct Synth {
     /// Images a second.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
-    /// Which way the street runs: loop (around a block, back to the start and a little further) or open (onwards).
+    /// Which way the street runs: loop (around a block, back to the start and a little further) or
+    /// open (onwards).
     #[arg(long, value_name = "ROUTE", default_value = "loop", value_parser = route)]
     pub(crate) route: RouteKind,
     /// How long the street is, in metres.
@@ -296,8 +328,8 @@ pub(crate) struct Synth {
     /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
     #[arg(long, value_name = "MOUNTING", default_value = "front")]
     pub(crate) mounting: Mounting,
-    /// What is not ideal: none, all, or some of lens, rolling-shutter, vibration, mounting, traffic, clocks and photometry,
-    /// joined by +.
+    /// What is not ideal: none, all, or some of lens, rolling-shutter, vibration, mounting,
+    /// traffic, clocks and photometry, joined by +.
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
     /// Also writes truth/scan.ply: the cloud of a laser scanner on the roof, for `evaluate cloud`.
@@ -307,7 +339,8 @@ pub(crate) struct Synth {
 
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
+    /// Where to work and to leave everything. The same command goes on where an earlier one
+    /// stopped.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
     /// At most so many images of each camera, the first ones; by default the whole loop.
@@ -325,19 +358,27 @@ pub(crate) struct Demo {
 pub(crate) enum Experiment {
     /// Experiment I: one camera, looking to the front, right, rear and left in turn.
     Mounting(Scenery),
-    /// Experiment II: two cameras half a metre apart that look right, with and without a constraint between them.
+    /// Experiment II: two cameras half a metre apart that look right, with and without a constraint
+    /// between them.
     Baseline {
         #[command(flatten)]
         scenery: Scenery,
         /// What holds the cameras to each other, one row each: off, paper, soft, hard, auto.
-        #[arg(long, value_name = "MODES", value_delimiter = ',', default_value = "off,paper,auto", value_parser = rig_term)]
+        #[arg(
+            long,
+            value_name = "MODES",
+            value_delimiter = ',',
+            default_value = "off,paper,auto",
+            value_parser = rig_term
+        )]
         rig: Vec<RigTerm>,
     },
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Scenery {
-    /// Where to work and to leave everything. The same command goes on where an earlier one stopped.
+    /// Where to work and to leave everything. The same command goes on where an earlier one
+    /// stopped.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-experiment")]
     pub(crate) output: PathBuf,
     /// At most so many images of each camera, the first ones; by default the whole loop.
@@ -368,7 +409,10 @@ impl Cameras {
     pub(crate) fn calibration(&self) -> Result<Calibration, String> {
         let Some(NumberList(params)) = &self.intrinsics else {
             let model = self.camera_model.unwrap_or(CameraModelKind::SimpleRadial);
-            return Ok(Calibration::Unknown { model, focal_px: self.focal_prior.map(|focal| focal.0) });
+            return Ok(Calibration::Unknown {
+                model,
+                focal_px: self.focal_prior.map(|focal| focal.0),
+            });
         };
         let intrinsics = match (self.camera_model, params.len()) {
             (Some(model), _) => Intrinsics::new(model, params),
@@ -380,7 +424,8 @@ impl Cameras {
             }
             (None, count) => {
                 return Err(format!(
-                    "--intrinsics has {count} numbers: give fx,fy,cx,cy, or fx,fy,cx,cy,k1,k2,p1,p2, or a --camera-model and its \
+                    "--intrinsics has {count} numbers: give fx,fy,cx,cy, or \
+                    fx,fy,cx,cy,k1,k2,p1,p2, or a --camera-model and its \
                      parameters"
                 ));
             }
@@ -409,8 +454,12 @@ mod tests {
 
     #[test]
     fn intrinsics_choose_their_model() {
-        let known = |model, params: &[f64]| Ok(Calibration::Known(Intrinsics::new(model, params).unwrap()));
-        assert_eq!(calibration("9,8,7,6", None), known(CameraModelKind::Pinhole, &[9.0, 8.0, 7.0, 6.0]));
+        let known =
+            |model, params: &[f64]| Ok(Calibration::Known(Intrinsics::new(model, params).unwrap()));
+        assert_eq!(
+            calibration("9,8,7,6", None),
+            known(CameraModelKind::Pinhole, &[9.0, 8.0, 7.0, 6.0])
+        );
         let padded = [9.0, 8.0, 7.0, 6.0, -0.5, 0.0, 0.0, 0.0];
         assert_eq!(calibration("9,8,7,6,-.5", None), known(CameraModelKind::Opencv, &padded));
         let radial = known(CameraModelKind::SimpleRadial, &[9.0, 7.0, 6.0, 0.1]);

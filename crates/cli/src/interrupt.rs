@@ -24,7 +24,8 @@ pub(crate) struct Interrupt {
     bar: Mutex<ProgressBar>,
     /// The stage that `--redo` makes anew in place of what there is.
     redo: Option<Stage>,
-    /// Whether that stage has begun: what there was is gone, and the command without `--redo` goes on.
+    /// Whether that stage has begun: what there was is gone, and the command without `--redo` goes
+    /// on.
     has_begun_redo: AtomicBool,
 }
 

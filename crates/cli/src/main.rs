@@ -36,7 +36,8 @@ fn main() -> ExitCode {
         return ExitCode::from(COULD_NOT);
     }
     if let Some(threads) = cli.threads
-        && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
+        && let Err(error) =
+            rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
     {
         output.error(&format!("cannot start {threads} threads: {error}"));
         return ExitCode::from(COULD_NOT);
@@ -63,7 +64,8 @@ fn usage(error: &clap::Error) -> ExitCode {
             match output::written(error.print().and_then(|()| io::stdout().flush())) {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(cause) => {
-                    Output::new(false, Interrupt::default()).error(&output::not_written("this text", &cause));
+                    Output::new(false, Interrupt::default())
+                        .error(&output::not_written("this text", &cause));
                     ExitCode::from(COULD_NOT)
                 }
             }
@@ -74,7 +76,8 @@ fn usage(error: &clap::Error) -> ExitCode {
         }
         _ => {
             let json = std::env::args_os().any(|argument| argument == "--json");
-            Output::new(json, Interrupt::default()).error(&output::one_sentence(&error.render().to_string()));
+            Output::new(json, Interrupt::default())
+                .error(&output::one_sentence(&error.render().to_string()));
             ExitCode::from(BAD_USAGE)
         }
     }

@@ -61,12 +61,13 @@ pub(crate) fn written(outcome: io::Result<()>) -> io::Result<()> {
 /// A sentence on a text that stdout did not take.
 pub(crate) fn not_written(what: &str, cause: &io::Error) -> String {
     format!(
-        "cannot write {what} to stdout: {cause}; files that were made are kept, so give the same command again"
+        "cannot write {what} to stdout: {cause}; files that were made are kept, so give the same \
+        command again"
     )
 }
 
-/// A line for people. Names of files may have characters that would tear the line, command the terminal or turn the direction of
-/// what follows: escapes take their place.
+/// A line for people. Names of files may have characters that would tear the line, command the
+/// terminal or turn the direction of what follows: escapes take their place.
 pub(crate) fn printable(line: &str) -> Cow<'_, str> {
     if !line.contains(commands_terminal) {
         return Cow::Borrowed(line);
@@ -79,7 +80,8 @@ pub(crate) fn printable(line: &str) -> Cow<'_, str> {
     Cow::Owned(line.chars().map(escaped).collect())
 }
 
-/// Characters of a message that are shown at either end: names in files of others may have any length.
+/// Characters of a message that are shown at either end: names in files of others may have any
+/// length.
 const SHOWN: usize = 1000;
 
 /// A message without the middle of what is endlessly long.
@@ -102,7 +104,8 @@ fn printable_line(line: &str) -> String {
 
 /// A value as one line of JSON. Its escapes leave no control character above 7E.
 pub(crate) fn json_line(value: &impl Serialize) -> String {
-    let text = serde_json::to_string(value).expect("our own types are JSON: string keys, finite numbers");
+    let text =
+        serde_json::to_string(value).expect("our own types are JSON: string keys, finite numbers");
     if !text.contains(commands_terminal) {
         return text;
     }
@@ -115,7 +118,8 @@ pub(crate) fn json_line(value: &impl Serialize) -> String {
 
 /// Control characters, separators of lines and paragraphs, and marks of direction.
 fn commands_terminal(c: char) -> bool {
-    c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    c.is_control()
+        || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
 /// Writes a line to stderr, if anybody reads it.
@@ -128,7 +132,10 @@ pub(crate) fn one_sentence(message: &str) -> String {
     let mut paragraphs = message.split("\n\n");
     let join = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
     let first = join(paragraphs.next().unwrap_or_default());
-    let hints = paragraphs.flat_map(str::lines).map(str::trim).filter_map(|line| line.strip_prefix("tip: "));
+    let hints = paragraphs
+        .flat_map(str::lines)
+        .map(str::trim)
+        .filter_map(|line| line.strip_prefix("tip: "));
     let hints: Vec<String> = hints.map(|hint| format!("; {}", join(hint))).collect();
     format!("{}{}", first.trim_start_matches("error: "), hints.concat())
 }
@@ -152,16 +159,22 @@ mod tests {
         assert_eq!(shortened(&whole), whole);
         let long = format!("a{}z", "é".repeat(10_000_000));
         let short = shortened(&long);
-        assert!(short.starts_with("aé") && short.ends_with("éz") && short.chars().count() == 2 * SHOWN + 3);
+        assert!(
+            short.starts_with("aé")
+                && short.ends_with("éz")
+                && short.chars().count() == 2 * SHOWN + 3
+        );
     }
 
     #[test]
     fn a_message_of_clap_becomes_one_sentence() {
-        let message = "error: unexpected argument '--pair' found\n\n  tip: a similar argument exists: '--pairs'\n\nUsage: tiepoint \
+        let message = "error: unexpected argument '--pair' found\n\n  tip: a similar argument \
+        exists: '--pairs'\n\nUsage: tiepoint \
                        match\n\nFor more information, try '--help'.\n";
         let expected = "unexpected argument '--pair' found; a similar argument exists: '--pairs'";
         assert_eq!(one_sentence(message), expected);
-        let message = "error: the following required arguments were not provided:\n  --output <WORKSPACE>\n\nUsage: x\n";
+        let message = "error: the following required arguments were not provided:\n  --output \
+        <WORKSPACE>\n\nUsage: x\n";
         let expected = "the following required arguments were not provided: --output <WORKSPACE>";
         assert_eq!(one_sentence(message), expected);
     }

@@ -33,12 +33,13 @@ impl Progress {
         self.interrupt.watch(event)
     }
 
-    /// An image of a drive is about to be rendered, `done` of `total` being there. The run is to stop
-    /// where this breaks.
+    /// An image of a drive is about to be rendered, `done` of `total` being there. The run is to
+    /// stop where this breaks.
     pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
         if self.json {
-            let event =
-                serde_json::json!({ "event": "rendering", "image": image, "done": done, "total": total });
+            let event = serde_json::json!({
+                "event": "rendering", "image": image, "done": done, "total": total
+            });
             line_to_stderr(&json_line(&event));
             return self.interrupt.flow();
         }
@@ -52,7 +53,8 @@ impl Progress {
 
     /// A new bar.
     fn begin(&mut self, what: &'static str, total: usize, done: usize) {
-        let style = ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
+        let style =
+            ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
         self.bar.finish_and_clear();
         self.set_bar(ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64));
         self.bar.set_style(style.expect("the template is sound"));
@@ -72,11 +74,13 @@ impl Progress {
                 after_s.abs(),
                 if after_s < 0.0 { "before" } else { "after" }
             )),
-            Event::LoopClosed { pairs } => {
-                self.say(&format!("closed a loop: {pairs} pairs of images had been torn apart by drift"))
-            }
+            Event::LoopClosed { pairs } => self.say(&format!(
+                "closed a loop: {pairs} pairs of images had been torn apart by \
+                drift"
+            )),
             Event::Stabilised { recording } => self.say(&format!(
-                "{recording}: the camera stabilised its pictures electronically, which changes lens and mounting from frame to frame: switch that \
+                "{recording}: the camera stabilised its pictures electronically, which changes \
+                lens and mounting from frame to frame: switch that \
                  off when recording"
             )),
             Event::FrameKept { image, read } => {
@@ -91,7 +95,8 @@ impl Progress {
                 self.bar.inc(1);
             }
             Event::FocalIgnored { image, focal_px } => self.say(&format!(
-                "{image}: its EXIF data tell a focal length of {focal_px:.3e} pixels, which no camera has, so it counts as unknown: give \
+                "{image}: its EXIF data tell a focal length of {focal_px:.3e} pixels, which no \
+                camera has, so it counts as unknown: give \
                  --focal-prior PX if you know it"
             )),
             Event::PointsGrey { why } => self.say(&format!("the points have no colours: {why}")),

@@ -1,5 +1,5 @@
-//! SIGINT and SIGTERM: a run ends at its next event, and where none comes soon, at once. Both end in
-//! one sentence that says how to go on.
+//! SIGINT and SIGTERM: a run ends at its next event, and where none comes soon, at once. Both end
+//! in one sentence that says how to go on.
 
 use std::io;
 use std::process;
@@ -65,7 +65,8 @@ fn end_at_once(output: &Output) -> ! {
     process::exit(code.into())
 }
 
-/// The stage that a command makes anew in place of what there is. Models stay until the new ones are there.
+/// The stage that a command makes anew in place of what there is. Models stay until the new ones
+/// are there.
 pub(crate) fn redone_stage(command: &Command) -> Option<Stage> {
     let redo = match command {
         Command::Reconstruct(Reconstruct { redo, .. })

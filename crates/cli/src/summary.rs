@@ -12,7 +12,8 @@ use crate::output::printable;
 
 /// Names listed before the rest is only counted.
 const MAX_NAMES: usize = 8;
-/// Images that are farther apart in time are of different instants, in seconds: a millisecond is a centimetre at 10 m/s.
+/// Images that are farther apart in time are of different instants, in seconds: a millisecond is a
+/// centimetre at 10 m/s.
 const WORTH_SAYING_S: f64 = 0.001;
 
 /// What a workspace holds now.
@@ -28,19 +29,25 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             count => format!(", {count} skipped"),
         };
         let (images, keypoints, seconds) = (features.images, features.keypoints, features.seconds);
-        line(format_args!("features  {images} images, {keypoints} keypoints{skipped}  ({seconds:.1} s)"));
+        line(format_args!(
+            "features  {images} images, {keypoints} keypoints{skipped}  ({seconds:.1} s)"
+        ));
     }
     if let Some(matches) = &report.stages.matches {
-        let (pairs, verified, inliers) = (matches.pairs, matches.verified_pairs, matches.inlier_matches);
+        let (pairs, verified, inliers) =
+            (matches.pairs, matches.verified_pairs, matches.inlier_matches);
         let seconds = matches.seconds;
-        line(format_args!("match     {verified} of {pairs} pairs, {inliers} matches  ({seconds:.1} s)"));
+        line(format_args!(
+            "match     {verified} of {pairs} pairs, {inliers} matches  ({seconds:.1} s)"
+        ));
     }
     if let Some(map) = &report.stages.map {
         for (index, model) in report.models.iter().enumerate() {
             let label = if index == 0 { "map" } else { "" };
             let time = if index == 0 { format!("  ({:.1} s)", map.seconds) } else { String::new() };
             line(format_args!(
-                "{label:<9} {}: {} of {} images, {} points, {} observations ({:.2} a point), error {:.3} px{time}",
+                "{label:<9} {}: {} of {} images, {} points, {} observations ({:.2} a point), \
+                error {:.3} px{time}",
                 model.path,
                 model.registered,
                 model.images,
@@ -60,8 +67,13 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             }
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
-        for (camera, readout_s) in shutters.filter_map(|camera| Some((camera.id, camera.readout_s?))) {
-            line(format_args!("shutter   camera {camera} reads a photo in {:.2} ms", 1e3 * readout_s));
+        for (camera, readout_s) in
+            shutters.filter_map(|camera| Some((camera.id, camera.readout_s?)))
+        {
+            line(format_args!(
+                "shutter   camera {camera} reads a photo in {:.2} ms",
+                1e3 * readout_s
+            ));
         }
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.why));
@@ -73,7 +85,8 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             for camera in &rig.cameras {
                 let [left, right] = &camera.names;
                 line(format_args!(
-                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} {unit}, its spread {:.2} %, rotation's {:.3}°, \
+                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} {unit}, \
+                    its spread {:.2} %, rotation's {:.3}°, \
                      second half / first {:.4}",
                     rig.mode,
                     camera.reconstructed_pairs,
@@ -101,7 +114,8 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             if let Some(paper) = &rig.paper {
                 let [first, second] = &paper.unit_images;
                 line(format_args!(
-                    "          the unit of \u{3bb} is the distance of {first} and {second} (now {:.3} {unit}); \u{3bb} = {} holds p_i to {:.3} {unit} ({:.1} % of \
+                    "          the unit of \u{3bb} is the distance of {first} and {second} (now \
+                    {:.3} {unit}); \u{3bb} = {} holds p_i to {:.3} {unit} ({:.1} % of \
                      the distance) and {:.2}°; {} pairs weighed as bad",
                     paper.unit_distance,
                     paper.lambda,
@@ -113,7 +127,11 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             }
         }
         if let Some(model) = report.models.first().filter(|model| !model.unregistered.is_empty()) {
-            line(format_args!("          without a pose in {}: {}", model.path, names(&model.unregistered)));
+            line(format_args!(
+                "          without a pose in {}: {}",
+                model.path,
+                names(&model.unregistered)
+            ));
         }
     }
     line(format_args!("in {}", workspace.display()));
@@ -128,7 +146,8 @@ fn closed(split: &SplitReport) -> String {
         pairs => format!("{pairs} pairs with them match now"),
     };
     format!(
-        "split: {images} images stood elsewhere, without matches with their partners, and were brought back; {held}"
+        "split: {images} images stood elsewhere, without matches with their partners, and were \
+        brought back; {held}"
     )
 }
 
@@ -137,7 +156,9 @@ fn mounted(camera: &RigCamera) -> String {
     let RigCamera { name, centre_in_rig: [x, y, z], rotation_wxyz, clock, .. } = camera;
     let angle_deg = 2.0 * rotation_wxyz[0].abs().min(1.0).acos().to_degrees();
     let spread = match (camera.translation_sd, camera.rotation_sd_deg) {
-        (Some(t), Some(r)) => format!("\u{b1} {t:.4}, turned by {angle_deg:.3}\u{b0} \u{b1} {r:.4}\u{b0}"),
+        (Some(t), Some(r)) => {
+            format!("\u{b1} {t:.4}, turned by {angle_deg:.3}\u{b0} \u{b1} {r:.4}\u{b0}")
+        }
         _ => format!("turned by {angle_deg:.3}\u{b0}, not determined by the images"),
     };
     let offset_ms = 1e3 * clock.offset_s;
@@ -154,7 +175,10 @@ fn mounted(camera: &RigCamera) -> String {
     };
     let frames = if camera.hold == "hard" { "" } else { ", not rigid frames" };
     let guessed = camera.unobservable.map_or(String::new(), |[x, y, z]| {
-        format!("; it sees nothing that the first camera sees, and the motion does not tell its place along ({x:.2}, {y:.2}, {z:.2})")
+        format!(
+            "; it sees nothing that the first camera sees, and the motion does not tell its \
+        place along ({x:.2}, {y:.2}, {z:.2})"
+        )
     });
     format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {spread}; {time}{frames}{guessed}")
 }
@@ -169,7 +193,8 @@ fn names(all: &[String]) -> String {
 
 /// A model against the truth.
 pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
-    let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } = evaluation;
+    let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } =
+        evaluation;
     let mut text = format!(
         "{registered} of {images} images, scale {scale:.6}\n\
          centre error    mean {:.6}  median {:.6}  rmse (ATE) {:.6}  max {:.6}\n\
@@ -206,7 +231,8 @@ pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
         format!("mean {mean:.6}  std {std:.6}  median {median:.6}  max {max:.6}")
     };
     format!(
-        "{points} points against {reference_points}, scale {scale:.6}, aligned in {iterations} rounds\n\
+        "{points} points against {reference_points}, scale {scale:.6}, aligned in {iterations} \
+        rounds\n\
          distance to the reference  {}\n\
          distance of the reference  {}\n",
         line(&evaluation.distance),
@@ -218,7 +244,8 @@ pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
 pub(crate) fn rigid(report: &RigidReport) -> String {
     let RigidReport { cameras, frames, images, free_images, .. } = report;
     let mut text = format!(
-        "rigid     {} in {frames} frames of {images} images, {free_images} images free; mean reprojection error {:.3} px, before {:.3} px; \
+        "rigid     {} in {frames} frames of {images} images, {free_images} images free; mean \
+        reprojection error {:.3} px, before {:.3} px; \
          {} of {} observations fit\n",
         printable(&cameras.join(" and ")),
         report.error_after_px,
@@ -226,10 +253,12 @@ pub(crate) fn rigid(report: &RigidReport) -> String {
         report.observations_after,
         report.observations_before,
     );
-    if let Some(apart_s) = report.max_time_difference_s.filter(|apart_s| *apart_s > WORTH_SAYING_S) {
+    if let Some(apart_s) = report.max_time_difference_s.filter(|apart_s| *apart_s > WORTH_SAYING_S)
+    {
         let _ = writeln!(
             text,
-            "          images of one frame are up to {:.1} ms apart, in which the rig moves: no rigid model can be right",
+            "          images of one frame are up to {:.1} ms apart, in which the rig moves: no \
+            rigid model can be right",
             1e3 * apart_s
         );
     }

@@ -1,5 +1,5 @@
-//! How far does a trajectory drift? `drift MODEL TRUTH`, two files of the KITTI format (12 numbers a line: rows of
-//! world_from_cam).
+//! How far does a trajectory drift? `drift MODEL TRUTH`, two files of the KITTI format (12 numbers
+//! a line: rows of world_from_cam).
 #![allow(clippy::print_stdout)]
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses, pairs_by_path, relative_motion_errors};
@@ -15,7 +15,8 @@ fn read(path: &str) -> Result<Vec<Rigid3>, Box<dyn std::error::Error>> {
         };
         let rotation = Rotation3::from_matrix_unchecked(Matrix3::new(a, b, c, d, e, f, g, h, i));
         poses.push(
-            Rigid3::new(UnitQuaternion::from_rotation_matrix(&rotation), Vector3::new(x, y, z)).inverse(),
+            Rigid3::new(UnitQuaternion::from_rotation_matrix(&rotation), Vector3::new(x, y, z))
+                .inverse(),
         );
     }
     Ok(poses)
@@ -27,16 +28,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (model, truth) = (read(model)?, read(truth)?);
     let poses: Vec<_> = model.iter().copied().map(Some).collect();
     for alignment in [Alignment::Rigid, Alignment::Similarity] {
-        let comparison = compare_poses(&poses, &truth, alignment).ok_or("the cameras are on a line")?;
+        let comparison =
+            compare_poses(&poses, &truth, alignment).ok_or("the cameras are on a line")?;
         let errors: Vec<f64> = comparison.centre_errors.into_iter().flatten().collect();
         let errors = Statistics::of(&errors).ok_or("there are no poses")?;
-        println!("ATE after {alignment:?} alignment: rmse {:.3} m, max {:.3} m", errors.rmse, errors.max);
+        println!(
+            "ATE after {alignment:?} alignment: rmse {:.3} m, max {:.3} m",
+            errors.rmse, errors.max
+        );
     }
     let centres: Vec<_> = truth.iter().map(Rigid3::origin_in_a).collect();
     for length in [100.0, 200.0, 400.0, 800.0] {
         let errors = relative_motion_errors(&model, &truth, &pairs_by_path(&centres, length));
         let translations: Vec<f64> = errors.iter().map(|error| error.translation).collect();
-        let rotations: Vec<f64> = errors.iter().map(|error| error.rotation_rad.to_degrees()).collect();
+        let rotations: Vec<f64> =
+            errors.iter().map(|error| error.rotation_rad.to_degrees()).collect();
         if let (Some(t), Some(r)) = (Statistics::of(&translations), Statistics::of(&rotations)) {
             println!(
                 "RPE over {length:.0} m: {:.2} %, {:.4} deg/m",

@@ -1,6 +1,6 @@
-//! Point clouds against a reference, a laser scan say: distances to the nearest points, and alignment by iterated closest points
-//! (Besl and McKay 1992), trimmed (Chetverikov et al. 2002) because a reconstruction shows what the scan does not, and the other
-//! way round.
+//! Point clouds against a reference, a laser scan say: distances to the nearest points, and
+//! alignment by iterated closest points (Besl and McKay 1992), trimmed (Chetverikov et al. 2002)
+//! because a reconstruction shows what the scan does not, and the other way round.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use tiepoint_geometry::Sim3;
@@ -17,20 +17,26 @@ pub struct Cloud {
 /// How to align a cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IcpOptions {
-    /// Which freedom there is. With a scale, closest points tend to shrink a cloud that is noisy or badly placed: start from a
-    /// similarity of the camera poses, and go on with a rigid alignment.
+    /// Which freedom there is. With a scale, closest points tend to shrink a cloud that is noisy or
+    /// badly placed: start from a similarity of the camera poses, and go on with a rigid alignment.
     pub alignment: Alignment,
     /// The part of the points, those nearest to the reference, that take part: 0 to 1.
     pub overlap: f64,
     /// At most so many rounds.
     pub max_iterations: usize,
-    /// Ends when a round makes the mean distance of the points that take part shorter by less than this part of it.
+    /// Ends when a round makes the mean distance of the points that take part shorter by less than
+    /// this part of it.
     pub min_relative_change: f64,
 }
 
 impl Default for IcpOptions {
     fn default() -> Self {
-        Self { alignment: Alignment::Rigid, overlap: 0.8, max_iterations: 100, min_relative_change: 1e-5 }
+        Self {
+            alignment: Alignment::Rigid,
+            overlap: 0.8,
+            max_iterations: 100,
+            min_relative_change: 1e-5,
+        }
     }
 }
 
@@ -67,13 +73,14 @@ impl Cloud {
         &self.points
     }
 
-    /// The distance of each point of `cloud` to the nearest one of this cloud. A point that is not finite is infinitely far.
+    /// The distance of each point of `cloud` to the nearest one of this cloud. A point that is not
+    /// finite is infinitely far.
     pub fn distances_of(&self, cloud: &[Vector3<f64>]) -> Vec<f64> {
         self.nearest(cloud).into_iter().map(|(_, distance)| distance).collect()
     }
 
-    /// Moves `cloud` from where `initial` puts it to where it lies closest to this one. `None` where fewer than three points, or
-    /// points on a line, are left to align by.
+    /// Moves `cloud` from where `initial` puts it to where it lies closest to this one. `None`
+    /// where fewer than three points, or points on a line, are left to align by.
     pub fn align(
         &self,
         cloud: &[Vector3<f64>],
@@ -91,8 +98,8 @@ impl Cloud {
             pairs.sort_by(|(i, (_, a)), (j, (_, b))| a.total_cmp(b).then(i.cmp(j)));
             pairs.truncate(kept);
             pairs.retain(|(_, (_, distance))| distance.is_finite());
-            let mean =
-                pairs.iter().map(|(_, (_, distance))| distance).sum::<f64>() / pairs.len().max(1) as f64;
+            let mean = pairs.iter().map(|(_, (_, distance))| distance).sum::<f64>()
+                / pairs.len().max(1) as f64;
             let has_converged = last_mean - mean <= options.min_relative_change * last_mean;
             if iteration == options.max_iterations || (iteration > 0 && has_converged) {
                 return Some(CloudAlignment {
@@ -121,13 +128,19 @@ impl Cloud {
     /// Index and distance of the nearest point of this cloud.
     fn nearest(&self, cloud: &[Vector3<f64>]) -> Vec<(usize, f64)> {
         let origin = [0.0; 3];
-        let queries: Vec<[f64; 3]> =
-            cloud.iter().map(|point| if is_finite(point) { (*point).into() } else { origin }).collect();
-        let found = self.tree.query_batch(&queries).nearest_one::<SquaredEuclidean<f64>>().execute();
+        let queries: Vec<[f64; 3]> = cloud
+            .iter()
+            .map(|point| if is_finite(point) { (*point).into() } else { origin })
+            .collect();
+        let found =
+            self.tree.query_batch(&queries).nearest_one::<SquaredEuclidean<f64>>().execute();
         let nearest = found.into_iter().zip(cloud).map(|(nearest, query)| {
             let index = nearest.item as usize;
             // Worked out here, so that it is the same number in whatever order the tree adds up.
-            (index, if is_finite(query) { (self.points[index] - query).norm() } else { f64::INFINITY })
+            (
+                index,
+                if is_finite(query) { (self.points[index] - query).norm() } else { f64::INFINITY },
+            )
         });
         nearest.collect()
     }

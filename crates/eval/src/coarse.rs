@@ -1,8 +1,9 @@
 //! Where to begin an alignment of closest points when nothing is known: the clouds' own axes.
 //!
-//! Middle, extent and principal axes of a cloud give a similarity but for the signs of the axes; four choices are rotations. Each,
-//! and where the cloud lies as it is, is improved on a few thousand points, and judged by the distances both ways: a cloud that
-//! shrank to a point on the reference would be near to it, but not the reference to the cloud.
+//! Middle, extent and principal axes of a cloud give a similarity but for the signs of the axes;
+//! four choices are rotations. Each, and where the cloud lies as it is, is improved on a few
+//! thousand points, and judged by the distances both ways: a cloud that shrank to a point on the
+//! reference would be near to it, but not the reference to the cloud.
 
 use tiepoint_geometry::Sim3;
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -12,11 +13,13 @@ use crate::{Alignment, Cloud, IcpOptions};
 
 /// Points of each cloud that take part.
 const MAX_POINTS: usize = 4_000;
-/// The part of the points, those nearest to the middle, that give the axes: reconstructions have points far out.
+/// The part of the points, those nearest to the middle, that give the axes: reconstructions have
+/// points far out.
 const INNER: f64 = 0.9;
 
-/// Finds roughly where a cloud belongs on a reference, whatever its scale and orientation, as a start for [`Cloud::align`]; `None`
-/// where fewer than three points, or points on a line, are all there is. Both clouds must show about the same things.
+/// Finds roughly where a cloud belongs on a reference, whatever its scale and orientation, as a
+/// start for [`Cloud::align`]; `None` where fewer than three points, or points on a line, are all
+/// there is. Both clouds must show about the same things.
 pub fn find_alignment(cloud: &[Vector3<f64>], reference: &[Vector3<f64>]) -> Option<Sim3> {
     let (cloud, reference) = (thin(cloud), thin(reference));
     let (from, to) = (Shape::of(&cloud)?, Shape::of(&reference)?);
@@ -56,7 +59,8 @@ struct Shape {
 
 impl Shape {
     fn of(points: &[Vector3<f64>]) -> Option<Self> {
-        let middle = |axis: usize| median(&mut points.iter().map(|point| point[axis]).collect::<Vec<f64>>());
+        let middle =
+            |axis: usize| median(&mut points.iter().map(|point| point[axis]).collect::<Vec<f64>>());
         let middle = Vector3::new(middle(0)?, middle(1)?, middle(2)?);
         let mut inner: Vec<Vector3<f64>> = points.iter().map(|point| point - middle).collect();
         inner.sort_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
@@ -76,7 +80,8 @@ impl Shape {
     /// Puts this shape onto another, its axes along the other's with these signs.
     fn onto(&self, to: &Self, signs: Vector3<f64>) -> Sim3 {
         let rotation = to.axes * Matrix3::from_diagonal(&signs) * self.axes.transpose();
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
         let scale = to.extent / self.extent;
         Sim3 { scale, rotation, translation: to.middle - (rotation * self.middle) * scale }
     }

@@ -18,5 +18,6 @@ pub use statistics::Statistics;
 pub use surface::{Sighting, SurfaceError, points_of_true_cameras, surface_errors};
 pub use tiepoint_geometry as geometry;
 pub use trajectory::{
-    MotionError, associate, consecutive_pairs_by_path, pairs_by_frames, pairs_by_path, relative_motion_errors,
+    MotionError, associate, consecutive_pairs_by_path, pairs_by_frames, pairs_by_path,
+    relative_motion_errors,
 };

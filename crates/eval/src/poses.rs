@@ -16,8 +16,8 @@ pub enum Alignment {
 }
 
 impl Alignment {
-    /// The transform that takes `from` closest to `to` (least squares; Umeyama 1991); `None` for fewer than three points, or
-    /// points on a line.
+    /// The transform that takes `from` closest to `to` (least squares; Umeyama 1991); `None` for
+    /// fewer than three points, or points on a line.
     pub fn fit(self, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Sim3> {
         match self {
             Self::Similarity => umeyama(from, to, true),
@@ -38,15 +38,20 @@ pub struct PoseComparison {
     pub rotation_errors_rad: Vec<Option<f64>>,
 }
 
-/// Compares poses (`cam_from_world`) with the true ones after aligning their centres. `None` where the alignment is not
-/// determined. The root mean square of the centre errors along a trajectory is its ATE (Sturm et al. 2012).
+/// Compares poses (`cam_from_world`) with the true ones after aligning their centres. `None` where
+/// the alignment is not determined. The root mean square of the centre errors along a trajectory is
+/// its ATE (Sturm et al. 2012).
 pub fn compare_poses(
     model: &[Option<Rigid3>],
     truth: &[Rigid3],
     alignment: Alignment,
 ) -> Option<PoseComparison> {
-    let pairs =
-        || model.iter().zip(truth).filter_map(|(model, truth)| model.as_ref().map(|model| (model, truth)));
+    let pairs = || {
+        model
+            .iter()
+            .zip(truth)
+            .filter_map(|(model, truth)| model.as_ref().map(|model| (model, truth)))
+    };
     let from: Vec<_> = pairs().map(|(model, _)| model.origin_in_a()).collect();
     let to: Vec<_> = pairs().map(|(_, truth)| truth.origin_in_a()).collect();
     let truth_from_model = alignment.fit(&from, &to)?;

@@ -1,5 +1,5 @@
-//! The relative pose of two cameras over time: of a rig it is constant, so its spread and its drift measure a reconstruction
-//! without any truth.
+//! The relative pose of two cameras over time: of a rig it is constant, so its spread and its drift
+//! measure a reconstruction without any truth.
 
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, so3};
@@ -31,12 +31,13 @@ pub struct RigOverTime {
     pub turns_rad: Vec<Vector3<f64>>,
     /// Distances of the two cameras.
     pub baseline: Statistics,
-    /// Root mean square distance of the right camera's centre from its mean, in the left camera's frame.
+    /// Root mean square distance of the right camera's centre from its mean, in the left camera's
+    /// frame.
     pub translation_rms: f64,
     /// Root mean square angle of the relative rotation from its mean.
     pub rotation_rms_rad: f64,
-    /// What the scale does: the baseline's change from the first moment to the last by a straight line through all, as a part of
-    /// its mean.
+    /// What the scale does: the baseline's change from the first moment to the last by a straight
+    /// line through all, as a part of its mean.
     pub baseline_drift: f64,
     /// The same of the centre, as a distance.
     pub translation_drift: f64,
@@ -78,19 +79,21 @@ pub fn rig_over_time(pairs: &[PosePair]) -> Option<RigOverTime> {
     })
 }
 
-/// The rotation from which the others deviate by rotation vectors that add up to nothing (Hartley et al. 2013).
+/// The rotation from which the others deviate by rotation vectors that add up to nothing (Hartley
+/// et al. 2013).
 fn mean_rotation(poses: &[Rigid3]) -> UnitQuaternion<f64> {
     // One of those in the middle of the drive is as good a start as any.
     let mut mean = poses[poses.len() / 2].rotation;
     for _ in 0..AVERAGING_ROUNDS {
-        let sum: Vector3<f64> = poses.iter().map(|pose| so3::log(&(pose.rotation * mean.inverse()))).sum();
+        let sum: Vector3<f64> =
+            poses.iter().map(|pose| so3::log(&(pose.rotation * mean.inverse()))).sum();
         mean = so3::exp(&(sum / poses.len() as f64)) * mean;
     }
     mean
 }
 
-/// What a straight line through values changes by, from the first time to the last (least squares). Nothing where all times are
-/// one.
+/// What a straight line through values changes by, from the first time to the last (least squares).
+/// Nothing where all times are one.
 fn change(times: &[f64], values: &[Vector3<f64>]) -> Vector3<f64> {
     let count = times.len() as f64;
     let middle = times.iter().sum::<f64>() / count;

@@ -1,14 +1,17 @@
 //! The distance of reconstructed points to the true surface at the pixels that saw them.
 //!
-//! A point stands for what its keypoints show. Where the truth is a world that can be asked (a rendered one), the true camera says
-//! which surface point lies behind each of these pixels, and the distance to *that* point is the error. Unlike the distance to the
-//! nearest point of a cloud it sees errors along a façade, and needs no closest-point alignment, which hides drift: align by the
-//! cameras ([`crate::compare_poses`]), and by nothing else.
+//! A point stands for what its keypoints show. Where the truth is a world that can be asked (a
+//! rendered one), the true camera says which surface point lies behind each of these pixels, and
+//! the distance to *that* point is the error. Unlike the distance to the nearest point of a cloud
+//! it sees errors along a façade, and needs no closest-point alignment, which hides drift: align by
+//! the cameras ([`crate::compare_poses`]), and by nothing else.
 //!
-//! The observations of a point do not agree quite: keypoints are off by a fraction of a pixel, which at an edge is the difference
-//! between a lamp post and the house behind it, and on a road seen at a grazing angle is metres. So a point's error is the median
-//! over its observations (the lower one of an even number). Observations of the sky and of what moves have no surface point to be
-//! compared with; a point most of whose observations are such is in the model by mistake, and is counted, not measured.
+//! The observations of a point do not agree quite: keypoints are off by a fraction of a pixel,
+//! which at an edge is the difference between a lamp post and the house behind it, and on a road
+//! seen at a grazing angle is metres. So a point's error is the median over its observations (the
+//! lower one of an even number). Observations of the sky and of what moves have no surface point to
+//! be compared with; a point most of whose observations are such is in the model by mistake, and is
+//! counted, not measured.
 
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 
@@ -36,8 +39,8 @@ pub struct SurfaceError {
     pub range: f64,
 }
 
-/// The error of each point, given in the world of the truth, from what its observations saw; `None` where more than half of them
-/// saw no surface that stands still.
+/// The error of each point, given in the world of the truth, from what its observations saw; `None`
+/// where more than half of them saw no surface that stands still.
 pub fn surface_errors(
     points_in_world: &[Vector3<f64>],
     sightings: &[Vec<Sighting>],
@@ -55,12 +58,14 @@ pub fn surface_errors(
     points_in_world.iter().zip(sightings).map(error).collect()
 }
 
-/// Smallest part of the rays' mean extent across them that must lie in the worst direction: below it they are parallel.
+/// Smallest part of the rays' mean extent across them that must lie in the worst direction: below
+/// it they are parallel.
 const MIN_CONDITION: f64 = 1e-9;
 
-/// Where each point would be if the cameras were exactly known: the point nearest to the true rays of its pixels (weighted by one
-/// over the squared range, so that angles count). Its [`surface_errors`] are the floor that keypoints and matches leave. `None`
-/// where fewer than two rays are left, or these are parallel.
+/// Where each point would be if the cameras were exactly known: the point nearest to the true rays
+/// of its pixels (weighted by one over the squared range, so that angles count). Its
+/// [`surface_errors`] are the floor that keypoints and matches leave. `None` where fewer than two
+/// rays are left, or these are parallel.
 pub fn points_of_true_cameras(sightings: &[Vec<Sighting>]) -> Vec<Option<Vector3<f64>>> {
     sightings.iter().map(|sightings| intersect(sightings)).collect()
 }

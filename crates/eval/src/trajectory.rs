@@ -1,5 +1,5 @@
-//! Trajectories: poses in order of time. How much they drift over given stretches (RPE; Sturm et al. 2012, Geiger et al. 2012),
-//! and which pose belongs to which when two clocks tick.
+//! Trajectories: poses in order of time. How much they drift over given stretches (RPE; Sturm et
+//! al. 2012, Geiger et al. 2012), and which pose belongs to which when two clocks tick.
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
@@ -18,7 +18,8 @@ pub fn pairs_by_frames(count: usize, step: usize) -> Vec<(usize, usize)> {
     (step..count).map(|end| (end - step, end)).collect()
 }
 
-/// Every pose with the first one that is at least `length` further along the path, as in the KITTI odometry benchmark.
+/// Every pose with the first one that is at least `length` further along the path, as in the KITTI
+/// odometry benchmark.
 pub fn pairs_by_path(centres: &[Vector3<f64>], length: f64) -> Vec<(usize, usize)> {
     let travelled = travelled(centres);
     let end_of = |start: usize| {
@@ -54,15 +55,17 @@ fn travelled(centres: &[Vector3<f64>]) -> Vec<f64> {
         .collect()
 }
 
-/// The error of the motion from the first to the second pose of each pair: what is left of the true motion after the model's
-/// has been undone. Poses are `cam_from_world`, and the model's scale is the true one: see
-/// [`crate::PoseComparison::truth_from_model`] and `Sim3::transform_pose` where it is not.
+/// The error of the motion from the first to the second pose of each pair: what is left of the true
+/// motion after the model's has been undone. Poses are `cam_from_world`, and the model's scale is
+/// the true one: see [`crate::PoseComparison::truth_from_model`] and `Sim3::transform_pose` where
+/// it is not.
 pub fn relative_motion_errors(
     model: &[Rigid3],
     truth: &[Rigid3],
     pairs: &[(usize, usize)],
 ) -> Vec<MotionError> {
-    let motion = |poses: &[Rigid3], (start, end): (usize, usize)| poses[start] * poses[end].inverse();
+    let motion =
+        |poses: &[Rigid3], (start, end): (usize, usize)| poses[start] * poses[end].inverse();
     let error = |pair: &(usize, usize)| {
         let wrong = motion(truth, *pair).inverse() * motion(model, *pair);
         MotionError { translation: wrong.translation.norm(), rotation_rad: wrong.rotation.angle() }
@@ -70,8 +73,8 @@ pub fn relative_motion_errors(
     pairs.iter().map(error).collect()
 }
 
-/// For each time of the shorter list the nearest of the other, where it is at most `max_difference_s` away: pairs of indices
-/// into `a_s` and `b_s`. Both are sorted.
+/// For each time of the shorter list the nearest of the other, where it is at most
+/// `max_difference_s` away: pairs of indices into `a_s` and `b_s`. Both are sorted.
 pub fn associate(a_s: &[f64], b_s: &[f64], max_difference_s: f64) -> Vec<(usize, usize)> {
     if a_s.len() > b_s.len() {
         return associate(b_s, a_s, max_difference_s).into_iter().map(|(b, a)| (a, b)).collect();

@@ -1,9 +1,12 @@
-//! Extracts features from binary PGM files, images in parallel, and writes them beside each as NAME.features: the
-//! number of features (u32), then x, y, scale, orientation of each (f32), then the descriptors; little-endian. Prints
-//! the seconds per image. It is what `bench/sift.py` compares with other programs, without decoding.
+//! Extracts features from binary PGM files, images in parallel, and writes them beside each as
+//! NAME.features: the number of features (u32), then x, y, scale, orientation of each (f32), then
+//! the descriptors; little-endian. Prints the seconds per image. It is what `bench/sift.py`
+//! compares with other programs, without decoding.
 //!
-//! `cargo run --release -p tiepoint-features --example extract_pgm -- [--threads N] [--repeat N] [--max N]
-//! [--octave N] [--exact] [--dsp] [--within] FILE...`
+//! ```text
+//! cargo run --release -p tiepoint-features --example extract_pgm -- [--threads N] [--repeat N]
+//!     [--max N] [--octave N] [--exact] [--dsp] [--within] FILE...
+//! ```
 
 #![allow(clippy::print_stdout)] // What a program is for.
 
@@ -55,7 +58,8 @@ fn main() -> Result<(), Failure> {
         }
     }
     let images = paths.iter().map(|p| read_pgm(p)).collect::<Result<Vec<_>, _>>()?;
-    let views: Vec<GrayView<'_>> = images.iter().map(|(p, w, h)| GrayView::new(p, *w, *h)).collect();
+    let views: Vec<GrayView<'_>> =
+        images.iter().map(|(p, w, h)| GrayView::new(p, *w, *h)).collect();
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     let mut workers = (0..threads).map(|_| Sift::new(options)).collect::<Result<Vec<_>, _>>()?;
     let mut best = f64::INFINITY;
@@ -63,7 +67,10 @@ fn main() -> Result<(), Failure> {
     for _ in 0..repeat {
         let start = Instant::now();
         all = if within {
-            views.iter().map(|v| workers[0].extract_parallel(v, None)).collect::<Result<Vec<_>, _>>()?
+            views
+                .iter()
+                .map(|v| workers[0].extract_parallel(v, None))
+                .collect::<Result<Vec<_>, _>>()?
         } else {
             let share = views.len().div_ceil(threads);
             let parts = views.par_chunks(share).zip(&mut workers);

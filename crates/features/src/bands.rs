@@ -1,4 +1,5 @@
-//! An octave, or some rows of it, on one thread or several: bands of rows that are swept independently.
+//! An octave, or some rows of it, on one thread or several: bands of rows that are swept
+//! independently.
 
 use crate::buffer::AlignedBuf;
 use crate::extrema::{Extremum, Thresholds};
@@ -11,7 +12,8 @@ use std::ops::Range;
 
 /// Bands per thread: more balance the load, fewer compute less twice.
 const BANDS_PER_THREAD: usize = 2;
-/// A band has at least this many rows: below, most of its work would be the overlap with its neighbours.
+/// A band has at least this many rows: below, most of its work would be the overlap with its
+/// neighbours.
 const MIN_BAND: usize = 128;
 
 /// What [`sweep_all`] does.
@@ -38,7 +40,8 @@ pub(crate) struct SweepAll<'a> {
 
 /// Computes rows of an octave; gives the extrema.
 pub(crate) fn sweep_all(job: SweepAll<'_>) -> Vec<Extremum> {
-    let SweepAll { plan, source, rows, levels, next_octave, thresholds, scratches, isa, threads } = job;
+    let SweepAll { plan, source, rows, levels, next_octave, thresholds, scratches, isa, threads } =
+        job;
     let bands = match threads.get() {
         1 => 1,
         threads => (threads * BANDS_PER_THREAD).min(rows.len() / MIN_BAND).max(1),
@@ -53,8 +56,10 @@ pub(crate) fn sweep_all(job: SweepAll<'_>) -> Vec<Extremum> {
         &mut levels[..]
     });
     let level_len = plan.level_len(rows.len());
-    let mut level_rows: Vec<_> =
-        levels.iter_mut().map(|level| level.reserve(level_len).chunks_mut(band * plan.stride())).collect();
+    let mut level_rows: Vec<_> = levels
+        .iter_mut()
+        .map(|level| level.reserve(level_len).chunks_mut(band * plan.stride()))
+        .collect();
     let next_len = plan.next_stride() * plan.height.div_ceil(2);
     let mut next_rows =
         next_octave.map(|next| next.reserve(next_len).chunks_mut(band / 2 * plan.next_stride()));

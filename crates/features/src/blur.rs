@@ -1,19 +1,20 @@
 //! The two halves of a separable Gaussian blur, on rows.
 //!
-//! Columns: a block of output rows shares the input rows that it loads, so that each is read once per block.
-//! Rows: the kernel is folded at its centre. Both are a few multiply-adds per loaded vector; the order of the sums is
-//! that of the kernel, whatever the vector width.
+//! Columns: a block of output rows shares the input rows that it loads, so that each is read once
+//! per block. Rows: the kernel is folded at its centre. Both are a few multiply-adds per loaded
+//! vector; the order of the sums is that of the kernel, whatever the vector width.
 
 use crate::simd::{LANES, Simd};
 
 /// Output rows that [`blur_columns`] computes from one pass over its input rows.
 pub(crate) const BLOCK: usize = 4;
 
-/// Blurs along columns: `out[j][x] = Σ_t kernel[|t − radius|] · rows[j + t][x]` for `x` in `from..to`.
+/// Blurs along columns: `out[j][x] = Σ_t kernel[|t − radius|] · rows[j + t][x]` for `x` in
+/// `from..to`.
 ///
 /// # Safety
-/// `rows` has `2 · radius + ROWS` entries. Rows are readable and `out` is writable from `from` to `to` rounded up
-/// by less than `2 · LANES`.
+/// `rows` has `2 · radius + ROWS` entries. Rows are readable and `out` is writable from `from` to
+/// `to` rounded up by less than `2 · LANES`.
 #[inline(always)]
 pub(crate) unsafe fn blur_columns<S: Simd, const ROWS: usize>(
     rows: &[*const f32],
@@ -96,12 +97,13 @@ unsafe fn multiply_add<S: Simd, const BESIDE: usize>(
 /// Vectors that [`blur_row`] computes beside each other.
 const ROW_BESIDE: usize = 4;
 
-/// Blurs along a row, `out[x] = Σ_t kernel[|t|] · row[x + t]` for `x` in `from..to`, and writes the difference to
-/// `below` as well: `difference[x] = out[x] − below[x]`.
+/// Blurs along a row, `out[x] = Σ_t kernel[|t|] · row[x + t]` for `x` in `from..to`, and writes the
+/// difference to `below` as well: `difference[x] = out[x] − below[x]`.
 ///
 /// # Safety
-/// `from` is a multiple of `LANES`. `row` is readable from `from − radius` rounded down to, and up to `to + radius`
-/// rounded up by, less than `4 · LANES` and a vector; the others are accessible from `from` up to `to` rounded up.
+/// `from` is a multiple of `LANES`. `row` is readable from `from − radius` rounded down to, and up
+/// to `to + radius` rounded up by, less than `4 · LANES` and a vector; the others are accessible
+/// from `from` up to `to` rounded up.
 #[inline(always)]
 pub(crate) unsafe fn blur_row<S: Simd>(
     row: *const f32,
@@ -127,8 +129,8 @@ pub(crate) unsafe fn blur_row<S: Simd>(
 /// Instead of a radius: that of the kernel.
 const ANY: usize = 0;
 
-/// Adds the taps `RIGHT` values to the right and as many to the left, `16 − LEFT`, of vectors whose values and their
-/// neighbours are in registers.
+/// Adds the taps `RIGHT` values to the right and as many to the left, `16 − LEFT`, of vectors whose
+/// values and their neighbours are in registers.
 ///
 /// # Safety
 /// As [`blur_row`]; `near` are the vectors from the one before `row` on.

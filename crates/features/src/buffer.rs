@@ -7,8 +7,8 @@ pub(crate) const LINE: usize = 16;
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
-/// A slice of `f32` that starts on a cache line. Grows, never shrinks, so that it can serve image after image
-/// without new pages from the operating system.
+/// A slice of `f32` that starts on a cache line. Grows, never shrinks, so that it can serve image
+/// after image without new pages from the operating system.
 #[derive(Default)]
 pub(crate) struct AlignedBuf {
     lines: Vec<CacheLine>,
@@ -33,7 +33,9 @@ impl AlignedBuf {
 
     fn as_mut_slice(&mut self) -> &mut [f32] {
         // SAFETY: as above.
-        unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.lines.len() * LINE) }
+        unsafe {
+            std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.lines.len() * LINE)
+        }
     }
 }
 
@@ -56,7 +58,8 @@ impl Ring {
         self.next = first;
     }
 
-    /// The start of a row that is still held. What lies behind it in memory may be read through the pointer.
+    /// The start of a row that is still held. What lies behind it in memory may be read through the
+    /// pointer.
     #[inline(always)]
     pub(crate) fn row(&self, y: usize) -> *const f32 {
         self.from(y).as_ptr()
@@ -80,7 +83,8 @@ impl Ring {
     pub(crate) fn next_row(&mut self) -> *mut f32 {
         let at = self.next % self.capacity * self.stride;
         self.next += 1;
-        // The pointer is that of the slice and not of its first value, since whole rows are written through it.
+        // The pointer is that of the slice and not of its first value, since whole rows are written
+        // through it.
         self.buf.as_mut_slice()[at..].as_mut_ptr()
     }
 }
@@ -89,7 +93,8 @@ impl Ring {
 mod tests {
     use super::{LINE, Ring};
 
-    /// Whole rows are written and read through the pointers: under Miri, they have to be those of rows and not of single values.
+    /// Whole rows are written and read through the pointers: under Miri, they have to be those of
+    /// rows and not of single values.
     #[test]
     fn rows_lie_behind_their_pointers() {
         const STRIDE: usize = 2 * LINE;
@@ -109,8 +114,8 @@ mod tests {
             let read: Vec<f32> = (0..STRIDE).map(|x| unsafe { *ring.row(y).add(x) }).collect();
             assert_eq!(read, expected);
         }
-        // Of the first row in memory, the others may be read through the pointer too: kernels load beyond the end.
-        // SAFETY: row 9 is the first in memory and row 7 the second.
+        // Of the first row in memory, the others may be read through the pointer too: kernels load
+        // beyond the end. SAFETY: row 9 is the first in memory and row 7 the second.
         assert_eq!(unsafe { *ring.row(9).add(STRIDE) }, 700.0);
     }
 }

@@ -1,10 +1,11 @@
 //! The histogram of gradients around a keypoint (Lowe 2004, section 6), normalised to 128 bytes.
 //!
-//! 4 × 4 cells of 3 σ by 3 σ, turned to the keypoint's orientation, and 8 directions in each. A sample is shared,
-//! linearly in each dimension, by the cells and directions to both sides of it, and weighted by a Gaussian with the σ
-//! of half the cells' extent. The histogram has a border of one cell, which is dropped, so that nothing needs a test.
-//! Per sample, the shares of the eight directions are one half of a vector, those of the next cell in x the other
-//! half, and the vector is added to two rows of cells.
+//! 4 × 4 cells of 3 σ by 3 σ, turned to the keypoint's orientation, and 8 directions in each. A
+//! sample is shared, linearly in each dimension, by the cells and directions to both sides of it,
+//! and weighted by a Gaussian with the σ of half the cells' extent. The histogram has a border of
+//! one cell, which is dropped, so that nothing needs a test. Per sample, the shares of the eight
+//! directions are one half of a vector, those of the next cell in x the other half, and the vector
+//! is added to two rows of cells.
 
 use crate::gradient::{Gradient, Level, exp_minus};
 use crate::options::{Normalization, Options};
@@ -34,7 +35,8 @@ const HISTOGRAM: usize = PADDED * PADDED * BINS;
 /// Samples that are added to a histogram each: as many do not wait for each other.
 const BESIDE: usize = 4;
 
-/// In row `b`, 1 at direction `b` of both cells of a vector; then what changes that to direction `b + 1`.
+/// In row `b`, 1 at direction `b` of both cells of a vector; then what changes that to direction
+/// `b + 1`.
 #[repr(align(64))]
 struct OneHot([[[f32; LANES]; 2]; BINS + 1]);
 
@@ -104,7 +106,8 @@ fn cells(padded: &[f32; HISTOGRAM]) -> [f32; NUMBERS] {
 
 #[inline(always)]
 fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
-    // Neighbouring samples go to different histograms: adding to a cell need not wait for the sample before.
+    // Neighbouring samples go to different histograms: adding to a cell need not wait for the
+    // sample before.
     let mut histograms = [[0.0f32; HISTOGRAM]; BESIDE];
     let (sin, cos) = frame.angle.sin_cos();
     let cell = MAGNIFICATION * frame.sigma;
@@ -120,9 +123,9 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
     for (i, lane) in lanes.iter_mut().enumerate() {
         *lane = i as f32;
     }
-    // SAFETY: loads and stores of arrays are of one vector each; rows are checked above, and columns are inside of the
-    // level's border; the indices
-    // into the histogram are proven where they are computed.
+    // SAFETY: loads and stores of arrays are of one vector each; rows are checked above, and
+    // columns are inside of the level's border; the indices into the histogram are proven where
+    // they are computed.
     unsafe {
         let lanes = S::load(lanes.as_ptr());
         for y in y_first..y_end {
@@ -130,7 +133,8 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
             // Where |u| and |v| are below `REACH` on this row.
             let (u_low, u_high) = interval(cos, sin * dy, radius);
             let (v_low, v_high) = interval(-sin, cos * dy, radius);
-            let (x_first, x_end) = window(frame.x, u_low.max(v_low), u_high.min(v_high), level.width);
+            let (x_first, x_end) =
+                window(frame.x, u_low.max(v_low), u_high.min(v_high), level.width);
             let (u_row, v_row) = (S::splat(sin * dy), S::splat(cos * dy));
             for x in (x_first..x_end).step_by(LANES) {
                 let dx = S::add(S::splat(x as f32 - frame.x), lanes);
@@ -158,22 +162,35 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; HISTOGRAM] {
                 );
                 // Directions are relative to the keypoint's: from 0 to BINS.
                 let turned = S::sub(angle, S::splat(frame.angle));
-                let turned = S::select_lt(turned, S::splat(0.0), S::add(turned, S::splat(TAU)), turned);
+                let turned =
+                    S::select_lt(turned, S::splat(0.0), S::add(turned, S::splat(TAU)), turned);
                 let bin = S::mul(turned, to_bins);
                 let bin_below = S::floor(bin);
                 let bin_share = S::sub(bin, bin_below);
                 let right = S::mul(weight, u_share);
-                let samples =
-                    Samples::<S> { index, bin_below, bin_share, left: S::sub(weight, right), right, v_share };
+                let samples = Samples::<S> {
+                    index,
+                    bin_below,
+                    bin_share,
+                    left: S::sub(weight, right),
+                    right,
+                    v_share,
+                };
                 let samples = samples.to_arrays();
                 for i in (0..count).step_by(BESIDE) {
                     for (j, histogram) in histograms.iter_mut().enumerate() {
-                        let (index, bin) = (samples.index[i + j] as usize, samples.bin_below[i + j] as usize);
+                        let (index, bin) =
+                            (samples.index[i + j] as usize, samples.bin_below[i + j] as usize);
                         debug_assert!(index + PADDED * BINS + LANES <= HISTOGRAM && bin <= BINS);
                         let [direction, change] = ONE_HOT.0.get_unchecked(bin);
                         let share = S::splat(samples.bin_share[i + j]);
-                        let shares = S::mul_add(S::load(change.as_ptr()), share, S::load(direction.as_ptr()));
-                        let shares = S::mul(shares, S::halves(samples.left[i + j], samples.right[i + j]));
+                        let shares = S::mul_add(
+                            S::load(change.as_ptr()),
+                            share,
+                            S::load(direction.as_ptr()),
+                        );
+                        let shares =
+                            S::mul(shares, S::halves(samples.left[i + j], samples.right[i + j]));
                         let below = S::mul(shares, S::splat(samples.v_share[i + j]));
                         let above = S::sub(shares, below);
                         let at = histogram.as_mut_ptr().add(index);
@@ -252,7 +269,8 @@ fn interval(slope: f32, offset: f32, radius: f32) -> (f32, f32) {
     (a.min(b).max(-radius), a.max(b).min(radius))
 }
 
-/// Samples from `centre + low` to `centre + high` that have neighbours on both sides, as a half-open range.
+/// Samples from `centre + low` to `centre + high` that have neighbours on both sides, as a
+/// half-open range.
 #[inline(always)]
 fn window(centre: f32, low: f32, high: f32, size: usize) -> (usize, usize) {
     let first = (centre + low).ceil().max(1.0);

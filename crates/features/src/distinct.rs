@@ -1,14 +1,15 @@
 //! Extrema that are one and the same.
 //!
-//! A blob is often found twice: on neighbouring levels, or at the end of an octave and the beginning of the next one, refined
-//! to nearly the same place and scale. Each copy takes the other's matches away, for the second-best distance is then as
-//! small as the best.
+//! A blob is often found twice: on neighbouring levels, or at the end of an octave and the
+//! beginning of the next one, refined to nearly the same place and scale. Each copy takes the
+//! other's matches away, for the second-best distance is then as small as the best.
 
 use crate::extrema::Extremum;
 
 /// Extrema that are nearer to each other than this share of the smaller one's σ are the same,
 const NEAR: f32 = 0.5;
-/// if their σ differ by a smaller factor. On graf 1-3 as many matches are right from 0.35 octaves on, up to a whole one.
+/// if their σ differ by a smaller factor. On graf 1-3 as many matches are right from 0.35 octaves
+/// on, up to a whole one.
 const ALIKE: f32 = std::f32::consts::SQRT_2;
 
 /// What is kept of a row of pixels, as a list from the last one back.
@@ -80,15 +81,18 @@ mod tests {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / (1 << 24) as f32 * below
         };
-        let mut extrema: Vec<Extremum> =
-            (0..4000).map(|i| at(i % 4 - 1, random(60.0), random(40.0), 1.6 + random(1.6))).collect();
+        let mut extrema: Vec<Extremum> = (0..4000)
+            .map(|i| at(i % 4 - 1, random(60.0), random(40.0), 1.6 + random(1.6)))
+            .collect();
         let mut expected: Vec<Extremum> = Vec::new();
         for &e in &extrema {
-            let pixels = |e: &Extremum| [e.x, e.y, e.sigma].map(|length| length * 2f32.powi(e.octave));
+            let pixels =
+                |e: &Extremum| [e.x, e.y, e.sigma].map(|length| length * 2f32.powi(e.octave));
             let [x, y, sigma] = pixels(&e);
             let is_same = |other: &Extremum| {
                 let [u, v, other] = pixels(other);
-                (x - u).hypot(y - v) < NEAR * sigma.min(other) && (sigma / other).log2().abs() < ALIKE.log2()
+                (x - u).hypot(y - v) < NEAR * sigma.min(other)
+                    && (sigma / other).log2().abs() < ALIKE.log2()
             };
             if !expected.iter().any(is_same) {
                 expected.push(e);
@@ -96,6 +100,11 @@ mod tests {
         }
         // Rows of the coarsest octave lie beyond the image's end.
         distinct(&mut extrema, 100);
-        assert!(expected.len() < 3900 && extrema == expected, "{} {}", extrema.len(), expected.len());
+        assert!(
+            expected.len() < 3900 && extrema == expected,
+            "{} {}",
+            extrema.len(),
+            expected.len()
+        );
     }
 }

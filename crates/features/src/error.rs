@@ -6,7 +6,8 @@
 pub enum Error {
     /// The slice does not hold the pixels that the sizes promise.
     #[error(
-        "a view of {width}x{height} pixels with rows {stride} apart needs {needed} bytes, the slice has {len}"
+        "a view of {width}x{height} pixels with rows {stride} apart needs {needed} bytes, the \
+        slice has {len}"
     )]
     ViewTooShort {
         /// Columns.
@@ -30,7 +31,8 @@ pub enum Error {
     },
     /// The mask is not as large as the image.
     #[error(
-        "the mask is {mask_width}x{mask_height} pixels, the image {width}x{height}: they must be of one size"
+        "the mask is {mask_width}x{mask_height} pixels, the image {width}x{height}: they must be \
+        of one size"
     )]
     MaskSize {
         /// Columns of the image.

@@ -1,8 +1,9 @@
 //! Extrema of the difference of Gaussians over space and scale, refined to a fraction of a sample.
 //!
-//! Lowe 2004, section 4, with the choices of VLFeat: a sample that is strictly above (below) its 26 neighbours and
-//! at least 0.8 of the peak threshold; up to five Newton steps, each of which may move by one sample in x and y; then
-//! the interpolated value must pass the peak threshold and the principal curvatures the edge threshold (section 4.1).
+//! Lowe 2004, section 4, with the choices of VLFeat: a sample that is strictly above (below) its 26
+//! neighbours and at least 0.8 of the peak threshold; up to five Newton steps, each of which may
+//! move by one sample in x and y; then the interpolated value must pass the peak threshold and the
+//! principal curvatures the edge threshold (section 4.1).
 
 use crate::buffer::Ring;
 use crate::scale_space::sigma_at;
@@ -30,7 +31,8 @@ pub(crate) struct Thresholds {
     pub(crate) edge: f32,
 }
 
-/// A point of interest without orientation; lengths in samples of its octave, sample (0, 0) being the origin.
+/// A point of interest without orientation; lengths in samples of its octave, sample (0, 0) being
+/// the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Extremum {
     /// log2 of the sample distance in pixels.
@@ -70,7 +72,8 @@ pub(crate) struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Appends the refined extrema that were found in row `y`, level by level and from left to right.
+    /// Appends the refined extrema that were found in row `y`, level by level and from left to
+    /// right.
     #[inline(always)]
     pub(crate) fn row<S: Simd>(&self, y: usize, found: &mut Vec<Extremum>) {
         let (width, height) = self.size;
@@ -85,9 +88,11 @@ impl Search<'_> {
             let mut block = self.columns.0;
             while block < end {
                 let at = block - self.columns.0 + self.origin;
-                // SAFETY: a row holds the columns of the tile, its neighbours, and vectors that reach beyond it.
-                let mut mask =
-                    unsafe { peaks_in_plane::<S>(above.add(at), row.add(at), below.add(at), least) };
+                // SAFETY: a row holds the columns of the tile, its neighbours, and vectors that
+                // reach beyond it.
+                let mut mask = unsafe {
+                    peaks_in_plane::<S>(above.add(at), row.add(at), below.add(at), least)
+                };
                 while mask != 0 {
                     let x = block + mask.trailing_zeros() as usize;
                     mask &= mask - 1;
@@ -130,7 +135,8 @@ impl Search<'_> {
         true
     }
 
-    /// Fits a quadratic around a sample (Brown & Lowe 2002), moving along until its extremum is near.
+    /// Fits a quadratic around a sample (Brown & Lowe 2002), moving along until its extremum is
+    /// near.
     #[inline(always)]
     fn refine(&self, mut x: usize, mut y: usize, level: usize) -> Option<Extremum> {
         let (width, height) = self.size;
@@ -186,8 +192,8 @@ impl Search<'_> {
         let xy = 0.25 * (at(1, 1, 0) + at(-1, -1, 0) - at(-1, 1, 0) - at(1, -1, 0));
         let xs = 0.25 * (at(1, 0, 1) + at(-1, 0, -1) - at(-1, 0, 1) - at(1, 0, -1));
         let ys = 0.25 * (at(0, 1, 1) + at(0, -1, -1) - at(0, -1, 1) - at(0, 1, -1));
-        let offset =
-            solve([[xx, xy, xs], [xy, yy, ys], [xs, ys, ss]], gradient.map(|g| -g)).unwrap_or([0.0; 3]);
+        let offset = solve([[xx, xy, xs], [xy, yy, ys], [xs, ys, ss]], gradient.map(|g| -g))
+            .unwrap_or([0.0; 3]);
         let rise = gradient[0] * offset[0] + gradient[1] * offset[1] + gradient[2] * offset[2];
         Fit { offset, value: centre + 0.5 * rise, trace: xx + yy, determinant: xx * yy - xy * xy }
     }
@@ -217,12 +223,18 @@ fn moved(x: usize, offset: f64, size: usize) -> usize {
     }
 }
 
-/// Lanes that pass the threshold and are above or below their four neighbours in the same difference.
+/// Lanes that pass the threshold and are above or below their four neighbours in the same
+/// difference.
 ///
 /// # Safety
 /// All three rows are readable from one value before to one vector and a value after the pointer.
 #[inline(always)]
-unsafe fn peaks_in_plane<S: Simd>(above: *const f32, row: *const f32, below: *const f32, least: f32) -> u32 {
+unsafe fn peaks_in_plane<S: Simd>(
+    above: *const f32,
+    row: *const f32,
+    below: *const f32,
+    least: f32,
+) -> u32 {
     // SAFETY: the caller's promise.
     unsafe {
         let value = S::load(row);

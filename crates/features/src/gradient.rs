@@ -26,7 +26,8 @@ pub(crate) struct Gradient<S: Simd> {
     pub(crate) angle: S::F,
 }
 
-/// Rows ahead that are asked for while a row is measured: the processor does not foresee steps of a whole row.
+/// Rows ahead that are asked for while a row is measured: the processor does not foresee steps of a
+/// whole row.
 const ROWS_AHEAD: usize = 8;
 
 impl Level<'_> {
@@ -45,33 +46,53 @@ impl Level<'_> {
     pub(crate) fn check_rows(&self, first: usize, end: usize) {
         if first < end {
             let len = (end - self.first_row) * self.stride + self.width + LANES;
-            assert!(first > self.first_row && len <= self.data.len(), "rows {first}..{end} of a level");
+            assert!(
+                first > self.first_row && len <= self.data.len(),
+                "rows {first}..{end} of a level"
+            );
         }
     }
 
     /// Central differences at the samples from (x, y) on.
     ///
     /// # Safety
-    /// (x, y) is neither in the first nor in the last column, and [`check_rows`](Self::check_rows) has found row y.
+    /// (x, y) is neither in the first nor in the last column, and [`check_rows`](Self::check_rows)
+    /// has found row y.
     #[inline(always)]
     pub(crate) unsafe fn gradient<S: Simd>(&self, x: usize, y: usize) -> Gradient<S> {
         let at = (y - self.first_row) * self.stride + x;
         debug_assert!(x > 0 && y > self.first_row && x + 1 < self.width && y + 1 < self.height);
         debug_assert!(at + self.stride + LANES <= self.data.len());
-        // SAFETY: rows above and below exist, and beyond the last one there is room for two vectors.
+        // SAFETY: rows above and below exist, and beyond the last one there is room for two
+        // vectors.
         let (left, right, up, down) = unsafe {
             let p = self.data.as_ptr().add(at);
-            (S::load(p.sub(1)), S::load(p.add(1)), S::load(p.sub(self.stride)), S::load(p.add(self.stride)))
+            (
+                S::load(p.sub(1)),
+                S::load(p.add(1)),
+                S::load(p.sub(self.stride)),
+                S::load(p.add(self.stride)),
+            )
         };
         let half = S::splat(0.5);
         let (gx, gy) = (S::mul(S::sub(right, left), half), S::mul(S::sub(down, up), half));
-        Gradient { magnitude: S::sqrt(S::mul_add(gx, gx, S::mul(gy, gy))), angle: angle::<S>(gy, gx) }
+        Gradient {
+            magnitude: S::sqrt(S::mul_add(gx, gx, S::mul(gy, gy))),
+            angle: angle::<S>(gy, gx),
+        }
     }
 }
 
 /// Minimax polynomial of atan(√s)/√s on [0, 1]; it is within 2.5e-7 of atan.
-const ATAN: [f32; 7] =
-    [0.999_996_1, -0.333_173_7, 0.198_078_22, -0.132_333_65, 0.079_624_07, -0.033_604_555, 0.006_811_9];
+const ATAN: [f32; 7] = [
+    0.999_996_1,
+    -0.333_173_7,
+    0.198_078_22,
+    -0.132_333_65,
+    0.079_624_07,
+    -0.033_604_555,
+    0.006_811_9,
+];
 
 /// atan2 in [0, 2π]. Zero for a zero vector.
 #[inline(always)]
@@ -92,7 +113,8 @@ fn angle<S: Simd>(y: S::F, x: S::F) -> S::F {
 }
 
 /// Minimax polynomial of exp(−u) on [0, 0.7], within 6e-8.
-const EXP: [f32; 6] = [0.999_999_94, -0.999_994_1, 0.499_899_66, -0.166_040_5, 0.039_879_1, -0.005_906_740_7];
+const EXP: [f32; 6] =
+    [0.999_999_94, -0.999_994_1, 0.499_899_66, -0.166_040_5, 0.039_879_1, -0.005_906_740_7];
 
 /// exp(−t) for t from 0 to 5.6.
 #[inline(always)]

@@ -71,15 +71,25 @@ impl Task for Measure<'_> {
         let mut all = Vec::with_capacity(self.extrema.len());
         for e in self.extrema {
             let data = self.levels[e.level - 1];
-            let level = Level { data, stride: self.plan.stride(), width, height, first_row: self.first_row };
+            let level = Level {
+                data,
+                stride: self.plan.stride(),
+                width,
+                height,
+                first_row: self.first_row,
+            };
             let mut measured = Measured {
                 directions: match self.options.orientation {
                     Orientation::Upright => Directions::upright(),
-                    Orientation::Dominant => directions::<S>(&level, e, self.options.max_orientations),
+                    Orientation::Dominant => {
+                        directions::<S>(&level, e, self.options.max_orientations)
+                    }
                 },
                 ..Measured::default()
             };
-            for (&angle, out) in measured.directions.as_slice().iter().zip(&mut measured.descriptors) {
+            for (&angle, out) in
+                measured.directions.as_slice().iter().zip(&mut measured.descriptors)
+            {
                 let frame = Frame { x: e.x, y: e.y, sigma: e.sigma, angle };
                 *out = describe::<S>(&level, frame, self.options);
             }

@@ -1,14 +1,16 @@
 //! One octave, from its source to refined extrema, in one sweep.
 //!
-//! The Gaussians of an octave are far larger than the caches, and reading and writing them one after the other would
-//! take longer than computing them. So they are produced together, row by row: each level is blurred from a ring of
-//! the latest rows of the level below as soon as these suffice (columns first, into a temporary row, then along the
-//! row), the differences go to rings as well, and extrema are found and refined in these. Only levels 1 … S, in
-//! whose gradients orientations and descriptors are measured later, are written to memory.
+//! The Gaussians of an octave are far larger than the caches, and reading and writing them one
+//! after the other would take longer than computing them. So they are produced together, row by
+//! row: each level is blurred from a ring of the latest rows of the level below as soon as these
+//! suffice (columns first, into a temporary row, then along the row), the differences go to rings
+//! as well, and extrema are found and refined in these. Only levels 1 … S, in whose gradients
+//! orientations and descriptors are measured later, are written to memory.
 //!
-//! Bands of rows are independent of each other, and within a band tiles of columns, narrow enough that the rings stay
-//! in the cache. Both are extended by what the blurs reach, so that each sample is computed from the same numbers in
-//! the same order wherever the borders lie: the result does not depend on the division.
+//! Bands of rows are independent of each other, and within a band tiles of columns, narrow enough
+//! that the rings stay in the cache. Both are extended by what the blurs reach, so that each sample
+//! is computed from the same numbers in the same order wherever the borders lie: the result does
+//! not depend on the division.
 
 use crate::blur::{BLOCK, blur_columns, blur_row};
 use crate::buffer::{AlignedBuf, LINE, Ring};
@@ -18,7 +20,8 @@ use crate::simd::{LANES, Simd, Task};
 use crate::source::Source;
 use std::ops::Range;
 
-/// Columns of a tile: narrow enough for rings that stay in a cache of 1 MiB, wide enough for little overlap.
+/// Columns of a tile: narrow enough for rings that stay in a cache of 1 MiB, wide enough for little
+/// overlap.
 const TILE: usize = 1024;
 
 /// Values beyond the end of a row that a kernel may touch.
@@ -34,7 +37,8 @@ pub(crate) struct Plan {
     pub(crate) height: usize,
     /// Scales at which extrema are looked for.
     pub(crate) levels: usize,
-    /// The blurs, in the order in which they are applied: one more than between the levels if the source is blurred.
+    /// The blurs, in the order in which they are applied: one more than between the levels if the
+    /// source is blurred.
     stages: Vec<Kernel>,
     /// How far beyond a tile the input of each stage, and the output of the last one, is needed.
     halos: Vec<usize>,
@@ -42,7 +46,12 @@ pub(crate) struct Plan {
 
 impl Plan {
     /// An octave that is made from the image, or from the octave before it.
-    pub(crate) fn new(octave: i32, size: (usize, usize), levels: usize, first_octave: Option<i32>) -> Self {
+    pub(crate) fn new(
+        octave: i32,
+        size: (usize, usize),
+        levels: usize,
+        first_octave: Option<i32>,
+    ) -> Self {
         let mut stages = kernels_between_levels(levels);
         if let Some(first_octave) = first_octave {
             stages.insert(0, kernel_from_image(octave, first_octave));
@@ -155,7 +164,12 @@ impl Columns {
 
 impl Sweep<'_, '_> {
     #[inline(always)]
-    fn sweep_tile<S: Simd>(&mut self, (x0, x1): (usize, usize), tile: usize, found: &mut Vec<Extremum>) {
+    fn sweep_tile<S: Simd>(
+        &mut self,
+        (x0, x1): (usize, usize),
+        tile: usize,
+        found: &mut Vec<Extremum>,
+    ) {
         let Plan { width, height, levels, ref stages, ref halos, .. } = *self.plan;
         let level_0 = self.plan.stages_before_level_0();
         // Without a search, level S is the last one that is needed, and nothing beyond the tile.
@@ -205,9 +219,13 @@ impl Sweep<'_, '_> {
                 let radius = kernel.len() - 1;
                 let input = &scratch.rings[stage];
                 let end = end_row(stage + 1);
-                let ready =
-                    if input.next == end_row(stage) { end } else { input.next.saturating_sub(radius) };
-                // One block at a time: further ones would overwrite rows of the ring that are still needed.
+                let ready = if input.next == end_row(stage) {
+                    end
+                } else {
+                    input.next.saturating_sub(radius)
+                };
+                // One block at a time: further ones would overwrite rows of the ring that are still
+                // needed.
                 let y = scratch.rings[stage + 1].next;
                 let rows = BLOCK.min(end - y);
                 if y + rows > ready {
@@ -242,14 +260,20 @@ impl Sweep<'_, '_> {
                 for y in (y..y + rows).filter(|y| band.contains(y)) {
                     // SAFETY: a row of a ring holds the columns of the tile.
                     let row = unsafe {
-                        std::slice::from_raw_parts(scratch.rings[stage + 1].row(y).add(margin), x1 - x0)
+                        std::slice::from_raw_parts(
+                            scratch.rings[stage + 1].row(y).add(margin),
+                            x1 - x0,
+                        )
                     };
                     if let Some(rows) = self.levels.get_mut(level - 1) {
                         let at = (y - band.start) * self.plan.stride() + x0;
-                        // SAFETY: rows of levels and of rings begin on cache lines, and so do tiles.
+                        // SAFETY: rows of levels and of rings begin on cache lines, and so do
+                        // tiles.
                         unsafe { stream_row::<S>(row, &mut rows[at..at + x1 - x0]) };
                     }
-                    if let Some(rows) = self.next_octave.as_mut().filter(|_| level == levels && y % 2 == 0) {
+                    if let Some(rows) =
+                        self.next_octave.as_mut().filter(|_| level == levels && y % 2 == 0)
+                    {
                         let at = (y - band.start) / 2 * self.plan.next_stride() + x0 / 2;
                         for (out, pair) in rows[at..].iter_mut().zip(row.chunks_exact(2)) {
                             *out = pair[0];
@@ -314,7 +338,8 @@ impl Stage<'_> {
     /// Computes `ROWS` rows from row `y` on.
     ///
     /// # Safety
-    /// The ring of the input holds the rows that the kernel reaches, columns are inside of the rows of the rings.
+    /// The ring of the input holds the rows that the kernel reaches, columns are inside of the rows
+    /// of the rings.
     #[inline(always)]
     unsafe fn blur_rows<S: Simd, const ROWS: usize>(&self, scratch: &mut Scratch, y: usize) {
         let radius = self.kernel.len() - 1;
@@ -348,11 +373,18 @@ impl Stage<'_> {
                 let out = outputs[0].next_row();
                 let difference =
                     self.difference.map(|i| (input.row(y + j), scratch.differences[i].next_row()));
-                blur_row::<S>(row, self.kernel, out, difference, (out_first / LINE * LINE, out_end));
+                blur_row::<S>(
+                    row,
+                    self.kernel,
+                    out,
+                    difference,
+                    (out_first / LINE * LINE, out_end),
+                );
             }
         }
     }
 }
 
-/// Input rows of the widest kernel for a block: with one level per octave, the last blur has σ = 11.1.
+/// Input rows of the widest kernel for a block: with one level per octave, the last blur has σ =
+/// 11.1.
 const MAX_TAPS: usize = 2 * 45 + BLOCK;

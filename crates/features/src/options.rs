@@ -5,36 +5,39 @@ use crate::Error;
 /// How histograms become the 128 numbers of a descriptor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Normalization {
-    /// RootSIFT (Arandjelović & Zisserman 2012): divided by the sum, then the square root. Euclidean distance then
-    /// compares histograms by the Hellinger kernel, which matches better.
+    /// RootSIFT (Arandjelović & Zisserman 2012): divided by the sum, then the square root.
+    /// Euclidean distance then compares histograms by the Hellinger kernel, which matches better.
     #[default]
     RootL1,
     /// Lowe 2004: divided by the Euclidean norm.
     L2,
 }
 
-/// How [`Options::max_features`] is meant. Either way the coarsest features are kept: those with the strongest
-/// response at any scale were measured to be worth much less (see `bench/sift_sfm.py`). Fine octaves that cannot
-/// contribute are not even computed.
+/// How [`Options::max_features`] is meant. Either way the coarsest features are kept: those with
+/// the strongest response at any scale were measured to be worth much less (see
+/// `bench/sift_sfm.py`). Fine octaves that cannot contribute are not even computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Limit {
-    /// As COLMAP does: levels of the scale space are taken from the coarsest down, and the one in which the number of
-    /// keypoints exceeds the limit is the last one. Gives up to half as many features more than the limit says,
-    /// because that level is complete and a keypoint with two orientations counts once.
+    /// As COLMAP does: levels of the scale space are taken from the coarsest down, and the one in
+    /// which the number of keypoints exceeds the limit is the last one. Gives up to half as many
+    /// features more than the limit says, because that level is complete and a keypoint with two
+    /// orientations counts once.
     #[default]
     WholeLevels,
     /// That many features and no more; within the last level those with the strongest response.
     Exact,
 }
 
-/// DSP-SIFT (Dong & Soatto, "Domain-size pooling in local descriptors", CVPR 2015): a descriptor is the mean of several,
-/// measured in windows of different size around the same keypoint. It matches better where scale is uncertain, and takes
-/// some twenty times as long as a plain one. Keypoints that are copies of others are left out. The defaults are COLMAP's.
+/// DSP-SIFT (Dong & Soatto, "Domain-size pooling in local descriptors", CVPR 2015): a descriptor is
+/// the mean of several, measured in windows of different size around the same keypoint. It matches
+/// better where scale is uncertain, and takes some twenty times as long as a plain one. Keypoints
+/// that are copies of others are left out. The defaults are COLMAP's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DomainSizes {
     /// Smallest window, relative to that of a plain descriptor. Above 0.
     pub min: f32,
-    /// End of the sizes, which is not one of them, relative to a plain descriptor. Above `min`, at most 8.
+    /// End of the sizes, which is not one of them, relative to a plain descriptor. Above `min`, at
+    /// most 8.
     pub max: f32,
     /// Number of sizes, evenly spread. 1 to 64.
     pub count: usize,
@@ -57,7 +60,8 @@ impl DomainSizes {
 /// What to extract. The defaults are COLMAP's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Octave of the finest scale: −1 doubles the image, 0 starts at its own resolution, 1 at half of it. −1 to 8.
+    /// Octave of the finest scale: −1 doubles the image, 0 starts at its own resolution, 1 at half
+    /// of it. −1 to 8.
     pub first_octave: i32,
     /// Number of octaves, from `first_octave` on; fewer where the image becomes too small. 1 to 16.
     pub octaves: usize,
@@ -65,7 +69,8 @@ pub struct Options {
     pub levels: usize,
     /// Smallest absolute difference of Gaussians at an extremum, where black is 0 and white is 1.
     pub peak_threshold: f32,
-    /// Largest ratio of the principal curvatures at an extremum: above it, it lies on an edge. At least 1.
+    /// Largest ratio of the principal curvatures at an extremum: above it, it lies on an edge. At
+    /// least 1.
     pub edge_threshold: f32,
     /// Number of features, as `limit` counts them.
     pub max_features: usize,
@@ -121,16 +126,36 @@ impl Options {
             if ok { Ok(()) } else { Err(Error::Option { name, value, range }) }
         };
         let (octaves, levels, orientations) = (self.octaves, self.levels, self.max_orientations);
-        check("first_octave", self.first_octave.into(), (-1..=8).contains(&self.first_octave), "-1 to 8")?;
+        check(
+            "first_octave",
+            self.first_octave.into(),
+            (-1..=8).contains(&self.first_octave),
+            "-1 to 8",
+        )?;
         check("octaves", octaves as f64, (1..=16).contains(&octaves), "1 to 16")?;
         check("levels", levels as f64, (1..=8).contains(&levels), "1 to 8")?;
         check("max_orientations", orientations as f64, (1..=4).contains(&orientations), "1 to 4")?;
         let (peak, edge) = (self.peak_threshold, self.edge_threshold);
-        check("peak_threshold", peak.into(), peak.is_finite() && peak >= 0.0, "finite and at least 0")?;
-        check("edge_threshold", edge.into(), edge.is_finite() && edge >= 1.0, "finite and at least 1")?;
+        check(
+            "peak_threshold",
+            peak.into(),
+            peak.is_finite() && peak >= 0.0,
+            "finite and at least 0",
+        )?;
+        check(
+            "edge_threshold",
+            edge.into(),
+            edge.is_finite() && edge >= 1.0,
+            "finite and at least 1",
+        )?;
         let Some(DomainSizes { min, max, count }) = self.domain_sizes else { return Ok(()) };
         check("domain_sizes.min", min.into(), min > 0.0, "above 0")?;
-        check("domain_sizes.max", max.into(), max > min && max <= 8.0, "above the smallest and at most 8")?;
+        check(
+            "domain_sizes.max",
+            max.into(),
+            max > min && max <= 8.0,
+            "above the smallest and at most 8",
+        )?;
         check("domain_sizes.count", count as f64, (1..=64).contains(&count), "1 to 64")
     }
 }

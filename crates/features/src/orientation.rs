@@ -1,8 +1,8 @@
 //! Dominant gradient directions around an extremum (Lowe 2004, section 5).
 //!
-//! A histogram of 36 directions, weighted by the gradient and by a Gaussian of 1.5 σ, each sample shared by two bins;
-//! smoothed six times by a box of three; its highest local maxima that reach 80 % of the highest one, interpolated by
-//! a parabola.
+//! A histogram of 36 directions, weighted by the gradient and by a Gaussian of 1.5 σ, each sample
+//! shared by two bins; smoothed six times by a box of three; its highest local maxima that reach 80
+//! % of the highest one, interpolated by a parabola.
 
 use crate::extrema::Extremum;
 use crate::gradient::{Gradient, Level, exp_minus};
@@ -50,15 +50,16 @@ pub(crate) fn directions<S: Simd>(level: &Level<'_>, at: &Extremum, max: usize) 
 
 #[inline(always)]
 fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
-    // Samples are shared by the bins to both sides of them. Shares of lower and upper ones, and those of neighbouring
-    // samples, are added up apart, so that none waits for the one before.
+    // Samples are shared by the bins to both sides of them. Shares of lower and upper ones, and
+    // those of neighbouring samples, are added up apart, so that none waits for the one before.
     let mut histograms = [[[0.0f32; BINS + 1]; 2]; BESIDE];
     let sigma = WEIGHT_SIGMA * at.sigma;
     let radius = (RADIUS * sigma).floor().max(1.0);
     let (xi, yi) = (at.x.round() as usize, at.y.round() as usize);
     let reach = radius as usize;
     let (x_first, x_end) = (xi.saturating_sub(reach).max(1), (xi + reach + 1).min(level.width - 1));
-    let (y_first, y_end) = (yi.saturating_sub(reach).max(1), (yi + reach + 1).min(level.height - 1));
+    let (y_first, y_end) =
+        (yi.saturating_sub(reach).max(1), (yi + reach + 1).min(level.height - 1));
     level.check_rows(y_first, y_end);
     let limit = S::splat(radius * radius + 0.6);
     let falloff = S::splat(0.5 / (sigma * sigma));
@@ -67,8 +68,8 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
     for (i, lane) in lanes.iter_mut().enumerate() {
         *lane = i as f32;
     }
-    // SAFETY: all loads and stores below are of arrays of one vector, or of samples in rows that are
-    // checked above and in columns inside of the level's border.
+    // SAFETY: all loads and stores below are of arrays of one vector, or of samples in rows that
+    // are checked above and in columns inside of the level's border.
     unsafe {
         let lanes = S::load(lanes.as_ptr());
         for y in y_first..y_end {
@@ -80,7 +81,8 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
                 let Gradient { magnitude, angle } = level.gradient::<S>(x, y);
                 let weight = S::mul(exp_minus::<S>(S::mul(S::min(r2, limit), falloff)), magnitude);
                 let weight = S::select_lt(r2, limit, weight, zero);
-                // The centre of bin 0 is half a bin from angle 0; one more so that no index is negative.
+                // The centre of bin 0 is half a bin from angle 0; one more so that no index is
+                // negative.
                 let bin = S::mul_add(angle, S::splat(BINS as f32 / TAU), S::splat(0.5));
                 let whole = S::floor(bin);
                 let upper = S::mul(S::sub(bin, whole), weight);
@@ -105,7 +107,8 @@ fn histogram<S: Simd>(level: &Level<'_>, at: &Extremum) -> [f32; BINS] {
     }
     let [a, b, c, d] = &histograms;
     let sum = |side: usize, i: usize| (a[side][i] + b[side][i]) + (c[side][i] + d[side][i]);
-    // Bin `i` is the lower one at `i + 1` and the upper one at `i`; the first lower and the last upper wrap round.
+    // Bin `i` is the lower one at `i + 1` and the upper one at `i`; the first lower and the last
+    // upper wrap round.
     let mut histogram: [f32; BINS] = std::array::from_fn(|i| sum(0, i + 1) + sum(1, i));
     histogram[BINS - 1] += sum(0, 0);
     histogram[0] += sum(1, BINS);

@@ -1,15 +1,16 @@
 //! The scale space of Lowe 2004, section 3: which Gaussians are computed, and from what.
 //!
-//! Octave `o` is sampled every 2^o pixels of the image. Within it, level `i` has σ_i = 1.6 · 2^(i/S) samples,
-//! i = 0 … S + 2; the differences D_i = L_{i+1} − L_i are searched at i = 1 … S. Each level is blurred from the one
-//! below it by √(σ_{i+1}² − σ_i²).
+//! Octave `o` is sampled every 2^o pixels of the image. Within it, level `i` has σ_i = 1.6 ·
+//! 2^(i/S) samples, i = 0 … S + 2; the differences D_i = L_{i+1} − L_i are searched at i = 1 … S.
+//! Each level is blurred from the one below it by √(σ_{i+1}² − σ_i²).
 //!
-//! The image itself is taken to have σ = 0.5. Octave −1 starts from the image doubled by linear interpolation. Octave
-//! 0 starts from the image, not from octave −1: then octave −1 needs not be computed when coarser octaves give enough
-//! features. So that the chain is nevertheless the same as when every octave is halved from the one before it (as
-//! Lowe, VLFeat and COLMAP do), its blur includes that of the interpolation, whose variance is 1/8 pixel² (the mean of
-//! that of the kernels {1} and {½, ½} on the doubled grid: (0 + ¼) / 2). Later octaves are every second sample of
-//! level S, whose σ is twice that of level 0.
+//! The image itself is taken to have σ = 0.5. Octave −1 starts from the image doubled by linear
+//! interpolation. Octave 0 starts from the image, not from octave −1: then octave −1 needs not be
+//! computed when coarser octaves give enough features. So that the chain is nevertheless the same
+//! as when every octave is halved from the one before it (as Lowe, VLFeat and COLMAP do), its blur
+//! includes that of the interpolation, whose variance is 1/8 pixel² (the mean of that of the
+//! kernels {1} and {½, ½} on the doubled grid: (0 + ¼) / 2). Later octaves are every second sample
+//! of level S, whose σ is twice that of level 0.
 
 /// σ of level 0, in samples of its octave.
 pub(crate) const BASE_SIGMA: f64 = 1.6;
@@ -62,9 +63,13 @@ mod tests {
         const TOLERANCE: f64 = 2e-3;
         for sigma in [1.0, 1.226, 1.5604, 3.09, 5.0] {
             let k = gaussian(sigma);
-            let sum: f64 =
-                k.iter().enumerate().map(|(i, &w)| if i == 0 { 1.0 } else { 2.0 } * f64::from(w)).sum();
-            let variance: f64 = k.iter().enumerate().map(|(i, &w)| 2.0 * (i * i) as f64 * f64::from(w)).sum();
+            let sum: f64 = k
+                .iter()
+                .enumerate()
+                .map(|(i, &w)| if i == 0 { 1.0 } else { 2.0 } * f64::from(w))
+                .sum();
+            let variance: f64 =
+                k.iter().enumerate().map(|(i, &w)| 2.0 * (i * i) as f64 * f64::from(w)).sum();
             assert!((sum - 1.0).abs() < 1e-6, "{sum}");
             assert!((variance / (sigma * sigma) - 1.0).abs() < TOLERANCE, "{variance}");
         }

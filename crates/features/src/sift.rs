@@ -15,22 +15,23 @@ use std::num::NonZeroUsize;
 
 /// An octave with fewer columns or rows is not looked at: its extrema would all lie at its border.
 const MIN_SIDE: usize = 8;
-/// Levels of an octave that take more memory than this are not kept, but computed once more, a part at a time, where
-/// orientations and descriptors need them: the doubled octave of images beyond 11 megapixels.
+/// Levels of an octave that take more memory than this are not kept, but computed once more, a part
+/// at a time, where orientations and descriptors need them: the doubled octave of images beyond 11
+/// megapixels.
 const MAX_LEVEL_BYTES: usize = 512 << 20;
 /// Such a part takes the limit divided by this.
 const PARTS_PER_LIMIT: usize = 4;
 /// Where the centre of the first pixel is in pixel coordinates.
 const PIXEL_CENTRE: f32 = 0.5;
 
-/// Extracts the features of an image on the calling thread. For many images, [`Sift`] keeps its memory from one to the
-/// next.
+/// Extracts the features of an image on the calling thread. For many images, [`Sift`] keeps its
+/// memory from one to the next.
 pub fn extract(image: &GrayView<'_>, options: &Options) -> Result<Features, Error> {
     Sift::new(*options)?.extract(image, None)
 }
 
-/// Extracts features, image after image, in memory that it keeps: 12 bytes for each pixel of the finest octave that
-/// was computed, at most 512 MiB for an octave. Have one per thread.
+/// Extracts features, image after image, in memory that it keeps: 12 bytes for each pixel of the
+/// finest octave that was computed, at most 512 MiB for an octave. Have one per thread.
 pub struct Sift {
     options: Options,
     pub(crate) isa: Isa,
@@ -65,14 +66,18 @@ impl Sift {
         Ok(Sift { options, isa: Isa::best(), max_level_bytes: MAX_LEVEL_BYTES, octaves, scratches })
     }
 
-    /// Extracts the features of an image on the calling thread: the way for many images, each on its own thread. Where
-    /// the mask is zero, no keypoint is kept.
-    pub fn extract(&mut self, image: &GrayView<'_>, mask: Option<&GrayView<'_>>) -> Result<Features, Error> {
+    /// Extracts the features of an image on the calling thread: the way for many images, each on
+    /// its own thread. Where the mask is zero, no keypoint is kept.
+    pub fn extract(
+        &mut self,
+        image: &GrayView<'_>,
+        mask: Option<&GrayView<'_>>,
+    ) -> Result<Features, Error> {
         self.extract_with(image, mask, NonZeroUsize::MIN)
     }
 
-    /// As [`extract`](Self::extract), and with the same result, on all threads of rayon's current pool: the way for a
-    /// single large image.
+    /// As [`extract`](Self::extract), and with the same result, on all threads of rayon's current
+    /// pool: the way for a single large image.
     pub fn extract_parallel(
         &mut self,
         image: &GrayView<'_>,
@@ -114,18 +119,21 @@ impl Sift {
         Ok(features)
     }
 
-    /// The extrema that are to be described, the most wanted first, and the octaves for it, the doubled one last.
+    /// The extrema that are to be described, the most wanted first, and the octaves for it, the
+    /// doubled one last.
     fn detect<'a>(
         &mut self,
         image: &GrayView<'a>,
         mask: Option<&GrayView<'_>>,
         threads: NonZeroUsize,
     ) -> (Vec<Extremum>, Vec<Swept<'a>>) {
-        let Options { first_octave, octaves, levels, max_features, limit, domain_sizes, .. } = self.options;
+        let Options { first_octave, octaves, levels, max_features, limit, domain_sizes, .. } =
+            self.options;
         let mut swept: Vec<Swept<'a>> = Vec::new();
         let mut extrema = Vec::new();
         let end = first_octave + octaves as i32;
-        // The octave of the image itself and those above it, then the doubled one, if it can still contribute.
+        // The octave of the image itself and those above it, then the doubled one, if it can still
+        // contribute.
         for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
             if octave == -1 {
                 sort(&mut extrema);
@@ -149,8 +157,8 @@ impl Sift {
                 _ => None,
             };
             let plan = Plan::new(octave, size, levels, source.is_some().then_some(first_octave));
-            let is_kept =
-                4 * levels * plan.level_len(size.1) <= self.max_level_bytes && octave >= first_octave;
+            let is_kept = 4 * levels * plan.level_len(size.1) <= self.max_level_bytes
+                && octave >= first_octave;
             self.octaves.resize_with(self.octaves.len().max(swept.len() + 1), Octave::default);
             let (before, here) = self.octaves.split_at_mut(swept.len());
             let Octave { levels: kept, next } = &mut here[0];
@@ -195,7 +203,12 @@ impl Sift {
     }
 
     /// Orientations and descriptors, in the order of the extrema.
-    fn measure(&mut self, extrema: &[Extremum], swept: &[Swept<'_>], threads: NonZeroUsize) -> Vec<Measured> {
+    fn measure(
+        &mut self,
+        extrema: &[Extremum],
+        swept: &[Swept<'_>],
+        threads: NonZeroUsize,
+    ) -> Vec<Measured> {
         let mut all = vec![Measured::default(); extrema.len()];
         for (slot, Swept { plan, image, is_kept }) in swept.iter().enumerate() {
             // From top to bottom, so that windows that overlap are in the cache.
@@ -213,10 +226,12 @@ impl Sift {
                 let mut part = Vec::new();
                 let mut rest = &here[..];
                 while let [first, ..] = rest {
-                    let end = first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
+                    let end =
+                        first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
                     let (group, others) = rest.split_at(rest.partition_point(|e| e.iy < end));
                     let reach = window_reach(group, &self.options);
-                    let rows = first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
+                    let rows =
+                        first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
                     sweep_all(SweepAll {
                         plan,
                         source: image.unwrap_or_else(|| halved(plan, &self.octaves[slot - 1])),
@@ -258,7 +273,9 @@ fn halved<'a>(plan: &Plan, before: &'a Octave) -> Source<'a> {
 fn sort(extrema: &mut [Extremum]) {
     extrema.sort_unstable_by(|a, b| {
         let coarsest = (b.octave, b.level).cmp(&(a.octave, a.level));
-        coarsest.then_with(|| b.response.total_cmp(&a.response)).then_with(|| (a.iy, a.ix).cmp(&(b.iy, b.ix)))
+        coarsest
+            .then_with(|| b.response.total_cmp(&a.response))
+            .then_with(|| (a.iy, a.ix).cmp(&(b.iy, b.ix)))
     });
 }
 

@@ -11,7 +11,8 @@ const WHITE: f32 = 255.0;
 pub(crate) enum Source<'a> {
     /// The image.
     Image(GrayView<'a>),
-    /// The image at twice its resolution: pixels interleaved with the means of neighbours, the last ones repeated.
+    /// The image at twice its resolution: pixels interleaved with the means of neighbours, the last
+    /// ones repeated.
     Doubled(GrayView<'a>),
     /// Every second sample of a level of the octave before, which is level 0 itself.
     Halved {
@@ -23,11 +24,13 @@ pub(crate) enum Source<'a> {
 }
 
 impl Source<'_> {
-    /// Writes columns `from..to` of row `y` to `out`, which points to where column `from` belongs; black is 0, white 1.
+    /// Writes columns `from..to` of row `y` to `out`, which points to where column `from` belongs;
+    /// black is 0, white 1.
     ///
     /// # Safety
-    /// Row and columns are inside of the octave; `out` is writable for `to − from` values, and from one value before
-    /// it to `LANES` values after them. `temp` is as long as half a row and `2 · LANES`.
+    /// Row and columns are inside of the octave; `out` is writable for `to − from` values, and from
+    /// one value before it to `LANES` values after them. `temp` is as long as half a row and
+    /// `2 · LANES`.
     #[inline(always)]
     pub(crate) unsafe fn fill_row<S: Simd>(
         &self,
@@ -44,7 +47,8 @@ impl Source<'_> {
                 }
                 Source::Doubled(view) => {
                     let upper = view.row(y / 2);
-                    let lower = if y % 2 == 1 { view.row((y / 2 + 1).min(view.height - 1)) } else { upper };
+                    let lower =
+                        if y % 2 == 1 { view.row((y / 2 + 1).min(view.height - 1)) } else { upper };
                     let (first, last) = (from / 2, ((to - 1) / 2 + 1).min(view.width - 1));
                     mean::<S>(&upper[first..=last], &lower[first..=last], temp.as_mut_ptr());
                     // The right neighbour of the last pixel is itself.

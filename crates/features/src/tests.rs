@@ -62,7 +62,9 @@ fn every_instruction_set_gives_the_same_bits() {
     let mut all = portable.keypoints.iter().zip(&portable.descriptors);
     let of_plain = |keypoint| all.find(|plain| plain.0 == keypoint).unwrap().1;
     let plain: Vec<&crate::Descriptor> = portable_pooled.keypoints.iter().map(of_plain).collect();
-    assert!(plain.len() > portable.keypoints.len() * 9 / 10 && plain.len() < portable.keypoints.len());
+    assert!(
+        plain.len() > portable.keypoints.len() * 9 / 10 && plain.len() < portable.keypoints.len()
+    );
     assert!(plain.iter().zip(&portable_pooled.descriptors).all(|(&plain, pooled)| plain != pooled));
     for isa in Isa::available() {
         assert!(extract_on(isa, options, &view) == portable, "{isa:?}");
@@ -70,7 +72,8 @@ fn every_instruction_set_gives_the_same_bits() {
     }
 }
 
-/// Small enough for Miri and a sanitizer: through every kernel, and on odd sizes, where vectors reach beyond the last sample.
+/// Small enough for Miri and a sanitizer: through every kernel, and on odd sizes, where vectors
+/// reach beyond the last sample.
 #[test]
 fn a_small_image_passes_through_every_kernel() {
     let (width, height) = (29, 23);
@@ -97,7 +100,10 @@ fn threads_and_reused_memory_do_not_change_anything() {
     assert!(one.keypoints.len() > 1000);
     for threads in [2, 3, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(pool.install(|| sift.extract_parallel(&view, None)).unwrap() == one, "{threads} threads");
+        assert!(
+            pool.install(|| sift.extract_parallel(&view, None)).unwrap() == one,
+            "{threads} threads"
+        );
     }
     // Levels that are not kept are computed again, in parts.
     sift.max_level_bytes = 4 << 20;
@@ -117,7 +123,12 @@ fn threads_and_reused_memory_do_not_change_anything() {
 }
 
 /// Levels and extrema of an octave by the sweep.
-fn swept(view: &GrayView<'_>, octave: i32, thresholds: Thresholds, isa: Isa) -> (Vec<Plane>, Vec<Extremum>) {
+fn swept(
+    view: &GrayView<'_>,
+    octave: i32,
+    thresholds: Thresholds,
+    isa: Isa,
+) -> (Vec<Plane>, Vec<Extremum>) {
     let (size, source) = if octave < 0 {
         ((2 * view.width, 2 * view.height), Source::Doubled(*view))
     } else {
@@ -163,7 +174,12 @@ proptest! {
         for isa in Isa::available() {
             let (levels, _) = swept(&view, octave, Thresholds { peak: 0.01, edge: 10.0 }, isa);
             for (level, plain) in levels.iter().zip(&plain[1..]) {
-                let worst = level.data.iter().zip(&plain.data).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                let worst = level
+                    .data
+                    .iter()
+                    .zip(&plain.data)
+                    .map(|(a, b)| (a - b).abs())
+                    .fold(0.0, f64::max);
                 prop_assert!(worst < TOLERANCE, "{isa:?}: {worst}");
             }
         }
@@ -184,9 +200,12 @@ fn extrema_are_those_of_the_definition() {
     let (_, found) = swept(&view, 0, Thresholds { peak: PEAK, edge: EDGE }, Isa::best());
     let mut twins = 0;
     for candidate in plain_extrema(&planes, peak * 0.8) {
-        let Some([ix, iy, x, y, value]) = plain_refined(&planes, candidate, peak, edge) else { continue };
+        let Some([ix, iy, x, y, value]) = plain_refined(&planes, candidate, peak, edge) else {
+            continue;
+        };
         twins += 1;
-        let twin = found.iter().find(|e| (e.level, e.ix as f64, e.iy as f64) == (candidate.0, ix, iy));
+        let twin =
+            found.iter().find(|e| (e.level, e.ix as f64, e.iy as f64) == (candidate.0, ix, iy));
         let twin = twin.unwrap_or_else(|| panic!("{candidate:?} is missing"));
         assert!(
             (f64::from(twin.x) - x).abs() < TOLERANCE && (f64::from(twin.y) - y).abs() < TOLERANCE,
@@ -199,7 +218,8 @@ fn extrema_are_those_of_the_definition() {
 
 #[test]
 fn directions_and_descriptors_are_those_of_the_definition() {
-    /// Radians: the smoothed histogram is flat around its maxima, and its sums are in single precision.
+    /// Radians: the smoothed histogram is flat around its maxima, and its sums are in single
+    /// precision.
     const ANGLE_TOLERANCE: f64 = 1e-3;
     /// Rounding to bytes, and single precision before the square root.
     const BYTE_TOLERANCE: f64 = 0.7;
@@ -224,7 +244,9 @@ fn directions_and_descriptors_are_those_of_the_definition() {
     let levels: Vec<&[f32]> = levels.iter().map(Vec::as_slice).collect();
     let (mut several, mut compared, mut pooled) = (0, 0, 0);
     let pooling = DomainSizes { min: 0.25, max: 1.75, count: 3 };
-    for (isa, sizes) in Isa::available().into_iter().flat_map(|isa| [(isa, None), (isa, Some(pooling))]) {
+    for (isa, sizes) in
+        Isa::available().into_iter().flat_map(|isa| [(isa, None), (isa, Some(pooling))])
+    {
         let options = Options { max_orientations: 4, domain_sizes: sizes, ..Options::default() };
         let sizes: &[f64] = if sizes.is_some() { &[0.25, 0.75, 1.25] } else { &[1.0] };
         let all = measure(&found, &plan, &levels, 0, &options, isa, NonZeroUsize::MIN);
@@ -242,18 +264,26 @@ fn directions_and_descriptors_are_those_of_the_definition() {
             let angles = measured.directions.as_slice();
             assert_eq!(angles.len(), directions.len(), "{e:?}");
             several += usize::from(angles.len() > 1);
-            for ((&angle, descriptor), plain) in angles.iter().zip(&measured.descriptors).zip(&directions) {
+            for ((&angle, descriptor), plain) in
+                angles.iter().zip(&measured.descriptors).zip(&directions)
+            {
                 assert!((f64::from(angle) - plain.0).abs() < ANGLE_TOLERANCE, "{angle} {plain:?}");
                 let expected = plain_descriptor(plane, at, sigma, f64::from(angle), sizes);
                 for (&byte, expected) in descriptor.iter().zip(expected) {
-                    assert!((f64::from(byte) - expected).abs() < BYTE_TOLERANCE, "{byte} {expected}");
+                    assert!(
+                        (f64::from(byte) - expected).abs() < BYTE_TOLERANCE,
+                        "{byte} {expected}"
+                    );
                 }
                 compared += 1;
                 pooled += usize::from(sizes.len() > 1);
             }
         }
     }
-    assert!(pooled > 100 && compared == 2 * pooled && several > 10, "{compared} {pooled} {several}");
+    assert!(
+        pooled > 100 && compared == 2 * pooled && several > 10,
+        "{compared} {pooled} {several}"
+    );
 }
 
 /// A Gaussian blob at a known place and scale, in pixels of our convention.
@@ -269,12 +299,17 @@ fn blob(width: usize, height: usize, centre: (f32, f32), sigma: f32) -> Vec<u8> 
 fn blobs_are_found_where_they_are() {
     /// Rounding to bytes, and an interpolated extremum.
     const POSITION_TOLERANCE: f32 = 0.03;
-    /// The difference of Gaussians responds most at √(σ² + 0.25) / 2^(1/6): half a level below the blob's own scale.
+    /// The difference of Gaussians responds most at √(σ² + 0.25) / 2^(1/6): half a level below the
+    /// blob's own scale.
     const SCALE_TOLERANCE: f32 = 0.05;
-    for (x, y, sigma) in [(60.5, 50.5, 2.0), (61.2, 49.3, 3.3), (59.85, 50.0, 6.0), (60.0, 52.0, 9.0)] {
+    for (x, y, sigma) in
+        [(60.5, 50.5, 2.0), (61.2, 49.3, 3.3), (59.85, 50.0, 6.0), (60.0, 52.0, 9.0)]
+    {
         let image = blob(121, 101, (x, y), sigma);
-        let features =
-            Sift::new(Options::default()).unwrap().extract(&GrayView::new(&image, 121, 101), None).unwrap();
+        let features = Sift::new(Options::default())
+            .unwrap()
+            .extract(&GrayView::new(&image, 121, 101), None)
+            .unwrap();
         let expected = (sigma * sigma + 0.25).sqrt() / 2f32.powf(1.0 / 6.0);
         let best = features
             .keypoints
@@ -314,10 +349,15 @@ fn a_quarter_turn_turns_keypoints_and_leaves_descriptors() {
         });
         if let Some(twin) = twin {
             found += 1;
-            same += usize::from(d.iter().zip(&b.descriptors[twin]).all(|(&p, &q)| p.abs_diff(q) <= 3));
+            same +=
+                usize::from(d.iter().zip(&b.descriptors[twin]).all(|(&p, &q)| p.abs_diff(q) <= 3));
         }
     }
-    assert!(a.keypoints.len() > 50 && found * 10 > a.keypoints.len() * 9, "{found} of {}", a.keypoints.len());
+    assert!(
+        a.keypoints.len() > 50 && found * 10 > a.keypoints.len() * 9,
+        "{found} of {}",
+        a.keypoints.len()
+    );
     assert!(same * 10 >= found * 9, "{same} of {found}");
 }
 
@@ -326,10 +366,12 @@ fn masks_and_limits_hold() {
     let (width, height) = (200, 150);
     let image = texture(width, height, 8);
     let view = GrayView::new(&image, width, height);
-    let mask: Vec<u8> = (0..width * height).map(|i| if i % width < 100 { 255 } else { 0 }).collect();
+    let mask: Vec<u8> =
+        (0..width * height).map(|i| if i % width < 100 { 255 } else { 0 }).collect();
     let all = Sift::new(Options::default()).unwrap().extract(&view, None).unwrap();
-    let masked =
-        Sift::new(Options::default()).unwrap().extract(&view, Some(&GrayView::new(&mask, width, height)));
+    let masked = Sift::new(Options::default())
+        .unwrap()
+        .extract(&view, Some(&GrayView::new(&mask, width, height)));
     let masked = masked.unwrap();
     let left: Vec<_> = all.keypoints.iter().filter(|k| k.x < 100.0).collect();
     assert!(!left.is_empty() && left.len() < all.keypoints.len());
@@ -342,7 +384,9 @@ fn masks_and_limits_hold() {
         assert_eq!(few.descriptors, all.descriptors[..max_features]);
         let levels = extract_on(Isa::best(), Options { max_features, ..Options::default() }, &view);
         assert_eq!(levels.keypoints, all.keypoints[..levels.keypoints.len()]);
-        assert!(levels.keypoints.len() > max_features && levels.keypoints.len() < all.keypoints.len());
+        assert!(
+            levels.keypoints.len() > max_features && levels.keypoints.len() < all.keypoints.len()
+        );
     }
 }
 
@@ -352,8 +396,11 @@ fn upright_and_other_shapes_of_the_scale_space_work() {
     let image = texture(width, height, 9);
     let view = GrayView::new(&image, width, height);
     let default = Options::default();
-    let upright = extract_on(Isa::best(), Options { orientation: Orientation::Upright, ..default }, &view);
-    assert!(upright.keypoints.iter().all(|k| k.orientation == 0.0) && !upright.keypoints.is_empty());
+    let upright =
+        extract_on(Isa::best(), Options { orientation: Orientation::Upright, ..default }, &view);
+    assert!(
+        upright.keypoints.iter().all(|k| k.orientation == 0.0) && !upright.keypoints.is_empty()
+    );
     for levels in 1..=8 {
         for first_octave in [-1, 0, 1] {
             let options = Options { levels, first_octave, ..default };
@@ -377,11 +424,14 @@ proptest! {
         noise in any::<bool>(),
     ) {
         let image = if noise {
-            (0..(width * height) as u64).map(|i| ((i ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8).collect()
+            (0..(width * height) as u64)
+                .map(|i| ((i ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u8)
+                .collect()
         } else {
             texture(width, height, seed)
         };
-        let features = extract_on(Isa::best(), Options::default(), &GrayView::new(&image, width, height));
+        let features =
+            extract_on(Isa::best(), Options::default(), &GrayView::new(&image, width, height));
         prop_assert_eq!(features.keypoints.len(), features.descriptors.len());
         for k in &features.keypoints {
             prop_assert!(k.x >= 0.0 && k.x <= width as f32 && k.y >= 0.0 && k.y <= height as f32);

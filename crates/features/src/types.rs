@@ -7,9 +7,11 @@ pub struct Keypoint {
     pub x: f32,
     /// Row, in pixels.
     pub y: f32,
-    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels of the original image.
+    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels of the
+    /// original image.
     pub scale: f32,
-    /// Dominant gradient direction in radians, from +x towards +y (clockwise as seen on the image), in (-π, π].
+    /// Dominant gradient direction in radians, from +x towards +y (clockwise as seen on the image),
+    /// in (-π, π].
     pub orientation: f32,
 }
 

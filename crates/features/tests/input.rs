@@ -8,9 +8,14 @@ fn degenerate_images_have_no_features() {
     let small = sides.into_iter().flat_map(|width| sides.map(|height| (width, height)));
     let default = Options::default();
     let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..default };
-    let plain = [default, pooled, Options { first_octave: 0, orientation: Orientation::Upright, ..default }];
+    let plain = [
+        default,
+        pooled,
+        Options { first_octave: 0, orientation: Orientation::Upright, ..default },
+    ];
     for (width, height) in small.chain([(0, 7), (1, 100_000), (100_000, 1), (64, 64), (300, 200)]) {
-        for (grey, options) in [0, 77, 255].into_iter().flat_map(|grey| plain.map(|options| (grey, options)))
+        for (grey, options) in
+            [0, 77, 255].into_iter().flat_map(|grey| plain.map(|options| (grey, options)))
         {
             let pixels = vec![grey; width * height];
             let features = extract(&GrayView::new(&pixels, width, height), &options);
@@ -28,10 +33,16 @@ fn views_that_do_not_fit_are_errors() {
         Err(Error::ViewTooShort { width: 10, height: 11, stride: 10, needed: 110, len: 100 })
     );
     let overlap = GrayView { data: &pixels, width: 10, height: 10, stride: 9 };
-    assert_eq!(extract(&overlap, &Options::default()), Err(Error::StrideTooSmall { width: 10, stride: 9 }));
+    assert_eq!(
+        extract(&overlap, &Options::default()),
+        Err(Error::StrideTooSmall { width: 10, stride: 9 })
+    );
     let (image, mask) = (GrayView::new(&pixels, 10, 10), GrayView::new(&pixels, 20, 5));
     let sizes = Error::MaskSize { width: 10, height: 10, mask_width: 20, mask_height: 5 };
-    assert_eq!(Sift::new(Options::default()).and_then(|mut s| s.extract(&image, Some(&mask))), Err(sizes));
+    assert_eq!(
+        Sift::new(Options::default()).and_then(|mut s| s.extract(&image, Some(&mask))),
+        Err(sizes)
+    );
 }
 
 #[test]
@@ -44,7 +55,10 @@ fn options_out_of_range_are_errors() {
         Options { max_orientations: 0, ..default },
         Options { peak_threshold: f32::NAN, ..default },
         Options { edge_threshold: 0.5, ..default },
-        Options { domain_sizes: Some(DomainSizes { min: f32::NAN, ..Default::default() }), ..default },
+        Options {
+            domain_sizes: Some(DomainSizes { min: f32::NAN, ..Default::default() }),
+            ..default
+        },
         Options { domain_sizes: Some(DomainSizes { max: 0.1, ..Default::default() }), ..default },
         Options { domain_sizes: Some(DomainSizes { count: 0, ..Default::default() }), ..default },
     ] {

@@ -1,5 +1,5 @@
-//! Time and accuracy of every row of the solver table. `cargo bench -p tiepoint-geometry`; the accuracy over a million problems is
-//! printed with `TRIALS=1000000`.
+//! Time and accuracy of every row of the solver table. `cargo bench -p tiepoint-geometry`; the
+//! accuracy over a million problems is printed with `TRIALS=1000000`.
 #![allow(missing_docs, clippy::print_stdout)]
 
 use std::hint::black_box;
@@ -13,7 +13,8 @@ use tiepoint_geometry::{Rng, solvers};
 const PROBLEMS: usize = 1000;
 
 fn solvers(criterion: &mut Criterion) {
-    let trials = std::env::var("TRIALS").ok().and_then(|trials| trials.parse().ok()).unwrap_or(10_000);
+    let trials =
+        std::env::var("TRIALS").ok().and_then(|trials| trials.parse().ok()).unwrap_or(10_000);
     for info in solvers::TABLE {
         let mut rng = Rng::stream(1, &[]);
         let mut problems = std::iter::from_fn(|| solver_problem(info, &mut rng));
@@ -32,11 +33,15 @@ fn solvers(criterion: &mut Criterion) {
         }
         let share = 100.0 * found as f64 / trials as f64;
         let (solutions, least) = (solutions as f64 / trials as f64, least_time(&timed));
-        println!("    truth found {share:.4} %, {solutions:.2} solutions, {:.0} ns undisturbed", 1e9 * least);
+        println!(
+            "    truth found {share:.4} %, {solutions:.2} solutions, {:.0} ns undisturbed",
+            1e9 * least
+        );
     }
 }
 
-/// Seconds per problem when nothing else takes the core: of short batches, each repeated, the least.
+/// Seconds per problem when nothing else takes the core: of short batches, each repeated, the
+/// least.
 fn least_time(problems: &[SolverProblem]) -> f64 {
     let batch_time = |batch: &[SolverProblem]| {
         let start = Instant::now();
@@ -49,7 +54,9 @@ fn least_time(problems: &[SolverProblem]) -> f64 {
 
 criterion_group! {
     name = benches;
-    config = Criterion::default().sample_size(20).warm_up_time(std::time::Duration::from_millis(200))
+    config = Criterion::default()
+        .sample_size(20)
+        .warm_up_time(std::time::Duration::from_millis(200))
         .measurement_time(std::time::Duration::from_secs(1));
     targets = solvers
 }

@@ -1,9 +1,13 @@
-//! Robust estimation of problems read from standard input, with the time that each took; `bench/geometry.py` drives it.
+//! Robust estimation of problems read from standard input, with the time that each took;
+//! `bench/geometry.py` drives it.
 //!
-//! A problem is a line `KIND max_error min_iterations max_iterations seed count repetitions CAMERA...`, where KIND is
-//! `absolute_pose` (one CAMERA), `relative_pose` (two), `fundamental` or `homography` (none) and CAMERA is a COLMAP model name and
-//! its parameters, followed by `count` lines of numbers: pixel and world point, or pixel 1 and pixel 2.
-//! The answer is a line `seconds num_inliers iterations score MODEL...`, or `seconds none`. A pose is `qw qx qy qz tx ty tz`.
+//! A problem is a line
+//! `KIND max_error min_iterations max_iterations seed count repetitions CAMERA...`, where KIND is
+//! `absolute_pose` (one CAMERA), `relative_pose` (two), `fundamental` or `homography` (none) and
+//! CAMERA is a COLMAP model name and its parameters, followed by `count` lines of numbers: pixel
+//! and world point, or pixel 1 and pixel 2. The answer is a line
+//! `seconds num_inliers iterations score MODEL...`, or `seconds none`. A pose is
+//! `qw qx qy qz tx ty tz`.
 
 use std::error::Error;
 use std::io::{BufRead, stdin};
@@ -53,7 +57,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (mut first, mut second, mut points) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..count {
             let line = lines.next().ok_or("a problem ends early")??;
-            let numbers = line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
+            let numbers =
+                line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
             match *numbers {
                 [x, y, u, v] => {
                     first.push(Vector2::new(x, y));
@@ -70,18 +75,24 @@ fn main() -> Result<(), Box<dyn Error>> {
         let solve = || -> Option<Report<Vec<f64>>> {
             match kind.as_str() {
                 "absolute_pose" => {
-                    let report = estimate::absolute_pose(&first, &points, cameras.first()?, &options);
+                    let report =
+                        estimate::absolute_pose(&first, &points, cameras.first()?, &options);
                     report.map(|report| report.map(of_pose))
                 }
                 "relative_pose" => {
-                    let report =
-                        estimate::relative_pose(&first, &second, cameras.first()?, cameras.get(1)?, &options);
+                    let report = estimate::relative_pose(
+                        &first,
+                        &second,
+                        cameras.first()?,
+                        cameras.get(1)?,
+                        &options,
+                    );
                     report.map(|report| report.map(of_pose))
                 }
-                "fundamental" => {
-                    estimate::fundamental(&first, &second, &options).map(|report| report.map(of_matrix))
-                }
-                _ => estimate::homography(&first, &second, &options).map(|report| report.map(of_matrix)),
+                "fundamental" => estimate::fundamental(&first, &second, &options)
+                    .map(|report| report.map(of_matrix)),
+                _ => estimate::homography(&first, &second, &options)
+                    .map(|report| report.map(of_matrix)),
             }
         };
         let mut seconds = f64::INFINITY;

@@ -1,9 +1,12 @@
-//! Two photos of a made-up scene: the relative pose of the cameras from matches a third of which are wrong, then the points.
+//! Two photos of a made-up scene: the relative pose of the cameras from matches a third of which
+//! are wrong, then the points.
 //!
 //! `cargo run --release -p tiepoint-geometry --example relative_pose`
 
 use nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{CameraModelKind, Intrinsics, RansacOptions, Rigid3, Rng, estimate, triangulate};
+use tiepoint_geometry::{
+    CameraModelKind, Intrinsics, RansacOptions, Rigid3, Rng, estimate, triangulate,
+};
 
 const NOISE_PX: f64 = 0.5;
 
@@ -11,8 +14,10 @@ const NOISE_PX: f64 = 0.5;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut rng = Rng::stream(1, &[]);
     let camera = Intrinsics::new(CameraModelKind::SimpleRadial, &[800.0, 640.0, 480.0, -0.1])?;
-    let truth =
-        Rigid3::from_axis_angle(Vector3::new(0.02, -0.15, 0.01), Vector3::new(-1.0, 0.0, 0.1).normalize());
+    let truth = Rigid3::from_axis_angle(
+        Vector3::new(0.02, -0.15, 0.01),
+        Vector3::new(-1.0, 0.0, 0.1).normalize(),
+    );
 
     let (mut points, mut pixels1, mut pixels2) = (Vec::new(), Vec::new(), Vec::new());
     while points.len() < 300 {
@@ -40,16 +45,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         report.iterations
     );
     println!("rotation error {:.4} degrees", pose.rotation.angle_to(&truth.rotation).to_degrees());
-    println!("direction error {:.4} degrees", pose.translation.angle(&truth.translation).to_degrees());
+    println!(
+        "direction error {:.4} degrees",
+        pose.translation.angle(&truth.translation).to_degrees()
+    );
 
-    // The scale is free: with the true length of the baseline, one, points come out in the scene's unit.
+    // The scale is free: with the true length of the baseline, one, points come out in the scene's
+    // unit.
     let mut errors = Vec::new();
     for i in (0..points.len()).filter(|&i| report.inliers[i]) {
-        let (Some(ray1), Some(ray2)) = (camera.unproject(&pixels1[i]), camera.unproject(&pixels2[i])) else {
+        let (Some(ray1), Some(ray2)) =
+            (camera.unproject(&pixels1[i]), camera.unproject(&pixels2[i]))
+        else {
             continue;
         };
         errors.extend(
-            triangulate::triangulate_two_view(&ray1, &ray2, &pose).map(|point| (point - points[i]).norm()),
+            triangulate::triangulate_two_view(&ray1, &ray2, &pose)
+                .map(|point| (point - points[i]).norm()),
         );
     }
     errors.sort_by(f64::total_cmp);

@@ -1,5 +1,5 @@
-//! Algebra of two views: essential and fundamental matrices, calibrated homographies, and the poses inside them.
-//! Conventions: y₂ᵀ E y₁ = 0, x₂ᵀ F x₁ = 0, x₂ ~ H x₁; see CONVENTIONS.md.
+//! Algebra of two views: essential and fundamental matrices, calibrated homographies, and the poses
+//! inside them. Conventions: y₂ᵀ E y₁ = 0, x₂ᵀ F x₁ = 0, x₂ ~ H x₁; see CONVENTIONS.md.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
@@ -29,22 +29,29 @@ pub fn essential_from_fundamental(
     k2.transpose() * fundamental * k1
 }
 
-/// The squared Sampson error of a correspondence: to first order the squared distance, in both images together, to the
-/// nearest pair that fulfils x₂ᵀ F x₁ = 0 (Hartley and Zisserman 2004, equation 11.9).
-pub fn squared_sampson_error(fundamental: &Matrix3<f64>, x1: &Vector2<f64>, x2: &Vector2<f64>) -> f64 {
+/// The squared Sampson error of a correspondence: to first order the squared distance, in both
+/// images together, to the nearest pair that fulfils x₂ᵀ F x₁ = 0 (Hartley and Zisserman 2004,
+/// equation 11.9).
+pub fn squared_sampson_error(
+    fundamental: &Matrix3<f64>,
+    x1: &Vector2<f64>,
+    x2: &Vector2<f64>,
+) -> f64 {
     let (x1, x2) = (x1.push(1.0), x2.push(1.0));
     let (line2, line1) = (fundamental * x1, fundamental.tr_mul(&x2));
     let product = x2.dot(&line2);
     product * product / (line1.xy().norm_squared() + line2.xy().norm_squared())
 }
 
-/// The four `cam2_from_cam1`, with translations of length one, whose essential matrix is nearest to `essential`; `None` if it is
-/// of rank one or less.
+/// The four `cam2_from_cam1`, with translations of length one, whose essential matrix is nearest to
+/// `essential`; `None` if it is of rank one or less.
 pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     let svd = essential.try_svd(true, true, f64::EPSILON, 0)?;
     let (u, v_t) = (svd.u?, svd.v_t?);
     let weakest = svd.singular_values.imin();
-    if svd.singular_values.iter().filter(|s| **s > f64::EPSILON * svd.singular_values.max()).count() < 2 {
+    if svd.singular_values.iter().filter(|s| **s > f64::EPSILON * svd.singular_values.max()).count()
+        < 2
+    {
         return None;
     }
     let mut singular = Vector3::repeat(1.0);
@@ -52,13 +59,17 @@ pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     Some(poses_of_exact_essential(&(u * Matrix3::from_diagonal(&singular) * v_t)))
 }
 
-/// The same for a matrix that already is essential, of norm √2, without a singular value decomposition (Horn 1990, "Recovering
-/// baseline and orientation from essential matrix"): with E = \[t\]ₓR and |t| = 1, the cofactors of E are ttᵀR and
-/// \[t\]ₓE = (ttᵀ − I) R, so R = cof(E) − \[t\]ₓE.
+/// The same for a matrix that already is essential, of norm √2, without a singular value
+/// decomposition (Horn 1990, "Recovering baseline and orientation from essential matrix"): with E =
+/// \[t\]ₓR and |t| = 1, the cofactors of E are ttᵀR and \[t\]ₓE = (ttᵀ − I) R, so R = cof(E) −
+/// \[t\]ₓE.
 pub(crate) fn poses_of_exact_essential(essential: &Matrix3<f64>) -> [Rigid3; 4] {
     let columns = [essential.column(0), essential.column(1), essential.column(2)];
-    let cofactors =
-        [columns[1].cross(&columns[2]), columns[2].cross(&columns[0]), columns[0].cross(&columns[1])];
+    let cofactors = [
+        columns[1].cross(&columns[2]),
+        columns[2].cross(&columns[0]),
+        columns[0].cross(&columns[1]),
+    ];
     // Each cofactor column is t times an entry of tᵀR.
     let t = cofactors.iter().fold(Vector3::zeros(), |best: Vector3<f64>, c| {
         if c.norm_squared() > best.norm_squared() { *c } else { best }
@@ -66,22 +77,30 @@ pub(crate) fn poses_of_exact_essential(essential: &Matrix3<f64>) -> [Rigid3; 4] 
     let t = t.normalize();
     let cofactors = Matrix3::from_columns(&cofactors);
     let product = so3::hat(&t) * essential;
-    let rotation =
-        |m: Matrix3<f64>| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m));
+    let rotation = |m: Matrix3<f64>| {
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m))
+    };
     let (r1, r2) = (rotation(cofactors - product), rotation(cofactors + product));
     [Rigid3::new(r1, t), Rigid3::new(r1, -t), Rigid3::new(r2, t), Rigid3::new(r2, -t)]
 }
 
-/// Whether the two rays meet in front of both cameras (in the direction of the rays, where these are nearest to each other).
-pub fn rays_meet_in_front(ray1: &Vector3<f64>, ray2: &Vector3<f64>, cam2_from_cam1: &Rigid3) -> bool {
+/// Whether the two rays meet in front of both cameras (in the direction of the rays, where these
+/// are nearest to each other).
+pub fn rays_meet_in_front(
+    ray1: &Vector3<f64>,
+    ray2: &Vector3<f64>,
+    cam2_from_cam1: &Rigid3,
+) -> bool {
     // Minimise |λ₁ R y₁ + t − λ₂ y₂|²; both depths times the positive |y₁|²|y₂|² − (R y₁·y₂)².
     let rotated = cam2_from_cam1.rotation * ray1;
     let t = &cam2_from_cam1.translation;
     let (cosine, along1, along2) = (rotated.dot(ray2), rotated.dot(t), ray2.dot(t));
-    cosine * along2 > along1 * ray2.norm_squared() && along2 * rotated.norm_squared() > cosine * along1
+    cosine * along2 > along1 * ray2.norm_squared()
+        && along2 * rotated.norm_squared() > cosine * along1
 }
 
-/// The pose inside an essential matrix that has most of the points in front of both cameras, and how many these are.
+/// The pose inside an essential matrix that has most of the points in front of both cameras, and
+/// how many these are.
 pub fn pose_from_essential(
     essential: &Matrix3<f64>,
     rays1: &[Vector3<f64>],
@@ -103,15 +122,17 @@ pub fn pose_from_essential(
 pub struct PlaneMotion {
     /// The pose; its translation is in units of the distance of camera 1 from the plane.
     pub cam2_from_cam1: Rigid3,
-    /// Unit normal of the plane, in camera 1, towards the side away from the camera: n·X = 1 for points X of the plane.
+    /// Unit normal of the plane, in camera 1, towards the side away from the camera: n·X = 1 for
+    /// points X of the plane.
     pub normal_in_cam1: Vector3<f64>,
 }
 
 /// Part by which singular values must differ to be different.
 const EQUAL_SINGULAR_VALUES: f64 = 1e-9;
 
-/// The motions inside a calibrated homography H ~ R + t nᵀ (Ma, Soatto, Košecká, Sastry 2004, "An invitation to 3-D vision",
-/// section 5.3.3): four, of which two are behind the camera for any point; one with zero translation for a pure rotation.
+/// The motions inside a calibrated homography H ~ R + t nᵀ (Ma, Soatto, Košecká, Sastry 2004, "An
+/// invitation to 3-D vision", section 5.3.3): four, of which two are behind the camera for any
+/// point; one with zero translation for a pure rotation.
 pub fn decompose_homography(homography: &Matrix3<f64>) -> ArrayVec<PlaneMotion, 4> {
     let mut motions = ArrayVec::new();
     let determinant = homography.determinant();
@@ -142,7 +163,8 @@ pub fn decompose_homography(homography: &Matrix3<f64>) -> ArrayVec<PlaneMotion, 
         let image = Matrix3::from_columns(&[hv2, hu, hv2.cross(&hu)]);
         let matrix = image * basis.transpose();
         let translation = (h - matrix) * normal;
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
         for sign in [1.0, -1.0] {
             motions.push(PlaneMotion {
                 cam2_from_cam1: Rigid3::new(rotation, translation * sign),

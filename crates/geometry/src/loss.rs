@@ -1,8 +1,9 @@
-//! Robust losses ρ of the squared residual norm s = |r|²; the only definition, used by RANSAC and by adjustment.
+//! Robust losses ρ of the squared residual norm s = |r|²; the only definition, used by RANSAC and
+//! by adjustment.
 //!
-//! Every ρ has ρ(0) = 0, ρ'(0) = 1 and 0 ≤ ρ' ≤ 1: near zero it is the plain square, far out it grows more slowly. `a` is the
-//! residual norm, in the residual's unit, at which the loss departs from the square (Ceres, `loss_function.h`; Barron 2019
-//! for Geman-McClure).
+//! Every ρ has ρ(0) = 0, ρ'(0) = 1 and 0 ≤ ρ' ≤ 1: near zero it is the plain square, far out it
+//! grows more slowly. `a` is the residual norm, in the residual's unit, at which the loss departs
+//! from the square (Ceres, `loss_function.h`; Barron 2019 for Geman-McClure).
 
 /// A robust loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,4 +1,5 @@
-//! What an optimiser may move: a value with a local vector space (see CONVENTIONS.md for the side of each perturbation).
+//! What an optimiser may move: a value with a local vector space (see CONVENTIONS.md for the side
+//! of each perturbation).
 
 use std::fmt::Debug;
 
@@ -30,8 +31,8 @@ impl<const R: usize, const C: usize> Block for SMatrix<f64, R, C> {
 
 /// A smooth space of `DOF` dimensions.
 ///
-/// Laws (checked by `testing::manifold_laws`): `x.plus(0) == x`; `y.minus(x)` is the `d` with `x.plus(d) == y`;
-/// `x.plus(d).minus(x) == d` for small `d`.
+/// Laws (checked by `testing::manifold_laws`): `x.plus(0) == x`; `y.minus(x)` is the `d` with
+/// `x.plus(d) == y`; `x.plus(d).minus(x) == d` for small `d`.
 pub trait Manifold: Copy + Debug + PartialEq + Send + Sync + 'static {
     /// Dimension of the tangent space.
     const DOF: usize;

@@ -14,8 +14,9 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Where a function with one minimum in [`low`, `high`] has it, by golden section (Kiefer 1953): each step leaves 0.618 of the interval,
-/// of which the middle is returned. One evaluation a step, and two before.
+/// Where a function with one minimum in [`low`, `high`] has it, by golden section (Kiefer 1953):
+/// each step leaves 0.618 of the interval, of which the middle is returned. One evaluation a step,
+/// and two before.
 ///
 /// ```
 /// use tiepoint_geometry::numeric::golden_section;
@@ -23,7 +24,12 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 /// let least = golden_section(|x| (x - 0.3) * (x - 0.3), -1.0, 1.0, 30);
 /// assert!((least - 0.3).abs() < 1e-6);
 /// ```
-pub fn golden_section(function: impl Fn(f64) -> f64, mut low: f64, mut high: f64, steps: usize) -> f64 {
+pub fn golden_section(
+    function: impl Fn(f64) -> f64,
+    mut low: f64,
+    mut high: f64,
+    steps: usize,
+) -> f64 {
     const RATIO: f64 = 0.618_033_988_749_895;
     let (mut a, mut b) = (high - RATIO * (high - low), low + RATIO * (high - low));
     let (mut at_a, mut at_b) = (function(a), function(b));

@@ -42,8 +42,8 @@ impl Rigid3 {
         -(self.rotation.inverse() * self.translation)
     }
 
-    /// How a motion of a, as a tangent, looks as one of b, to first order: (δ, τ) becomes `(R δ, R τ + [t]ₓ R δ)`. Ad, with
-    /// T Exp(ξ) = Exp(Ad ξ) T.
+    /// How a motion of a, as a tangent, looks as one of b, to first order: (δ, τ) becomes
+    /// `(R δ, R τ + [t]ₓ R δ)`. Ad, with T Exp(ξ) = Exp(Ad ξ) T.
     pub fn adjoint(&self) -> SMatrix<f64, 6, 6> {
         let rotation = self.rotation.to_rotation_matrix().into_inner();
         let mut adjoint = SMatrix::<f64, 6, 6>::zeros();
@@ -80,7 +80,8 @@ impl Mul<Vector3<f64>> for Rigid3 {
     }
 }
 
-/// Moved in its target frame, about that frame's origin (a camera about its own centre): tangent (rotation, translation); see CONVENTIONS.md.
+/// Moved in its target frame, about that frame's origin (a camera about its own centre): tangent
+/// (rotation, translation); see CONVENTIONS.md.
 impl Manifold for Rigid3 {
     const DOF: usize = 6;
     type Tangent = SVector<f64, 6>;

@@ -1,5 +1,6 @@
-//! Seeded random numbers: SplitMix64 (Steele, Lea, Flood 2014). One stream per task, keyed by what the task is about and never
-//! by the thread that does it, so that results do not depend on the number of threads.
+//! Seeded random numbers: SplitMix64 (Steele, Lea, Flood 2014). One stream per task, keyed by what
+//! the task is about and never by the thread that does it, so that results do not depend on the
+//! number of threads.
 
 /// A small, fast, seeded generator. Not for cryptography.
 #[derive(Clone, Debug)]
@@ -8,7 +9,8 @@ pub struct Rng {
 }
 
 impl Rng {
-    /// A stream of its own for (`seed`, `key`): the key names the task, say `&[stage, image1, image2]`.
+    /// A stream of its own for (`seed`, `key`): the key names the task, say
+    /// `&[stage, image1, image2]`.
     pub fn stream(seed: u64, key: &[u64]) -> Self {
         let mut rng = Self { state: seed };
         for &part in key {

@@ -34,11 +34,14 @@ impl Sim3 {
         Rigid3 { rotation: self.rotation, translation: self.translation }
     }
 
-    /// The pose of the same camera when the world is moved by `self`, as `new_from_old`: the image stays the same, since
-    /// a camera does not see the scale.
+    /// The pose of the same camera when the world is moved by `self`, as `new_from_old`: the image
+    /// stays the same, since a camera does not see the scale.
     pub fn transform_pose(&self, cam_from_old: &Rigid3) -> Rigid3 {
         let rotation = cam_from_old.rotation * self.rotation.inverse();
-        Rigid3 { rotation, translation: cam_from_old.translation * self.scale - rotation * self.translation }
+        Rigid3 {
+            rotation,
+            translation: cam_from_old.translation * self.scale - rotation * self.translation,
+        }
     }
 }
 
@@ -69,7 +72,11 @@ impl Manifold for Sim3 {
     type Jacobian<const R: usize> = SMatrix<f64, R, 7>;
     fn plus(&self, delta: &Self::Tangent) -> Self {
         let moved = self.without_scale().plus(&delta.fixed_rows::<6>(0).into_owned());
-        Self { scale: self.scale * delta[6].exp(), rotation: moved.rotation, translation: moved.translation }
+        Self {
+            scale: self.scale * delta[6].exp(),
+            rotation: moved.rotation,
+            translation: moved.translation,
+        }
     }
     fn minus(&self, base: &Self) -> Self::Tangent {
         let mut delta = SVector::<f64, 7>::zeros();

@@ -1,5 +1,6 @@
-//! Vector code by compiling plain loops again for wider instruction sets and choosing at run time. Rust neither contracts nor
-//! reassociates floating-point operations, so that every instruction set gives the same bits.
+//! Vector code by compiling plain loops again for wider instruction sets and choosing at run time.
+//! Rust neither contracts nor reassociates floating-point operations, so that every instruction set
+//! gives the same bits.
 
 use std::ops::Range;
 
@@ -9,10 +10,13 @@ pub(crate) const LANES: usize = 8;
 /// One number for each of eight data.
 pub(crate) type Lanes = [f64; LANES];
 
-/// Defines a function that runs as compiled for the best instruction set of the machine. Only what is inlined is compiled again: no
-/// closures inside, and called functions are `#[inline(always)]`.
+/// Defines a function that runs as compiled for the best instruction set of the machine. Only what
+/// is inlined is compiled again: no closures inside, and called functions are `#[inline(always)]`.
 macro_rules! dispatch {
-    ($(#[$meta:meta])* fn $name:ident$(<$M:ident: $bound:path>)?($($arg:ident: $type:ty),* $(,)?) $body:block) => {
+    (
+        $(#[$meta:meta])*
+        fn $name:ident$(<$M:ident: $bound:path>)?($($arg:ident: $type:ty),* $(,)?) $body:block
+    ) => {
         $(#[$meta])*
         fn $name$(<$M: $bound>)?($($arg: $type),*) {
             #[inline(always)]
@@ -43,7 +47,10 @@ macro_rules! dispatch {
 }
 
 /// Packs data by eights, component by component; the last block is filled up with its first datum.
-pub(crate) fn pack<T, const N: usize>(data: &[T], components: impl Fn(&T) -> [f64; N]) -> Vec<[Lanes; N]> {
+pub(crate) fn pack<T, const N: usize>(
+    data: &[T],
+    components: impl Fn(&T) -> [f64; N],
+) -> Vec<[Lanes; N]> {
     let block = |data: &[T]| {
         let mut block = [[0.0; LANES]; N];
         for lane in 0..LANES {
@@ -62,7 +69,8 @@ pub(crate) fn blocks_of(range: &Range<usize>) -> Range<usize> {
     range.start / LANES..range.end.div_ceil(LANES)
 }
 
-/// Writes what block `index` gives for the data in `range` where `out`, which is for `range`, has it.
+/// Writes what block `index` gives for the data in `range` where `out`, which is for `range`, has
+/// it.
 #[inline(always)]
 pub(crate) fn store(lanes: &Lanes, index: usize, range: &Range<usize>, out: &mut [f64]) {
     let begin = range.start.max(index * LANES);

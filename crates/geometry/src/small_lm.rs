@@ -1,6 +1,7 @@
-//! Levenberg-Marquardt for a handful of parameters, on the stack: the local refinement inside robust estimation.
-//! (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares problems", algorithm 3.16, with Nielsen's damping.)
-//! Adjustment of whole reconstructions is the business of `tiepoint-ba`.
+//! Levenberg-Marquardt for a handful of parameters, on the stack: the local refinement inside
+//! robust estimation. (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
+//! problems", algorithm 3.16, with Nielsen's damping.) Adjustment of whole reconstructions is the
+//! business of `tiepoint-ba`.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -34,7 +35,11 @@ impl<const N: usize> Normal<N> {
 
     /// One residual of `R` components.
     #[inline]
-    pub(crate) fn add<const R: usize>(&mut self, residual: &SVector<f64, R>, jacobian: &SMatrix<f64, R, N>) {
+    pub(crate) fn add<const R: usize>(
+        &mut self,
+        residual: &SVector<f64, R>,
+        jacobian: &SMatrix<f64, R, N>,
+    ) {
         let [rho, weight, _] = self.loss.evaluate(residual.norm_squared());
         self.cost += 0.5 * rho;
         for column in 0..N {
@@ -52,13 +57,19 @@ impl<const N: usize> Normal<N> {
     }
 
     /// JᵀJ and Jᵀr of many residuals, weighted by the loss, and half the sum of their ρ.
-    pub(crate) fn add_sums(&mut self, hessian: &SMatrix<f64, N, N>, gradient: &SVector<f64, N>, cost: f64) {
+    pub(crate) fn add_sums(
+        &mut self,
+        hessian: &SMatrix<f64, N, N>,
+        gradient: &SVector<f64, N>,
+        cost: f64,
+    ) {
         self.hessian += hessian;
         self.gradient += gradient;
         self.cost += cost;
     }
 
-    /// The largest relative difference of the cost, of the gradient and of the upper triangle of JᵀJ.
+    /// The largest relative difference of the cost, of the gradient and of the upper triangle of
+    /// JᵀJ.
     #[cfg(test)]
     pub(crate) fn relative_difference(&self, other: &Self) -> f64 {
         let cost = (self.cost - other.cost).abs() / other.cost;
@@ -76,7 +87,8 @@ impl<const N: usize> Normal<N> {
 
     /// By how much the undamped quadratic model falls.
     fn predicted_decrease(&self, step: &SVector<f64, N>) -> f64 {
-        let hessian = SMatrix::from_fn(|row, column| self.hessian[(row.min(column), row.max(column))]);
+        let hessian =
+            SMatrix::from_fn(|row, column| self.hessian[(row.min(column), row.max(column))]);
         -step.dot(&(self.gradient + hessian * step * 0.5))
     }
 
@@ -92,10 +104,12 @@ const INITIAL_DAMPING: f64 = 1e-4;
 /// Stop when a step lowers the cost by less than this part of it.
 const COST_TOLERANCE: f64 = 1e-7;
 
-/// Added to the diagonal, relative to its largest entry, so that directions without influence stay put.
+/// Added to the diagonal, relative to its largest entry, so that directions without influence stay
+/// put.
 const DIAGONAL_FLOOR: f64 = 1e-12;
 
-/// The value of least cost that is reached from `start`; `start` itself where nothing better is found.
+/// The value of least cost that is reached from `start`; `start` itself where nothing better is
+/// found.
 pub(crate) fn minimize<const N: usize, P: Problem<N>>(
     problem: &P,
     start: &P::Value,
@@ -129,7 +143,8 @@ pub(crate) fn minimize<const N: usize, P: Problem<N>>(
                 break;
             }
         } else {
-            // At the bottom, rounding alone decides: a refused step that was predicted to gain nothing ends the search.
+            // At the bottom, rounding alone decides: a refused step that was predicted to gain
+            // nothing ends the search.
             if normal.predicted_decrease(&step) <= COST_TOLERANCE * normal.cost {
                 break;
             }

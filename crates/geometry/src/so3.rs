@@ -1,9 +1,10 @@
-//! The rotation group: exponential, logarithm and their derivatives (Solà, Deray, Atchuthan 2018, "A micro Lie theory").
+//! The rotation group: exponential, logarithm and their derivatives (Solà, Deray, Atchuthan 2018,
+//! "A micro Lie theory").
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
-/// Below this angle (radians) the trigonometric coefficients are replaced by their series; the first neglected term is
-/// of order θ⁴ ≈ 1e-16.
+/// Below this angle (radians) the trigonometric coefficients are replaced by their series; the
+/// first neglected term is of order θ⁴ ≈ 1e-16.
 const SMALL_ANGLE: f64 = 1e-4;
 
 /// The cross-product matrix: `hat(a) * b == a.cross(b)`.

@@ -4,9 +4,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::{Rigid3, epipolar::essential_from_pose};
 
-/// The point, in camera 1, of two rays (of any length): the least correction of their angles that makes them meet (Lee and
-/// Civera 2019, "Closed-form optimal two-view triangulation based on angular errors", L2 cost to first order, in the
-/// iterated form of Lindstrom 2010). `None` where they are parallel or meet behind a camera.
+/// The point, in camera 1, of two rays (of any length): the least correction of their angles that
+/// makes them meet (Lee and Civera 2019, "Closed-form optimal two-view triangulation based on
+/// angular errors", L2 cost to first order, in the iterated form of Lindstrom 2010). `None` where
+/// they are parallel or meet behind a camera.
 pub fn triangulate_two_view(
     ray1: &Vector3<f64>,
     ray2: &Vector3<f64>,
@@ -14,7 +15,8 @@ pub fn triangulate_two_view(
 ) -> Option<Vector3<f64>> {
     let essential = essential_from_pose(cam2_from_cam1);
     let (mut y1, mut y2) = (ray1.normalize(), ray2.normalize());
-    // Newton on y₂ᵀEy₁ = 0 with steps along the gradient on the two spheres; the second step is at rounding level already.
+    // Newton on y₂ᵀEy₁ = 0 with steps along the gradient on the two spheres; the second step is at
+    // rounding level already.
     for _ in 0..3 {
         let (g1, g2) = (essential.tr_mul(&y2), essential * y1);
         let error = y2.dot(&g2);
@@ -34,10 +36,15 @@ pub fn triangulate_two_view(
     (depth1 > 0.0 && depth2 > 0.0 && point.iter().all(|v| v.is_finite())).then_some(point)
 }
 
-/// The world point of the rays (of any length, in their cameras) of two or more cameras: Σ over rays of the squared distance
-/// |(I − yyᵀ)(RX + t)|² divided by the squared depth of an earlier solution, so that in the end it is the angles that count.
+/// The world point of the rays (of any length, in their cameras) of two or more cameras: Σ over
+/// rays of the squared distance
+/// |(I − yyᵀ)(RX + t)|² divided by the squared depth of an earlier solution, so that in the
+/// end it is the angles that count.
 /// `None` where the rays are parallel, or the point is behind a camera.
-pub fn triangulate(cams_from_world: &[Rigid3], rays_in_cam: &[Vector3<f64>]) -> Option<Vector3<f64>> {
+pub fn triangulate(
+    cams_from_world: &[Rigid3],
+    rays_in_cam: &[Vector3<f64>],
+) -> Option<Vector3<f64>> {
     let mut point = None;
     for _ in 0..REWEIGHTINGS {
         let mut normal = Matrix3::zeros();
@@ -46,8 +53,10 @@ pub fn triangulate(cams_from_world: &[Rigid3], rays_in_cam: &[Vector3<f64>]) -> 
             let world_from_cam = cam_from_world.rotation.inverse();
             let ray_in_world = world_from_cam * ray.normalize();
             let centre = cam_from_world.origin_in_a();
-            let weight = point.map_or(1.0, |point: Vector3<f64>| 1.0 / (point - centre).norm_squared());
-            let projector = (Matrix3::identity() - ray_in_world * ray_in_world.transpose()) * weight;
+            let weight =
+                point.map_or(1.0, |point: Vector3<f64>| 1.0 / (point - centre).norm_squared());
+            let projector =
+                (Matrix3::identity() - ray_in_world * ray_in_world.transpose()) * weight;
             normal += projector;
             right += projector * centre;
         }
@@ -58,7 +67,8 @@ pub fn triangulate(cams_from_world: &[Rigid3], rays_in_cam: &[Vector3<f64>]) -> 
         point = Some(solution);
     }
     let point = point?;
-    let in_front = |(cam_from_world, ray): (&Rigid3, &Vector3<f64>)| (*cam_from_world * point).dot(ray) > 0.0;
+    let in_front =
+        |(cam_from_world, ray): (&Rigid3, &Vector3<f64>)| (*cam_from_world * point).dot(ray) > 0.0;
     cams_from_world.iter().zip(rays_in_cam).all(in_front).then_some(point)
 }
 
@@ -66,7 +76,11 @@ pub fn triangulate(cams_from_world: &[Rigid3], rays_in_cam: &[Vector3<f64>]) -> 
 const REWEIGHTINGS: usize = 3;
 
 /// The angle, in radians, between the rays from two camera centres to a point.
-pub fn triangulation_angle(centre1: &Vector3<f64>, centre2: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+pub fn triangulation_angle(
+    centre1: &Vector3<f64>,
+    centre2: &Vector3<f64>,
+    point: &Vector3<f64>,
+) -> f64 {
     let (a, b) = (centre1 - point, centre2 - point);
     a.cross(&b).norm().atan2(a.dot(&b))
 }

@@ -17,7 +17,8 @@ fn model() -> Reconstruction {
     let mut rng = Rng::stream(1, &[]);
     let mut model = Reconstruction::default();
     let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 1000.0, 1920, 1080);
-    let camera = model.add_camera(Camera { intrinsics, width: 1920, height: 1080, has_focal_prior: false });
+    let camera =
+        model.add_camera(Camera { intrinsics, width: 1920, height: 1080, has_focal_prior: false });
     for index in 0..IMAGES {
         let keypoint = |_| Keypoint {
             pixel: Vector2::new(1920.0 * rng.uniform(), 1080.0 * rng.uniform()),
@@ -29,7 +30,8 @@ fn model() -> Reconstruction {
     }
     for first in (0..IMAGES).step_by(5) {
         for keypoint in (0..KEYPOINTS).step_by(2) {
-            let seen = (first..first + 5).map(|image| Observation { image: ImageId(image), keypoint });
+            let seen =
+                (first..first + 5).map(|image| Observation { image: ImageId(image), keypoint });
             let xyz = Vector3::new(rng.normal(), rng.normal(), 5.0 + rng.uniform());
             model.add_track(Track::new(xyz, seen.collect()));
         }
@@ -54,7 +56,8 @@ fn models(criterion: &mut Criterion) {
 
 fn photo(criterion: &mut Criterion) {
     let (width, height) = (3072, 2048);
-    let noisy = |x: u32, y: u32| [(x / 7) as u8 ^ (y / 5) as u8, (x * y / 1000) as u8, (y / 9) as u8];
+    let noisy =
+        |x: u32, y: u32| [(x / 7) as u8 ^ (y / 5) as u8, (x * y / 1000) as u8, (y / 9) as u8];
     let image = image::RgbImage::from_fn(width, height, |x, y| image::Rgb(noisy(x, y)));
     let path = std::env::temp_dir().join(format!("tiepoint-bench-{}.jpg", std::process::id()));
     image.save(&path).expect("the folder for temporary files can be written");

@@ -1,4 +1,5 @@
-//! Reads a COLMAP model and writes it again, as text or binary: `convert_model FROM TO text|binary`.
+//! Reads a COLMAP model and writes it again, as text or binary:
+//! `convert_model FROM TO text|binary`.
 #![allow(clippy::print_stdout)]
 
 use std::path::Path;

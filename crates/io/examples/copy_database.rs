@@ -21,7 +21,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (matches, two_views) = (from.read_matches()?, from.read_two_views()?);
     to.write_matches(matches.iter().map(|(pair, matches)| (*pair, &matches[..])))?;
     to.write_two_views(two_views.iter().map(|(pair, two_view)| (*pair, two_view)))?;
-    println!("{} images, {} pairs, {} two-view geometries", to.num_images(), matches.len(), two_views.len());
+    println!(
+        "{} images, {} pairs, {} two-view geometries",
+        to.num_images(),
+        matches.len(),
+        two_views.len()
+    );
     to.finish()?;
     from.finish()?;
     Ok(())

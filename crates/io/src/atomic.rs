@@ -1,4 +1,5 @@
-//! Files that are there complete or not at all: written under another name in the same folder, brought to the disk, renamed.
+//! Files that are there complete or not at all: written under another name in the same folder,
+//! brought to the disk, renamed.
 
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Write};
@@ -10,10 +11,12 @@ use crate::{Error, Result};
 /// Below these folders, paths lead to open files of processes, which cannot be replaced.
 const WRITTEN_THROUGH: [&str; 4] = ["/dev/fd", "/dev/stdin", "/dev/stdout", "/proc"];
 
-/// A file that takes its name with [`AtomicFile::commit`]; dropped before, it leaves nothing behind.
+/// A file that takes its name with [`AtomicFile::commit`]; dropped before, it leaves nothing
+/// behind.
 ///
-/// Symbolic links are followed; a file that is replaced hands on its mode and, where the system permits it, its owner. Devices
-/// and pipes are written to as they are. What a killed run left under the temporary name goes with the next one.
+/// Symbolic links are followed; a file that is replaced hands on its mode and, where the system
+/// permits it, its owner. Devices and pipes are written to as they are. What a killed run left
+/// under the temporary name goes with the next one.
 #[derive(Debug)]
 pub struct AtomicFile {
     /// As given.
@@ -39,7 +42,8 @@ impl AtomicFile {
     ///
     /// # Errors
     ///
-    /// Where `path` is a folder or a disk, where another run is writing it, and where the system refuses.
+    /// Where `path` is a folder or a disk, where another run is writing it, and where the system
+    /// refuses.
     pub fn create(path: impl Into<PathBuf>) -> Result<Self> {
         let path = path.into();
         if path.file_name().is_none() {
@@ -58,9 +62,11 @@ impl AtomicFile {
             return Err(Error::content(&path, "is a disk, which would lose all it holds"));
         }
         let is_special = before.as_ref().is_some_and(|found| !found.is_file());
-        let is_open_file = before.is_some() && WRITTEN_THROUGH.iter().any(|folder| path.starts_with(folder));
+        let is_open_file =
+            before.is_some() && WRITTEN_THROUGH.iter().any(|folder| path.starts_with(folder));
         if is_special || is_open_file {
-            let writer = BufWriter::new(WrittenFile::open_special(&path).map_err(Error::io(&path))?);
+            let writer =
+                BufWriter::new(WrittenFile::open_special(&path).map_err(Error::io(&path))?);
             return Ok(Self { path, replaced: None, writer: Some(writer) });
         }
         let temporary = part_of(&target);
@@ -148,7 +154,8 @@ impl Drop for AtomicFile {
     }
 }
 
-/// Makes the temporary file and locks it. One that is there and not locked was left by a run that was killed.
+/// Makes the temporary file and locks it. One that is there and not locked was left by a run that
+/// was killed.
 fn claim(path: &Path, temporary: &Path) -> Result<WrittenFile> {
     let busy = || Error::content(path, "is being written by another run: wait for it to end");
     let create = || -> io::Result<WrittenFile> {
@@ -186,7 +193,8 @@ fn is_disk(_: &Metadata) -> bool {
     false
 }
 
-/// Gives a file the mode of the one that it replaces, and its owner and group where that is allowed.
+/// Gives a file the mode of the one that it replaces, and its owner and group where that is
+/// allowed.
 fn hand_on(before: &Metadata, file: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -214,8 +222,10 @@ mod tests {
     }
 
     fn names(dir: &Path) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<String> = fs::read_dir(dir)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         names
     }
@@ -228,7 +238,9 @@ mod tests {
         fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
         // As root this changes the owner; for others it is their own file already.
         let _ = std::os::unix::fs::chown(&file, Some(12_345), Some(54_321));
-        let owner = |path: &Path| fs::metadata(path).map(|m| (m.uid(), m.gid(), m.mode() & 0o7777)).unwrap();
+        let owner = |path: &Path| {
+            fs::metadata(path).map(|m| (m.uid(), m.gid(), m.mode() & 0o7777)).unwrap()
+        };
         let before = owner(&file);
         symlink("file", &link).unwrap();
         write(&link, "new").unwrap();
@@ -251,7 +263,9 @@ mod tests {
         let before = fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap();
         write(Path::new("/dev/null"), "gone").unwrap();
         assert_eq!(fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap(), before);
-        assert!(write(Path::new("/dev/full"), "too much").unwrap_err().to_string().contains("No space"));
+        assert!(
+            write(Path::new("/dev/full"), "too much").unwrap_err().to_string().contains("No space")
+        );
         let pipe = dir.path().join("pipe");
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         let reader = {
@@ -270,7 +284,10 @@ mod tests {
         let path = dir.path().join("file");
         fs::write(part_of(&path), "half of it, and more than is written now").unwrap();
         write(&path, "all").unwrap();
-        assert_eq!((fs::read(&path).unwrap(), names(dir.path())), (b"all".to_vec(), vec!["file".to_owned()]));
+        assert_eq!(
+            (fs::read(&path).unwrap(), names(dir.path())),
+            (b"all".to_vec(), vec!["file".to_owned()])
+        );
         let first = AtomicFile::create(&path).unwrap();
         assert!(write(&path, "second").unwrap_err().to_string().contains("another run"));
         drop(first);

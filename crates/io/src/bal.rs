@@ -1,4 +1,5 @@
-//! Bundle Adjustment in the Large (Agarwal et al. 2010): the text files on which solvers are compared.
+//! Bundle Adjustment in the Large (Agarwal et al. 2010): the text files on which solvers are
+//! compared.
 //!
 //! ```text
 //! <cameras> <points> <observations>
@@ -6,16 +7,19 @@
 //! 9 numbers for each camera: axis-angle, translation, f, k1, k2
 //! 3 numbers for each point
 //! ```
-//! A point X projects to f · (1 + k1 |p|² + k2 |p|⁴) · p, with P = R X + t and p = −(P.x, P.y) / P.z: the camera looks down −z, y
-//! is up, and (0, 0) is the middle of the image. Turning the camera's axes and the image by half a turn about x gives our
-//! convention and COLMAP's model RADIAL with a fixed principal point, without loss.
+//! A point X projects to f · (1 + k1 |p|² + k2 |p|⁴) · p, with P = R X + t and p = −(P.x, P.y) /
+//! P.z: the camera looks down −z, y is up, and (0, 0) is the middle of the image. Turning the
+//! camera's axes and the image by half a turn about x gives our convention and COLMAP's model
+//! RADIAL with a fixed principal point, without loss.
 
 use std::io::Write;
 use std::path::Path;
 
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, so3};
-use tiepoint_scene::{Camera, CameraId, Image, ImageId, Keypoint, Observation, Reconstruction, Track};
+use tiepoint_scene::{
+    Camera, CameraId, Image, ImageId, Keypoint, Observation, Reconstruction, Track,
+};
 
 use crate::excerpt::Excerpt;
 use crate::text::{Lines, Numbers};
@@ -58,7 +62,8 @@ pub struct Bal {
     pub observations: Vec<BalObservation>,
 }
 
-/// A rotation by more radians is none: beyond, an angle of 64 bits has lost the digits that count within a turn.
+/// A rotation by more radians is none: beyond, an angle of 64 bits has lost the digits that count
+/// within a turn.
 const MAX_ANGLE_RAD: f64 = 1e6;
 
 /// Half a turn about x: its own inverse, exact in floating point.
@@ -67,7 +72,8 @@ fn half_turn() -> UnitQuaternion<f64> {
 }
 
 impl BalCamera {
-    /// Where a point is seen; `None` for one in the plane of the camera. (A point behind it is seen as if it were before.)
+    /// Where a point is seen; `None` for one in the plane of the camera. (A point behind it is seen
+    /// as if it were before.)
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let p = so3::exp(&self.axis_angle_rad) * point + self.translation;
         let p = Vector2::new(-p.x / p.z, -p.y / p.z);
@@ -90,10 +96,12 @@ impl Bal {
         let mut observations = Vec::new();
         for _ in 0..num_observations {
             let mut words = lines.expect("an observation")?;
-            let (camera, point) = (words.number("a camera's index")?, words.number("a point's index")?);
+            let (camera, point) =
+                (words.number("a camera's index")?, words.number("a point's index")?);
             if camera >= num_cameras || point >= num_points {
                 return Err(words.error(format!(
-                    "camera {camera} sees point {point}, but there are {num_cameras} cameras and {num_points} points"
+                    "camera {camera} sees point {point}, but there are {num_cameras} cameras and \
+                    {num_points} points"
                 )));
             }
             let pixel = Vector2::from(words.f64s::<2>("a pixel")?);
@@ -111,8 +119,9 @@ impl Bal {
             }
             Ok(pending.pop_front().unwrap_or_default())
         };
-        let mut vector =
-            |what: &str| -> Result<Vector3<f64>> { Ok(Vector3::new(next(what)?, next(what)?, next(what)?)) };
+        let mut vector = |what: &str| -> Result<Vector3<f64>> {
+            Ok(Vector3::new(next(what)?, next(what)?, next(what)?))
+        };
         let mut cameras = Vec::new();
         for _ in 0..num_cameras {
             let axis_angle_rad = vector("a camera's rotation")?;
@@ -134,7 +143,8 @@ impl Bal {
             None => lines.next()?.map(|mut words| words.rest().to_owned()),
         };
         if let Some(text) = left_over {
-            return Err(lines.error(format!("`{}` follows the last of {num_points} points", Excerpt(&text))));
+            return Err(lines
+                .error(format!("`{}` follows the last of {num_points} points", Excerpt(&text))));
         }
         Ok(Self { cameras, points, observations })
     }
@@ -142,7 +152,13 @@ impl Bal {
     /// Writes a problem, with as many digits as bring each number back.
     pub fn write(&self, path: &Path) -> Result<()> {
         AtomicFile::write_with(path, |file| {
-            writeln!(file, "{} {} {}", self.cameras.len(), self.points.len(), self.observations.len())?;
+            writeln!(
+                file,
+                "{} {} {}",
+                self.cameras.len(),
+                self.points.len(),
+                self.observations.len()
+            )?;
             for BalObservation { camera, point, pixel } in &self.observations {
                 writeln!(file, "{camera} {point} {}", Numbers(pixel.as_slice()))?;
             }
@@ -159,27 +175,34 @@ impl Bal {
         })
     }
 
-    /// The same as a reconstruction: each camera is an image with a RADIAL camera of its own, named by its index; points keep
-    /// their order. The size of an image is the smallest around its middle that holds its observations.
+    /// The same as a reconstruction: each camera is an image with a RADIAL camera of its own, named
+    /// by its index; points keep their order. The size of an image is the smallest around its
+    /// middle that holds its observations.
     pub fn to_reconstruction(&self) -> Result<Reconstruction, BalError> {
         let mut keypoints: Vec<Vec<Vector2<f64>>> = vec![Vec::new(); self.cameras.len()];
         let mut tracks: Vec<Vec<Observation>> = vec![Vec::new(); self.points.len()];
         for &BalObservation { camera, point, pixel } in &self.observations {
-            let list = keypoints.get_mut(camera as usize).ok_or(BalError::NoSuchCamera { camera })?;
+            let list =
+                keypoints.get_mut(camera as usize).ok_or(BalError::NoSuchCamera { camera })?;
             let observation = Observation { image: ImageId(camera), keypoint: list.len() as u32 };
             list.push(Vector2::new(pixel.x, -pixel.y));
-            tracks.get_mut(point as usize).ok_or(BalError::NoSuchPoint { point })?.push(observation);
+            tracks
+                .get_mut(point as usize)
+                .ok_or(BalError::NoSuchPoint { point })?
+                .push(observation);
         }
         let mut model = Reconstruction::default();
         for (index, (camera, keypoints)) in self.cameras.iter().zip(keypoints).enumerate() {
-            let half = |axis: usize| keypoints.iter().map(|p| p[axis].abs().ceil()).fold(1.0, f64::max);
+            let half =
+                |axis: usize| keypoints.iter().map(|p| p[axis].abs().ceil()).fold(1.0, f64::max);
             let middle = Vector2::new(half(0), half(1));
             let params = [camera.focal_px, middle.x, middle.y, camera.k1, camera.k2];
             let intrinsics = Intrinsics::new(CameraModelKind::Radial, &params)
                 .map_err(|cause| BalError::BadCamera { camera: index, cause })?;
             let [width, height] = [2.0 * middle.x, 2.0 * middle.y].map(|side| side as u32);
             let id = model.add_camera(Camera { intrinsics, width, height, has_focal_prior: true });
-            let keypoints = keypoints.iter().map(|p| Keypoint { pixel: p + middle, scale_px: 1.0 }).collect();
+            let keypoints =
+                keypoints.iter().map(|p| Keypoint { pixel: p + middle, scale_px: 1.0 }).collect();
             let image = model.add_image(Image::new(format!("{index:06}"), id, keypoints));
             let rotation = half_turn() * so3::exp(&camera.axis_angle_rad);
             model.register(image, Rigid3::new(rotation, half_turn() * camera.translation));
@@ -190,8 +213,9 @@ impl Bal {
         Ok(model)
     }
 
-    /// The registered images and the points of a reconstruction, in their order. The cameras must be perspective with at most
-    /// two radial distortions; the principal point becomes the middle of the image.
+    /// The registered images and the points of a reconstruction, in their order. The cameras must
+    /// be perspective with at most two radial distortions; the principal point becomes the middle
+    /// of the image.
     pub fn from_reconstruction(model: &Reconstruction) -> Result<Self, BalError> {
         let mut bal = Self::default();
         let mut index_of = vec![None; model.images().count()];
@@ -213,8 +237,9 @@ impl Bal {
             for observation in &track.observations {
                 let Some(camera) = index_of[observation.image.index()] else { continue };
                 let middle = model.camera_of(observation.image).intrinsics.principal_point();
-                let pixel =
-                    model.image(observation.image).keypoints[observation.keypoint as usize].pixel - middle;
+                let pixel = model.image(observation.image).keypoints[observation.keypoint as usize]
+                    .pixel
+                    - middle;
                 let pixel = Vector2::new(pixel.x, -pixel.y);
                 bal.observations.push(BalObservation { camera, point, pixel });
             }
@@ -260,7 +285,8 @@ pub enum BalError {
     },
     /// A camera cannot be told in this format.
     #[error(
-        "a BAL file knows one focal length and two radial distortions, but camera {camera:?} is a {model}"
+        "a BAL file knows one focal length and two radial distortions, but camera {camera:?} is a \
+        {model}"
     )]
     NotRadial {
         /// The camera.

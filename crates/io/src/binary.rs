@@ -1,5 +1,5 @@
-//! Little-endian primitives. The reader knows how much of its file is left, so that a count that cannot be true is found
-//! before memory is set aside for it.
+//! Little-endian primitives. The reader knows how much of its file is left, so that a count that
+//! cannot be true is found before memory is set aside for it.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -21,7 +21,12 @@ impl Reader {
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path))?;
         let length = file.metadata().map_err(Error::io(path))?.len();
-        Ok(Self { inner: BufReader::with_capacity(1 << 16, file), path: path.to_owned(), offset: 0, length })
+        Ok(Self {
+            inner: BufReader::with_capacity(1 << 16, file),
+            path: path.to_owned(),
+            offset: 0,
+            length,
+        })
     }
 }
 
@@ -48,7 +53,9 @@ impl<R: Read> Reader<R> {
         if self.remaining() < bytes.len() as u64 {
             return Err(self.error(format!("the file ends within {what}")));
         }
-        self.inner.read_exact(bytes).map_err(|cause| Error::Io { path: self.path.clone(), cause })?;
+        self.inner
+            .read_exact(bytes)
+            .map_err(|cause| Error::Io { path: self.path.clone(), cause })?;
         self.offset += bytes.len() as u64;
         Ok(())
     }
@@ -102,7 +109,8 @@ impl<R: Read> Reader<R> {
     /// qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
         let wxyz = [self.f64(what)?, self.f64(what)?, self.f64(what)?, self.f64(what)?];
-        let rotation = rotation::from_wxyz(wxyz).map_err(|cause| self.error(format!("{what}: {cause}")))?;
+        let rotation =
+            rotation::from_wxyz(wxyz).map_err(|cause| self.error(format!("{what}: {cause}")))?;
         Ok(Rigid3::new(rotation, self.vector3(what)?))
     }
 

@@ -2,7 +2,8 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_scene as scene;
 
-/// What can go wrong with a file. Each message is one sentence that names the file and, where there is one, the place in it.
+/// What can go wrong with a file. Each message is one sentence that names the file and, where there
+/// is one, the place in it.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refuses.
@@ -33,7 +34,8 @@ pub enum Error {
         /// What is wrong there.
         what: String,
     },
-    /// The parts of a file, or of several that belong together, contradict each other; or it holds what is not supported.
+    /// The parts of a file, or of several that belong together, contradict each other; or it holds
+    /// what is not supported.
     #[error("{path}: {what}")]
     Content {
         /// Which file or folder.

@@ -5,7 +5,8 @@ use std::fmt;
 /// Characters that are quoted of a text; the reader has the file and the line.
 const MAX_QUOTED: usize = 48;
 
-/// The beginning of a text, on one line: escapes take the place of control characters, which would command the terminal.
+/// The beginning of a text, on one line: escapes take the place of control characters, which would
+/// command the terminal.
 pub(crate) struct Excerpt<'a>(pub(crate) &'a str);
 
 impl fmt::Display for Excerpt<'_> {

@@ -7,12 +7,12 @@ use exif::{In, Rational, Tag, Value};
 
 use crate::{Error, Result};
 
-/// Diagonal of 35 mm film, 36 mm × 24 mm: "35 mm equivalent" focal lengths give the same diagonal angle of view (CIPA
-/// DCG-001).
+/// Diagonal of 35 mm film, 36 mm × 24 mm: "35 mm equivalent" focal lengths give the same diagonal
+/// angle of view (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
 
-/// Focal lengths in longer sides of the image. The widest lenses of photographers have 0.2 (8 mm on 36 mm), the longest zooms of compact
-/// cameras 83 (3000 mm, Nikon P1000).
+/// Focal lengths in longer sides of the image. The widest lenses of photographers have 0.2 (8 mm on
+/// 36 mm), the longest zooms of compact cameras 83 (3000 mm, Nikon P1000).
 const FOCAL_RANGE: std::ops::RangeInclusive<f64> = 0.1..=150.0;
 
 /// What was found; all is optional, and a photo without EXIF data has nothing.
@@ -46,8 +46,8 @@ impl Default for Exif {
 }
 
 impl Exif {
-    /// From a JPEG, PNG or TIFF file. Fields that are missing or broken are left out; only a file that cannot be read is an
-    /// error.
+    /// From a JPEG, PNG or TIFF file. Fields that are missing or broken are left out; only a file
+    /// that cannot be read is an error.
     pub fn read(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(Error::io(path))?;
         Ok(Self::from_reader(&mut std::io::BufReader::new(file)))
@@ -58,7 +58,9 @@ impl Exif {
     }
 
     fn from_reader(reader: &mut (impl BufRead + Seek)) -> Self {
-        let Ok(fields) = exif::Reader::new().read_from_container(reader) else { return Self::default() };
+        let Ok(fields) = exif::Reader::new().read_from_container(reader) else {
+            return Self::default();
+        };
         let value = |tag| fields.get_field(tag, In::PRIMARY).map(|field| &field.value);
         let integer = |tag| value(tag)?.get_uint(0);
         let number = |tag| match value(tag)? {
@@ -73,7 +75,8 @@ impl Exif {
             _ => Some(25.4),
         };
         let sides = [Tag::PixelXDimension, Tag::PixelYDimension].map(positive);
-        let orientation = integer(Tag::Orientation).filter(|turn| (1..=8).contains(turn)).unwrap_or(1);
+        let orientation =
+            integer(Tag::Orientation).filter(|turn| (1..=8).contains(turn)).unwrap_or(1);
         let ascii = |tag| match value(tag)? {
             Value::Ascii(list) => list.first().and_then(|bytes| std::str::from_utf8(bytes).ok()),
             _ => None,
@@ -84,15 +87,20 @@ impl Exif {
         Self {
             focal_mm: positive(Tag::FocalLength),
             focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
-            pixels_per_mm: positive(Tag::FocalPlaneXResolution).zip(unit_mm).map(|(count, mm)| count / mm),
+            pixels_per_mm: positive(Tag::FocalPlaneXResolution)
+                .zip(unit_mm)
+                .map(|(count, mm)| count / mm),
             long_side_px: sides[0].zip(sides[1]).map(|(x, y)| x.max(y)),
             orientation: orientation as u8,
-            time_s: ascii(Tag::DateTimeOriginal).and_then(seconds_of_date).map(|seconds| seconds + sub_s),
+            time_s: ascii(Tag::DateTimeOriginal)
+                .and_then(seconds_of_date)
+                .map(|seconds| seconds + sub_s),
         }
     }
 
-    /// The focal length in pixels of a `width` × `height` image: from the width of the sensor (its longer side) where that is
-    /// given, else from the 35 mm equivalent, else from the resolution of the focal plane. What no camera can have is passed over.
+    /// The focal length in pixels of a `width` × `height` image: from the width of the sensor (its
+    /// longer side) where that is given, else from the 35 mm equivalent, else from the resolution
+    /// of the focal plane. What no camera can have is passed over.
     pub fn focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> Option<f64> {
         let told = self.told_focal_px(width, height, sensor_width_mm);
         told.into_iter().flatten().find(|focal_px| is_plausible(*focal_px, width, height))
@@ -104,14 +112,23 @@ impl Exif {
         told.filter(|_| self.focal_px(width, height, None).is_none())
     }
 
-    fn told_focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> [Option<f64>; 3] {
+    fn told_focal_px(
+        &self,
+        width: u32,
+        height: u32,
+        sensor_width_mm: Option<f64>,
+    ) -> [Option<f64>; 3] {
         let (width, height) = (f64::from(width), f64::from(height));
         let long_side = width.max(height);
         let from_sensor = || Some(self.focal_mm? / sensor_width_mm? * long_side);
         let from_film = || Some(self.focal_35mm? / FILM_DIAGONAL_MM * width.hypot(height));
         // The image may have been scaled since it was taken.
         let from_plane = || {
-            Some(self.focal_mm? * self.pixels_per_mm? * (long_side / self.long_side_px.unwrap_or(long_side)))
+            Some(
+                self.focal_mm?
+                    * self.pixels_per_mm?
+                    * (long_side / self.long_side_px.unwrap_or(long_side)),
+            )
         };
         [from_sensor(), from_film(), from_plane()]
     }
@@ -133,7 +150,8 @@ pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
         && (0..24).contains(&hour)
         && (0..60).contains(&minute)
         && (0..=60).contains(&second);
-    // Days of the proleptic Gregorian calendar, years beginning in March so that the leap day is the last.
+    // Days of the proleptic Gregorian calendar, years beginning in March so that the leap day is
+    // the last.
     let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
     in_range.then_some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
@@ -153,7 +171,9 @@ mod tests {
         ] {
             assert_eq!(seconds_of_date(date), Some(expected));
         }
-        for date in ["", "    :  :     :  :  ", "2024:13:01 00:00:00", "0000:00:00 00:00:00", "2024:01:01"] {
+        for date in
+            ["", "    :  :     :  :  ", "2024:13:01 00:00:00", "0000:00:00 00:00:00", "2024:01:01"]
+        {
             assert_eq!(seconds_of_date(date), None);
         }
     }
@@ -165,7 +185,8 @@ mod tests {
         assert_eq!(exif.focal_px(3000, 2000, Some(36.0)), Some(1500.0));
         assert_eq!(exif.focal_px(2000, 3000, Some(36.0)), Some(1500.0));
         let film = Exif { focal_35mm: Some(36.0), ..Exif::default() };
-        // On a 3:2 image the equivalent by the diagonal is the one by the width: 36 mm are the width.
+        // On a 3:2 image the equivalent by the diagonal is the one by the width: 36 mm are the
+        // width.
         assert!((film.focal_px(3000, 2000, None).unwrap() - 3000.0).abs() < 1e-3);
         // Without a width of the sensor, what the file says of itself counts.
         let plane = Exif { pixels_per_mm: Some(100.0), long_side_px: Some(6000.0), ..exif };
@@ -185,7 +206,10 @@ mod tests {
         }
         for real_mm in [8.0, 15.0, 26.0, 3000.0] {
             let exif = Exif { focal_35mm: Some(real_mm), ..Exif::default() };
-            assert!(exif.focal_px(4000, 3000, None).is_some() && exif.absurd_focal_px(4000, 3000).is_none());
+            assert!(
+                exif.focal_px(4000, 3000, None).is_some()
+                    && exif.absurd_focal_px(4000, 3000).is_none()
+            );
         }
     }
 }

@@ -1,7 +1,8 @@
 //! What a GoPro says of itself in its videos: whether it stabilised the picture electronically.
 //!
-//! The settings lie in the box `moov/udta/GPMF` of the MP4 file (ISO/IEC 14496-12), as keys of four letters, a type, the size of an element
-//! (one byte), their number (two bytes, high one first) and the elements, padded to four bytes; type 0 holds further keys
+//! The settings lie in the box `moov/udta/GPMF` of the MP4 file (ISO/IEC 14496-12), as keys of four
+//! letters, a type, the size of an element (one byte), their number (two bytes, high one first) and
+//! the elements, padded to four bytes; type 0 holds further keys
 //! (<https://github.com/gopro/gpmf-parser>). The key `EISE` is `Y` or `N`.
 
 use std::fs::File;
@@ -15,12 +16,15 @@ const MAX_SETTINGS_LEN: u64 = 1 << 20;
 /// Containers of containers of keys; more is no settings.
 const MAX_DEPTH: usize = 8;
 
-/// Whether the camera has stabilised a video electronically; `None` where the file does not say it, whatever its format.
+/// Whether the camera has stabilised a video electronically; `None` where the file does not say it,
+/// whatever its format.
 pub fn is_stabilised(path: &Path) -> Result<Option<bool>> {
     let file = File::open(path).map_err(Error::io(path))?;
     let length = file.metadata().map_err(Error::io(path))?.len();
     let mut file = BufReader::new(file);
-    Ok(settings(&mut file, length).map_err(Error::io(path))?.and_then(|settings| stabilisation(&settings, 0)))
+    Ok(settings(&mut file, length)
+        .map_err(Error::io(path))?
+        .and_then(|settings| stabilisation(&settings, 0)))
 }
 
 /// The bytes of `moov/udta/GPMF`.
@@ -39,7 +43,8 @@ fn settings(file: &mut (impl Read + Seek), length: u64) -> io::Result<Option<Vec
     Ok(Some(settings))
 }
 
-/// Where the content of the first box of a name lies among those of a stretch of the file. What is no box ends the search.
+/// Where the content of the first box of a name lies among those of a stretch of the file. What is
+/// no box ends the search.
 fn find_box(
     file: &mut (impl Read + Seek),
     within: std::ops::Range<u64>,
@@ -112,13 +117,16 @@ mod tests {
         let udta = mp4_box(b"udta", &[mp4_box(b"FIRM", b"H"), gpmf].concat());
         let moov = mp4_box(b"moov", &[mp4_box(b"mvhd", &[0; 100]), udta].concat());
         // The pictures as a box of 64-bit size.
-        let mdat = [&1u32.to_be_bytes(), b"mdat".as_slice(), &(16 + 5u64).to_be_bytes(), b"frame"].concat();
+        let mdat = [&1u32.to_be_bytes(), b"mdat".as_slice(), &(16 + 5u64).to_be_bytes(), b"frame"]
+            .concat();
         [mp4_box(b"ftyp", b"mp41"), mdat, moov].concat()
     }
 
     fn asked(bytes: &[u8]) -> Option<bool> {
         let mut file = io::Cursor::new(bytes);
-        settings(&mut file, bytes.len() as u64).unwrap().and_then(|settings| stabilisation(&settings, 0))
+        settings(&mut file, bytes.len() as u64)
+            .unwrap()
+            .and_then(|settings| stabilisation(&settings, 0))
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Where images come from: folders. (The pictures of videos are put into one by whoever reads them.)
+//! Where images come from: folders. (The pictures of videos are put into one by whoever reads
+//! them.)
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
@@ -36,7 +37,8 @@ pub struct ImageInfo {
     pub width: u32,
     /// Rows, as it is seen.
     pub height: u32,
-    /// When it was taken, in seconds on its camera's own clock: from its name where that is a time, else from EXIF.
+    /// When it was taken, in seconds on its camera's own clock: from its name where that is a time,
+    /// else from EXIF.
     pub time_s: Option<f64>,
     /// What the camera says.
     pub exif: Exif,
@@ -54,14 +56,16 @@ pub trait ImageSource: Send + Sync {
     fn luma(&self, index: usize) -> Result<Luma>;
     /// The colour image.
     fn rgb(&self, index: usize) -> Result<Rgb>;
-    /// Where to look in the image: nothing is to be detected where the mask is 0. Of the size of the image.
+    /// Where to look in the image: nothing is to be detected where the mask is 0. Of the size of
+    /// the image.
     fn mask(&self, index: usize) -> Result<Option<Luma>>;
 }
 
 /// A file that would be an image and cannot be used as one, or a folder of such.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SkippedFile {
-    /// Its name as an image's would be, with escapes for control characters and for what is no UTF-8.
+    /// Its name as an image's would be, with escapes for control characters and for what is no
+    /// UTF-8.
     pub name: String,
     /// Why, as a sentence that begins with its path.
     pub why: String,
@@ -79,19 +83,23 @@ pub struct ImageFolder {
 }
 
 impl ImageFolder {
-    /// Lists the images of `inputs`. A folder of images is one camera; a folder with one sub-folder per camera is a rig. Names
-    /// are relative to the input, or, if there are several inputs, begin with the name of the input's folder.
+    /// Lists the images of `inputs`. A folder of images is one camera; a folder with one sub-folder
+    /// per camera is a rig. Names are relative to the input, or, if there are several inputs, begin
+    /// with the name of the input's folder.
     ///
-    /// With `masks`, the mask of `left/1.jpg` is `left/1.jpg.png` in that folder, as in COLMAP, or `left/1.jpg` or `left/1.png`.
-    /// Images without a mask are used whole; but there must be a mask for one image at least.
+    /// With `masks`, the mask of `left/1.jpg` is `left/1.jpg.png` in that folder, as in COLMAP, or
+    /// `left/1.jpg` or `left/1.png`. Images without a mask are used whole; but there must be a mask
+    /// for one image at least.
     ///
-    /// A file that is named like an image but is no regular file, or whose name a model cannot hold, is skipped; so are the
-    /// images below a folder of such a name. Images that a sub-folder's [`MANIFEST`](crate::MANIFEST) names were made by this
-    /// program and are passed over; those that an input's own manifest names are, unless there are no others.
+    /// A file that is named like an image but is no regular file, or whose name a model cannot
+    /// hold, is skipped; so are the images below a folder of such a name. Images that a
+    /// sub-folder's [`MANIFEST`](crate::MANIFEST) names were made by this program and are passed
+    /// over; those that an input's own manifest names are, unless there are no others.
     ///
     /// # Errors
     ///
-    /// A folder cannot be read or holds no images that can be used, two images have one name, or there is no mask.
+    /// A folder cannot be read or holds no images that can be used, two images have one name, or
+    /// there is no mask.
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self> {
         // By name: where it is, and the name of its camera. The map sorts in byte order.
         let mut found: BTreeMap<String, (PathBuf, String)> = BTreeMap::new();
@@ -102,7 +110,8 @@ impl ImageFolder {
             let listing = Listing::of_input(input, prefix)?;
             if let Some(folder) = listing.folder_beside_images() {
                 let what = format!(
-                    "holds both images and a folder of images, `{folder}`: put the images of each camera into a folder of its own"
+                    "holds both images and a folder of images, `{folder}`: put the images of each \
+                    camera into a folder of its own"
                 );
                 return Err(Error::content(input, what));
             }
@@ -116,7 +125,10 @@ impl ImageFolder {
                 };
                 let name = listing.prefix.clone() + &image.name;
                 if let Some((other, _)) = found.insert(name.clone(), (image.path.clone(), camera)) {
-                    let what = format!("two inputs have an image {name}: the other is {}", other.display());
+                    let what = format!(
+                        "two inputs have an image {name}: the other is {}",
+                        other.display()
+                    );
                     return Err(Error::content(&image.path, what));
                 }
             }
@@ -145,14 +157,18 @@ impl ImageFolder {
         match masks {
             Some(masks) if this.masks.iter().all(Option::is_none) => {
                 fs::read_dir(masks).map_err(Error::io(masks))?;
-                let what = format!("holds no mask: for {0}, `{0}.png` was looked for", this.images[0].name);
+                let what = format!(
+                    "holds no mask: for {0}, `{0}.png` was looked for",
+                    this.images[0].name
+                );
                 Err(Error::content(masks, what))
             }
             _ => Ok(this),
         }
     }
 
-    /// The same images; those of more than `max_pixels` are refused when they are looked at ([`MAX_PIXELS`] by default).
+    /// The same images; those of more than `max_pixels` are refused when they are looked at
+    /// ([`MAX_PIXELS`] by default).
     #[must_use]
     pub fn with_max_pixels(self, max_pixels: u64) -> Self {
         Self { max_pixels, ..self }
@@ -197,7 +213,8 @@ impl ImageSource for ImageFolder {
         let Some(path) = &self.masks[index] else { return Ok(None) };
         let (_, width, height) = self.header(&self.paths[index])?;
         let of = format!("its image {}", self.images[index].name);
-        Luma::read_within(path, &Allowed::Size { width, height, what: "the mask", of: &of }).map(Some)
+        Luma::read_within(path, &Allowed::Size { width, height, what: "the mask", of: &of })
+            .map(Some)
     }
 }
 
@@ -207,7 +224,8 @@ impl ImageFolder {
         // Before the EXIF data, since those of a TIFF file may be anywhere in it.
         let stored = pixels::stored_size(path)?;
         let exif = Exif::read(path)?;
-        let (width, height) = pixels::dimensions(path, &exif, stored, &Allowed::Pixels(self.max_pixels))?;
+        let (width, height) =
+            pixels::dimensions(path, &exif, stored, &Allowed::Pixels(self.max_pixels))?;
         Ok((exif, width, height))
     }
 }
@@ -224,8 +242,9 @@ fn prefix(input: &Path, own_name: &OsStr) -> Result<String> {
         (None, Some(name)) => Ok(name.to_owned() + "/"),
         (why, _) => {
             let why = why.unwrap_or(NOT_UTF8);
-            let what =
-                format!("{why}, and with several inputs it begins the names of images: rename the folder");
+            let what = format!(
+                "{why}, and with several inputs it begins the names of images: rename the folder"
+            );
             Err(Error::content(input, what))
         }
     }
@@ -233,8 +252,9 @@ fn prefix(input: &Path, own_name: &OsStr) -> Result<String> {
 
 const NOT_UTF8: &str = "its name is not UTF-8";
 
-/// Why a file or folder of this name cannot be a part of the name of an image: the first, the last, or one between. COLMAP's text
-/// files and lists of times hold a name on a line, and white space around it does not count there.
+/// Why a file or folder of this name cannot be a part of the name of an image: the first, the last,
+/// or one between. COLMAP's text files and lists of times hold a name on a line, and white space
+/// around it does not count there.
 fn unfit(part: &OsStr, is_first: bool, is_last: bool) -> Option<&'static str> {
     let Some(text) = part.to_str() else { return Some(NOT_UTF8) };
     if text.contains(char::is_control) {
@@ -288,8 +308,8 @@ impl Listing {
         Ok(this)
     }
 
-    /// Adds all images in a folder and below; hidden files and folders are passed over. `within` is the folder's name relative to
-    /// the input, with a `/` behind it.
+    /// Adds all images in a folder and below; hidden files and folders are passed over. `within` is
+    /// the folder's name relative to the input, with a `/` behind it.
     fn list(&mut self, folder: &Path, within: &str, depth: usize) -> Result<()> {
         if depth > MAX_DEPTH {
             return Err(Error::content(
@@ -303,16 +323,20 @@ impl Listing {
         let mut heif = Vec::new();
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
             let path = entry.map_err(Error::io(folder))?.path();
-            let Some(part) = path.file_name().filter(|part| !part.as_encoded_bytes().starts_with(b"."))
+            let Some(part) =
+                path.file_name().filter(|part| !part.as_encoded_bytes().starts_with(b"."))
             else {
                 continue;
             };
             let is_first = self.prefix.is_empty() && within.is_empty();
-            // Links are followed; one that leads nowhere is an image that cannot be opened, not a folder.
+            // Links are followed; one that leads nowhere is an image that cannot be opened, not a
+            // folder.
             let metadata = fs::metadata(&path).ok();
             if metadata.as_ref().is_some_and(fs::Metadata::is_dir) {
                 match (unfit(part, is_first, false), part.to_str()) {
-                    (None, Some(part)) => self.list(&path, &format!("{within}{part}/"), depth + 1)?,
+                    (None, Some(part)) => {
+                        self.list(&path, &format!("{within}{part}/"), depth + 1)?
+                    }
                     (why, _) => {
                         let mut below = Self::new(String::new());
                         below.list(&path, "", depth + 1)?;
@@ -320,7 +344,8 @@ impl Listing {
                         if count > 0 {
                             let images = if count == 1 { "image" } else { "images" };
                             let why = why.unwrap_or(NOT_UTF8);
-                            let what = format!("{why}, with {count} {images} below it: rename the folder");
+                            let what =
+                                format!("{why}, with {count} {images} below it: rename the folder");
                             self.skip(&path, within, &what);
                         }
                     }
@@ -338,7 +363,11 @@ impl Listing {
                         self.images.push(Listed { path, name });
                     }
                     (why, _) => {
-                        self.skip(&path, within, &format!("{}: rename it", why.unwrap_or(NOT_UTF8)));
+                        self.skip(
+                            &path,
+                            within,
+                            &format!("{}: rename it", why.unwrap_or(NOT_UTF8)),
+                        );
                     }
                 }
             }
@@ -354,9 +383,11 @@ impl Listing {
                 1 => ", as is 1 other file beside it".to_owned(),
                 more => format!(", as are {more} other files beside it"),
             };
-            let (from, to) = (escaped(Path::new(first)), escaped(&Path::new(first).with_extension("jpg")));
+            let (from, to) =
+                (escaped(Path::new(first)), escaped(&Path::new(first).with_extension("jpg")));
             let what = format!(
-                "is a HEIC photo{others}, and these are not read: convert them to JPEG, as with `heif-convert {from} {to}`"
+                "is a HEIC photo{others}, and these are not read: convert them to JPEG, as with \
+                `heif-convert {from} {to}`"
             );
             self.skip(&folder.join(first), within, &what);
         }
@@ -383,7 +414,8 @@ impl Listing {
             Some(SkippedFile { why, .. }) => {
                 let count = self.skipped.len();
                 format!(
-                    "holds no images (files named .{endings}) that can be used; {count} skipped, first {why}"
+                    "holds no images (files named .{endings}) that can be used; {count} skipped, \
+                    first {why}"
                 )
             }
         }
@@ -402,13 +434,17 @@ pub fn is_image(path: &Path) -> bool {
 
 /// Whether the ending of a file's name is one of these, in any case.
 pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    path.extension().is_some_and(|ending| extensions.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+    path.extension()
+        .is_some_and(|ending| extensions.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
 /// The mask of an image. What has its name and is no regular file is skipped.
 fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
-    let candidates =
-        [masks.join(format!("{name}.png")), masks.join(name), masks.join(name).with_extension("png")];
+    let candidates = [
+        masks.join(format!("{name}.png")),
+        masks.join(name),
+        masks.join(name).with_extension("png"),
+    ];
     candidates.into_iter().find(|path| {
         let Ok(metadata) = fs::metadata(path) else { return false };
         if let (Some(kind), false) = (irregular(&metadata), metadata.is_dir()) {
@@ -420,10 +456,12 @@ fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<P
     })
 }
 
-/// The time that a file is named after: nanoseconds (19 digits), microseconds (16) or milliseconds (13) since 1970, or seconds
-/// with a fraction (10 digits, a point, digits), as data sets from robots have it.
+/// The time that a file is named after: nanoseconds (19 digits), microseconds (16) or milliseconds
+/// (13) since 1970, or seconds with a fraction (10 digits, a point, digits), as data sets from
+/// robots have it.
 fn time_from_name(stem: &str) -> Option<f64> {
-    let all_digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let all_digits =
+        |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     if let Some((whole, fraction)) = stem.split_once('.') {
         return (whole.len() == 10 && all_digits(whole) && all_digits(fraction))
             .then(|| stem.parse().ok())?;
@@ -448,7 +486,9 @@ mod tests {
         assert_eq!(time_from_name("1403636579763555584"), Some(1_403_636_579.763_555_6));
         assert_eq!(time_from_name("1403636579763555"), Some(1_403_636_579.763_555));
         assert_eq!(time_from_name("1305031102.175304"), Some(1_305_031_102.175_304));
-        for stem in ["000000", "IMG_1234", "20240229123456", "12345.5", "1305031102.", "+403636579763", ""] {
+        for stem in
+            ["000000", "IMG_1234", "20240229123456", "12345.5", "1305031102.", "+403636579763", ""]
+        {
             assert_eq!(time_from_name(stem), None, "{stem}");
         }
     }

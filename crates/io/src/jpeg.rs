@@ -1,5 +1,6 @@
-//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives a grey file without
-//! making colours of it first; and `image` fills what a truncated file lacks with grey and says nothing.
+//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives
+//! a grey file without making colours of it first; and `image` fills what a truncated file lacks
+//! with grey and says nothing.
 
 use std::io::{BufRead, Seek, SeekFrom};
 
@@ -29,7 +30,8 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
     }
     // JPEG sides fit 16 bits. Not strict: cameras pad their headers.
     let side = usize::from(u16::MAX);
-    let options = DecoderOptions::default().set_strict_mode(false).set_max_width(side).set_max_height(side);
+    let options =
+        DecoderOptions::default().set_strict_mode(false).set_max_width(side).set_max_height(side);
     let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     let message = |error| format!("cannot decode the JPEG data: {error:?}");
     decoder.decode_headers().map_err(message)?;
@@ -47,8 +49,9 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
 const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 const START_OF_SCAN: u8 = 0xDA;
 
-/// Whether the file reaches the end of its image. Within a scan a byte FF is always followed by 00 or a marker, so the first
-/// FF D9 after the first scan began is the end; the one of a thumbnail lies before.
+/// Whether the file reaches the end of its image. Within a scan a byte FF is always followed by 00
+/// or a marker, so the first FF D9 after the first scan began is the end; the one of a thumbnail
+/// lies before.
 fn is_complete(bytes: &[u8]) -> bool {
     let mut reader = std::io::Cursor::new(bytes);
     while let Some((marker, _)) = next_segment(&mut reader) {
@@ -64,8 +67,9 @@ fn is_complete(bytes: &[u8]) -> bool {
 pub(crate) struct Frame {
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Bytes that the data take at least: every block of 8 × 8 samples has a constant part, and its Huffman code has one bit or more
-    /// (ITU-T T.81, F.1.2.1 and G.1.2.1), however the rest is coded.
+    /// Bytes that the data take at least: every block of 8 × 8 samples has a constant part, and its
+    /// Huffman code has one bit or more (ITU-T T.81, F.1.2.1 and G.1.2.1), however the rest is
+    /// coded.
     pub(crate) min_bytes: u64,
 }
 
@@ -74,20 +78,28 @@ pub(crate) fn frame(reader: &mut (impl BufRead + Seek)) -> Option<Frame> {
     reader.seek(SeekFrom::Start(0)).ok()?;
     while let Some((marker, length)) = next_segment(reader) {
         match marker {
-            // Start of frame, of any kind: precision, height, width, components. (C4, C8 and CC are no frames.)
+            // Start of frame, of any kind: precision, height, width, components. (C4, C8 and CC are
+            // no frames.)
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
                 let mut frame = [0; 6];
                 reader.read_exact(&mut frame).ok()?;
                 let [_, h1, h0, w1, w0, count] = frame;
-                // Of each component: its number, how often it is sampled along and across, its table.
+                // Of each component: its number, how often it is sampled along and across, its
+                // table.
                 let mut components = vec![0; 3 * usize::from(count)];
                 reader.read_exact(&mut components).ok()?;
-                let samplings: Vec<[u64; 2]> =
-                    components.chunks(3).map(|c| [u64::from(c[1] >> 4), u64::from(c[1] & 15)]).collect();
+                let samplings: Vec<[u64; 2]> = components
+                    .chunks(3)
+                    .map(|c| [u64::from(c[1] >> 4), u64::from(c[1] & 15)])
+                    .collect();
                 let size = [[w1, w0], [h1, h0]].map(|side| u64::from(u16::from_be_bytes(side)));
-                let most = [0, 1].map(|axis| samplings.iter().map(|s| s[axis]).max().unwrap_or(0).max(1));
+                let most =
+                    [0, 1].map(|axis| samplings.iter().map(|s| s[axis]).max().unwrap_or(0).max(1));
                 let blocks = |sampling: &[u64; 2]| -> u64 {
-                    [0, 1].map(|axis| (size[axis] * sampling[axis]).div_ceil(8 * most[axis])).iter().product()
+                    [0, 1]
+                        .map(|axis| (size[axis] * sampling[axis]).div_ceil(8 * most[axis]))
+                        .iter()
+                        .product()
                 };
                 return Some(Frame {
                     width: size[0] as u32,

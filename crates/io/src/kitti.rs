@@ -1,7 +1,8 @@
-//! The calibration file of the KITTI odometry benchmark: rows of the projection matrices P0..P3 of the rectified cameras, and of
-//! the pose of the laser scanner, Tr.
+//! The calibration file of the KITTI odometry benchmark: rows of the projection matrices P0..P3 of
+//! the rectified cameras, and of the pose of the laser scanner, Tr.
 //!
-//! KITTI counts pixels from the centre of the top-left one; half a pixel is added to the principal points here.
+//! KITTI counts pixels from the centre of the top-left one; half a pixel is added to the principal
+//! points here.
 
 use std::path::Path;
 
@@ -49,8 +50,9 @@ pub fn read_calibration(path: &Path) -> Result<KittiCalibration> {
                 .map_err(|cause| words.error(cause.to_string()))?;
             let off_diagonal = Vector3::new(k[(0, 1)], k[(1, 0)], k[(2, 2)] - 1.0);
             let inverse = k.try_inverse().filter(|_| off_diagonal.norm() == 0.0);
-            let translation =
-                inverse.ok_or_else(|| words.error("the matrix is none of a rectified camera"))? * p.column(3);
+            let translation = inverse
+                .ok_or_else(|| words.error("the matrix is none of a rectified camera"))?
+                * p.column(3);
             let cam_from_cam0 = Rigid3 { translation, ..Rigid3::identity() };
             calibration.cameras.push(KittiCamera { number, intrinsics, cam_from_cam0 });
         }

@@ -1,5 +1,5 @@
-//! LAS and LAZ files (ASPRS 1.0 to 1.4): what laser scanners deliver, and georeferenced clouds. The layouts are those of the `las`
-//! package.
+//! LAS and LAZ files (ASPRS 1.0 to 1.4): what laser scanners deliver, and georeferenced clouds. The
+//! layouts are those of the `las` package.
 
 mod claims;
 
@@ -66,9 +66,11 @@ fn vertex(point: &Point) -> Vertex {
     Vertex { xyz: Vector3::new(point.x, point.y, point.z), color }
 }
 
-/// Writes a LAS file, or a LAZ file where the name ends so: version 1.4, with colours, rounded to a tenth of a millimetre.
+/// Writes a LAS file, or a LAZ file where the name ends so: version 1.4, with colours, rounded to a
+/// tenth of a millimetre.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
-    let is_compressed = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("laz"));
+    let is_compressed =
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("laz"));
     let mut least = vertices.first().map_or_else(Vector3::zeros, |vertex| vertex.xyz);
     for vertex in vertices {
         least = least.inf(&vertex.xyz);

@@ -1,4 +1,5 @@
-//! What this program made in a folder: a manifest beside it says which files, and with which content.
+//! What this program made in a folder: a manifest beside it says which files, and with which
+//! content.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,11 +16,13 @@ pub const MANIFEST: &str = ".tiepoint.json";
 /// Who wrote it.
 const PROGRAM: &str = "tiepoint";
 
-/// The files of this program in a folder. All names are paths relative to the folder, with `/`, and lead to a place in it.
+/// The files of this program in a folder. All names are paths relative to the folder, with `/`, and
+/// lead to a place in it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Manifest {
     program: String,
-    /// By name, the hashes of the contents that a file may have. There are two after an interruption.
+    /// By name, the hashes of the contents that a file may have. There are two after an
+    /// interruption.
     pub files: BTreeMap<String, BTreeSet<String>>,
     /// The files that were replaced together last, in the order in which they take their places.
     #[serde(default)]
@@ -41,8 +44,8 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// [`Error::Io`] where it cannot be read, [`Error::Content`] where it is no manifest of this program, or names a file outside
-    /// of the folder: it may come from anybody.
+    /// [`Error::Io`] where it cannot be read, [`Error::Content`] where it is no manifest of this
+    /// program, or names a file outside of the folder: it may come from anybody.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(MANIFEST);
         require_regular_file(&path)?;

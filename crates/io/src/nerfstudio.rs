@@ -1,7 +1,8 @@
 //! nerfstudio's `transforms.json`: poses and intrinsics for neural fields and Gaussian splats.
 //!
-//! Poses are world_from_cam of a camera that looks along −z with y up: our y and z axes, turned round. Intrinsics stand with each
-//! frame, so that any number of cameras may take part; but nerfstudio takes one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
+//! Poses are world_from_cam of a camera that looks along −z with y up: our y and z axes, turned
+//! round. Intrinsics stand with each frame, so that any number of cameras may take part; but
+//! nerfstudio takes one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,9 +15,15 @@ use tiepoint_scene::{Camera, Reconstruction};
 use crate::undistort::focal_lengths;
 use crate::{AtomicFile, Error, Result};
 
-/// Writes the registered images. `image_folder` is put before the images' names: the path from the folder of the file to that of
-/// the images; `cloud` is the path of a PLY file with the points, to start splats from.
-pub fn write(path: &Path, model: &Reconstruction, image_folder: &str, cloud: Option<&str>) -> Result<()> {
+/// Writes the registered images. `image_folder` is put before the images' names: the path from the
+/// folder of the file to that of the images; `cloud` is the path of a PLY file with the points, to
+/// start splats from.
+pub fn write(
+    path: &Path,
+    model: &Reconstruction,
+    image_folder: &str,
+    cloud: Option<&str>,
+) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
     let mut common = None;
     let mut frames = Vec::new();
@@ -26,8 +33,10 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str, cloud: Opt
             "OPENCV_FISHEYE" => "OPENCV_FISHEYE",
             "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" => "OPENCV",
             other => {
-                let what =
-                    format!("nerfstudio knows no camera model {other}, which {} was taken with", image.name);
+                let what = format!(
+                    "nerfstudio knows no camera model {other}, which {} was taken with",
+                    image.name
+                );
                 return Err(Error::content(path, what));
             }
         };
@@ -37,7 +46,10 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str, cloud: Opt
         }
         let separator = if image_folder.is_empty() { "" } else { "/" };
         let mut frame = Map::new();
-        frame.insert("file_path".to_owned(), json!(format!("{image_folder}{separator}{}", image.name)));
+        frame.insert(
+            "file_path".to_owned(),
+            json!(format!("{image_folder}{separator}{}", image.name)),
+        );
         frame.insert("transform_matrix".to_owned(), matrix(cam_from_world));
         intrinsics(camera, &mut frame);
         if let Some(time_s) = image.time_s {
@@ -59,7 +71,9 @@ fn matrix(cam_from_world: &Rigid3) -> Value {
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&cam_from_world.inverse().to_matrix());
     let matrix = matrix * Matrix4::from_diagonal(&Vector4::new(1.0, -1.0, -1.0, 1.0));
-    let row = |row: usize| json!([matrix[(row, 0)], matrix[(row, 1)], matrix[(row, 2)], matrix[(row, 3)]]);
+    let row = |row: usize| {
+        json!([matrix[(row, 0)], matrix[(row, 1)], matrix[(row, 2)], matrix[(row, 3)]])
+    };
     json!([row(0), row(1), row(2), row(3)])
 }
 
@@ -75,7 +89,9 @@ fn intrinsics(camera: &Camera, frame: &mut Map<String, Value>) {
     for (name, value) in names.iter().zip(camera.intrinsics.params()) {
         match *name {
             "k" => frame.insert("k1".to_owned(), json!(value)),
-            "k1" | "k2" | "k3" | "k4" | "p1" | "p2" => frame.insert((*name).to_owned(), json!(value)),
+            "k1" | "k2" | "k3" | "k4" | "p1" | "p2" => {
+                frame.insert((*name).to_owned(), json!(value))
+            }
             _ => None,
         };
     }

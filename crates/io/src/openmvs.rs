@@ -1,8 +1,10 @@
-//! OpenMVS scenes, version 7 of `libs/MVS/Interface.h`: what DensifyPointCloud and its siblings start from.
+//! OpenMVS scenes, version 7 of `libs/MVS/Interface.h`: what DensifyPointCloud and its siblings
+//! start from.
 //!
-//! OpenMVS knows rigs: a platform carries cameras and goes through poses. Each rig with frames becomes a platform; cameras with
-//! images in no frame become platforms of one. Pixels count from the centre of the top-left one, so half a pixel is taken from
-//! the principal points. Matrices lie row by row, colours as blue, green, red.
+//! OpenMVS knows rigs: a platform carries cameras and goes through poses. Each rig with frames
+//! becomes a platform; cameras with images in no frame become platforms of one. Pixels count from
+//! the centre of the top-left one, so half a pixel is taken from the principal points. Matrices lie
+//! row by row, colours as blue, green, red.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -30,17 +32,19 @@ struct Platform {
 #[derive(Clone, Copy)]
 struct Place([u32; 3]);
 
-/// Writes the registered images and the points. `image_folder` is put before the images' names: the path from the folder of the
-/// scene to that of the images.
+/// Writes the registered images and the points. `image_folder` is put before the images' names: the
+/// path from the folder of the scene to that of the images.
 ///
-/// OpenMVS takes images to be free of distortion: the cameras must be pinholes; see [`crate::undistort`].
+/// OpenMVS takes images to be free of distortion: the cameras must be pinholes; see
+/// [`crate::undistort`].
 pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
     for (_, image, _) in model.registered() {
         let kind = model.camera(image.camera).intrinsics.kind();
         if !matches!(kind, CameraModelKind::SimplePinhole | CameraModelKind::Pinhole) {
             let what = format!(
-                "OpenMVS needs images without distortion, but the camera of {} is a {}: undistort first",
+                "OpenMVS needs images without distortion, but the camera of {} is a {}: undistort \
+                first",
                 image.name,
                 kind.name()
             );
@@ -62,7 +66,11 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<
             let name = &model.image(*id).name;
             string(
                 out,
-                &if image_folder.is_empty() { name.clone() } else { format!("{image_folder}/{name}") },
+                &if image_folder.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{image_folder}/{name}")
+                },
             )?;
             string(out, "")?; // mask
             place.iter().try_for_each(|index| out.u32(*index))?;
@@ -79,23 +87,32 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<
 }
 
 /// The platforms, and the place of each registered image.
-fn platforms(path: &Path, model: &Reconstruction) -> Result<(Vec<Platform>, BTreeMap<ImageId, Place>)> {
+fn platforms(
+    path: &Path,
+    model: &Reconstruction,
+) -> Result<(Vec<Platform>, BTreeMap<ImageId, Place>)> {
     let mut platforms: Vec<Platform> = Vec::new();
     let mut places = BTreeMap::new();
     for (index, rig) in model.rigs.iter().enumerate() {
-        let frames: Vec<_> = model.frames.iter().filter(|frame| frame.rig.index() == index).collect();
+        let frames: Vec<_> =
+            model.frames.iter().filter(|frame| frame.rig.index() == index).collect();
         if frames.is_empty() {
             continue;
         }
         let on_rig = rig.sensors.iter().map(|sensor| sensor.camera);
-        let cameras: Vec<_> = on_rig.filter_map(|camera| Some((camera, rig.cam_from_rig(camera)?))).collect();
+        let cameras: Vec<_> =
+            on_rig.filter_map(|camera| Some((camera, rig.cam_from_rig(camera)?))).collect();
         for (pose, frame) in frames.iter().enumerate() {
             for image in &frame.images {
                 let camera = model.image(*image).camera;
-                let camera = cameras.iter().position(|(on_rig, _)| *on_rig == camera).ok_or_else(|| {
-                    let name = &model.image(*image).name;
-                    Error::content(path, format!("the camera of {name} has no pose on the rig of its frame"))
-                })?;
+                let camera =
+                    cameras.iter().position(|(on_rig, _)| *on_rig == camera).ok_or_else(|| {
+                        let name = &model.image(*image).name;
+                        Error::content(
+                            path,
+                            format!("the camera of {name} has no pose on the rig of its frame"),
+                        )
+                    })?;
                 places.insert(*image, Place([platforms.len() as u32, camera as u32, pose as u32]));
             }
         }
@@ -131,7 +148,11 @@ fn pose(out: &mut impl Write, pose: &Rigid3) -> io::Result<()> {
     out.f64s(pose.origin_in_a().as_slice())
 }
 
-fn write_platform(out: &mut impl Write, model: &Reconstruction, platform: &Platform) -> io::Result<()> {
+fn write_platform(
+    out: &mut impl Write,
+    model: &Reconstruction,
+    platform: &Platform,
+) -> io::Result<()> {
     string(out, &platform.name)?;
     out.u64(platform.cameras.len() as u64)?;
     for (id, cam_from_rig) in &platform.cameras {

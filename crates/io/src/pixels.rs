@@ -12,16 +12,19 @@ use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
 use crate::{AtomicFile, Error, Result};
 
-/// Images of more pixels are refused where nobody says otherwise: 256 million. A file of a few kilobytes can claim any size, and decoding takes
-/// some ten bytes a pixel. Above the largest sensors in cameras that are sold in shops: 151 million pixels in medium format (Phase One
-/// IQ4, 14,204 × 10,652), 200 million in phones (Samsung ISOCELL HP2, 16,320 × 12,240). Mosaics and aerial cameras go beyond.
+/// Images of more pixels are refused where nobody says otherwise: 256 million. A file of a few
+/// kilobytes can claim any size, and decoding takes some ten bytes a pixel. Above the largest
+/// sensors in cameras that are sold in shops: 151 million pixels in medium format (Phase One IQ4,
+/// 14,204 × 10,652), 200 million in phones (Samsung ISOCELL HP2, 16,320 × 12,240). Mosaics and
+/// aerial cameras go beyond.
 pub const MAX_PIXELS: u64 = 256_000_000;
-/// Nobody can ask for more: here a decoder takes ten gigabytes, and four bytes a pixel still fit 32 bits.
+/// Nobody can ask for more: here a decoder takes ten gigabytes, and four bytes a pixel still fit 32
+/// bits.
 pub const MOST_PIXELS: u64 = 1_000_000_000;
 /// Deflate, which PNG uses, makes at most 1032 bytes of one: 258 bytes of two bits.
 const MAX_DEFLATE_RATIO: u64 = 1032;
-/// Bytes that a file may have for each pixel: four channels of 32 bits, as TIFF has them. And what may lie beside: previews, and the seconds of
-/// video that phones append.
+/// Bytes that a file may have for each pixel: four channels of 32 bits, as TIFF has them. And what
+/// may lie beside: previews, and the seconds of video that phones append.
 const MAX_BYTES_PER_PIXEL: u64 = 16;
 const MAX_BYTES_BESIDE: u64 = 64 << 20;
 const MILLION: u64 = 1_000_000;
@@ -51,9 +54,10 @@ pub struct Rgb {
 }
 
 impl Luma {
-    /// Reads an image file, turned as its EXIF orientation says. Colours become grey by the weights of ITU-R BT.709, as in
-    /// COLMAP; JPEG's own luma (BT.601) would come without the colours, 16 ms sooner for 6 megapixels, but gives fewer keypoints
-    /// (on sceaux 116,214 instead of 119,074). 16 bits become 8; transparency is ignored.
+    /// Reads an image file, turned as its EXIF orientation says. Colours become grey by the weights
+    /// of ITU-R BT.709, as in COLMAP; JPEG's own luma (BT.601) would come without the colours, 16
+    /// ms sooner for 6 megapixels, but gives fewer keypoints (on sceaux 116,214 instead of
+    /// 119,074). 16 bits become 8; transparency is ignored.
     ///
     /// # Errors
     ///
@@ -101,16 +105,17 @@ impl Rgb {
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
     }
 
-    /// Writes an image file: JPEG (of quality 95), PNG or TIFF, as its name says. The folder must exist.
+    /// Writes an image file: JPEG (of quality 95), PNG or TIFF, as its name says. The folder must
+    /// exist.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let format = ImageFormat::from_path(path).map_err(|cause| Error::content(path, cause.to_string()))?;
+        let format = ImageFormat::from_path(path)
+            .map_err(|cause| Error::content(path, cause.to_string()))?;
         let mut bytes = Cursor::new(Vec::new());
         let color = image::ExtendedColorType::Rgb8;
         let (data, width, height) = (&self.data, self.width, self.height);
         let written = match format {
-            ImageFormat::Jpeg => {
-                JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(data, width, height, color)
-            }
+            ImageFormat::Jpeg => JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+                .encode(data, width, height, color),
             _ => image::write_buffer_with_format(&mut bytes, data, width, height, color, format),
         };
         written.map_err(|cause| Error::content(path, cause.to_string()))?;
@@ -126,7 +131,8 @@ impl Rgb {
 
 /// 0.2126 R + 0.7152 G + 0.0722 B in sixteen bits of fraction, rounded.
 fn luma([r, g, b]: &[u8; 3]) -> u8 {
-    ((13_933 * u32::from(*r) + 46_871 * u32::from(*g) + 4_732 * u32::from(*b) + (1 << 15)) >> 16) as u8
+    ((13_933 * u32::from(*r) + 46_871 * u32::from(*g) + 4_732 * u32::from(*b) + (1 << 15)) >> 16)
+        as u8
 }
 
 /// Which sizes are decoded.
@@ -149,11 +155,13 @@ impl Allowed<'_> {
             _ if pixels > MOST_PIXELS => {
                 let most = MOST_PIXELS / MILLION;
                 Err(format!(
-                    "claims {width} × {height} pixels, and more than {most} million are never read: make it smaller"
+                    "claims {width} × {height} pixels, and more than {most} million are never \
+                    read: make it smaller"
                 ))
             }
             Self::Pixels(most) if pixels > most => Err(format!(
-                "claims {width} × {height} pixels, more than {} million: if it is a photo, give --max-megapixels {}",
+                "claims {width} × {height} pixels, more than {} million: if it is a photo, give \
+                --max-megapixels {}",
                 most / MILLION,
                 pixels.div_ceil(MILLION)
             )),
@@ -174,7 +182,8 @@ pub(crate) fn dimensions(
     Ok((width, height))
 }
 
-/// Size of an image as it is stored, from its header alone: one that the length of the file can hold.
+/// Size of an image as it is stored, from its header alone: one that the length of the file can
+/// hold.
 pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
     let content = |what: String| Error::content(path, what);
     let file = File::open(path).map_err(Error::io(path))?;
@@ -183,28 +192,34 @@ pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
         return Err(Error::content(path, "is empty"));
     }
     // By content, whatever the name.
-    let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(Error::io(path))?;
+    let reader =
+        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(Error::io(path))?;
     let format = reader.format().ok_or_else(|| no_image(path))?;
     let (width, height, min_bytes) = if format == ImageFormat::Jpeg {
         let frame = jpeg::frame(&mut reader.into_inner());
-        let frame =
-            frame.ok_or_else(|| content("the JPEG data has no header, or is truncated".to_owned()))?;
+        let frame = frame
+            .ok_or_else(|| content("the JPEG data has no header, or is truncated".to_owned()))?;
         (frame.width, frame.height, frame.min_bytes)
     } else {
-        let (width, height) = reader.into_dimensions().map_err(|cause| content(cause.to_string()))?;
+        let (width, height) =
+            reader.into_dimensions().map_err(|cause| content(cause.to_string()))?;
         // Strips of a TIFF file may be the same bytes.
         let is_png = format == ImageFormat::Png;
-        let min_bytes = if is_png { png_bytes(path, width, height)? / MAX_DEFLATE_RATIO } else { 0 };
+        let min_bytes =
+            if is_png { png_bytes(path, width, height)? / MAX_DEFLATE_RATIO } else { 0 };
         (width, height, min_bytes)
     };
     if length < min_bytes {
         return Err(content(format!(
-            "claims {width} × {height} pixels, which take {min_bytes} bytes at least, but it has {length}: it is damaged"
+            "claims {width} × {height} pixels, which take {min_bytes} bytes at least, but it has \
+            {length}: it is damaged"
         )));
     }
     let most_bytes = MAX_BYTES_BESIDE + MAX_BYTES_PER_PIXEL * u64::from(width) * u64::from(height);
     if length > most_bytes {
-        return Err(content(format!("has {length} bytes, far too many for {width} × {height} pixels")));
+        return Err(content(format!(
+            "has {length} bytes, far too many for {width} × {height} pixels"
+        )));
     }
     Ok((width, height))
 }
@@ -236,20 +251,28 @@ fn no_image(path: &Path) -> Error {
 fn decode(path: &Path, planes: Planes, allowed: &Allowed) -> Result<DynamicImage> {
     // By its header, before anything is read whole; how it is turned does not matter to its memory.
     let (width, height) = stored_size(path)?;
-    let either = allowed.check(width, height).or_else(|what| allowed.check(height, width).map_err(|_| what));
+    let either =
+        allowed.check(width, height).or_else(|what| allowed.check(height, width).map_err(|_| what));
     either.map_err(|what| Error::content(path, what))?;
     let bytes = std::fs::read(path).map_err(Error::io(path))?;
     let exif = Exif::from_bytes(&bytes);
     dimensions(path, &exif, (width, height), allowed)?;
     let mut image = match image::guess_format(&bytes) {
         Ok(ImageFormat::Jpeg) => {
-            let decoded = jpeg::decode(&bytes, planes).map_err(|what| Error::content(path, what))?;
+            let decoded =
+                jpeg::decode(&bytes, planes).map_err(|what| Error::content(path, what))?;
             let (w, h) = (decoded.width, decoded.height);
             let image = match decoded.planes {
-                Planes::Luma => image::GrayImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from),
-                Planes::Rgb => image::RgbImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from),
+                Planes::Luma => {
+                    image::GrayImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from)
+                }
+                Planes::Rgb => {
+                    image::RgbImage::from_raw(w, h, decoded.bytes).map(DynamicImage::from)
+                }
             };
-            image.ok_or_else(|| Error::content(path, "the JPEG data has another size than its header"))?
+            image.ok_or_else(|| {
+                Error::content(path, "the JPEG data has another size than its header")
+            })?
         }
         Ok(format) => {
             let mut reader = ImageReader::with_format(Cursor::new(&bytes), format);
@@ -261,6 +284,8 @@ fn decode(path: &Path, planes: Planes, allowed: &Allowed) -> Result<DynamicImage
         }
         Err(_) => return Err(no_image(path)),
     };
-    image.apply_orientation(Orientation::from_exif(exif.orientation).unwrap_or(Orientation::NoTransforms));
+    image.apply_orientation(
+        Orientation::from_exif(exif.orientation).unwrap_or(Orientation::NoTransforms),
+    );
     Ok(image)
 }

@@ -1,5 +1,5 @@
-//! PLY files (Turk 1994): points with colours. Written binary, little-endian; read in all three encodings, whatever else is in
-//! them.
+//! PLY files (Turk 1994): points with colours. Written binary, little-endian; read in all three
+//! encodings, whatever else is in them.
 
 use std::io::Write;
 use std::path::Path;
@@ -49,7 +49,10 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
             vertices.len()
         )?;
         vertices.iter().try_for_each(|vertex| {
-            vertex.xyz.iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+            vertex
+                .xyz
+                .iter()
+                .try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
             file.write_all(&vertex.color)
         })
     })
@@ -138,7 +141,8 @@ struct Element {
     properties: Vec<Property>,
 }
 
-/// Reads the vertices of a file. Points that are not finite are left out, as scanners write them for beams without echo.
+/// Reads the vertices of a file. Points that are not finite are left out, as scanners write them
+/// for beams without echo.
 pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     let mut file = Reader::open(path)?;
     let (encoding, elements) = read_header(&mut file)?;
@@ -146,7 +150,11 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
         return Err(file.error("the header names no element `vertex`"));
     };
     for axis in 0..3 {
-        if !elements[place].properties.iter().any(|p| p.role == Role::Xyz(axis) && p.length.is_none()) {
+        if !elements[place]
+            .properties
+            .iter()
+            .any(|p| p.role == Role::Xyz(axis) && p.length.is_none())
+        {
             return Err(file.error(format!("a vertex has no property `{}`", ["x", "y", "z"][axis])));
         }
     }
@@ -154,8 +162,10 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     let mut vertices = Vec::new();
     for element in &elements[..=place] {
         // In text each value takes two characters at least.
-        let least: u64 = element.properties.iter().map(|p| p.length.unwrap_or(p.scalar).bytes() as u64).sum();
-        let least = if encoding == Encoding::Ascii { 2 * element.properties.len() as u64 } else { least };
+        let least: u64 =
+            element.properties.iter().map(|p| p.length.unwrap_or(p.scalar).bytes() as u64).sum();
+        let least =
+            if encoding == Encoding::Ascii { 2 * element.properties.len() as u64 } else { least };
         let slack = u64::from(encoding == Encoding::Ascii);
         let count = element.count;
         if count.checked_mul(least).is_none_or(|bytes| bytes > file.remaining() + slack) {
@@ -218,7 +228,8 @@ fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
     }
     loop {
         let line = file.line(MAX_HEADER_LINE_BYTES)?;
-        let bad = |file: &Reader| file.error(format!("the header says `{}`", Excerpt(line.trim_end())));
+        let bad =
+            |file: &Reader| file.error(format!("the header says `{}`", Excerpt(line.trim_end())));
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
             ["end_header"] => break,
@@ -237,7 +248,9 @@ fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
             ["property", ref kind @ .., name] => {
                 let (length, scalar) = match kind {
                     [scalar] => (None, Scalar::from_name(scalar)),
-                    ["list", length, scalar] => (Scalar::from_name(length), Scalar::from_name(scalar)),
+                    ["list", length, scalar] => {
+                        (Scalar::from_name(length), Scalar::from_name(scalar))
+                    }
                     _ => (None, None),
                 };
                 let is_list = kind.len() == 3;
@@ -265,7 +278,9 @@ fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
     }
     // An element without properties would take no bytes however often it occurs.
     elements.retain(|element| !element.properties.is_empty() || element.name == "vertex");
-    encoding.map(|encoding| (encoding, elements)).ok_or_else(|| file.error("the header names no format"))
+    encoding
+        .map(|encoding| (encoding, elements))
+        .ok_or_else(|| file.error("the header names no format"))
 }
 
 fn next_value(file: &mut Reader, encoding: Encoding, scalar: Scalar) -> Result<f64> {
@@ -294,7 +309,7 @@ fn next_word(file: &mut Reader, word: &mut Vec<u8>, scalar: Scalar) -> Result<f6
     let text = std::str::from_utf8(word).ok();
     let value = text.and_then(|text| text.parse().ok());
     // `nan` is a number; as an integer it is none.
-    value
-        .filter(|value: &f64| value.is_finite() || !scalar.is_integer())
-        .ok_or_else(|| file.error(format!("`{}` is no number", Excerpt(&String::from_utf8_lossy(word)))))
+    value.filter(|value: &f64| value.is_finite() || !scalar.is_integer()).ok_or_else(|| {
+        file.error(format!("`{}` is no number", Excerpt(&String::from_utf8_lossy(word))))
+    })
 }

@@ -5,15 +5,18 @@ use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Refuses what is there and is no regular file: opening a named pipe would wait for somebody to write
-/// to it, perhaps for ever. Links are followed. Where nothing is there, whoever opens it says so.
+/// Refuses what is there and is no regular file: opening a named pipe would wait for somebody to
+/// write to it, perhaps for ever. Links are followed. Where nothing is there, whoever opens it says
+/// so.
 ///
 /// # Errors
 ///
 /// One sentence that says what it is instead of a file.
 pub fn require_regular_file(path: &Path) -> Result<()> {
     match fs::metadata(path).ok().as_ref().and_then(irregular) {
-        Some(kind) => Err(Error::content(path, format!("is {kind} and no regular file: give a file"))),
+        Some(kind) => {
+            Err(Error::content(path, format!("is {kind} and no regular file: give a file")))
+        }
         None => Ok(()),
     }
 }

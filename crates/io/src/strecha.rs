@@ -1,6 +1,6 @@
-//! The ground truth of Strecha et al. 2008 (fountain-P11, Herz-Jesus-P8 and others): one `.camera` file an image, with the rows
-//! of K, a line `0 0 0`, the rows of R_world_from_cam, the centre, and width and height. The numbers of K are given as they
-//! stand in the file.
+//! The ground truth of Strecha et al. 2008 (fountain-P11, Herz-Jesus-P8 and others): one `.camera`
+//! file an image, with the rows of K, a line `0 0 0`, the rows of R_world_from_cam, the centre, and
+//! width and height. The numbers of K are given as they stand in the file.
 
 use std::path::Path;
 
@@ -45,8 +45,8 @@ fn read_camera(path: &Path, name: String) -> Result<StrechaCamera> {
     let mut lines = Lines::open(path)?;
     let calibration = matrix(&mut lines, "a row of K")?;
     row(&mut lines, "the line 0 0 0")?;
-    let rotation =
-        rotation::from_matrix(&matrix(&mut lines, "a row of R")?).map_err(|what| lines.error(what))?;
+    let rotation = rotation::from_matrix(&matrix(&mut lines, "a row of R")?)
+        .map_err(|what| lines.error(what))?;
     let centre = Vector3::from(row(&mut lines, "the centre")?);
     let mut size = lines.expect("width and height")?;
     let (width, height) = (size.number("the width")?, size.number("the height")?);
@@ -59,5 +59,7 @@ fn row(lines: &mut Lines, what: &str) -> Result<[f64; 3]> {
 }
 
 fn matrix(lines: &mut Lines, what: &str) -> Result<Matrix3<f64>> {
-    Ok(Matrix3::from_row_slice([row(lines, what)?, row(lines, what)?, row(lines, what)?].as_flattened()))
+    Ok(Matrix3::from_row_slice(
+        [row(lines, what)?, row(lines, what)?, row(lines, what)?].as_flattened(),
+    ))
 }

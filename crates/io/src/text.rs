@@ -12,7 +12,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use crate::excerpt::Excerpt;
 use crate::{Error, Result, rotation};
 
-/// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64 characters.
+/// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64
+/// characters.
 const MAX_LINE_BYTES: u64 = 1 << 26;
 
 /// A file, line by line.
@@ -26,7 +27,12 @@ pub(crate) struct Lines {
 impl Lines {
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path))?;
-        Ok(Self { inner: BufReader::new(file), path: path.to_owned(), line: 0, buffer: String::new() })
+        Ok(Self {
+            inner: BufReader::new(file),
+            path: path.to_owned(),
+            line: 0,
+            buffer: String::new(),
+        })
     }
 
     pub(crate) fn error(&self, what: impl Into<String>) -> Error {
@@ -54,7 +60,8 @@ impl Lines {
             match self.next_raw()? {
                 None => return Ok(None),
                 Some(words) if words.rest.is_empty() || words.rest.starts_with('#') => {}
-                // A second borrow of the same line: the loop would hold the first one too long for the borrow checker.
+                // A second borrow of the same line: the loop would hold the first one too long for
+                // the borrow checker.
                 Some(_) => break,
             }
         }
@@ -65,7 +72,8 @@ impl Lines {
 impl Lines {
     /// The next line that is neither empty nor a comment; an error where there is none.
     pub(crate) fn expect(&mut self, what: &str) -> Result<Words<'_>> {
-        // Whether there is one is asked first: the borrow of a line would last into the branch of the error.
+        // Whether there is one is asked first: the borrow of a line would last into the branch of
+        // the error.
         if self.next()?.is_none() {
             return Err(self.error(format!("the file ends where {what} should be")));
         }
@@ -119,7 +127,9 @@ impl<'a> Words<'a> {
     /// A number of any integer type.
     pub(crate) fn number<T: FromStr>(&mut self, what: &str) -> Result<T> {
         let word = self.word(what)?;
-        word.parse().map_err(|_| self.error(format!("{what} is `{}`, not a number in range", Excerpt(word))))
+        word.parse().map_err(|_| {
+            self.error(format!("{what} is `{}`, not a number in range", Excerpt(word)))
+        })
     }
 
     /// A finite number.
@@ -138,8 +148,8 @@ impl<'a> Words<'a> {
 
     /// qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
-        let rotation =
-            rotation::from_wxyz(self.f64s(what)?).map_err(|cause| self.error(format!("{what}: {cause}")))?;
+        let rotation = rotation::from_wxyz(self.f64s(what)?)
+            .map_err(|cause| self.error(format!("{what}: {cause}")))?;
         Ok(Rigid3::new(rotation, Vector3::from(self.f64s::<3>(what)?)))
     }
 
@@ -153,7 +163,8 @@ impl<'a> Words<'a> {
     }
 }
 
-/// A number with as many digits as bring the same one back, and an exponent where that is shorter than zeros.
+/// A number with as many digits as bring the same one back, and an exponent where that is shorter
+/// than zeros.
 pub(crate) struct Number(pub(crate) f64);
 
 impl fmt::Display for Number {

@@ -11,8 +11,8 @@ use crate::{AtomicFile, Result};
 
 const HEADER: &str = "image,seconds";
 
-/// Reads the times of images, in seconds on their cameras' clocks, by name. A name may hold commas: the last one divides.
-/// White space around it does not count.
+/// Reads the times of images, in seconds on their cameras' clocks, by name. A name may hold commas:
+/// the last one divides. White space around it does not count.
 ///
 /// # Errors
 ///
@@ -22,7 +22,8 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
     let mut lines = Lines::open(path)?;
     let mut times = BTreeMap::new();
     // A byte order mark is what spreadsheets leave.
-    let header = lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
+    let header =
+        lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
     if header.as_deref() != Some(HEADER) {
         return Err(lines.error(format!("must be `{HEADER}`")));
     }
@@ -34,9 +35,11 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
         let Some((name, seconds)) = text.rsplit_once(',') else {
             return Err(line.error(format!("`{}` has no comma: expected {HEADER}", Excerpt(text))));
         };
-        let seconds: Option<f64> = seconds.trim().parse().ok().filter(|seconds: &f64| seconds.is_finite());
-        let seconds = seconds
-            .ok_or_else(|| line.error(format!("the time of {} is not a number of seconds", Excerpt(name))))?;
+        let seconds: Option<f64> =
+            seconds.trim().parse().ok().filter(|seconds: &f64| seconds.is_finite());
+        let seconds = seconds.ok_or_else(|| {
+            line.error(format!("the time of {} is not a number of seconds", Excerpt(name)))
+        })?;
         if times.insert(name.trim().to_owned(), seconds).is_some() {
             return Err(line.error(format!("the image {} is there twice", Excerpt(name))));
         }
@@ -48,6 +51,8 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
 pub fn write<'a>(path: &Path, times: impl IntoIterator<Item = (&'a str, f64)>) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         writeln!(file, "{HEADER}")?;
-        times.into_iter().try_for_each(|(name, seconds)| writeln!(file, "{name},{}", Number(seconds)))
+        times
+            .into_iter()
+            .try_for_each(|(name, seconds)| writeln!(file, "{name},{}", Number(seconds)))
     })
 }

@@ -1,5 +1,5 @@
-//! Poses in order of time: the formats of the TUM RGB-D, KITTI odometry and EuRoC benchmarks. All three hold `world_from_cam`;
-//! it is turned round at this border.
+//! Poses in order of time: the formats of the TUM RGB-D, KITTI odometry and EuRoC benchmarks. All
+//! three hold `world_from_cam`; it is turned round at this border.
 //!
 //! | format | a line |
 //! |---|---|
@@ -56,7 +56,12 @@ pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<()> {
         writeln!(file, "# tiepoint: timestamp tx ty tz qx qy qz qw")?;
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();
-            writeln!(file, "{} {}", Number(pose.time_s), Numbers(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w]))
+            writeln!(
+                file,
+                "{} {}",
+                Number(pose.time_s),
+                Numbers(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w])
+            )
         })
     })
 }
@@ -130,7 +135,8 @@ pub fn write_euroc(path: &Path, poses: &[TimedPose]) -> Result<()> {
         poses.iter().try_for_each(|pose| {
             let Rigid3 { rotation: q, translation: t } = pose.cam_from_world.inverse();
             let nanoseconds = nanoseconds(pose.time_s).ok_or_else(|| {
-                let what = format!("the time {} s cannot be written in nanoseconds", Number(pose.time_s));
+                let what =
+                    format!("the time {} s cannot be written in nanoseconds", Number(pose.time_s));
                 io::Error::new(io::ErrorKind::InvalidInput, what)
             })?;
             write!(file, "{nanoseconds}")?;

@@ -22,13 +22,15 @@ pub(crate) fn focal_lengths(intrinsics: &Intrinsics) -> [f64; 2] {
     [intrinsics.params()[index(0)], intrinsics.params()[index(1)]]
 }
 
-/// The image that `to` would have taken in place of `from`; bilinear, black where `from` does not look.
+/// The image that `to` would have taken in place of `from`; bilinear, black where `from` does not
+/// look.
 pub fn undistort_image(image: &Rgb, from: &Camera, to: &Camera) -> Rgb {
     let mut data = Vec::with_capacity(3 * to.width as usize * to.height as usize);
     for row in 0..to.height {
         for column in 0..to.width {
             let pixel = Vector2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-            let source = to.intrinsics.unproject(&pixel).and_then(|ray| from.intrinsics.project(&ray));
+            let source =
+                to.intrinsics.unproject(&pixel).and_then(|ray| from.intrinsics.project(&ray));
             data.extend(source.and_then(|source| interpolate(image, &source)).unwrap_or_default());
         }
     }
@@ -41,21 +43,25 @@ fn interpolate(image: &Rgb, pixel: &Vector2<f64>) -> Option<[u8; 3]> {
     if !(0.0..=width).contains(&pixel.x) || !(0.0..=height).contains(&pixel.y) {
         return None;
     }
-    let (x, y) = ((pixel.x - 0.5).clamp(0.0, width - 1.0), (pixel.y - 0.5).clamp(0.0, height - 1.0));
+    let (x, y) =
+        ((pixel.x - 0.5).clamp(0.0, width - 1.0), (pixel.y - 0.5).clamp(0.0, height - 1.0));
     let (x0, y0) = (x as u32, y as u32);
     let (x1, y1) = ((x0 + 1).min(image.width - 1), (y0 + 1).min(image.height - 1));
     let (u, v) = (x - f64::from(x0), y - f64::from(y0));
     let corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)].map(|(x, y)| image.pixel(x, y));
     let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
     Some(std::array::from_fn(|channel| {
-        let sum: f64 =
-            corners.iter().zip(weights).map(|(corner, weight)| weight * f64::from(corner[channel])).sum();
+        let sum: f64 = corners
+            .iter()
+            .zip(weights)
+            .map(|(corner, weight)| weight * f64::from(corner[channel]))
+            .sum();
         sum.round() as u8
     }))
 }
 
-/// The model with pinhole cameras, its keypoints moved to where these see them. A keypoint that no ray reaches stays, but sees
-/// no point any more.
+/// The model with pinhole cameras, its keypoints moved to where these see them. A keypoint that no
+/// ray reaches stays, but sees no point any more.
 pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
     let mut new = Reconstruction::default();
     for (_, camera) in model.cameras() {
@@ -63,7 +69,8 @@ pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
     }
     let mut is_seen: Vec<Vec<bool>> = Vec::new();
     for (_, image) in model.images() {
-        let (from, to) = (&model.camera(image.camera).intrinsics, new.camera(image.camera).intrinsics);
+        let (from, to) =
+            (&model.camera(image.camera).intrinsics, new.camera(image.camera).intrinsics);
         let mut keypoints = image.keypoints.to_vec();
         let mut seen = vec![true; keypoints.len()];
         for (keypoint, seen) in keypoints.iter_mut().zip(&mut seen) {

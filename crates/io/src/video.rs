@@ -1,7 +1,9 @@
 //! Pictures of a video, decoded by the `ffmpeg` program.
 //!
-//! ffmpeg turns each picture as the file says, stretches it where its pixels are not square, and writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that
-//! variable rates are respected. When the recording began, in whole seconds, is read from the file's metadata; its sound is there too.
+//! ffmpeg turns each picture as the file says, stretches it where its pixels are not square, and
+//! writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that variable
+//! rates are respected. When the recording began, in whole seconds, is read from the file's
+//! metadata; its sound is there too.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::OsString;
@@ -22,7 +24,8 @@ use crate::{Error, Result, Rgb};
 const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
 /// Lines of ffmpeg's that an error quotes.
 const QUOTED_LINES: usize = 3;
-/// Pixels that are not square are made so by stretching the side that they are too short along; then the time is told.
+/// Pixels that are not square are made so by stretching the side that they are too short along;
+/// then the time is told.
 const FILTERS: &str = "scale=w='iw*max(sar,1)':h='ih/min(sar,1)',setsar=1,showinfo";
 /// ffmpeg took `-vsync` for what it calls `-fps_mode` since 5.1.
 const FIRST_WITH_FPS_MODE: (u32, u32) = (5, 1);
@@ -35,15 +38,16 @@ pub fn is_video(path: &Path) -> bool {
 /// One recording by one camera: files that follow each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recording {
-    /// The stem of its first file's name, as the folder of its frames can be called: without white space
-    /// around it, and with `_` for control characters and for a point at its beginning.
+    /// The stem of its first file's name, as the folder of its frames can be called: without white
+    /// space around it, and with `_` for control characters and for a point at its beginning.
     pub name: String,
     /// Its files, the first one first.
     pub chapters: Vec<PathBuf>,
 }
 
-/// Joins the chapters into which an action camera cuts its recordings: `GH010042.MP4`, `GH020042.MP4` and so on, or `GOPR0042.MP4`,
-/// `GP010042.MP4` of older ones, in the same folder. Every other file is a recording of its own.
+/// Joins the chapters into which an action camera cuts its recordings: `GH010042.MP4`,
+/// `GH020042.MP4` and so on, or `GOPR0042.MP4`, `GP010042.MP4` of older ones, in the same folder.
+/// Every other file is a recording of its own.
 pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
     let mut chapters: BTreeMap<(PathBuf, String), BTreeMap<u32, PathBuf>> = BTreeMap::new();
     let mut order = Vec::new();
@@ -57,7 +61,8 @@ pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
         }
         chapters.entry(key).or_default().insert(chapter, file.clone());
     }
-    let name_of = |file: &PathBuf| file.file_stem().map(|stem| folder_name(&stem.to_string_lossy()));
+    let name_of =
+        |file: &PathBuf| file.file_stem().map(|stem| folder_name(&stem.to_string_lossy()));
     order
         .iter()
         .filter_map(|key| {
@@ -160,8 +165,8 @@ impl VideoReader {
         })
     }
 
-    /// When the recording began by the camera's clock, in seconds since 1970, where the file says it (in whole seconds); known once a
-    /// picture was read.
+    /// When the recording began by the camera's clock, in seconds since 1970, where the file says
+    /// it (in whole seconds); known once a picture was read.
     pub fn created_s(&self) -> Option<f64> {
         self.created_s
     }
@@ -188,7 +193,8 @@ impl VideoReader {
 
     /// Why there is no picture at all, in ffmpeg's words.
     fn nothing(&mut self) -> Error {
-        let lines = self.listener.take().and_then(|listener| listener.join().ok()).unwrap_or_default();
+        let lines =
+            self.listener.take().and_then(|listener| listener.join().ok()).unwrap_or_default();
         let said: Vec<String> = lines.into();
         Error::content(
             &self.path,
@@ -205,13 +211,15 @@ impl Drop for VideoReader {
     }
 }
 
-/// The sound of a video file in one channel at a rate, from when its pictures begin; empty where it has none.
+/// The sound of a video file in one channel at a rate, from when its pictures begin; empty where it
+/// has none.
 pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
     require_regular_file(path)?;
     let done = ffmpeg()
         .args(["-nostdin", "-v", "error", "-i"])
         .arg(input(path))
-        // Silence takes the place of what is missing, so that the sound keeps time with the pictures.
+        // Silence takes the place of what is missing, so that the sound keeps time with the
+        // pictures.
         .args([
             "-map",
             "0:a:0?",
@@ -230,8 +238,8 @@ pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
     Ok(done.stdout.chunks_exact(2).map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]])).collect())
 }
 
-/// The program. Ctrl-C on a terminal goes to this process and not to ffmpeg: a stream that ffmpeg broke
-/// off would pass for the whole video. ffmpeg ends when nobody reads its pipe any more.
+/// The program. Ctrl-C on a terminal goes to this process and not to ffmpeg: a stream that ffmpeg
+/// broke off would pass for the whole video. ffmpeg ends when nobody reads its pipe any more.
 fn ffmpeg() -> Command {
     let mut command = Command::new("ffmpeg");
     #[cfg(unix)]
@@ -251,12 +259,16 @@ fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
     move |cause| {
         Error::content(
             video,
-            format!("reading a video needs the program ffmpeg, which could not be run ({cause}): install it"),
+            format!(
+                "reading a video needs the program ffmpeg, which could not be run ({cause}): \
+                install it"
+            ),
         )
     }
 }
 
-/// The version of ffmpeg. One built from its repository, which has no number, is newer than any that matters here.
+/// The version of ffmpeg. One built from its repository, which has no number, is newer than any
+/// that matters here.
 fn version(video: &Path) -> Result<(u32, u32)> {
     let said = ffmpeg().arg("-version").stdin(Stdio::null()).output().map_err(missing(video))?;
     Ok(parse_version(&String::from_utf8_lossy(&said.stdout)).unwrap_or((u32::MAX, 0)))
@@ -290,8 +302,12 @@ fn listen(log: impl BufRead, tell: &Sender<Told>) -> VecDeque<String> {
 
 fn told(line: &str) -> Option<Told> {
     if let Some((_, rest)) = line.split_once(" pts_time:") {
-        let time_s =
-            rest.split_whitespace().next()?.parse().ok().filter(|time_s: &f64| time_s.is_finite())?;
+        let time_s = rest
+            .split_whitespace()
+            .next()?
+            .parse()
+            .ok()
+            .filter(|time_s: &f64| time_s.is_finite())?;
         return line.contains("showinfo").then_some(Told::Time(time_s));
     }
     let (key, value) = line.split_once(':')?;
@@ -303,9 +319,11 @@ fn told(line: &str) -> Option<Told> {
     seconds_of_date(date).filter(|seconds| *seconds > 0.0).map(Told::Created)
 }
 
-/// A picture of a stream of PPMs: width, height and bytes; `None` at its end, also where it breaks off.
+/// A picture of a stream of PPMs: width, height and bytes; `None` at its end, also where it breaks
+/// off.
 fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<u8>)>> {
-    let broken = || std::io::Error::new(std::io::ErrorKind::InvalidData, "ffmpeg gave no PPM picture");
+    let broken =
+        || std::io::Error::new(std::io::ErrorKind::InvalidData, "ffmpeg gave no PPM picture");
     let mut words = Vec::new();
     for _ in 0..3 {
         let mut line = Vec::new();
@@ -315,7 +333,9 @@ fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<
         words.extend(String::from_utf8_lossy(&line).split_whitespace().map(str::to_owned));
     }
     let [kind, width, height, depth] = &words[..] else { return Err(broken()) };
-    let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else { return Err(broken()) };
+    let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
+        return Err(broken());
+    };
     if kind != "P6" || depth != "255" {
         return Err(broken());
     }
@@ -365,14 +385,18 @@ mod tests {
 
     #[test]
     fn what_ffmpeg_says_is_understood() {
-        let line = "[Parsed_showinfo_0 @ 0x55] n:   3 pts:   1536 pts_time:0.1 duration: 512 fmt:yuv420p";
+        let line =
+            "[Parsed_showinfo_0 @ 0x55] n:   3 pts:   1536 pts_time:0.1 duration: 512 fmt:yuv420p";
         assert!(matches!(told(line), Some(Told::Time(time_s)) if time_s == 0.1));
         let line = "    creation_time   : 2024-02-29T12:34:56.000000Z";
         // `date -u -d '2024-02-29 12:34:56' +%s`
         assert!(matches!(told(line), Some(Told::Created(seconds)) if seconds == 1_709_210_096.0));
-        for line in
-            ["creation_time : 1904-01-01T00:00:00.000000Z", "x pts_time:NOPTS showinfo", "title : 5", ""]
-        {
+        for line in [
+            "creation_time : 1904-01-01T00:00:00.000000Z",
+            "x pts_time:NOPTS showinfo",
+            "title : 5",
+            "",
+        ] {
             assert!(told(line).is_none(), "{line}");
         }
         assert_eq!(parse_version("ffmpeg version 5.1.9-0+deb12u1 Copyright"), Some((5, 1)));

@@ -1,13 +1,13 @@
-//! Exact nearest neighbours, both directions, one core, on every instruction set of this machine; a forest; epipolar
-//! lines. Recall beside time, on descriptors of photos: `bench/matching.py`.
+//! Exact nearest neighbours, both directions, one core, on every instruction set of this machine; a
+//! forest; epipolar lines. Recall beside time, on descriptors of photos: `bench/matching.py`.
 
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
-    Checks, EpipolarGuide, Forest, ForestOptions, Isa, Options, Prepared, match_guided, match_prepared,
-    nearest_on,
+    Checks, EpipolarGuide, Forest, ForestOptions, Isa, Options, Prepared, match_guided,
+    match_prepared, nearest_on,
 };
 
 /// COLMAP's and our maximum of features in an image.
@@ -17,7 +17,8 @@ const FEATURES: usize = 8192;
 fn descriptors(seed: u64) -> Vec<Descriptor> {
     let mut state = seed;
     let mut byte = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 57) as u8
     };
     (0..FEATURES).map(|_| std::array::from_fn(|_| byte())).collect()
@@ -34,9 +35,13 @@ fn brute_force(criterion: &mut Criterion) {
         });
     }
     group.bench_function("with ratio and mutual test", |bencher| {
-        bencher.iter(|| match_prepared(black_box(&packed_a), black_box(&packed_b), &Options::default()));
+        bencher.iter(|| {
+            match_prepared(black_box(&packed_a), black_box(&packed_b), &Options::default())
+        });
     });
-    group.bench_function("packing one image", |bencher| bencher.iter(|| Prepared::new(black_box(&a))));
+    group.bench_function("packing one image", |bencher| {
+        bencher.iter(|| Prepared::new(black_box(&a)))
+    });
     group.finish();
 }
 
@@ -63,7 +68,12 @@ fn guided(criterion: &mut Criterion) {
         let descriptors = descriptors(seed);
         let keypoint = |d: &Descriptor| {
             let fraction = |at: usize| (f32::from(d[at]) + f32::from(d[at + 1]) / 128.0) / 128.0;
-            Keypoint { x: 3000.0 * fraction(0), y: 2000.0 * fraction(2), scale: 2.0, orientation: 0.0 }
+            Keypoint {
+                x: 3000.0 * fraction(0),
+                y: 2000.0 * fraction(2),
+                scale: 2.0,
+                orientation: 0.0,
+            }
         };
         Features { keypoints: descriptors.iter().map(keypoint).collect(), descriptors }
     };

@@ -1,5 +1,5 @@
-//! Draws the matches of two photos: side by side, a line from each feature to its partner, coloured by where it begins, so
-//! that neighbours which go elsewhere stand out.
+//! Draws the matches of two photos: side by side, a line from each feature to its partner, coloured
+//! by where it begins, so that neighbours which go elsewhere stand out.
 //!
 //! `cargo run --release -p tiepoint-matching --example draw -- a.jpg b.jpg matches.png [MAX_LINES]`
 
@@ -54,7 +54,8 @@ fn features(image: &GrayImage) -> Result<Features, Box<dyn Error>> {
 
 /// A colour for a place in the unit square; neighbours have similar ones.
 fn colour(x: f32, y: f32) -> Rgb<u8> {
-    let wave = |phase: f32| (255.0 * (0.5 + 0.5 * (std::f32::consts::TAU * (y + phase)).sin())) as u8;
+    let wave =
+        |phase: f32| (255.0 * (0.5 + 0.5 * (std::f32::consts::TAU * (y + phase)).sin())) as u8;
     Rgb([wave(0.0), wave(1.0 / 3.0), (255.0 * x) as u8])
 }
 

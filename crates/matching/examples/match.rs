@@ -1,7 +1,7 @@
 //! Matches the descriptors of two files, or of two made-up images, and prints the matches.
 //!
-//! `cargo run --release -p tiepoint-matching --example match [A B]`, where A and B are raw files of 128 bytes per
-//! descriptor (numpy: `descriptors.astype(np.uint8).tofile(path)`).
+//! `cargo run --release -p tiepoint-matching --example match [A B]`, where A and B are raw files of
+//! 128 bytes per descriptor (numpy: `descriptors.astype(np.uint8).tofile(path)`).
 
 #![expect(clippy::print_stdout, reason = "an example is a program")]
 
@@ -38,15 +38,19 @@ fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
     let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     match bytes.as_chunks::<128>() {
         (descriptors, []) => Ok(descriptors.to_vec()),
-        (_, rest) => Err(format!("{path}: {} bytes more than a multiple of 128", rest.len()).into()),
+        (_, rest) => {
+            Err(format!("{path}: {} bytes more than a multiple of 128", rest.len()).into())
+        }
     }
 }
 
-/// 1000 descriptors of random direction and length 512; every other one comes back in the second image, blurred.
+/// 1000 descriptors of random direction and length 512; every other one comes back in the second
+/// image, blurred.
 fn made_up() -> (Vec<Descriptor>, Vec<Descriptor>) {
     let mut state = 1u64;
     let mut random = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f64 / (1u64 << 24) as f64
     };
     let unit = |values: [f64; 128]| -> Descriptor {
@@ -58,7 +62,8 @@ fn made_up() -> (Vec<Descriptor>, Vec<Descriptor>) {
     for k in 0..1000 {
         let values: [f64; 128] = std::array::from_fn(|_| random().powi(3));
         a.push(unit(values));
-        let seen_again = values.map(|x| if k % 2 == 0 { x + 0.05 * random() } else { random().powi(3) });
+        let seen_again =
+            values.map(|x| if k % 2 == 0 { x + 0.05 * random() } else { random().powi(3) });
         b.push(unit(seen_again));
     }
     b.reverse();

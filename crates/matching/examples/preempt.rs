@@ -1,8 +1,10 @@
-//! What preemptive matching would give up: for every pair, the matches in full and how many the largest features alone
-//! give, as JSON lines. `bench/matching.py` verifies the pairs and counts the loss.
+//! What preemptive matching would give up: for every pair, the matches in full and how many the
+//! largest features alone give, as JSON lines. `bench/matching.py` verifies the pairs and counts
+//! the loss.
 //!
-//! `cargo run --release -p tiepoint-matching --example preempt REACH STEM...`, where `STEM.u8` holds 128 bytes per
-//! descriptor, `STEM.f32` the scale of every keypoint, and images up to REACH apart in the list are paired.
+//! `cargo run --release -p tiepoint-matching --example preempt REACH STEM...`, where `STEM.u8`
+//! holds 128 bytes per descriptor, `STEM.f32` the scale of every keypoint, and images up to REACH
+//! apart in the list are paired.
 
 #![expect(clippy::print_stdout, reason = "an example is a program")]
 
@@ -11,7 +13,8 @@ use std::time::Instant;
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
-    Ends, Match, Options, PairSelection, Preempt, Prepared, Sequence, match_features, match_prepared,
+    Ends, Match, Options, PairSelection, Preempt, Prepared, Sequence, match_features,
+    match_prepared,
 };
 
 /// Numbers of leading features to try.
@@ -19,11 +22,14 @@ const LEADING: [usize; 4] = [128, 256, 512, 1024];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [reach, stems @ ..] = arguments.as_slice() else { return Err("usage: preempt REACH STEM...".into()) };
+    let [reach, stems @ ..] = arguments.as_slice() else {
+        return Err("usage: preempt REACH STEM...".into());
+    };
     let images: Vec<Features> = stems.iter().map(|stem| read(stem)).collect::<Result<_, _>>()?;
     let leading: Vec<Vec<Vec<Descriptor>>> =
         images.iter().map(|image| LEADING.map(|n| largest(image, n)).into()).collect();
-    let prepared: Vec<Prepared> = images.iter().map(|image| Prepared::from_features(image, 512)).collect();
+    let prepared: Vec<Prepared> =
+        images.iter().map(|image| Prepared::from_features(image, 512)).collect();
     let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open, loops: 0 };
     let options = Options::default();
     let hasty = Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
@@ -39,8 +45,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             .map(|k| match_features(&leading[a][k], &leading[b][k], &options).len())
             .collect();
         let list = |index: fn(&Match) -> u32| matches.iter().map(index).collect::<Vec<_>>();
+        print!(r#"{{"i":{i},"j":{j},"leading":{LEADING:?},"counts":{counts:?},"#);
         println!(
-            r#"{{"i":{i},"j":{j},"leading":{LEADING:?},"counts":{counts:?},"full_ms":{full_ms},"preempt_ms":{preempt_ms},"a":{:?},"b":{:?}}}"#,
+            r#""full_ms":{full_ms},"preempt_ms":{preempt_ms},"a":{:?},"b":{:?}}}"#,
             list(|m| m.a),
             list(|m| m.b)
         );

@@ -1,7 +1,9 @@
-//! Time and recall of every way to find nearest neighbours, as JSON lines: what `bench/matching.py` puts beside OpenCV.
+//! Time and recall of every way to find nearest neighbours, as JSON lines: what `bench/matching.py`
+//! puts beside OpenCV.
 //!
-//! `cargo run --release -p tiepoint-matching --example search QUERIES POINTS [TRUTH_QUERIES]`, where the files hold 128
-//! bytes per descriptor and recall is taken over the first TRUTH_QUERIES queries. One thread, the best of several runs.
+//! `cargo run --release -p tiepoint-matching --example search QUERIES POINTS [TRUTH_QUERIES]`,
+//! where the files hold 128 bytes per descriptor and recall is taken over the first TRUTH_QUERIES
+//! queries. One thread, the best of several runs.
 
 #![expect(clippy::print_stdout, reason = "an example is a program")]
 
@@ -9,7 +11,9 @@ use std::error::Error;
 use std::time::Instant;
 
 use tiepoint_features::Descriptor;
-use tiepoint_matching::{Checks, Forest, ForestOptions, Isa, Nearest, Prepared, nearest, nearest_on};
+use tiepoint_matching::{
+    Checks, Forest, ForestOptions, Isa, Nearest, Prepared, nearest, nearest_on,
+};
 
 /// Runs of each measurement; the shortest counts.
 const RUNS: usize = 5;
@@ -42,11 +46,14 @@ fn measure(queries: &[Descriptor], points: &[Descriptor]) {
         );
     }
     for trees in [1, 4, 8] {
-        let (build_seconds, forest) = shortest(1, || Forest::new(points, &ForestOptions { trees, seed: 1 }));
+        let (build_seconds, forest) =
+            shortest(1, || Forest::new(points, &ForestOptions { trees, seed: 1 }));
         for checks in [8, 16, 32, 64, 128, 256, 512] {
-            let (seconds, found) = shortest(RUNS, || forest.nearest(queries, Checks::Total(checks)));
+            let (seconds, found) =
+                shortest(RUNS, || forest.nearest(queries, Checks::Total(checks)));
+            print!(r#"{{"method":"forest","trees":{trees},"checks":{checks},"#);
             println!(
-                r#"{{"method":"forest","trees":{trees},"checks":{checks},"build_seconds":{build_seconds},"seconds":{seconds},"queries":{},"recall":{}}}"#,
+                r#""build_seconds":{build_seconds},"seconds":{seconds},"queries":{},"recall":{}}}"#,
                 queries.len(),
                 recall(&found, &truth)
             );
@@ -56,7 +63,8 @@ fn measure(queries: &[Descriptor], points: &[Descriptor]) {
 
 /// Share of the queries whose neighbour is as near as the nearest.
 fn recall(found: &[Nearest], truth: &[Nearest]) -> f64 {
-    let right = found.iter().zip(truth).filter(|(found, truth)| found.distance == truth.distance).count();
+    let right =
+        found.iter().zip(truth).filter(|(found, truth)| found.distance == truth.distance).count();
     right as f64 / truth.len() as f64
 }
 

@@ -1,14 +1,17 @@
-//! The ratio and the distance test, in the angular convention of COLMAP, on squared integer distances.
+//! The ratio and the distance test, in the angular convention of COLMAP, on squared integer
+//! distances.
 //!
-//! Descriptors have length 512, so a squared distance `d` is a squared chord: with `u = d / 1024²` the angle is
-//! `θ = 2 asin √u`. The tests ask `θ₁ ≤ θ_max` and `θ₁ < r θ₂`. Both compare `d₁` with a threshold; for the ratio test
+//! Descriptors have length 512, so a squared distance `d` is a squared chord: with `u = d / 1024²`
+//! the angle is `θ = 2 asin √u`. The tests ask `θ₁ ≤ θ_max` and `θ₁ < r θ₂`. Both compare `d₁` with
+//! a threshold; for the ratio test
 //!
 //! `d₁ / 1024² < sin²(r asin √u₂) = ½ (1 − cos(2r asin √u₂))`.
 //!
-//! `y(s) = cos(2r asin s)` solves `(1 − s²) y″ − s y′ + 4r² y = 0` with `y(0) = 1, y′(0) = 0`, hence is a power series in
-//! `u = s²`: `c₀ = 1, c_{k+2} = c_k (k² − 4r²) / ((k+1)(k+2))`. Entries of descriptors are not negative, so the angle is
-//! at most a right one, `u ≤ ½`, and each term is less than half of the one before. A polynomial instead of a call to
-//! `asin` and `sin`: no root, no library function whose last bit depends on the machine.
+//! `y(s) = cos(2r asin s)` solves `(1 − s²) y″ − s y′ + 4r² y = 0` with `y(0) = 1, y′(0) = 0`,
+//! hence is a power series in `u = s²`: `c₀ = 1, c_{k+2} = c_k (k² − 4r²) / ((k+1)(k+2))`. Entries
+//! of descriptors are not negative, so the angle is at most a right one, `u ≤ ½`, and each term is
+//! less than half of the one before. A polynomial instead of a call to `asin` and `sin`: no root,
+//! no library function whose last bit depends on the machine.
 
 use crate::matches::{DIAMETER_SQUARED, Nearest};
 use crate::options::Options;
@@ -18,7 +21,8 @@ const TERMS: usize = 48;
 
 /// The tests of an [`Options`], ready to be applied many times.
 pub(crate) struct Acceptance {
-    /// Coefficients of the threshold as a polynomial in `u` without constant term, times 1024²; `None`: no ratio test.
+    /// Coefficients of the threshold as a polynomial in `u` without constant term, times 1024²;
+    /// `None`: no ratio test.
     ratio: Option<[f64; TERMS]>,
     /// Shares of the second distance between which the threshold lies, wherever that is.
     between: [f64; 2],
@@ -33,9 +37,10 @@ impl Acceptance {
         let ratio = options.max_ratio.map(|r| ratio_series(r.max(0.0)));
         // sin²(r asin s) / s² grows from r² at s = 0 to its value at s² = ½ for r ≤ 1.
         let between = match (&ratio, options.max_ratio) {
-            (Some(series), Some(r)) if r > 0.0 && r <= 1.0 => {
-                [r * r * (1.0 - CLEAR), 2.0 * threshold(series, 0.5) / DIAMETER_SQUARED * (1.0 + CLEAR)]
-            }
+            (Some(series), Some(r)) if r > 0.0 && r <= 1.0 => [
+                r * r * (1.0 - CLEAR),
+                2.0 * threshold(series, 0.5) / DIAMETER_SQUARED * (1.0 + CLEAR),
+            ],
             _ => [0.0, f64::INFINITY],
         };
         Acceptance {
@@ -88,7 +93,8 @@ mod tests {
     use super::*;
     use crate::matches::angle_rad;
 
-    /// Distances that lie this close to the threshold, relatively, may fall on either side: a few roundings of f64.
+    /// Distances that lie this close to the threshold, relatively, may fall on either side: a few
+    /// roundings of f64.
     const ROUNDING: f64 = 1e-12;
 
     fn nearest(distance: u32, second: u32) -> Nearest {
@@ -103,9 +109,13 @@ mod tests {
                 max_angle_rad: None,
                 ..Options::default()
             });
-            for second in (0..600_000).step_by(977).chain([1, 2, 524_287, 524_288, 8_323_200, u32::MAX]) {
+            for second in
+                (0..600_000).step_by(977).chain([1, 2, 524_287, 524_288, 8_323_200, u32::MAX])
+            {
                 let exact = DIAMETER_SQUARED * (0.5 * ratio * angle_rad(second)).sin().powi(2);
-                for distance in [0, exact.floor() as u32, exact.ceil() as u32, (0.5 * exact) as u32, second] {
+                for distance in
+                    [0, exact.floor() as u32, exact.ceil() as u32, (0.5 * exact) as u32, second]
+                {
                     if (f64::from(distance) - exact).abs() > ROUNDING * exact {
                         let expected = f64::from(distance) < exact;
                         assert_eq!(
@@ -122,7 +132,11 @@ mod tests {
     #[test]
     fn angles_and_senseless_numbers() {
         let only_angle = |angle| {
-            Acceptance::new(&Options { max_ratio: None, max_angle_rad: Some(angle), ..Options::default() })
+            Acceptance::new(&Options {
+                max_ratio: None,
+                max_angle_rad: Some(angle),
+                ..Options::default()
+            })
         };
         // The chord of 0.7 rad on the sphere of radius 512 is 351.12 long.
         assert!(only_angle(0.7).accepts(&nearest(351 * 351, u32::MAX)));

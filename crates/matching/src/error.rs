@@ -5,12 +5,15 @@
 pub enum Error {
     /// The pair selection is not one of the known words.
     #[error(
-        "unknown pair selection \"{0}\": use exhaustive, sequential:N, sequential:N+ends, sequential:N+loops:K or similar:K, for \
+        "unknown pair selection \"{0}\": use exhaustive, sequential:N, sequential:N+ends, \
+        sequential:N+loops:K or similar:K, for \
          example sequential:20+loops:10"
     )]
     PairSelection(String),
     /// A sequence carries a list of times that does not fit its list of images.
-    #[error("a camera has {images} images but {times} times; give one time for each image, or none")]
+    #[error(
+        "a camera has {images} images but {times} times; give one time for each image, or none"
+    )]
     TimeCount {
         /// How many images the camera has.
         images: usize,
@@ -19,7 +22,8 @@ pub enum Error {
     },
     /// Times must be finite and must not go backwards.
     #[error(
-        "time {index} of a camera, {time_s} s, is not a finite number at or after the time before it; sort the images by time"
+        "time {index} of a camera, {time_s} s, is not a finite number at or after the time before \
+        it; sort the images by time"
     )]
     TimeOrder {
         /// Position in the camera's sequence.

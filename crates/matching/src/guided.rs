@@ -1,12 +1,13 @@
 //! Matching along epipolar lines.
 //!
-//! With a fundamental matrix known, a feature's partner lies near a line, so the ratio test has far fewer rivals and
-//! repeated structures can be told apart. A pair is a candidate where each keypoint lies within `max_error_px` of the
-//! other's epipolar line: `(x_bᵀ F x_a)² ≤ e² min(|F x_a|²₁₂, |Fᵀ x_b|²₁₂)`, where `|·|₁₂` is the length of a line's
+//! With a fundamental matrix known, a feature's partner lies near a line, so the ratio test has far
+//! fewer rivals and repeated structures can be told apart. A pair is a candidate where each
+//! keypoint lies within `max_error_px` of the other's epipolar line:
+//! `(x_bᵀ F x_a)² ≤ e² min(|F x_a|²₁₂, |Fᵀ x_b|²₁₂)`, where `|·|₁₂` is the length of a line's
 //! normal. Close to an epipole, where lines are not defined, nothing is a candidate.
 //!
-//! Candidates are found by strips: the second image is cut into strips across the line and each strip into cells, so that
-//! a line meets one short run of cells in every strip.
+//! Candidates are found by strips: the second image is cut into strips across the line and each
+//! strip into cells, so that a line meets one short run of cells in every strip.
 
 use tiepoint_features::{Features, Keypoint};
 
@@ -32,8 +33,14 @@ pub struct EpipolarGuide {
     pub max_error_px: f64,
 }
 
-/// Matches two images whose epipolar geometry is known; ascending in `a`. `options.preempt` has no effect.
-pub fn match_guided(a: &Features, b: &Features, guide: &EpipolarGuide, options: &Options) -> Vec<Match> {
+/// Matches two images whose epipolar geometry is known; ascending in `a`. `options.preempt` has no
+/// effect.
+pub fn match_guided(
+    a: &Features,
+    b: &Features,
+    guide: &EpipolarGuide,
+    options: &Options,
+) -> Vec<Match> {
     let strips = [Strips::new(b, guide, 0), Strips::new(b, guide, 1)];
     let max_error_squared = guide.max_error_px * guide.max_error_px;
     let mut of_a = vec![Nearest::NONE; a.descriptors.len()];
@@ -85,8 +92,8 @@ struct Steps<const N: usize> {
 
 impl<const N: usize> Steps<N> {
     fn over(values: impl Iterator<Item = f64>) -> Self {
-        let (low, high) =
-            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        let (low, high) = values
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         Steps { origin: low, width: ((high - low) / N as f64).max(1.0) }
     }
 
@@ -115,7 +122,8 @@ impl Strips {
             .collect();
         let strips = Steps::<STRIPS>::over(candidates.iter().map(|c| c.along(axis)));
         let cells = Steps::<CELLS>::over(candidates.iter().map(|c| c.along(1 - axis)));
-        let place = |c: &Candidate| strips.step(c.along(axis)) * CELLS + cells.step(c.along(1 - axis));
+        let place =
+            |c: &Candidate| strips.step(c.along(axis)) * CELLS + cells.step(c.along(1 - axis));
         candidates.sort_by_key(place);
         let mut starts = vec![0; STRIPS * CELLS + 1];
         for candidate in &candidates {
@@ -129,7 +137,8 @@ impl Strips {
 
     /// Calls `visit` for all candidates within `max_error_px` of the line, and some more.
     fn for_each_near(&self, line: [f64; 3], max_error_px: f64, mut visit: impl FnMut(&Candidate)) {
-        let (slope, offset) = (-line[self.axis] / line[1 - self.axis], -line[2] / line[1 - self.axis]);
+        let (slope, offset) =
+            (-line[self.axis] / line[1 - self.axis], -line[2] / line[1 - self.axis]);
         let margin = max_error_px * (1.0 + slope * slope).sqrt() + SLACK_PX;
         let end_of_cells = self.cells.origin + self.cells.width * CELLS as f64;
         for strip in 0..STRIPS {
@@ -139,8 +148,11 @@ impl Strips {
             if high < self.cells.origin || low > end_of_cells {
                 continue;
             }
-            let cells = strip * CELLS + self.cells.step(low)..strip * CELLS + self.cells.step(high) + 1;
-            self.candidates[self.starts[cells.start]..self.starts[cells.end]].iter().for_each(&mut visit);
+            let cells =
+                strip * CELLS + self.cells.step(low)..strip * CELLS + self.cells.step(high) + 1;
+            self.candidates[self.starts[cells.start]..self.starts[cells.end]]
+                .iter()
+                .for_each(&mut visit);
         }
     }
 }

@@ -12,8 +12,8 @@ use crate::pairs::Pair;
 use crate::prepared::Prepared;
 use crate::screened::match_screened;
 
-/// Matches the descriptors of two images; ascending in `a`. For images that are matched more than once, prepare them and
-/// use [`match_prepared`].
+/// Matches the descriptors of two images; ascending in `a`. For images that are matched more than
+/// once, prepare them and use [`match_prepared`].
 pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> Vec<Match> {
     let [a, b] = [a, b].map(|descriptors| {
         let mut prepared = Prepared::new(descriptors);
@@ -50,8 +50,8 @@ fn match_by_brute_force(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Ma
     screened.unwrap_or_else(|| select(&nearest(a, b), options))
 }
 
-/// Matches many pairs of images, in parallel over pairs; one list for each pair, in the same order. Every index in
-/// `pairs` must be one into `images`.
+/// Matches many pairs of images, in parallel over pairs; one list for each pair, in the same order.
+/// Every index in `pairs` must be one into `images`.
 pub fn match_pairs(images: &[Prepared], pairs: &[Pair], options: &Options) -> Vec<Vec<Match>> {
     pairs
         .par_iter()
@@ -61,7 +61,9 @@ pub fn match_pairs(images: &[Prepared], pairs: &[Pair], options: &Options) -> Ve
 
 /// Whether the leading features of the two images say that they have nothing in common.
 fn is_hopeless(a: &Prepared, b: &Prepared, options: &Options) -> bool {
-    let (Some(preempt), Some(a), Some(b)) = (options.preempt, &a.leading, &b.leading) else { return false };
+    let (Some(preempt), Some(a), Some(b)) = (options.preempt, &a.leading, &b.leading) else {
+        return false;
+    };
     select(&nearest(a, b), options).len() < preempt.min_matches as usize
 }
 

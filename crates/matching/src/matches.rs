@@ -18,8 +18,8 @@ pub struct Match {
 }
 
 impl Match {
-    /// Angle between the two descriptors in radians, taking both to have length 512; at most a right angle, because
-    /// descriptors have no negative entries.
+    /// Angle between the two descriptors in radians, taking both to have length 512; at most a
+    /// right angle, because descriptors have no negative entries.
     pub fn angle_rad(&self) -> f64 {
         angle_rad(self.distance)
     }
@@ -28,7 +28,8 @@ impl Match {
 /// The best and the second best partner of one descriptor among those of another image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Nearest {
-    /// Index of the nearest descriptor, the lowest among equals; `u32::MAX` where the other image has none.
+    /// Index of the nearest descriptor, the lowest among equals; `u32::MAX` where the other image
+    /// has none.
     pub index: u32,
     /// Squared distance to it; `u32::MAX` where there is none.
     pub distance: u32,

@@ -1,7 +1,8 @@
 //! Vectors of bytes as the brute-force kernel wants them, sixteen to a panel.
 //!
-//! Within a panel the bytes are transposed in groups of four, so that one vector load gives the same four bytes of sixteen (or eight)
-//! descriptors: what a `u8 × i8` dot-product instruction wants.
+//! Within a panel the bytes are transposed in groups of four, so that one vector load gives the
+//! same four bytes of sixteen (or eight) descriptors: what a `u8 × i8` dot-product instruction
+//! wants.
 
 /// Descriptors in a panel.
 pub(crate) const PANEL: usize = 16;

@@ -1,7 +1,7 @@
 //! Which images to match with which.
 //!
-//! A pair is `(i, j)` with `i < j`, indices into the caller's list of images. Every function returns pairs sorted and
-//! without duplicates.
+//! A pair is `(i, j)` with `i < j`, indices into the caller's list of images. Every function
+//! returns pairs sorted and without duplicates.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,8 +11,8 @@ use crate::error::Error;
 /// Two images to match, the lower index first.
 pub type Pair = (u32, u32);
 
-/// A way to select pairs, as users write it: `exhaustive`, `sequential:20`, `sequential:20+ends`, `sequential:20+loops:10`,
-/// `similar:30`.
+/// A way to select pairs, as users write it: `exhaustive`, `sequential:20`, `sequential:20+ends`,
+/// `sequential:20+loops:10`, `similar:30`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
     /// Every image with every other.
@@ -23,8 +23,8 @@ pub enum PairSelection {
         reach: u32,
         /// What else is matched.
         ends: Ends,
-        /// How many images that look most alike each image is matched with beside its neighbours; 0 for none. They are
-        /// found by what is in the images: [`Bank::pairs`](crate::Bank::pairs).
+        /// How many images that look most alike each image is matched with beside its neighbours; 0
+        /// for none. They are found by what is in the images: [`Bank::pairs`](crate::Bank::pairs).
         loops: u32,
     },
     /// Each image with those that look most alike, whatever the order.
@@ -34,8 +34,8 @@ pub enum PairSelection {
     },
 }
 
-/// Whether the images at the beginning of a sequence are matched with those at its end, for a drive that comes back to
-/// where it began.
+/// Whether the images at the beginning of a sequence are matched with those at its end, for a drive
+/// that comes back to where it began.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
     /// They are not.
@@ -93,8 +93,8 @@ impl fmt::Display for PairSelection {
 }
 
 impl PairSelection {
-    /// How many images that look alike each is to be matched with beside the [`pairs`](Self::pairs) that order and time
-    /// alone give.
+    /// How many images that look alike each is to be matched with beside the [`pairs`](Self::pairs)
+    /// that order and time alone give.
     pub fn similar(self) -> u32 {
         match self {
             PairSelection::Exhaustive => 0,
@@ -117,7 +117,9 @@ impl PairSelection {
             PairSelection::Similar { .. } => {}
             PairSelection::Sequential { reach, ends, .. } => {
                 let reach = reach as usize;
-                for (from, to) in cameras.iter().flat_map(|from| cameras.iter().map(move |to| (from, to))) {
+                for (from, to) in
+                    cameras.iter().flat_map(|from| cameras.iter().map(move |to| (from, to)))
+                {
                     push_neighbours(&mut pairs, from, to, reach);
                     if ends == Ends::Closed {
                         let first = &from.images[..reach.min(from.images.len())];
@@ -169,21 +171,25 @@ impl Sequence {
     }
 }
 
-/// Pairs each image of `from` with the `reach` images of `to` before and after the one that belongs to it.
+/// Pairs each image of `from` with the `reach` images of `to` before and after the one that belongs
+/// to it.
 fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach: usize) {
     let by_time = from.times_s.len() == from.images.len() && to.times_s.len() == to.images.len();
     let is_same_camera = std::ptr::eq(from, to);
     for (position, &image) in from.images.iter().enumerate() {
-        let centre =
-            if by_time && !is_same_camera { to.position_at(from.times_s[position]) } else { position };
+        let centre = if by_time && !is_same_camera {
+            to.position_at(from.times_s[position])
+        } else {
+            position
+        };
         let first = centre.saturating_sub(reach).min(to.images.len());
         let last = centre.saturating_add(reach).saturating_add(1).min(to.images.len());
         pairs.extend(to.images[first..last].iter().map(|&other| (image, other)));
     }
 }
 
-/// A list of pairs that came from elsewhere, sorted, the lower index first, without duplicates and without pairs of an
-/// image with itself; an error if one names an image that does not exist.
+/// A list of pairs that came from elsewhere, sorted, the lower index first, without duplicates and
+/// without pairs of an image with itself; an error if one names an image that does not exist.
 pub fn listed_pairs(list: &[Pair], images: u32) -> Result<Vec<Pair>, Error> {
     match list.iter().find(|&&(a, b)| a >= images || b >= images) {
         Some(&(a, b)) => Err(Error::PairRange { a, b, images }),

@@ -1,8 +1,8 @@
 //! Descriptors of one image, made ready once for all images that it is matched with.
 //!
-//! What is kept packed for the brute-force kernel (`packed`) is the short form of the descriptors by which most pairs are ruled out
-//! (`screen`); whole descriptors are kept as they come and packed when they are needed, which takes a hundredth of the time of
-//! comparing them.
+//! What is kept packed for the brute-force kernel (`packed`) is the short form of the descriptors
+//! by which most pairs are ruled out (`screen`); whole descriptors are kept as they come and packed
+//! when they are needed, which takes a hundredth of the time of comparing them.
 
 use tiepoint_features::{Descriptor, Features};
 
@@ -36,15 +36,21 @@ impl Prepared {
         }
     }
 
-    /// Packs the descriptors of `features`, and those of the `leading` largest keypoints once more, so that pairs can be
-    /// tried on them first ([`crate::Preempt`], which says what 1024 of them lose).
+    /// Packs the descriptors of `features`, and those of the `leading` largest keypoints once more,
+    /// so that pairs can be tried on them first ([`crate::Preempt`], which says what 1024 of them
+    /// lose).
     pub fn from_features(features: &Features, leading: usize) -> Self {
-        let mut order: Vec<usize> = (0..features.descriptors.len().min(features.keypoints.len())).collect();
+        let mut order: Vec<usize> =
+            (0..features.descriptors.len().min(features.keypoints.len())).collect();
         order.sort_by(|&i, &j| {
             features.keypoints[j].scale.total_cmp(&features.keypoints[i].scale).then(i.cmp(&j))
         });
-        let largest: Vec<Descriptor> = order.iter().take(leading).map(|&i| features.descriptors[i]).collect();
-        Prepared { leading: Some(Box::new(Prepared::new(&largest))), ..Prepared::new(&features.descriptors) }
+        let largest: Vec<Descriptor> =
+            order.iter().take(leading).map(|&i| features.descriptors[i]).collect();
+        Prepared {
+            leading: Some(Box::new(Prepared::new(&largest))),
+            ..Prepared::new(&features.descriptors)
+        }
     }
 
     /// Grows randomized kd-trees for [`crate::Method::Forest`].
@@ -121,7 +127,10 @@ mod tests {
         prepared.grow_forest(&ForestOptions::default());
         let found = prepared.forest.unwrap().nearest(&descriptors, crate::Checks::Total(1000));
         assert!(
-            found.iter().enumerate().all(|(i, nearest)| (nearest.index, nearest.distance) == (i as u32, 0))
+            found
+                .iter()
+                .enumerate()
+                .all(|(i, nearest)| (nearest.index, nearest.distance) == (i as u32, 0))
         );
     }
 }

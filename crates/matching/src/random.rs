@@ -41,7 +41,8 @@ mod tests {
 
     #[test]
     fn published_numbers() {
-        // The first outputs of the reference implementation (Vigna, splitmix64.c) for the seed 1234567.
+        // The first outputs of the reference implementation (Vigna, splitmix64.c) for the seed
+        // 1234567.
         let mut stream = SplitMix64(1_234_567);
         assert_eq!(stream.next(), 6_457_827_717_110_365_317);
         assert_eq!(stream.next(), 3_203_168_211_198_807_973);

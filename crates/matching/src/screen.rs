@@ -1,10 +1,11 @@
 //! A short form of descriptors that bounds their distances from below.
 //!
-//! An orthonormal transform does not change distances, and leaving coefficients out only shortens them. A descriptor is 4 × 4
-//! histograms of 8 directions: a discrete cosine transform over both places and a Fourier transform over the directions gathers
-//! 91 % of the variance of SIFT descriptors in 56 of 128 coefficients, nearly as much as their principal components (94 %), and
-//! needs no training. Coefficients are cut to a box, which brings no two points further apart, and rounded to bytes. With steps of
-//! `q`, and with `e` the length of what rounding took away,
+//! An orthonormal transform does not change distances, and leaving coefficients out only shortens
+//! them. A descriptor is 4 × 4 histograms of 8 directions: a discrete cosine transform over both
+//! places and a Fourier transform over the directions gathers 91 % of the variance of SIFT
+//! descriptors in 56 of 128 coefficients, nearly as much as their principal components (94 %), and
+//! needs no training. Coefficients are cut to a box, which brings no two points further apart, and
+//! rounded to bytes. With steps of `q`, and with `e` the length of what rounding took away,
 //!
 //! `|a − b| ≥ q |â − b̂| − e_a − e_b`.
 
@@ -16,19 +17,20 @@ use crate::packed::Packed;
 pub(crate) const SCREEN_GROUPS: usize = 14;
 const COEFFICIENTS: usize = 4 * SCREEN_GROUPS;
 
-/// Step of the coefficients: the box reaches ±192 around the middle, and the largest have a standard deviation of 80.
+/// Step of the coefficients: the box reaches ±192 around the middle, and the largest have a
+/// standard deviation of 80.
 const STEP: f32 = 1.5;
 /// The byte that stands for the middle.
 const MIDDLE: f32 = 128.0;
 /// More than floating-point rounding of the coefficients can amount to, however large the entries.
 const ROUNDING: f64 = 0.25;
 
-/// Which coefficients, `8 (4 row + column) + direction`, in order of their variance over rendered streets, a KITTI drive and
-/// fountain-P11.
+/// Which coefficients, `8 (4 row + column) + direction`, in order of their variance over rendered
+/// streets, a KITTI drive and fountain-P11.
 const CHOSEN: [usize; COEFFICIENTS] = [
-    9, 1, 3, 2, 34, 25, 17, 11, 4, 66, 42, 10, 35, 8, 74, 41, 36, 49, 12, 33, 50, 98, 0, 19, 32, 44, 89, 43,
-    7, 5, 114, 106, 18, 73, 57, 82, 67, 16, 20, 81, 13, 52, 68, 51, 65, 40, 75, 21, 6, 64, 76, 27, 38, 100,
-    14, 37,
+    9, 1, 3, 2, 34, 25, 17, 11, 4, 66, 42, 10, 35, 8, 74, 41, 36, 49, 12, 33, 50, 98, 0, 19, 32,
+    44, 89, 43, 7, 5, 114, 106, 18, 73, 57, 82, 67, 16, 20, 81, 13, 52, 68, 51, 65, 40, 75, 21, 6,
+    64, 76, 27, 38, 100, 14, 37,
 ];
 /// Their means where these are not small.
 const MEANS: [(usize, f32); 11] = [

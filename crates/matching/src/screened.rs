@@ -1,9 +1,10 @@
 //! The matches that comparing all with all gives, for a third of the work.
 //!
-//! All pairs are compared by the short forms of their descriptors ([`crate::screen`]), which bound the distances from below. A
-//! feature whose nearest neighbour cannot pass the ratio test any more is done with as soon as two distances are known, and so is
-//! one whose nearest neighbour passes it however near the others may be. The few left over, and the columns of matches that stay
-//! in doubt, are compared in full. Nothing is approximated: the matches are the same, to the last bit.
+//! All pairs are compared by the short forms of their descriptors ([`crate::screen`]), which bound
+//! the distances from below. A feature whose nearest neighbour cannot pass the ratio test any more
+//! is done with as soon as two distances are known, and so is one whose nearest neighbour passes it
+//! however near the others may be. The few left over, and the columns of matches that stay in
+//! doubt, are compared in full. Nothing is approximated: the matches are the same, to the last bit.
 
 use crate::accept::Acceptance;
 use crate::brute::{Isa, RowLanes, compare};
@@ -27,8 +28,14 @@ enum Verdict {
     Open,
 }
 
-/// The matches between two images, ascending in `a`; `None` where the short way would not be one. Only for mutual matches.
-pub(crate) fn match_screened(isa: Isa, a: &Prepared, b: &Prepared, options: &Options) -> Option<Vec<Match>> {
+/// The matches between two images, ascending in `a`; `None` where the short way would not be one.
+/// Only for mutual matches.
+pub(crate) fn match_screened(
+    isa: Isa,
+    a: &Prepared,
+    b: &Prepared,
+    options: &Options,
+) -> Option<Vec<Match>> {
     if a.len() * b.len() < MIN_PAIRS {
         return None;
     }
@@ -39,7 +46,8 @@ pub(crate) fn match_screened(isa: Isa, a: &Prepared, b: &Prepared, options: &Opt
     let mut known_to_columns = vec![Nearest::NONE; b.len()];
     let columns = compare(isa, &a.screen.packed, &b.screen.packed, |row, lanes| {
         let distance_to = |column: u32| {
-            let distance = isa.squared_distance(&a.descriptors[row], &b.descriptors[column as usize]);
+            let distance =
+                isa.squared_distance(&a.descriptors[row], &b.descriptors[column as usize]);
             known_to_columns[column as usize].offer(row as u32, distance);
             distance
         };
@@ -118,8 +126,11 @@ fn judge(
         // Everything that was not computed yet is no nearer than this.
         let others = bound.of(short.min(rest));
         if at > 0 {
-            let least =
-                Nearest { index: known.index, distance: known.distance.min(others), second: known.second };
+            let least = Nearest {
+                index: known.index,
+                distance: known.distance.min(others),
+                second: known.second,
+            };
             if !acceptance.accepts(&least) {
                 return Verdict::Rejected;
             }

@@ -1,14 +1,20 @@
-//! Loop candidates on rendered drives: how many of the true ones are found, and how long a query takes.
+//! Loop candidates on rendered drives: how many of the true ones are found, and how long a query
+//! takes.
 //!
-//! `cargo run --release -p tiepoint-pipeline --example loops -- [SEEDS] [MOUNTINGS] [EFFECTS] [RATE_HZ]`, lists with commas
+//! ```text
+//! cargo run --release -p tiepoint-pipeline --example loops -- \
+//!     [SEEDS] [MOUNTINGS] [EFFECTS] [RATE_HZ]    (lists with commas)
+//! ```
 //!
-//! Two cameras drive around a block and half of it again. Two images overlap by the smaller of two shares: how many of the
-//! surface points that one sees (pixels of a grid; sky and moving things left out) the other sees as well, nothing standing
-//! in between. True loop pairs are those that overlap by 30 % or more and are not neighbours in time, that is, more than 20
-//! images apart; a revisit is one that lies more than half a round apart. An image often has dozens of true partners, so what
-//! can be found among ten is counted against what could be: 10, or as many as there are. Some true pairs see the same from
-//! such different sides that no feature of one is found in the other; so pairs with 15 right matches are counted as well, and how
-//! many of the images with a revisit of that kind have one in their list.
+//! Two cameras drive around a block and half of it again. Two images overlap by the smaller of two
+//! shares: how many of the surface points that one sees (pixels of a grid; sky and moving things
+//! left out) the other sees as well, nothing standing in between. True loop pairs are those that
+//! overlap by 30 % or more and are not neighbours in time, that is, more than 20 images apart; a
+//! revisit is one that lies more than half a round apart. An image often has dozens of true
+//! partners, so what can be found among ten is counted against what could be: 10, or as many as
+//! there are. Some true pairs see the same from such different sides that no feature of one is
+//! found in the other; so pairs with 15 right matches are counted as well, and how many of the
+//! images with a revisit of that kind have one in their list.
 
 #![allow(clippy::print_stdout)] // What a program is for.
 
@@ -32,10 +38,12 @@ const LENGTH_M: f64 = 200.0;
 const GRID: [u32; 2] = [12, 9];
 /// Images whose centres are further apart see too little in common.
 const FAR_M: f64 = 60.0;
-/// Matches that connect a pair: as many as its verification asks for, and how near to the truth each is.
+/// Matches that connect a pair: as many as its verification asks for, and how near to the truth
+/// each is.
 const MIN_MATCHES: usize = 15;
 const MAX_ERROR_PX: f64 = 4.0;
-/// A point is seen if what the pixel sees is this near to it, absolutely and relative to its distance.
+/// A point is seen if what the pixel sees is this near to it, absolutely and relative to its
+/// distance.
 const SAME_M: f64 = 0.05;
 const SAME_SHARE: f64 = 0.02;
 
@@ -52,7 +60,8 @@ struct View<'a> {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let argument = |at: usize, default: &str| arguments.get(at).map_or(default.to_owned(), String::clone);
+    let argument =
+        |at: usize, default: &str| arguments.get(at).map_or(default.to_owned(), String::clone);
     for seed in argument(0, "1").split(',') {
         for mounting in argument(1, "front").split(',') {
             println!("seed {seed}, {mounting}:");
@@ -80,7 +89,11 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     let is_true = |a: usize, b: usize| overlaps[a][b].min(overlaps[b][a]) >= MIN_OVERLAP;
     let connected: Vec<Vec<bool>> = (0..views.len())
         .into_par_iter()
-        .map(|a| (0..views.len()).map(|b| is_true(a, b) && connects(drive, &views[a], &views[b])).collect())
+        .map(|a| {
+            (0..views.len())
+                .map(|b| is_true(a, b) && connects(drive, &views[a], &views[b]))
+                .collect()
+        })
         .collect();
 
     // As the pipeline does: about 400 descriptors for each word.
@@ -129,7 +142,8 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     let pairs = full.pairs(TOP, &[]).len();
     let all_s = start.elapsed().as_secs_f64();
     println!(
-        "  vocabulary of {} descriptors {learn_s:.2} s; description {describe_ms:.2} ms an image; a query with description \
+        "  vocabulary of {} descriptors {learn_s:.2} s; description {describe_ms:.2} ms an image; \
+        a query with description \
          {query_ms:.2} ms among {BANK}; all {BANK} with each other {all_s:.2} s ({pairs} pairs)",
         sample.len()
     );
@@ -163,7 +177,8 @@ impl std::fmt::Display for Tally {
         let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
         write!(
             f,
-            "{} queries, {:.4} found among {TOP}, the first is right in {:.4}, one of them in {:.4}",
+            "{} queries, {:.4} found among {TOP}, the first is right in {:.4}, one of them in \
+            {:.4}",
             self.queries,
             share(self.hits, self.possible),
             share(self.first, self.queries),
@@ -173,18 +188,24 @@ impl std::fmt::Display for Tally {
 }
 
 fn views(drive: &Drive) -> Result<Vec<View<'_>>, Box<dyn std::error::Error>> {
-    let renderers: Vec<_> = (0..drive.cameras().len()).map(|camera| drive.renderer(camera)).collect();
+    let renderers: Vec<_> =
+        (0..drive.cameras().len()).map(|camera| drive.renderer(camera)).collect();
     let exposures: Vec<(usize, usize, &Exposure)> = drive
         .cameras()
         .iter()
         .enumerate()
-        .flat_map(|(camera, c)| c.exposures.iter().enumerate().map(move |(frame, e)| (camera, frame, e)))
+        .flat_map(|(camera, c)| {
+            c.exposures.iter().enumerate().map(move |(frame, e)| (camera, frame, e))
+        })
         .collect();
     let view = |&(camera, frame, exposure): &(usize, usize, _)| {
-        let grey = DynamicImage::from(drive.render(camera, exposure, &renderers[camera])).to_luma8();
+        let grey =
+            DynamicImage::from(drive.render(camera, exposure, &renderers[camera])).to_luma8();
         let view = GrayView::new(grey.as_raw(), grey.width() as usize, grey.height() as usize);
         let features = Sift::new(Options::default())?.extract(&view, None)?;
-        let pixel = |k: u32, cells: u32, size: u32| (f64::from(k) + 0.5) * f64::from(size) / f64::from(cells);
+        let pixel = |k: u32, cells: u32, size: u32| {
+            (f64::from(k) + 0.5) * f64::from(size) / f64::from(cells)
+        };
         let pixels = (0..GRID[0] * GRID[1]).map(|k| {
             Vector2::new(
                 pixel(k % GRID[0], GRID[0], grey.width()),
@@ -192,18 +213,23 @@ fn views(drive: &Drive) -> Result<Vec<View<'_>>, Box<dyn std::error::Error>> {
             )
         });
         let surfaces = pixels.filter_map(|pixel| drive.surface_at(camera, exposure.time_s, &pixel));
-        let points = surfaces.filter(|surface| !surface.is_moving).map(|surface| surface.point_in_world);
+        let points =
+            surfaces.filter(|surface| !surface.is_moving).map(|surface| surface.point_in_world);
         let centre = drive.cam_from_world(camera, exposure.time_s).inverse().translation;
         let prepared = Prepared::new(&features.descriptors);
         Ok(View { camera, frame, exposure, points: points.collect(), centre, features, prepared })
     };
-    let views: Result<Vec<_>, tiepoint_io::features::Error> = exposures.par_iter().map(view).collect();
+    let views: Result<Vec<_>, tiepoint_io::features::Error> =
+        exposures.par_iter().map(view).collect();
     Ok(views?)
 }
 
 /// The share of what `a` sees that `b` sees.
 fn overlap(drive: &Drive, a: &View<'_>, b: &View<'_>) -> f64 {
-    if a.frame.abs_diff(b.frame) <= REACH || (a.centre - b.centre).norm() > FAR_M || a.points.is_empty() {
+    if a.frame.abs_diff(b.frame) <= REACH
+        || (a.centre - b.centre).norm() > FAR_M
+        || a.points.is_empty()
+    {
         return 0.0;
     }
     let size = &drive.cameras()[b.camera];
@@ -213,8 +239,11 @@ fn overlap(drive: &Drive, a: &View<'_>, b: &View<'_>) -> f64 {
         if !(0.0..width).contains(&pixel.x) || !(0.0..height).contains(&pixel.y) {
             return false;
         }
-        let Some(surface) = drive.surface_at(b.camera, b.exposure.time_s, &pixel) else { return false };
-        (surface.point_in_world - **point).norm() < SAME_M + SAME_SHARE * (b.centre - **point).norm()
+        let Some(surface) = drive.surface_at(b.camera, b.exposure.time_s, &pixel) else {
+            return false;
+        };
+        (surface.point_in_world - **point).norm()
+            < SAME_M + SAME_SHARE * (b.centre - **point).norm()
     };
     a.points.iter().filter(is_seen).count() as f64 / a.points.len() as f64
 }
@@ -226,8 +255,11 @@ fn connects(drive: &Drive, a: &View<'_>, b: &View<'_>) -> bool {
         let (p, q) = (a.features.keypoints[m.a as usize], b.features.keypoints[m.b as usize]);
         let pixel = Vector2::new(f64::from(p.x), f64::from(p.y));
         let surface = drive.surface_at(a.camera, a.exposure.time_s, &pixel);
-        let seen = surface.and_then(|s| drive.project(b.camera, b.exposure.time_s, &s.point_in_world));
-        seen.is_some_and(|seen| (seen - Vector2::new(f64::from(q.x), f64::from(q.y))).norm() < MAX_ERROR_PX)
+        let seen =
+            surface.and_then(|s| drive.project(b.camera, b.exposure.time_s, &s.point_in_world));
+        seen.is_some_and(|seen| {
+            (seen - Vector2::new(f64::from(q.x), f64::from(q.y))).norm() < MAX_ERROR_PX
+        })
     };
     matches.iter().filter(is_right).count() >= MIN_MATCHES
 }

@@ -2,8 +2,9 @@
 //!
 //! `cargo run --release -p tiepoint-pipeline --example pairs -- WORKSPACE [STEP] [FEATURES]`
 //!
-//! Takes every STEP-th pair that `tiepoint match` has left in the workspace's database, and of every image the FEATURES largest
-//! features. Matches are compared with those of all descriptors compared in full: there must be no difference.
+//! Takes every STEP-th pair that `tiepoint match` has left in the workspace's database, and of
+//! every image the FEATURES largest features. Matches are compared with those of all descriptors
+//! compared in full: there must be no difference.
 
 #![allow(clippy::print_stdout)] // What a program is for.
 
@@ -20,7 +21,8 @@ use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let workspace = arguments.first().ok_or("usage: pairs WORKSPACE [STEP] [FEATURES]")?;
-    let number = |at: usize, default: usize| arguments.get(at).map_or(Ok(default), |text| text.parse());
+    let number =
+        |at: usize, default: usize| arguments.get(at).map_or(Ok(default), |text| text.parse());
     let (step, most) = (number(1, 1)?, number(2, usize::MAX)?);
     let database = Database::open(&Path::new(workspace).join("database.db"))?;
     let (cameras, images) = (database.read_cameras()?, database.read_images()?);
@@ -30,7 +32,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for pair in database.matched_pairs()?.into_iter().step_by(step.max(1)) {
         let (keypoints_a, descriptors_a) = largest(&database.read_features(pair.a)?, most);
         let (keypoints_b, descriptors_b) = largest(&database.read_features(pair.b)?, most);
-        let (preparing, [a, b]) = timed(|| [&descriptors_a, &descriptors_b].map(|d| Prepared::new(d)));
+        let (preparing, [a, b]) =
+            timed(|| [&descriptors_a, &descriptors_b].map(|d| Prepared::new(d)));
         let (matching, found) = timed(|| match_prepared(&a, &b, &options));
         let (in_full, expected) = timed(|| select(&nearest(&a, &b), &options));
         let list: Vec<Match> = found.iter().map(|m| Match { a: m.a, b: m.b }).collect();
@@ -52,12 +55,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let count = pairs.max(1);
     let [preparing, matching, in_full, verifying] = seconds.map(|s| 1e3 * s / count as f64);
     println!(
-        "{pairs} pairs, {} features an image, {} matches a pair; {verified} verified, {different} with other matches than in full",
+        "{pairs} pairs, {} features an image, {} matches a pair; {verified} verified, {different} \
+        with other matches than in full",
         features / 2 / count,
         matches / count
     );
     println!(
-        "ms of one core: an image made ready {preparing:.2}; a pair matched {matching:.2} (in full {in_full:.2}), verified {verifying:.2}"
+        "ms of one core: an image made ready {preparing:.2}; a pair matched {matching:.2} (in \
+        full {in_full:.2}), verified {verifying:.2}"
     );
     Ok(())
 }

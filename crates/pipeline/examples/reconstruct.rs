@@ -1,4 +1,5 @@
-//! Photos in, a COLMAP project out, in a program of one's own: `cargo run --release --example reconstruct PHOTOS WORKSPACE`.
+//! Photos in, a COLMAP project out, in a program of one's own:
+//! `cargo run --release --example reconstruct PHOTOS WORKSPACE`.
 
 use std::error::Error;
 use std::ops::ControlFlow;
@@ -12,16 +13,19 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [photos, workspace] = paths.as_slice() else {
         return Err("usage: reconstruct PHOTOS WORKSPACE".into());
     };
-    let report = reconstruct(std::slice::from_ref(photos), workspace, &Options::default(), &mut |event| {
-        match event {
-            Event::StageDone { stage, seconds } => println!("{stage}: {seconds:.1} s"),
-            Event::ImageSkipped { why, .. } => println!("skipped: {why}"),
-            Event::ImageRegistered { image, points, .. } => println!("{image}: {points} points"),
-            _ => {}
-        }
-        // `Break` would stop; what is done is kept, and the next run goes on from there.
-        ControlFlow::Continue(())
-    })?;
+    let report =
+        reconstruct(std::slice::from_ref(photos), workspace, &Options::default(), &mut |event| {
+            match event {
+                Event::StageDone { stage, seconds } => println!("{stage}: {seconds:.1} s"),
+                Event::ImageSkipped { why, .. } => println!("skipped: {why}"),
+                Event::ImageRegistered { image, points, .. } => {
+                    println!("{image}: {points} points")
+                }
+                _ => {}
+            }
+            // `Break` would stop; what is done is kept, and the next run goes on from there.
+            ControlFlow::Continue(())
+        })?;
     for model in &report.models {
         let (registered, images, error_px) =
             (model.registered, model.images, model.mean_reprojection_error_px);

@@ -21,7 +21,8 @@ use crate::{Error, Event, Watch, model_folder};
 /// What an adjustment came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AdjustReport {
-    /// ½ Σ ρ(|r|²) at the beginning; residuals in pixels, weighed by the scale of their keypoints where that is known.
+    /// ½ Σ ρ(|r|²) at the beginning; residuals in pixels, weighed by the scale of their keypoints
+    /// where that is known.
     pub initial_cost: f64,
     /// The same at the end.
     pub final_cost: f64,
@@ -55,9 +56,10 @@ pub struct AdjustStep {
 /// Iterations of an adjustment that is asked for by itself.
 const MAX_ITERATIONS: usize = 100;
 
-/// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result to `output` in the format of
-/// the input. With `fix_intrinsics` the cameras' intrinsics stay as they are; so do those that a workspace was given. Images in
-/// frames of a rig stay rigidly connected.
+/// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
+/// to `output` in the format of the input. With `fix_intrinsics` the cameras' intrinsics stay as
+/// they are; so do those that a workspace was given. Images in frames of a rig stay rigidly
+/// connected.
 ///
 /// # Errors
 ///
@@ -99,8 +101,8 @@ fn adjust_colmap(
     Ok(report)
 }
 
-/// Costs are those of the BAL paper: no robust loss, no priors, pixels. The camera looks down −z there; half a turn about x makes
-/// it ours.
+/// Costs are those of the BAL paper: no robust loss, no priors, pixels. The camera looks down −z
+/// there; half a turn about x makes it ours.
 fn adjust_bal(
     path: &Path,
     output: Option<&Path>,
@@ -111,22 +113,27 @@ fn adjust_bal(
     let start = Instant::now();
     let mut problem = Problem::new();
     let half_turn = UnitQuaternion::new_unchecked(Quaternion::new(0.0, 1.0, 0.0, 0.0));
-    let mut cameras: Vec<(Key<SVector<f64, 5>>, Key<Rigid3>)> = Vec::with_capacity(bal.cameras.len());
+    let mut cameras: Vec<(Key<SVector<f64, 5>>, Key<Rigid3>)> =
+        Vec::with_capacity(bal.cameras.len());
     for (index, camera) in bal.cameras.iter().enumerate() {
         let order = Order::At(index as u32);
         let params = SVector::<f64, 5>::new(camera.focal_px, 0.0, 0.0, camera.k1, camera.k2);
         let rotation = half_turn * so3::exp(&camera.axis_angle_rad);
-        let params = problem.keep(params, order);
+        let params = problem.add_parameter(params, order);
         // The principal point is the origin.
-        problem.fix_tangent(params, &[1, 2]).map_err(sfm::Error::from)?;
+        problem.fix_dofs(params, &[1, 2]).map_err(sfm::Error::from)?;
         if fix_intrinsics {
             problem.fix(params);
         }
-        cameras.push((params, problem.keep(Rigid3::new(rotation, half_turn * camera.translation), order)));
+        cameras.push((
+            params,
+            problem.add_parameter(Rigid3::new(rotation, half_turn * camera.translation), order),
+        ));
     }
     let poses: Vec<Key<Rigid3>> = cameras.iter().map(|(_, pose)| *pose).collect();
     sfm::fix_gauge(&mut problem, &poses, &vec![false; poses.len()], None)?;
-    let points: Vec<Key<Vector3<f64>>> = bal.points.iter().map(|xyz| problem.eliminate(*xyz)).collect();
+    let points: Vec<Key<Vector3<f64>>> =
+        bal.points.iter().map(|xyz| problem.add_landmark(*xyz)).collect();
     for BalObservation { camera, point, pixel } in &bal.observations {
         let (params, pose) = cameras[*camera as usize];
         let factor = Reprojection::<Radial>::new(Vector2::new(pixel.x, -pixel.y), 1.0);
@@ -136,7 +143,9 @@ fn adjust_bal(
     let options = sfm::ba::Options { max_iterations: MAX_ITERATIONS, ..Default::default() };
     let mut solver = Solver::new(&problem, &options).map_err(sfm::Error::from)?;
     let summary = solver
-        .solve(&mut problem, &mut |step| watch(&Event::AdjustmentStep { step: step.number, cost: step.cost }))
+        .solve(&mut problem, &mut |step| {
+            watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+        })
         .map_err(sfm::Error::from)?;
     let report = report(&summary, start, cameras.len(), points.len())?;
     if let Some(output) = output {
@@ -156,7 +165,12 @@ fn adjust_bal(
     Ok(report)
 }
 
-fn report(summary: &Summary, start: Instant, images: usize, points: usize) -> Result<AdjustReport, Error> {
+fn report(
+    summary: &Summary,
+    start: Instant,
+    images: usize,
+    points: usize,
+) -> Result<AdjustReport, Error> {
     if summary.termination == Termination::Cancelled {
         return Err(Error::Cancelled);
     }

@@ -16,7 +16,8 @@ pub enum Calibration {
     Known(Intrinsics),
 }
 
-/// Focal length of a camera of which nothing is known, relative to the larger side of its images: 45° of view, COLMAP's guess.
+/// Focal length of a camera of which nothing is known, relative to the larger side of its images:
+/// 45° of view, COLMAP's guess.
 const GUESSED_FOCAL: f64 = 1.2;
 
 impl Default for Calibration {
@@ -58,7 +59,10 @@ mod tests {
         assert_eq!(focal(unknown, Exif::default()), (720.0, false));
         assert_eq!(focal(unknown, exif), (600.0, true));
         let model = CameraModelKind::Pinhole;
-        assert_eq!(focal(Calibration::Unknown { model, focal_px: Some(500.0) }, exif), (500.0, true));
+        assert_eq!(
+            focal(Calibration::Unknown { model, focal_px: Some(500.0) }, exif),
+            (500.0, true)
+        );
         let known = Intrinsics::new(model, &[400.0, 410.0, 300.0, 200.0]).unwrap();
         assert_eq!(Calibration::Known(known).camera(&info(exif)).intrinsics, known);
     }

@@ -10,23 +10,31 @@ use crate::Error;
 use crate::memory::budget_bytes;
 use crate::ordered::for_each_within;
 
-/// Bytes that a colour image takes while it is decoded, for each of its pixels: those of a progressive JPEG file.
+/// Bytes that a colour image takes while it is decoded, for each of its pixels: those of a
+/// progressive JPEG file.
 pub(crate) const DECODER_BYTES_PER_PIXEL: u64 = 12;
 
 /// The same for a photo of a camera.
 pub(crate) fn decoder_bytes(camera: &Camera) -> u64 {
     // A camera of a model may claim any size; its photo will not have it.
-    (DECODER_BYTES_PER_PIXEL * u64::from(camera.width)).saturating_mul(u64::from(camera.height)).min(1 << 48)
+    (DECODER_BYTES_PER_PIXEL * u64::from(camera.width))
+        .saturating_mul(u64::from(camera.height))
+        .min(1 << 48)
 }
 
-/// Colours the points of all models from the photos; points of photos that are no longer there stay grey.
+/// Colours the points of all models from the photos; points of photos that are no longer there stay
+/// grey.
 pub(crate) fn color_points<'a>(
     inputs: &[PathBuf],
     models: impl Iterator<Item = &'a mut Reconstruction>,
 ) -> Result<(), Error> {
     let folder = ImageFolder::open(inputs, None)?;
-    let by_name: BTreeMap<&str, usize> =
-        folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
+    let by_name: BTreeMap<&str, usize> = folder
+        .images()
+        .iter()
+        .enumerate()
+        .map(|(index, image)| (image.name.as_str(), index))
+        .collect();
     for model in models {
         let mut sums = vec![([0u32; 3], 0u32); model.point_id_bound()];
         let images: Vec<(&Image, &Camera, &Path)> = model

@@ -2,7 +2,13 @@ use std::path::PathBuf;
 
 use crate::Stage;
 
-/// Why a run could not go on. Each message is one sentence that says what, where and what to do; what earlier stages made is kept.
+/// Paths in one line.
+fn listed(paths: &[PathBuf]) -> String {
+    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// Why a run could not go on. Each message is one sentence that says what, where and what to do;
+/// what earlier stages made is kept.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The workspace cannot be written.
@@ -35,7 +41,8 @@ pub enum Error {
     },
     /// A COLMAP project of somebody else.
     #[error(
-        "{path} holds {found}, and this program did not make it: choose another folder for the workspace, or move {found} away"
+        "{path} holds {found}, and this program did not make it: choose another folder for the \
+        workspace, or move {found} away"
     )]
     ForeignWorkspace {
         /// The folder.
@@ -53,7 +60,8 @@ pub enum Error {
     },
     /// The record of the stages is damaged, and no database tells what they were made from.
     #[error(
-        "{path} is damaged ({what}), and nothing else tells what the workspace was made from: choose another workspace, or move all \
+        "{path} is damaged ({what}), and nothing else tells what the workspace was made from: \
+        choose another workspace, or move all \
          of this one's files away"
     )]
     BrokenRecord {
@@ -72,7 +80,8 @@ pub enum Error {
     },
     /// A file is in the way that is not this program's.
     #[error(
-        "{path} is there, and this program did not make it, or somebody has changed it since: move it away, or choose another place"
+        "{path} is there, and this program did not make it, or somebody has changed it since: \
+        move it away, or choose another place"
     )]
     NotOurs {
         /// Which file.
@@ -80,14 +89,18 @@ pub enum Error {
     },
     /// Results of before were written and could not all be moved to their places.
     #[error(
-        "not all results of before are in their places in {path} yet: give the same command again, which ends that first"
+        "not all results of before are in their places in {path} yet: give the same command \
+        again, which ends that first"
     )]
     Unfinished {
         /// The folder.
         path: PathBuf,
     },
     /// The result would be written onto an input.
-    #[error("{path} is read by this command, so the result cannot be written there: choose another place")]
+    #[error(
+        "{path} is read by this command, so the result cannot be written there: choose another \
+        place"
+    )]
     IsInput {
         /// Which file.
         path: PathBuf,
@@ -102,7 +115,8 @@ pub enum Error {
     },
     /// The models are those of other matches, or were about to be replaced.
     #[error(
-        "the models in {path} were made before its features or matches were made anew: run `tiepoint map {path}`, or give \
+        "the models in {path} were made before its features or matches were made anew: run \
+        `tiepoint map {path}`, or give \
          {path}/sparse/0 to take them as they are"
     )]
     StaleModels {
@@ -111,7 +125,8 @@ pub enum Error {
     },
     /// The times of the images are not those that the first stage wrote.
     #[error(
-        "{path} has been changed or removed since it was written: move it away, and give your times to `tiepoint features` with \
+        "{path} has been changed or removed since it was written: move it away, and give your \
+        times to `tiepoint features` with \
          --timestamps FILE.csv --redo features, from a file outside the workspace"
     )]
     ChangedTimes {
@@ -119,7 +134,8 @@ pub enum Error {
         path: PathBuf,
     },
     /// A stage is missing on which the asked one builds.
-    #[error("{path} has no {products} yet: run `tiepoint {stage}` first", products = stage.products())]
+    #[error("{path} has no {products} yet: run `tiepoint {stage}` \
+    first", products = stage.products())]
     Missing {
         /// The workspace.
         path: PathBuf,
@@ -128,7 +144,8 @@ pub enum Error {
     },
     /// No rig was found, or none was looked for.
     #[error(
-        "{path} is not there, since this model's cameras are not held to each other: map with --rig soft, hard or auto"
+        "{path} is not there, since this model's cameras are not held to each other: map with \
+        --rig soft, hard or auto"
     )]
     NoRig {
         /// The file.
@@ -136,7 +153,8 @@ pub enum Error {
     },
     /// Nothing to hold rigidly.
     #[error(
-        "{path} has no two cameras with poses at common moments, so no rig can be made of it: leave out --rigid"
+        "{path} has no two cameras with poses at common moments, so no rig can be made of it: \
+        leave out --rigid"
     )]
     NothingRigid {
         /// The model.
@@ -150,7 +168,8 @@ pub enum Error {
     },
     /// The stage was made from something else, or in another way.
     #[error(
-        "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or choose another workspace",
+        "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or \
+        choose another workspace",
         products = stage.products()
     )]
     Changed {
@@ -163,9 +182,11 @@ pub enum Error {
     },
     /// Too little to reconstruct.
     #[error(
-        "{path} gives {usable} usable photo{s} of {found}: at least two that overlap are needed{also}",
+        "{path} gives {usable} usable photo{s} of {found}: at least two that overlap are \
+        needed{also}",
         s = if *usable == 1 { "" } else { "s" },
-        also = skipped.first().map_or_else(String::new, |why| format!("; {} skipped, first {why}", skipped.len()))
+        also = skipped.first().map_or_else(String::new, |why| format!("; {} skipped, first \
+        {why}", skipped.len()))
     )]
     TooFewPhotos {
         /// The input.
@@ -174,11 +195,14 @@ pub enum Error {
         found: usize,
         /// Photos that could be read.
         usable: usize,
-        /// Files that are named like photos and are none that could be used: why, one sentence for each.
+        /// Files that are named like photos and are none that could be used: why, one sentence for
+        /// each.
         skipped: Vec<String>,
     },
     /// Photos beside videos.
-    #[error("{photos} holds photos and {video} is a video: give folders of photos or videos, not both")]
+    #[error(
+        "{photos} holds photos and {video} is a video: give folders of photos or videos, not both"
+    )]
     MixedInput {
         /// An input that is no video and holds none.
         photos: PathBuf,
@@ -193,7 +217,8 @@ pub enum Error {
     },
     /// The frames in the workspace are not those of these videos.
     #[error(
-        "{path} holds the frames of other videos, or another choice of them: give --redo features to take them anew, or choose another \
+        "{path} holds the frames of other videos, or another choice of them: give --redo features \
+        to take them anew, or choose another \
          workspace"
     )]
     OtherFrames {
@@ -202,7 +227,8 @@ pub enum Error {
     },
     /// One camera has one size.
     #[error(
-        "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} is {other_size}: put them into one folder \
+        "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} \
+        is {other_size}: put them into one folder \
          for each camera"
     )]
     TwoSizes {
@@ -227,10 +253,12 @@ pub enum Error {
     },
     /// No pair of images has a common view.
     #[error(
-        "none of the {pairs} pairs of photos in {path} shows the same things: at least {required} matches must agree with each other, \
+        "none of the {pairs} pairs of photos in {path} shows the same things: at least {required} \
+        matches must agree with each other, \
          and the best pair has {best} in all; take photos that overlap more{or}",
         or = from_exif.map_or_else(String::new, |(focal_px, size)| format!(
-            ", or give --focal-prior PX --redo features if the focal length in their EXIF data, {focal_px:.0} pixels for {size}, is wrong"
+            ", or give --focal-prior PX --redo features if the focal length in their EXIF data, \
+            {focal_px:.0} pixels for {size}, is wrong"
         ))
     )]
     NoOverlap {
@@ -247,8 +275,10 @@ pub enum Error {
     },
     /// A rig term without moments.
     #[error(
-        "--rig asks for cameras that ride together, and in {path} no two of {cameras} cameras took images at the same moments: put the \
-         photos of each camera into a folder of its own, give their times to `tiepoint features` with --timestamps FILE.csv, or \
+        "--rig asks for cameras that ride together, and in {path} no two of {cameras} cameras \
+        took images at the same moments: put the \
+         photos of each camera into a folder of its own, give their times to `tiepoint features` \
+         with --timestamps FILE.csv, or \
          choose --rig off"
     )]
     NoMoments {
@@ -259,8 +289,10 @@ pub enum Error {
     },
     /// A rolling shutter without times.
     #[error(
-        "--rolling-shutter asks how the cameras move while they take a photo, and in {path} no camera has four photos of which the times are known: \
-         give their times to `tiepoint features` with --timestamps FILE.csv, or leave the option out"
+        "--rolling-shutter asks how the cameras move while they take a photo, and in {path} no \
+        camera has four photos of which the times are known: \
+         give their times to `tiepoint features` with --timestamps FILE.csv, or leave the option \
+         out"
     )]
     NoMotion {
         /// The workspace.
@@ -268,7 +300,8 @@ pub enum Error {
     },
     /// A trajectory with times of images without.
     #[error(
-        "no image with a pose in {model} has a time: give times to `tiepoint features` with --timestamps FILE.csv"
+        "no image with a pose in {model} has a time: give times to `tiepoint features` with \
+        --timestamps FILE.csv"
     )]
     NoTimes {
         /// The model.
@@ -286,14 +319,15 @@ pub enum Error {
     },
     /// A format that goes with its photos, of a model that does not know them.
     #[error(
-        "{path} is no workspace, and this format needs the photos: export from the workspace that the model was made in"
+        "{path} is no workspace, and this format needs the photos: export from the workspace that \
+        the model was made in"
     )]
     NoPhotos {
         /// What was to be exported.
         path: PathBuf,
     },
     /// A photo is gone.
-    #[error("the photo {image} is no longer in {}: put it back", inputs.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "))]
+    #[error("the photo {image} is no longer in {}: put it back", listed(inputs))]
     NoPhoto {
         /// Its name.
         image: String,
@@ -302,7 +336,8 @@ pub enum Error {
     },
     /// Clouds that cannot be laid on each other.
     #[error(
-        "cannot compare {cloud} with {reference}: one of them has fewer than three points that are not on a line"
+        "cannot compare {cloud} with {reference}: one of them has fewer than three points that \
+        are not on a line"
     )]
     Clouds {
         /// The cloud.
@@ -312,7 +347,8 @@ pub enum Error {
     },
     /// LAS needs a feature.
     #[error(
-        "{path} is a LAS file, which this build does not read: build with --features las, or convert it to PLY"
+        "{path} is a LAS file, which this build does not read: build with --features las, or \
+        convert it to PLY"
     )]
     NoLas {
         /// The file.

@@ -6,7 +6,9 @@ use std::str::FromStr;
 
 use serde::Serialize;
 use tiepoint_eval::geometry::{Rigid3, Sim3};
-use tiepoint_eval::{Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad};
+use tiepoint_eval::{
+    Alignment, Statistics, associate, auc, compare_poses, relative_pose_errors_rad,
+};
 use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
@@ -56,12 +58,14 @@ impl FromStr for Truth {
             .split_once(':')
             .ok_or_else(|| format!("expected FORMAT:PATH with FORMAT one of {}", known()))?;
         let format = FORMATS.iter().find(|(known, _)| *known == name).map(|(_, format)| *format);
-        let format = format.ok_or_else(|| format!("unknown format {name}: use one of {}", known()))?;
+        let format =
+            format.ok_or_else(|| format!("unknown format {name}: use one of {}", known()))?;
         Ok(Self { format, path: path.into() })
     }
 }
 
-/// How far a model is from the truth, after a similarity of the camera centres. Lengths are in units of the truth.
+/// How far a model is from the truth, after a similarity of the camera centres. Lengths are in
+/// units of the truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseEvaluation {
     /// Images that the truth knows.
@@ -74,7 +78,8 @@ pub struct PoseEvaluation {
     pub centre_error: ErrorStatistics,
     /// Angles between the orientations, in degrees.
     pub rotation_error_deg: ErrorStatistics,
-    /// Area under the recall curve of relative poses over all pairs of images, up to so many degrees; missing images count.
+    /// Area under the recall curve of relative poses over all pairs of images, up to so many
+    /// degrees; missing images count.
     pub relative_pose_auc: Vec<Auc>,
     /// The cameras of these images.
     pub focal_lengths: Vec<FocalLength>,
@@ -174,9 +179,14 @@ pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), 
     Ok(())
 }
 
-/// Compares the images of a model (a folder, or a workspace) with the truth: those whose names begin with `prefix`; without it,
-/// all that the truth knows by name, or, where the truth is one trajectory, those of the camera of the first image.
-pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Result<PoseEvaluation, Error> {
+/// Compares the images of a model (a folder, or a workspace) with the truth: those whose names
+/// begin with `prefix`; without it, all that the truth knows by name, or, where the truth is one
+/// trajectory, those of the camera of the first image.
+pub fn evaluate_poses(
+    path: &Path,
+    truth: &Truth,
+    prefix: Option<&str>,
+) -> Result<PoseEvaluation, Error> {
     let folder = model_folder(path)?;
     let model = colmap::read_model(&folder)?;
     let is_trajectory = matches!(truth.format, TruthFormat::Kitti | TruthFormat::Tum);
@@ -185,20 +195,29 @@ pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Resul
         None if is_trajectory => first_folder(&model),
         None => String::new(),
     };
-    let images: Vec<&Image> =
-        model.images().map(|(_, image)| image).filter(|image| image.name.starts_with(&prefix)).collect();
+    let images: Vec<&Image> = model
+        .images()
+        .map(|(_, image)| image)
+        .filter(|image| image.name.starts_with(&prefix))
+        .collect();
     let pairs = associate_images(&folder, &images, truth)?;
-    let cannot = |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
-    let found: Vec<Option<Rigid3>> =
-        pairs.iter().map(|(image, _)| image.and_then(|image| image.cam_from_world().copied())).collect();
+    let cannot =
+        |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
+    let found: Vec<Option<Rigid3>> = pairs
+        .iter()
+        .map(|(image, _)| image.and_then(|image| image.cam_from_world().copied()))
+        .collect();
     let true_poses: Vec<Rigid3> = pairs.iter().map(|(_, truth)| truth.cam_from_world).collect();
     let registered = found.iter().flatten().count();
     if registered < 3 {
-        return Err(cannot(format!("only {registered} images have a pose in both, and three are needed")));
+        return Err(cannot(format!(
+            "only {registered} images have a pose in both, and three are needed"
+        )));
     }
-    let comparison = compare_poses(&found, &true_poses, Alignment::Similarity).ok_or_else(|| {
-        cannot("the camera centres lie on a line, which leaves a turn about it open".to_owned())
-    })?;
+    let comparison =
+        compare_poses(&found, &true_poses, Alignment::Similarity).ok_or_else(|| {
+            cannot("the camera centres lie on a line, which leaves a turn about it open".to_owned())
+        })?;
     let relative = relative_pose_errors_rad(&found, &true_poses, MIN_BASELINE);
     let statistics = |errors: &[Option<f64>], unit: f64| {
         let errors: Vec<f64> = errors.iter().flatten().map(|error| error * unit).collect();
@@ -212,7 +231,10 @@ pub fn evaluate_poses(path: &Path, truth: &Truth, prefix: Option<&str>) -> Resul
         centre_error: statistics(&comparison.centre_errors, 1.0),
         rotation_error_deg: statistics(&comparison.rotation_errors_rad, 1f64.to_degrees()),
         relative_pose_auc: AUC_THRESHOLDS_DEG
-            .map(|threshold_deg| Auc { threshold_deg, auc: auc(&relative, threshold_deg.to_radians()) })
+            .map(|threshold_deg| Auc {
+                threshold_deg,
+                auc: auc(&relative, threshold_deg.to_radians()),
+            })
             .to_vec(),
         focal_lengths: focal_lengths(&model, &pairs),
         centre_errors: centres
@@ -243,7 +265,8 @@ fn associate_images<'a>(
             strecha::read(path)?
                 .into_iter()
                 .map(|camera| {
-                    let focal_px = Some(0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]));
+                    let focal_px =
+                        Some(0.5 * (camera.calibration[(0, 0)] + camera.calibration[(1, 1)]));
                     (camera.name, TruePose { cam_from_world: camera.cam_from_world, focal_px })
                 })
                 .collect(),
@@ -260,20 +283,27 @@ fn associate_images<'a>(
             let numbers: BTreeMap<usize, &Image> =
                 images.iter().filter_map(|image| Some((number(&image.name)?, *image))).collect();
             let poses = trajectory::read_kitti(path)?.into_iter().enumerate();
-            poses.map(|(line, cam_from_world)| (numbers.get(&line).copied(), pose(cam_from_world))).collect()
+            poses
+                .map(|(line, cam_from_world)| (numbers.get(&line).copied(), pose(cam_from_world)))
+                .collect()
         }
         TruthFormat::Tum => {
             let mut poses = trajectory::read_tum(path)?;
             poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             let file = ModelPlace::of(folder).timestamps();
             let times = timestamps::read(&file)?;
-            let mut timed: Vec<(f64, &Image)> =
-                images.iter().filter_map(|image| Some((*times.get(&image.name)?, *image))).collect();
+            let mut timed: Vec<(f64, &Image)> = images
+                .iter()
+                .filter_map(|image| Some((*times.get(&image.name)?, *image)))
+                .collect();
             timed.sort_by(|a, b| a.0.total_cmp(&b.0));
             let image_times: Vec<f64> = timed.iter().map(|(time_s, _)| *time_s).collect();
             let true_times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
             let pairs = associate(&image_times, &true_times, MAX_TIME_DIFFERENCE_S);
-            pairs.into_iter().map(|(a, b)| (Some(timed[a].1), pose(poses[b].cam_from_world))).collect()
+            pairs
+                .into_iter()
+                .map(|(a, b)| (Some(timed[a].1), pose(poses[b].cam_from_world)))
+                .collect()
         }
     })
 }

@@ -71,8 +71,9 @@ impl FromStr for ExportFormat {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = FORMATS.iter().find(|(name, _)| *name == text).map(|(_, format)| *format);
-        found
-            .ok_or_else(|| format!("unknown format: use one of {}", FORMATS.map(|(name, _)| name).join(", ")))
+        found.ok_or_else(|| {
+            format!("unknown format: use one of {}", FORMATS.map(|(name, _)| name).join(", "))
+        })
     }
 }
 
@@ -96,8 +97,8 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
     write_as(from, &read_model(&model_folder(from)?)?, format, to)
 }
 
-/// Adjusts a model with its cameras held exactly to one calibration first, whatever it was held to before; its moments are frames of a rig
-/// then. What is on disk is not changed.
+/// Adjusts a model with its cameras held exactly to one calibration first, whatever it was held to
+/// before; its moments are frames of a rig then. What is on disk is not changed.
 pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     if format == ExportFormat::Kalibr {
         return Err(Error::NoPoses { path: to.to_owned() });
@@ -106,7 +107,12 @@ pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Expo
     Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, format, to)? })
 }
 
-fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+fn write_as(
+    from: &Path,
+    model: &Reconstruction,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<Exported, Error> {
     let folder = model_folder(from)?;
     let (mut poses, mut points, mut in_place) = (model.num_registered(), model.num_tracks(), 0);
     let inputs = model_files(&folder);
@@ -135,7 +141,8 @@ fn write_as(from: &Path, model: &Reconstruction, format: ExportFormat, to: &Path
             poses = 0;
         }
         ExportFormat::Kitti => {
-            let trajectory: Vec<Rigid3> = trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
+            let trajectory: Vec<Rigid3> =
+                trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
             file(None, &|to| Ok(trajectory::write_kitti(to, &trajectory)?))?;
             (poses, points) = (trajectory.len(), 0);
         }
@@ -186,7 +193,8 @@ fn image_name(image: &Image) -> String {
     format!("{IMAGES}/{}", image.name)
 }
 
-/// OpenMVS takes images to be free of distortion: they are written anew, as pinhole cameras would have taken them.
+/// OpenMVS takes images to be free of distortion: they are written anew, as pinhole cameras would
+/// have taken them.
 fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
     const SCENE: &str = "scene.mvs";
     let photos = photos_of(from, model)?;
@@ -209,7 +217,8 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
     folder.publish(&names, &[]).map(drop)
 }
 
-/// nerfstudio knows distortion: the photos are copied as they are. Those that lie in their places already stay; gives how many.
+/// nerfstudio knows distortion: the photos are copied as they are. Those that lie in their places
+/// already stay; gives how many.
 fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<usize, Error> {
     const CLOUD: &str = "points.ply";
     const TRANSFORMS: &str = "transforms.json";
@@ -240,14 +249,21 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
 }
 
 /// The registered images with their files.
-fn photos_of<'a>(from: &Path, model: &'a Reconstruction) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
+fn photos_of<'a>(
+    from: &Path,
+    model: &'a Reconstruction,
+) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
     if !is_workspace(from) {
         return Err(Error::NoPhotos { path: from.to_owned() });
     }
     let inputs = current_records(from)?.inputs;
     let folder = ImageFolder::open(&inputs, None)?;
-    let by_name: BTreeMap<&str, usize> =
-        folder.images().iter().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
+    let by_name: BTreeMap<&str, usize> = folder
+        .images()
+        .iter()
+        .enumerate()
+        .map(|(index, image)| (image.name.as_str(), index))
+        .collect();
     let photo = |image: &'a Image| {
         let missing = || Error::NoPhoto { image: image.name.clone(), inputs: inputs.clone() };
         let index = by_name.get(image.name.as_str()).ok_or_else(missing)?;

@@ -20,8 +20,8 @@ use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
-    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace, option_keys,
-    tell,
+    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace,
+    option_keys, tell,
 };
 
 /// How to extract features.
@@ -31,10 +31,11 @@ pub struct FeatureOptions {
     pub calibration: Calibration,
     /// The detector.
     pub detector: sift::Options,
-    /// When the images were taken (CSV with the header `image,seconds`); else from their names or EXIF.
+    /// When the images were taken (CSV with the header `image,seconds`); else from their names or
+    /// EXIF.
     pub timestamps: Option<PathBuf>,
-    /// Photos of more pixels are skipped, so that a damaged or hostile file cannot ask for any amount of memory. At most
-    /// [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
+    /// Photos of more pixels are skipped, so that a damaged or hostile file cannot ask for any
+    /// amount of memory. At most [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
     pub max_pixels: u64,
 }
 
@@ -102,7 +103,10 @@ pub fn extract_features(
         .filter(|(index, _)| counts[*index].is_none())
         .map(|(index, photo)| (ImageId::from_index(index), photo))
         .collect();
-    tell(watch, &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() })?;
+    tell(
+        watch,
+        &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
+    )?;
     for SkippedImage { image, why } in &skipped {
         tell(watch, &Event::ImageSkipped { image, why })?;
     }
@@ -119,8 +123,12 @@ pub fn extract_features(
     let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
     let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
     let budget = budget_bytes();
-    let taken =
-        for_each_within(budget, bytes, &tasks, work, |(id, photo), found: Result<Features, Error>| {
+    let taken = for_each_within(
+        budget,
+        bytes,
+        &tasks,
+        work,
+        |(id, photo), found: Result<Features, Error>| {
             let image = photos.name(photo);
             match found {
                 Ok(features) => {
@@ -136,12 +144,15 @@ pub fn extract_features(
                     Ok(())
                 }
             }
-        });
+        },
+    );
     let found: Vec<usize> = counts.into_iter().flatten().collect();
     if taken.is_err() || found.len() < 2 {
         database.finish()?;
         taken?;
-        return Err(photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect()));
+        return Err(
+            photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
+        );
     }
     let seconds = start.elapsed().as_secs_f64();
     let cameras = cameras.iter().enumerate();
@@ -170,14 +181,18 @@ fn times<'a>(
 ) -> Result<Vec<(&'a str, f64)>, Error> {
     let names = usable.iter().map(|photo| photos.folder.images()[photo.index].name.as_str());
     let Some(path) = &options.timestamps else {
-        return Ok(names.zip(usable).filter_map(|(name, photo)| Some((name, photo.info.time_s?))).collect());
+        return Ok(names
+            .zip(usable)
+            .filter_map(|(name, photo)| Some((name, photo.info.time_s?)))
+            .collect());
     };
     let given = timestamps::read(path)?;
     let times: Vec<_> = names.filter_map(|name| Some((name, *given.get(name)?))).collect();
     if times.is_empty() {
         let example = photos.folder.images().first().map_or("", |image| image.name.as_str());
-        let what =
-            format!("it has a time for none of the photos; names are relative to the input, as {example}");
+        let what = format!(
+            "it has a time for none of the photos; names are relative to the input, as {example}"
+        );
         return Err(Error::Times { path: path.clone(), what });
     }
     Ok(times)
@@ -211,7 +226,8 @@ fn open(
     let path = workspace.database();
     if path.is_file() {
         match read_stage_rows(&path) {
-            // It is complete but for features: it got its name when cameras, images and rigs were there.
+            // It is complete but for features: it got its name when cameras, images and rigs were
+            // there.
             Ok(Some(_)) if progress == Progress::Continue => {
                 let database = Database::open(&path)?;
                 if database.num_images() == usable.len() {
@@ -227,8 +243,9 @@ fn open(
             Err(_) => {}
         }
     }
-    let image =
-        |photo: &Photo| Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new());
+    let image = |photo: &Photo| {
+        Image::new(photos.name(photo), CameraId::from_index(photo.camera), Vec::new())
+    };
     let images: Vec<Image> = usable.iter().map(image).collect();
     Ok(Database::create_with(&path, |database| {
         database.write_cameras(cameras)?;
@@ -242,7 +259,8 @@ fn open(
 fn is_sqlite(path: &Path) -> bool {
     const HEADER: &[u8] = b"SQLite format 3\0";
     let mut head = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
+    let read =
+        File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut head));
     read.is_ok() && head == HEADER
 }
 

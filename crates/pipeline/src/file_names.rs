@@ -10,7 +10,8 @@ pub(crate) fn model_path(index: usize) -> String {
     format!("{SPARSE}/{index}")
 }
 
-/// The file of a model's rig, relative to the workspace: `rig.json` of the largest model, `rig-1.json` of the next.
+/// The file of a model's rig, relative to the workspace: `rig.json` of the largest model,
+/// `rig-1.json` of the next.
 pub(crate) fn rig_name(index: usize) -> String {
     if index == 0 { RIG.to_owned() } else { format!("rig-{index}.json") }
 }
@@ -18,7 +19,10 @@ pub(crate) fn rig_name(index: usize) -> String {
 /// Whether a name is that of a model's rig.
 pub(crate) fn is_rig_name(name: &str) -> bool {
     let number = name.strip_prefix("rig-").and_then(|rest| rest.strip_suffix(".json"));
-    name == RIG || number.and_then(|number| number.parse().ok()).is_some_and(|index| rig_name(index) == name)
+    name == RIG
+        || number
+            .and_then(|number| number.parse().ok())
+            .is_some_and(|index| rig_name(index) == name)
 }
 
 #[cfg(test)]
@@ -28,8 +32,15 @@ mod tests {
     #[test]
     fn names_of_rigs_are_told_from_others() {
         assert!((0..20).all(|index| is_rig_name(&rig_name(index))));
-        let others =
-            ["rig-0.json", "rig-01.json", "rig-.json", "rig-a.json", "rig-1.json.bak", "rig", "rig-1"];
+        let others = [
+            "rig-0.json",
+            "rig-01.json",
+            "rig-.json",
+            "rig-a.json",
+            "rig-1.json.bak",
+            "rig",
+            "rig-1",
+        ];
         assert!(others.iter().all(|name| !is_rig_name(name)));
     }
 }

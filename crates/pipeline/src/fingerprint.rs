@@ -1,8 +1,9 @@
 //! Whether photos are still the same, without reading all of them.
 //!
-//! A file is told by its name, its size, and the BLAKE3 hash of its first and last 64 KiB. So copying or touching the photos
-//! changes nothing, and editing, replacing or exporting one anew does: it changes the size, the header or the end of the
-//! compressed data. Not noticed is only a change of bytes in the middle of a file that keeps its length.
+//! A file is told by its name, its size, and the BLAKE3 hash of its first and last 64 KiB. So
+//! copying or touching the photos changes nothing, and editing, replacing or exporting one anew
+//! does: it changes the size, the header or the end of the compressed data. Not noticed is only a
+//! change of bytes in the middle of a file that keeps its length.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -16,7 +17,8 @@ use crate::Error;
 /// Bytes hashed at each end of a file.
 const END: u64 = 64 << 10;
 
-/// Of all images of a folder. An image that cannot be opened counts too: when it can, the fingerprint is another.
+/// Of all images of a folder. An image that cannot be opened counts too: when it can, the
+/// fingerprint is another.
 pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     let hashes: Vec<[u8; 32]> = (0..folder.images().len())
         .into_par_iter()
@@ -24,7 +26,9 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
         .collect();
     let mut all = blake3::Hasher::new();
     for (image, hash) in folder.images().iter().zip(hashes) {
-        all.update(&(image.name.len() as u64).to_le_bytes()).update(image.name.as_bytes()).update(&hash);
+        all.update(&(image.name.len() as u64).to_le_bytes())
+            .update(image.name.as_bytes())
+            .update(&hash);
     }
     Ok(all.finalize().to_hex().to_string())
 }
@@ -32,7 +36,8 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
 /// Of one small file, whole.
 pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
-    let bytes = std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
+    let bytes =
+        std::fs::read(path).map_err(|cause| Error::Unreadable { path: path.to_owned(), cause })?;
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
 
@@ -41,7 +46,9 @@ pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
         require_regular_file(path)?;
-        all.update(&of_file(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
+        all.update(
+            &of_file(path).map_err(|cause| Error::Unreadable { path: path.clone(), cause })?,
+        );
     }
     Ok(all.finalize().to_hex().to_string())
 }
@@ -87,7 +94,8 @@ mod tests {
     #[test]
     fn names_count() {
         let dir = tempfile::tempdir().unwrap();
-        let of = || fingerprint(&ImageFolder::open(&[dir.path().to_owned()], None).unwrap()).unwrap();
+        let of =
+            || fingerprint(&ImageFolder::open(&[dir.path().to_owned()], None).unwrap()).unwrap();
         std::fs::write(dir.path().join("a.jpg"), "a").unwrap();
         let one = of();
         std::fs::rename(dir.path().join("a.jpg"), dir.path().join("b.jpg")).unwrap();

@@ -6,7 +6,8 @@ use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 pub(crate) fn folder_of(model: &Reconstruction, camera: CameraId) -> String {
     let image = model.images().find(|(_, image)| image.camera == camera);
     let name = image.map_or("", |(_, image)| image.name.as_str());
-    name.rsplit_once('/').map_or_else(|| format!("camera {}", camera.0 + 1), |(folder, _)| folder.to_owned())
+    name.rsplit_once('/')
+        .map_or_else(|| format!("camera {}", camera.0 + 1), |(folder, _)| folder.to_owned())
 }
 
 /// The camera whose images are in a folder.

@@ -1,8 +1,8 @@
 //! The rig as Kalibr writes it: `camchain.yaml`, with the clocks.
 //!
-//! `T_cn_cnm1` takes a point of the camera before to this one. Kalibr has no clocks between cameras; `timeshift_cam0` is named after its
-//! `timeshift_cam_imu`: time of cam0 = time of this camera + timeshift. Its pixels count from the centre of the first one, ours from its
-//! corner.
+//! `T_cn_cnm1` takes a point of the camera before to this one. Kalibr has no clocks between
+//! cameras; `timeshift_cam0` is named after its `timeshift_cam_imu`: time of cam0 = time of this
+//! camera + timeshift. Its pixels count from the centre of the first one, ours from its corner.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -25,8 +25,10 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
     let file = RigFile::from_json(rig, &text)?;
     let find = |name: &str| -> Result<&Camera, Error> {
         let camera = camera_of_folder(model, name).map(|(_, camera)| camera);
-        camera
-            .ok_or_else(|| Error::Broken { path: rig.to_owned(), what: format!("there is no camera {name}") })
+        camera.ok_or_else(|| Error::Broken {
+            path: rig.to_owned(),
+            what: format!("there is no camera {name}"),
+        })
     };
     let mut yaml = String::new();
     let mut before = Rigid3::identity();
@@ -90,7 +92,8 @@ fn lens_lines(intrinsics: &Intrinsics) -> String {
     let centre = intrinsics.principal_point();
     let distortion: Vec<String> = distortion.iter().map(f64::to_string).collect();
     format!(
-        "  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {}, {}]\n  distortion_model: {model}\n  distortion_coeffs: [{}]\n",
+        "  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {}, {}]\n  distortion_model: \
+        {model}\n  distortion_coeffs: [{}]\n",
         centre.x - CORNER_PX,
         centre.y - CORNER_PX,
         distortion.join(", "),
@@ -115,11 +118,16 @@ mod tests {
         let names = ["left", "right", "rear"];
         for name in names {
             let radial =
-                Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1]).unwrap();
+                Intrinsics::new(CameraModelKind::SimpleRadial, &[500.0, 320.5, 240.5, -0.1])
+                    .unwrap();
             let prism = Intrinsics::centred(CameraModelKind::ThinPrismFisheye, 500.0, 640, 480);
             let intrinsics = if name == "rear" { prism } else { radial };
-            let camera =
-                model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+            let camera = model.add_camera(Camera {
+                intrinsics,
+                width: 640,
+                height: 480,
+                has_focal_prior: true,
+            });
             model.add_image(Image::new(format!("{name}/0.png"), camera, Vec::new()));
         }
         let camera = |name: &str, x: f64, offset_s: f64| RigCamera {
@@ -140,13 +148,21 @@ mod tests {
         std::fs::write(&path, serde_json::to_vec(&rig).unwrap()).unwrap();
         let (text, count) = camchain(&model, &path).unwrap();
         assert_eq!(count, 3);
-        let first = "cam0:\n  rostopic: /left\n  resolution: [640, 480]\n  camera_model: pinhole\n  intrinsics: [500, 500, 320, 240]\n  \
+        let first = "cam0:\n  rostopic: /left\n  resolution: [640, 480]\n  camera_model: \
+        pinhole\n  intrinsics: [500, 500, 320, 240]\n  \
                      distortion_model: radtan\n  distortion_coeffs: [-0.1, 0, 0, 0]\ncam1:\n";
         assert!(text.starts_with(first), "{text}");
         assert!(text.contains("  T_cn_cnm1:\n  - [1, 0, 0, -0.5]\n"), "{text}");
-        let last = "cam2:\n  rostopic: /rear\n  resolution: [640, 480]\n  # THIN_PRISM_FISHEYE: 500, 500, 320, 240, 0, 0, 0, 0, 0, 0, 0, 0\n  T_cn_cnm1:\n";
+        let last = "cam2:\n  rostopic: /rear\n  resolution: [640, 480]\n  # THIN_PRISM_FISHEYE: \
+        500, 500, 320, 240, 0, 0, 0, 0, 0, 0, 0, 0\n  T_cn_cnm1:\n";
         assert!(text.contains(last), "{text}");
         // From the one before, not from the first.
-        assert!(text.ends_with("  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n  timeshift_cam0: -1\n"), "{text}");
+        assert!(
+            text.ends_with(
+                "  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, \
+        0, 1]\n  timeshift_cam0: -1\n"
+            ),
+            "{text}"
+        );
     }
 }

@@ -1,8 +1,10 @@
-//! Options as workspaces held them before there were keys (records of versions 1 and 2): a few names, and as values the text
-//! that `#[derive(Debug)]` gave of whole structs at that time. They become keys and values of [`crate::option_keys`].
+//! Options as workspaces held them before there were keys (records of versions 1 and 2): a few
+//! names, and as values the text that `#[derive(Debug)]` gave of whole structs at that time. They
+//! become keys and values of [`crate::option_keys`].
 //!
-//! The structs are flattened as they stand in the text, a field being a part of the key: those fields are the ones that keys
-//! were named after, so that nothing needs to be translated but the few values that the tables below name.
+//! The structs are flattened as they stand in the text, a field being a part of the key: those
+//! fields are the ones that keys were named after, so that nothing needs to be translated but the
+//! few values that the tables below name.
 
 use std::collections::BTreeMap;
 
@@ -29,7 +31,8 @@ const STRUCTS: [(Stage, &str, &str); 4] = [
 /// Structs and enums in each other, at most; options had four.
 const MAX_DEPTH: usize = 8;
 
-/// The options of a stage by key. What cannot be read stays under its name: it then differs from all that can be asked for.
+/// The options of a stage by key. What cannot be read stays under its name: it then differs from
+/// all that can be asked for.
 pub(crate) fn by_key(stage: Stage, options: &BTreeMap<String, String>) -> BTreeMap<String, String> {
     let mut texts = BTreeMap::new();
     for (name, value) in options {
@@ -111,9 +114,13 @@ impl<'a> Debug<'a> {
     fn flatten(&self, key: &str, texts: &mut BTreeMap<String, String>) {
         match self {
             Self::Struct(fields) => {
-                fields.iter().for_each(|(field, value)| value.flatten(&format!("{key}.{field}"), texts));
+                fields
+                    .iter()
+                    .for_each(|(field, value)| value.flatten(&format!("{key}.{field}"), texts));
             }
-            Self::Value("Some", values) => values.iter().for_each(|value| value.flatten(key, texts)),
+            Self::Value("Some", values) => {
+                values.iter().for_each(|value| value.flatten(key, texts))
+            }
             value => drop(texts.insert(key.to_owned(), value.to_text())),
         }
     }
@@ -180,16 +187,22 @@ mod tests {
     use crate::cameras::Calibration;
     use crate::option_keys::{of_features, of_mapping, of_matching};
 
-    const PLAIN_DETECTOR: &str = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: 0.0066666664, \
-        edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, orientation: Dominant, \
+    const PLAIN_DETECTOR: &str = "Options { first_octave: -1, octaves: 4, levels: 3, \
+    peak_threshold: 0.0066666664, \
+        edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, \
+        orientation: Dominant, \
         normalization: RootL1, domain_sizes: None }";
-    const VERIFICATION: &str = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, \
+    const VERIFICATION: &str = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, \
+    min_essential_share: 0.95, \
         max_homography_share: 0.8 }";
 
     fn legacy(stage: Stage, options: &[(&str, &str)]) -> BTreeMap<String, String> {
         by_key(
             stage,
-            &options.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect(),
+            &options
+                .iter()
+                .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+                .collect(),
         )
     }
 
@@ -203,15 +216,27 @@ mod tests {
     fn features_of_the_version_before() {
         let unknown = [("camera-model", "SIMPLE_RADIAL"), ("detector", PLAIN_DETECTOR)];
         let (calibration, detector) = (Calibration::default(), sift::Options::default());
-        assert_eq!(legacy(Stage::Features, &unknown), now(of_features(&calibration, &detector, None)));
+        assert_eq!(
+            legacy(Stage::Features, &unknown),
+            now(of_features(&calibration, &detector, None))
+        );
 
-        let calibration =
-            Calibration::Unknown { model: CameraModelKind::ThinPrismFisheye, focal_px: Some(1200.5) };
-        let texts =
-            [("camera-model", "THIN_PRISM_FISHEYE"), ("focal-prior", "1200.5"), ("detector", PLAIN_DETECTOR)];
-        assert_eq!(legacy(Stage::Features, &texts), now(of_features(&calibration, &detector, None)));
+        let calibration = Calibration::Unknown {
+            model: CameraModelKind::ThinPrismFisheye,
+            focal_px: Some(1200.5),
+        };
+        let texts = [
+            ("camera-model", "THIN_PRISM_FISHEYE"),
+            ("focal-prior", "1200.5"),
+            ("detector", PLAIN_DETECTOR),
+        ];
+        assert_eq!(
+            legacy(Stage::Features, &texts),
+            now(of_features(&calibration, &detector, None))
+        );
 
-        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 320.0, 240.0]).unwrap();
+        let intrinsics =
+            Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 320.0, 240.0]).unwrap();
         let detector = sift::Options {
             first_octave: 0,
             peak_threshold: 1e-6,
@@ -227,12 +252,15 @@ mod tests {
             ("timestamps", "0a1b"),
             (
                 "detector",
-                "Options { first_octave: 0, octaves: 4, levels: 3, peak_threshold: 1e-6, edge_threshold: 10.0, \
-                 max_features: 8192, limit: Exact, max_orientations: 2, orientation: Upright, normalization: L2, \
+                "Options { first_octave: 0, octaves: 4, levels: 3, peak_threshold: 1e-6, \
+                edge_threshold: 10.0, \
+                 max_features: 8192, limit: Exact, max_orientations: 2, orientation: Upright, \
+                 normalization: L2, \
                  domain_sizes: Some(DomainSizes { min: 0.16666667, max: 3.0, count: 10 }) }",
             ),
         ];
-        let asked = of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned()));
+        let asked =
+            of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned()));
         assert_eq!(legacy(Stage::Features, &texts), now(asked));
     }
 
@@ -241,7 +269,8 @@ mod tests {
         let texts = [
             (
                 "matching",
-                "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: BruteForce, \
+                "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: \
+                BruteForce, \
                  preempt: None }",
             ),
             ("pairs", "exhaustive"),
@@ -255,7 +284,8 @@ mod tests {
         let texts = [
             (
                 "matching",
-                "Options { max_ratio: None, max_angle_rad: Some(0.7), mutual: false, method: Cheapest(PerTree(8)), \
+                "Options { max_ratio: None, max_angle_rad: Some(0.7), mutual: false, method: \
+                Cheapest(PerTree(8)), \
                  preempt: Some(Preempt { min_matches: 2 }) }",
             ),
             ("pairs", "sequential:10+ends+loops:5"),
@@ -270,24 +300,33 @@ mod tests {
             ..matching::Options::default()
         };
         let pairs = PairSelection::Sequential { reach: 10, ends: Ends::Closed, loops: 5 };
-        assert_eq!(legacy(Stage::Match, &texts), now(of_matching(&pairs, &descriptors, &verify, u64::MAX)));
+        assert_eq!(
+            legacy(Stage::Match, &texts),
+            now(of_matching(&pairs, &descriptors, &verify, u64::MAX))
+        );
     }
 
     #[test]
     fn models_of_the_version_before() {
         let mapper = |refine: &str, loss: &str, end: &str| {
             format!(
-                "MapperOptions {{ refine: RefineIntrinsics {{ focal: {refine}, principal_point: {refine}, \
-                 distortion: {refine} }}, tracks: TrackOptions {{ max_create_error_px: 12.0, max_merge_error_px: 4.0, \
-                 min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }}, filter: FilterOptions {{ \
-                 max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }}, register: RegisterOptions {{ \
-                 max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }}, min_initial_inliers: 30, \
+                "MapperOptions {{ refine: RefineIntrinsics {{ focal: {refine}, principal_point: \
+                {refine}, \
+                 distortion: {refine} }}, tracks: TrackOptions {{ max_create_error_px: 12.0, \
+                 max_merge_error_px: 4.0, \
+                 min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }}, \
+                 filter: FilterOptions {{ \
+                 max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }}, register: \
+                 RegisterOptions {{ \
+                 max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }}, \
+                 min_initial_inliers: 30, \
                  min_model_size: 3, loss: {loss}, local_images: 6, global_growth: 1.1, {end} }}"
             )
         };
         let auto = MapperOptions { rig: RigTerm::Auto, ..MapperOptions::default() };
         let known = MapperOptions { refine: RefineIntrinsics::NONE, rig: RigTerm::Paper, ..auto };
-        let shutter = |readout| MapperOptions { readout: Some(readout), seed: 7, ..MapperOptions::default() };
+        let shutter =
+            |readout| MapperOptions { readout: Some(readout), seed: 7, ..MapperOptions::default() };
         for (refine, loss, end, baseline_m, options) in [
             ("true", "SoftL1(4.0)", "rig: Auto, readout: None, seed: 0", None, auto),
             ("false", "SoftL1(4.0)", "rig: Paper, readout: None, seed: 0", Some(0.62), known),
@@ -317,9 +356,15 @@ mod tests {
     #[test]
     fn what_cannot_be_read_stays_and_is_different() {
         let deep = "A(".repeat(1 << 20);
-        for text in
-            ["", "Options {", "Options { a: }", "Options { a: 1 } x", "Options { a: 1, b }", "A(1", &deep]
-        {
+        for text in [
+            "",
+            "Options {",
+            "Options { a: }",
+            "Options { a: 1 } x",
+            "Options { a: 1, b }",
+            "A(1",
+            &deep,
+        ] {
             let found = legacy(Stage::Features, &[("detector", text), ("other", "1")]);
             assert_eq!(found.get("detector").map(String::as_str), Some(text));
             assert_eq!(found.get("other").map(String::as_str), Some("1"));

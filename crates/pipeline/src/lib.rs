@@ -43,7 +43,8 @@ pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
 pub use error::{Error, Size};
 pub use evaluate::{
-    Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses, model_folder,
+    Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,
+    model_folder,
 };
 pub(crate) use event::tell;
 pub use event::{Event, Watch};
@@ -56,7 +57,8 @@ pub use output_file::{refuse_foreign_page, write_page};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{
-    CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage, StageReports,
+    CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage,
+    StageReports,
 };
 pub use rig_file::{RigCamera, RigClock, RigFile};
 pub use rig_over_time::{RigEvaluation, evaluate_rig};

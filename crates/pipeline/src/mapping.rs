@@ -22,7 +22,8 @@ use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
-    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys, tell,
+    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys,
+    tell,
 };
 
 /// How to map.
@@ -87,14 +88,17 @@ pub fn map(
         return Err(error.into());
     }
     database.finish()?;
-    if let Err(error) =
-        color_points(&workspace.records.inputs, models.iter_mut().map(|model| &mut model.reconstruction))
-    {
+    if let Err(error) = color_points(
+        &workspace.records.inputs,
+        models.iter_mut().map(|model| &mut model.reconstruction),
+    ) {
         // The photos may have moved since; the model does not need them.
         tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
     let scales: Vec<Option<ScaleReport>> = match baseline_m {
-        Some(baseline_m) => scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect(),
+        Some(baseline_m) => {
+            scale_to_baseline(&mut models, baseline_m).into_iter().map(Some).collect()
+        }
         None => vec![None; models.len()],
     };
     let staged = stage_models(workspace, &models)?;
@@ -123,7 +127,9 @@ pub fn map(
 /// A sentence.
 fn what_failed(Failure { stage, why }: &Failure) -> String {
     let what = match stage {
-        OptionalStage::RollingShutter => "what a rolling shutter did could not be taken off the keypoints",
+        OptionalStage::RollingShutter => {
+            "what a rolling shutter did could not be taken off the keypoints"
+        }
         OptionalStage::Rig => "the cameras could not be held to each other",
     };
     format!("{what}, and the model is as it was before: {why}")
@@ -140,7 +146,8 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     for (index, image) in database.read_images()?.into_iter().enumerate() {
         let keypoints = database.read_keypoints(ImageId::from_index(index))?;
-        let mut image = Image::new(image.name, image.camera, keypoints.iter().map(keypoint).collect());
+        let mut image =
+            Image::new(image.name, image.camera, keypoints.iter().map(keypoint).collect());
         image.time_s = times.get(&image.name).copied();
         scene.add_image(image);
     }
@@ -158,7 +165,8 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
     let given = [option_keys::INTRINSICS, option_keys::FOCAL_PRIOR];
     let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
     let told = cameras.iter().find(|camera| camera.has_focal_prior);
-    let from_exif = told.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
+    let from_exif =
+        told.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
     let path = workspace.root().to_owned();
     Ok(Error::NoOverlap { path, pairs: matches.len(), best, required, from_exif })
 }
@@ -170,10 +178,19 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
             Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }
         }
         sfm::Event::Registered { image, num_registered, num_points, .. } => {
-            Event::ImageRegistered { image: name(image), registered: num_registered, points: num_points }
+            Event::ImageRegistered {
+                image: name(image),
+                registered: num_registered,
+                points: num_points,
+            }
         }
         sfm::Event::Adjusted { num_images, num_observations, cost, iterations } => {
-            Event::ModelAdjusted { images: num_images, observations: num_observations, cost, iterations }
+            Event::ModelAdjusted {
+                images: num_images,
+                observations: num_observations,
+                cost,
+                iterations,
+            }
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // These are for the report.
@@ -181,9 +198,13 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
     })
 }
 
-/// A rig term joins moments at which two cameras took an image; without two of them it would silently be nothing. With times on
-/// clocks of their own, images need no partner.
-fn require_moments(workspace: &Workspace, scene: &Reconstruction, term: RigTerm) -> Result<(), Error> {
+/// A rig term joins moments at which two cameras took an image; without two of them it would
+/// silently be nothing. With times on clocks of their own, images need no partner.
+fn require_moments(
+    workspace: &Workspace,
+    scene: &Reconstruction,
+    term: RigTerm,
+) -> Result<(), Error> {
     let has_times = term != RigTerm::Paper
         && scene.cameras().count() > 1
         && scene.images().all(|(_, i)| i.time_s.is_some());
@@ -216,8 +237,8 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     names.into_iter().collect()
 }
 
-/// Writes all models with the rigs of those whose cameras are held to each other, and the cloud of the largest. Gives the files'
-/// names.
+/// Writes all models with the rigs of those whose cameras are held to each other, and the cloud of
+/// the largest. Gives the files' names.
 fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<String>, Error> {
     let mut names = Vec::new();
     let Some(largest) = models.first() else { return Ok(names) };
@@ -244,7 +265,9 @@ mod tests {
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
     use tiepoint_sfm::rig::Clock;
     use tiepoint_sfm::scene::{Camera, ImagePair};
-    use tiepoint_sfm::{Companion, Hold, MountedCamera, MountedRig, RigPair, Timing};
+    use tiepoint_sfm::{
+        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, RigSensor,
+    };
 
     use super::*;
 
@@ -253,34 +276,35 @@ mod tests {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
-        let right_from_left = Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
+        let right_from_left =
+            Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
         let [left, right] = ["left", "right"].map(|folder| {
             let camera = model.add_camera(camera);
             model.add_image(Image::new(format!("{folder}/0.png"), camera, Vec::new()))
         });
         model.register(left, Rigid3::identity());
         model.register(right, right_from_left);
-        let companion = Companion {
+        let rig_sensor = RigSensor {
             left: model.image(left).camera,
             right: model.image(right).camera,
             clock: Clock::default(),
-            timing: Timing::Together,
-            unit: None,
-            blind: None,
+            clock_state: ClockState::Synchronised,
+            assumed_baseline: None,
+            unobservable_direction: None,
         };
-        let hold = Hold::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
-        let camera = MountedCamera {
-            companion,
+        let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
+        let camera = CalibratedCamera {
+            rig_sensor,
             right_from_left,
             covariance: None,
-            hold,
-            num_moments: 1,
-            spread: None,
+            constraint,
+            num_referenced_images: 1,
+            statistics: None,
         };
         MappedModel {
             initial_pair: ImagePair::new(left, right).unwrap(),
-            rig: Some(MountedRig {
-                hold: Some(hold),
+            rig: Some(CalibratedRig {
+                constraint: Some(constraint),
                 cameras: vec![camera],
                 bad_pairs: if has_bad_pair { vec![RigPair { left, right }] } else { Vec::new() },
                 split: None,
@@ -302,12 +326,14 @@ mod tests {
         let mut workspace = Workspace::create(&root).unwrap();
         let mut without = model(3.0, false);
         without.rig = None;
-        let names = stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
+        let names =
+            stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
         workspace.publish(names, &[], |_| {}).unwrap();
         let rig = |index| {
             let place = crate::model_place::ModelPlace::of(&root.join(model_path(index)));
             let path = place.rig();
-            path.is_file().then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
+            path.is_file()
+                .then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
         };
         let centre = |rig: &RigFile| rig.cameras[0].centre_in_rig[0];
         let [first, second, third] = [0, 1, 2].map(rig);
@@ -326,7 +352,11 @@ mod tests {
         std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
         std::fs::write(root.join("rig-7.json"), "mine").unwrap();
         let replaced = replaced_names(&workspace);
-        assert!(["rig-2.json", "rig-7.json"].iter().all(|name| replaced.iter().any(|other| other == name)));
+        assert!(
+            ["rig-2.json", "rig-7.json"]
+                .iter()
+                .all(|name| replaced.iter().any(|other| other == name))
+        );
         assert!(workspace.folder.refuse_foreign(replaced.iter().map(String::as_str)).is_err());
     }
 }

@@ -1,7 +1,7 @@
 //! Second stage: which images show the same things, and which of their keypoints.
 //!
-//! Pairs are worked off in tiles of the table image × image, so that the descriptors of two blocks of images are in memory at a
-//! time and no more, however many images there are.
+//! Pairs are worked off in tiles of the table image × image, so that the descriptors of two blocks
+//! of images are in memory at a time and no more, however many images there are.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
@@ -21,12 +21,14 @@ use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
 use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, option_keys, tell};
 
-/// Images on a side of a tile. 8192 features take 1.4 MiB with their short forms: a tile takes a third of a gigabyte.
+/// Images on a side of a tile. 8192 features take 1.4 MiB with their short forms: a tile takes a
+/// third of a gigabyte.
 const TILE: u32 = 128;
 /// Pairs written in one transaction: what an interruption loses.
 const PAIRS_PER_TRANSACTION: usize = 64;
 
-/// Images that the vocabulary is learnt from, evenly spread, and descriptors of each: about 400 for each word.
+/// Images that the vocabulary is learnt from, evenly spread, and descriptors of each: about 400 for
+/// each word.
 const SAMPLE_IMAGES: usize = 256;
 const SAMPLE_DESCRIPTORS: usize = 200;
 /// Images in memory before they are made ready: for matching, or described as a whole.
@@ -126,8 +128,8 @@ pub fn match_images(
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs among the images of each camera, in order of their names or, where all times are known, of their times; and those that
-/// look alike.
+/// The pairs among the images of each camera, in order of their names or, where all times are
+/// known, of their times; and those that look alike.
 fn select_pairs(
     workspace: &Workspace,
     database: &Database,
@@ -161,7 +163,8 @@ fn select_pairs(
     Ok(pairs.into_iter().filter_map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b))).collect())
 }
 
-/// What every image looks like as a whole, by a vocabulary that is learnt from some of them. Images are read a few at a time.
+/// What every image looks like as a whole, by a vocabulary that is learnt from some of them. Images
+/// are read a few at a time.
 fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
     let mut sample = Vec::new();
     for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
@@ -174,8 +177,10 @@ fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
     for batch in ids.chunks(IMAGES_READ_AT_ONCE) {
         let features = batch.iter().map(|&image| database.read_features(image));
         let features = features.collect::<Result<Vec<_>, _>>()?;
-        let described: Vec<GlobalDescriptor> =
-            features.par_iter().map(|features| vocabulary.describe(&features.descriptors)).collect();
+        let described: Vec<GlobalDescriptor> = features
+            .par_iter()
+            .map(|features| vocabulary.describe(&features.descriptors))
+            .collect();
         described.iter().for_each(|image| bank.push(image));
     }
     Ok(bank)
@@ -198,7 +203,8 @@ fn load(
 ) -> Result<(), Error> {
     let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
     loaded.retain(|image, _| needed.contains(image));
-    let missing: Vec<ImageId> = needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
+    let missing: Vec<ImageId> =
+        needed.into_iter().filter(|image| !loaded.contains_key(image)).collect();
     let prepare = |(image, features): (ImageId, tiepoint_io::features::Features)| {
         let keypoints = features.keypoints.iter().map(keypoint).collect();
         (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
@@ -214,7 +220,10 @@ fn load(
 
 /// A keypoint as the scene has it.
 pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
-    Keypoint { pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)), scale_px: keypoint.scale }
+    Keypoint {
+        pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)),
+        scale_px: keypoint.scale,
+    }
 }
 
 fn match_pair(
@@ -237,8 +246,12 @@ fn match_pair(
 }
 
 /// Writes pairs; the list is empty afterwards.
-fn write(database: &mut Database, batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>) -> Result<(), Error> {
-    database.write_pairs(batch.iter().map(|(pair, matches, view)| (*pair, matches.as_slice(), view)))?;
+fn write(
+    database: &mut Database,
+    batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>,
+) -> Result<(), Error> {
+    database
+        .write_pairs(batch.iter().map(|(pair, matches, view)| (*pair, matches.as_slice(), view)))?;
     batch.clear();
     Ok(())
 }
@@ -246,7 +259,8 @@ fn write(database: &mut Database, batch: &mut Vec<(ImagePair, Vec<Match>, TwoVie
 /// What an earlier run left, by counts: the matches of a long video do not fit into memory.
 fn report(database: &Database) -> Result<MatchReport, Error> {
     let mut report = MatchReport::default();
-    let inliers: BTreeMap<ImagePair, Option<usize>> = database.inlier_counts()?.into_iter().collect();
+    let inliers: BTreeMap<ImagePair, Option<usize>> =
+        database.inlier_counts()?.into_iter().collect();
     for (pair, matches) in database.match_counts()? {
         count(&mut report, matches, inliers.get(&pair).copied().flatten());
     }
@@ -286,8 +300,9 @@ mod tests {
         let seen = |image: usize| {
             let mut place = Rng::stream(7, &[(image % PLACES) as u64]);
             let mut noise = Rng::stream(8, &[image as u64]);
-            let mut descriptor =
-                || -> Descriptor { std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8) };
+            let mut descriptor = || -> Descriptor {
+                std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8)
+            };
             Features {
                 keypoints: vec![Feature { x: 1.0, y: 2.0, scale: 1.0, orientation: 0.0 }; FEATURES],
                 descriptors: (0..FEATURES).map(|_| descriptor()).collect(),
@@ -297,7 +312,8 @@ mod tests {
             database.write_features([(ImageId::from_index(k), &seen(k))]).unwrap();
         }
         let pairs = bank(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
-        let expected: Vec<(u32, u32)> = (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
+        let expected: Vec<(u32, u32)> =
+            (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
         assert_eq!(pairs, expected);
     }
 

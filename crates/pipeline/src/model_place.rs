@@ -38,12 +38,14 @@ impl ModelPlace {
         self.root.join(rig_name(self.index))
     }
 
-    /// Whether the workspace was given the intrinsics of its cameras, which stay then. Where its database is gone, its record tells.
+    /// Whether the workspace was given the intrinsics of its cameras, which stay then. Where its
+    /// database is gone, its record tells.
     pub(crate) fn has_known_intrinsics(&self) -> bool {
         if !is_workspace(&self.root) {
             return false;
         }
-        let is_given = |records: &Records| records.option(Stage::Features, option_keys::INTRINSICS).is_some();
+        let is_given =
+            |records: &Records| records.option(Stage::Features, option_keys::INTRINSICS).is_some();
         let recorded = || Records::read(&self.root.join(STAGES)).ok().flatten();
         let has_database = self.root.join(DATABASE).is_file();
         current_records(&self.root).is_ok_and(|records| is_given(&records))
@@ -80,7 +82,8 @@ mod tests {
             ("ws/sparse/2", "ws/rig-2.json"),
         ] {
             let rig = ModelPlace::of(&root.join(folder)).rig();
-            let found = rig.parent().unwrap().canonicalize().unwrap().join(rig.file_name().unwrap());
+            let found =
+                rig.parent().unwrap().canonicalize().unwrap().join(rig.file_name().unwrap());
             assert_eq!(found, root.join(name), "{folder}");
         }
     }

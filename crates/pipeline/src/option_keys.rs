@@ -1,20 +1,26 @@
 //! The options of each stage as texts: a dotted key and a value for every one.
 //!
-//! A stage is kept as long as these texts stay the same, so they are part of the format of a workspace: no key and no value
-//! follows from the name of a field or a type. Every struct is taken apart without `..`, so that a new option does not compile
-//! until it has a key here. Floating-point numbers have the fewest digits that bring them back. `none` is an option that is not
-//! given: records leave it out.
+//! A stage is kept as long as these texts stay the same, so they are part of the format of a
+//! workspace: no key and no value follows from the name of a field or a type. Every struct is taken
+//! apart without `..`, so that a new option does not compile until it has a key here.
+//! Floating-point numbers have the fewest digits that bring them back. `none` is an option that is
+//! not given: records leave it out.
 //!
-//! Where a value has another meaning than before, or a key is new and its value not `none`, the stages of earlier workspaces
-//! differ from those that are asked for. `crate::legacy_options` reads the texts of workspaces from before there were keys.
+//! Where a value has another meaning than before, or a key is new and its value not `none`, the
+//! stages of earlier workspaces differ from those that are asked for. `crate::legacy_options` reads
+//! the texts of workspaces from before there were keys.
 
 use tiepoint_io::MAX_PIXELS;
-use tiepoint_io::features::{DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation};
+use tiepoint_io::features::{
+    DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
+};
 use tiepoint_sfm::geometry::{Intrinsics, Loss};
-use tiepoint_sfm::matching::{Checks, Method, Options as DescriptorOptions, PairSelection, Preempt};
+use tiepoint_sfm::matching::{
+    Checks, Method, Options as DescriptorOptions, PairSelection, Preempt,
+};
 use tiepoint_sfm::{
-    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm, TrackOptions,
-    VerifyOptions,
+    FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm,
+    TrackOptions, VerifyOptions,
 };
 
 use crate::cameras::Calibration;
@@ -119,8 +125,8 @@ pub(crate) fn of_features(
     texts
 }
 
-/// Of the first stage, too: how many pixels a photo may have. The default is not written, since workspaces from before there was a
-/// limit have photos below it.
+/// Of the first stage, too: how many pixels a photo may have. The default is not written, since
+/// workspaces from before there was a limit have photos below it.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
     (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
@@ -133,7 +139,8 @@ pub(crate) fn of_matching(
     seed: u64,
 ) -> Texts {
     let DescriptorOptions { max_ratio, max_angle_rad, mutual, method, preempt } = descriptors;
-    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } = verify;
+    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } =
+        verify;
     let method = match method {
         Method::BruteForce => "brute_force".to_owned(),
         Method::Forest(checks) => format!("forest:{}", of_checks(checks)),
@@ -154,7 +161,9 @@ pub(crate) fn of_matching(
     ];
     texts.push(match preempt {
         None => ("match.descriptors.preempt", NONE.to_owned()),
-        Some(Preempt { min_matches }) => ("match.descriptors.preempt.min_matches", min_matches.to_string()),
+        Some(Preempt { min_matches }) => {
+            ("match.descriptors.preempt.min_matches", min_matches.to_string())
+        }
     });
     texts
 }
@@ -164,8 +173,14 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
     let MapperOptions {
         refine: RefineIntrinsics { focal, principal_point, distortion },
         tracks:
-            TrackOptions { max_create_error_px, max_merge_error_px, min_angle_rad, two_view, max_transitivity },
-        filter: FilterOptions { max_error_px: max_filter_error_px, min_angle_rad: min_filter_angle_rad },
+            TrackOptions {
+                max_create_error_px,
+                max_merge_error_px,
+                min_angle_rad,
+                two_view,
+                max_transitivity,
+            },
+        filter: FilterOptions { max_error_px: filter_error_px, min_angle_rad: filter_angle_rad },
         register: RegisterOptions { max_error_px, min_num_inliers, min_inlier_share },
         min_initial_inliers,
         min_model_size,
@@ -200,8 +215,8 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.tracks.min_angle_rad", min_angle_rad.to_string()),
         ("mapper.tracks.two_view", two_view.to_string()),
         ("mapper.tracks.max_transitivity", max_transitivity.to_string()),
-        ("mapper.filter.max_error_px", max_filter_error_px.to_string()),
-        ("mapper.filter.min_angle_rad", min_filter_angle_rad.to_string()),
+        ("mapper.filter.max_error_px", filter_error_px.to_string()),
+        ("mapper.filter.min_angle_rad", filter_angle_rad.to_string()),
         ("mapper.register.max_error_px", max_error_px.to_string()),
         ("mapper.register.min_num_inliers", min_num_inliers.to_string()),
         ("mapper.register.min_inlier_share", min_inlier_share.to_string()),
@@ -247,8 +262,8 @@ mod tests {
         texts.into_iter().map(|(key, value)| format!("{key} = {value}")).collect()
     }
 
-    /// A workspace of yesterday is compared with these. A line that must change here makes every workspace different: give
-    /// [`crate::legacy_options`] the old one.
+    /// A workspace of yesterday is compared with these. A line that must change here makes every
+    /// workspace different: give [`crate::legacy_options`] the old one.
     #[test]
     fn keys_and_defaults_stay_what_they_are() {
         let found = lines(of_features(&Calibration::default(), &DetectorOptions::default(), None));
@@ -284,7 +299,10 @@ mod tests {
             "match.verify.max_homography_share = 0.8",
             "match.descriptors.preempt = none",
         ];
-        assert_eq!(lines(of_matching(&PairSelection::Exhaustive, &descriptors, &verify, 0)), expected);
+        assert_eq!(
+            lines(of_matching(&PairSelection::Exhaustive, &descriptors, &verify, 0)),
+            expected
+        );
         let expected = [
             "mapper.baseline = none",
             "mapper.rig = off",
@@ -315,7 +333,8 @@ mod tests {
     /// Values that are not the defaults.
     #[test]
     fn other_values_stay_what_they_are() {
-        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 1e-7, 240.0]).unwrap();
+        let intrinsics =
+            Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 1e-7, 240.0]).unwrap();
         let detector = DetectorOptions {
             peak_threshold: 1e-6,
             limit: Limit::Exact,
@@ -324,7 +343,8 @@ mod tests {
             domain_sizes: Some(DomainSizes::default()),
             ..DetectorOptions::default()
         };
-        let found = lines(of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned())));
+        let found =
+            lines(of_features(&Calibration::Known(intrinsics), &detector, Some("0a1b".to_owned())));
         for expected in [
             "features.camera_model = PINHOLE",
             "features.focal_prior = none",
@@ -340,7 +360,8 @@ mod tests {
         ] {
             assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
         }
-        let unknown = Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
+        let unknown =
+            Calibration::Unknown { model: CameraModelKind::Opencv, focal_px: Some(1200.5) };
         let found = lines(of_features(&unknown, &detector, None));
         assert_eq!(found[..2], ["features.camera_model = OPENCV", "features.focal_prior = 1200.5"]);
 
@@ -355,7 +376,12 @@ mod tests {
             (Method::Forest(Checks::Total(64)), "forest:total:64"),
             (Method::Cheapest(Checks::PerTree(8)), "cheapest:per_tree:8"),
         ] {
-            let found = lines(of_matching(&pairs, &descriptors(method), &VerifyOptions::default(), u64::MAX));
+            let found = lines(of_matching(
+                &pairs,
+                &descriptors(method),
+                &VerifyOptions::default(),
+                u64::MAX,
+            ));
             for expected in [
                 "match.pairs = sequential:10+ends+loops:5",
                 "match.seed = 18446744073709551615",
@@ -373,7 +399,11 @@ mod tests {
                 Some(0.62),
                 "mapper.baseline = 0.62m",
             ),
-            (MapperOptions { rig: RigTerm::Paper, ..Default::default() }, None, "mapper.rig = paper"),
+            (
+                MapperOptions { rig: RigTerm::Paper, ..Default::default() },
+                None,
+                "mapper.rig = paper",
+            ),
             (MapperOptions { rig: RigTerm::Soft, ..Default::default() }, None, "mapper.rig = soft"),
             (MapperOptions { rig: RigTerm::Hard, ..Default::default() }, None, "mapper.rig = hard"),
             (MapperOptions { rig: RigTerm::Auto, ..Default::default() }, None, "mapper.rig = auto"),
@@ -392,7 +422,11 @@ mod tests {
                 None,
                 "mapper.loss = geman_mc_clure:0.5",
             ),
-            (MapperOptions { loss: Loss::Trivial, ..Default::default() }, None, "mapper.loss = trivial"),
+            (
+                MapperOptions { loss: Loss::Trivial, ..Default::default() },
+                None,
+                "mapper.loss = trivial",
+            ),
         ] {
             let found = lines(of_mapping(&mapper, baseline_m));
             assert!(found.iter().any(|line| line == expected), "{expected}: {found:?}");
@@ -404,7 +438,12 @@ mod tests {
         let (detector, mapper) = (DetectorOptions::default(), MapperOptions::default());
         let mut keys: Vec<&str> = of_features(&Calibration::default(), &detector, None)
             .into_iter()
-            .chain(of_matching(&PairSelection::Exhaustive, &Default::default(), &Default::default(), 0))
+            .chain(of_matching(
+                &PairSelection::Exhaustive,
+                &Default::default(),
+                &Default::default(),
+                0,
+            ))
             .chain([of_pixel_limit(MAX_PIXELS)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)

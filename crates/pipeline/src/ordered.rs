@@ -1,7 +1,8 @@
-//! Parallel work whose results are taken in order, with a bounded number of them waiting, and within a budget of memory.
+//! Parallel work whose results are taken in order, with a bounded number of them waiting, and
+//! within a budget of memory.
 //!
-//! Tasks run on rayon's current pool; the calling thread takes the results, one by one in the order of the tasks, so that what it
-//! does with them does not depend on the number of threads.
+//! Tasks run on rayon's current pool; the calling thread takes the results, one by one in the order
+//! of the tasks, so that what it does with them does not depend on the number of threads.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -9,7 +10,8 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
-/// Tasks that are running or whose results wait, for each thread: enough that none idles while a slow one is awaited.
+/// Tasks that are running or whose results wait, for each thread: enough that none idles while a
+/// slow one is awaited.
 const WINDOW_PER_THREAD: usize = 3;
 /// How long a thread of the pool sleeps when there is nothing to do but wait.
 const NAP: Duration = Duration::from_micros(200);
@@ -23,8 +25,9 @@ pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
     for_each_within(u64::MAX, |_| 0, tasks, work, take)
 }
 
-/// The same for work that takes memory: a task waits until the `bytes` of all that run and its own are within a budget, or until
-/// nothing else runs. So a budget delays, but what comes out does not depend on it.
+/// The same for work that takes memory: a task waits until the `bytes` of all that run and its own
+/// are within a budget, or until nothing else runs. So a budget delays, but what comes out does not
+/// depend on it.
 pub(crate) fn for_each_within<T: Sync, R: Send, E>(
     budget: u64,
     bytes: impl Fn(&T) -> u64,
@@ -37,7 +40,8 @@ pub(crate) fn for_each_within<T: Sync, R: Send, E>(
     rayon::in_place_scope(|scope| {
         let work = &work;
         let (mut started, mut in_use) = (0, 0u64);
-        // Threads of the pool never wait for memory: one may have stolen its task from within another that holds some.
+        // Threads of the pool never wait for memory: one may have stolen its task from within
+        // another that holds some.
         let mut start = |taken: usize, done: Option<usize>| {
             in_use -= done.map_or(0, |done| bytes(&tasks[done]));
             while let Some(task) = tasks[..tasks.len().min(taken + window)].get(started)
@@ -70,7 +74,8 @@ pub(crate) fn for_each_within<T: Sync, R: Send, E>(
     })
 }
 
-/// Waits for a message; on a thread of the pool by working, since the sender may have no other thread to run on.
+/// Waits for a message; on a thread of the pool by working, since the sender may have no other
+/// thread to run on.
 fn receive<T>(receiver: &Receiver<T>) -> T {
     loop {
         if let Ok(message) = receiver.try_recv() {

@@ -19,8 +19,9 @@ const PAGE_MARK: &str = "<title>tiepoint</title>";
 /// A mark stands within so many bytes.
 const HEAD_BYTES: u64 = 4096;
 
-/// Writes a file that the user named. One that is there is replaced only where it is empty or has this program's mark, or has
-/// the same content; an input of the command never is. `write` gets the path to write to.
+/// Writes a file that the user named. One that is there is replaced only where it is empty or has
+/// this program's mark, or has the same content; an input of the command never is. `write` gets the
+/// path to write to.
 ///
 /// # Errors
 ///
@@ -46,7 +47,8 @@ pub(crate) fn write_file<'a>(
     if same? { Ok(()) } else { Err(Error::NotOurs { path: path.to_owned() }) }
 }
 
-/// Writes a page (HTML) of this program; one that is there is replaced only where it is this program's.
+/// Writes a page (HTML) of this program; one that is there is replaced only where it is this
+/// program's.
 ///
 /// # Errors
 ///
@@ -81,7 +83,9 @@ fn may_be_replaced(path: &Path, mark: Option<&str>) -> Result<bool, Error> {
     }
     let Some(mark) = mark else { return Ok(false) };
     let mut head = Vec::new();
-    File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head)).map_err(unreadable)?;
+    File::open(path)
+        .and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head))
+        .map_err(unreadable)?;
     if mark == COMMENT_MARK {
         return Ok(head.starts_with(mark.as_bytes()));
     }
@@ -105,7 +109,9 @@ mod tests {
         let path = dir.path().join("a.txt");
         let put = |text: &str, inputs: &[&Path], mark: Option<&str>| {
             write_file(&path, inputs.iter().copied(), mark, |path| {
-                Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, text.as_bytes()))?)
+                Ok(AtomicFile::write_with(path, |file| {
+                    io::Write::write_all(file, text.as_bytes())
+                })?)
             })
         };
         fs::write(&path, "").unwrap();

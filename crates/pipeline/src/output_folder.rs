@@ -1,13 +1,15 @@
 //! Folders into which results go, beside files of others.
 //!
-//! A manifest in the folder lists the files that this program made, with the BLAKE3 hash of their content. A file that is not
-//! in it, or has another content, is somebody's: it is refused by name and neither replaced nor deleted.
+//! A manifest in the folder lists the files that this program made, with the BLAKE3 hash of their
+//! content. A file that is not in it, or has another content, is somebody's: it is refused by name
+//! and neither replaced nor deleted.
 //!
-//! New files replace old ones together. They are first written into a folder of their own (`STAGED`) and brought to the disk;
-//! then the manifest learns their hashes; then that folder takes another name (`COMMITTED`), which is the moment that decides.
-//! After it the files move to their places, the old ones being moved out before. What a killed run left undone of that, the
-//! next one does ([`OutputFolder::open`]). While it is done, the file that readers look for first is missing: nobody reads a
-//! mix of old and new.
+//! New files replace old ones together. They are first written into a folder of their own
+//! (`STAGED`) and brought to the disk; then the manifest learns their hashes; then that folder
+//! takes another name (`COMMITTED`), which is the moment that decides. After it the files move to
+//! their places, the old ones being moved out before. What a killed run left undone of that, the
+//! next one does ([`OutputFolder::open`]). While it is done, the file that readers look for first
+//! is missing: nobody reads a mix of old and new.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -107,7 +109,10 @@ impl OutputFolder {
     }
 
     /// Refuses, before any work is done, to replace what is somebody's.
-    pub(crate) fn refuse_foreign<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
+    pub(crate) fn refuse_foreign<'a>(
+        &self,
+        names: impl IntoIterator<Item = &'a str>,
+    ) -> Result<(), Error> {
         names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
@@ -134,7 +139,9 @@ impl OutputFolder {
     fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
         let found = match fs::symlink_metadata(&path) {
-            Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok((Owner::Nobody, None)),
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
+                return Ok((Owner::Nobody, None));
+            }
             // A part of the path is a file: it cannot be written either.
             Err(cause) => return Err(Error::Output { path, cause }),
             Ok(found) => found,
@@ -154,8 +161,14 @@ impl OutputFolder {
         Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
     }
 
-    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read twice.
-    fn hash_there(&self, name: &str, owner: &Owner, hash: Option<String>) -> Result<Option<String>, Error> {
+    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read
+    /// twice.
+    fn hash_there(
+        &self,
+        name: &str,
+        owner: &Owner,
+        hash: Option<String>,
+    ) -> Result<Option<String>, Error> {
         match (owner, hash) {
             (Owner::Nobody, _) => Ok(None),
             (_, None) => hash_of(&self.root.join(name)),
@@ -167,7 +180,9 @@ impl OutputFolder {
     pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
         let path = self.root.join(name);
         let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
-        let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else { return Ok(false) };
+        let Some(known) = self.manifest.files.get(name).filter(|_| !is_link) else {
+            return Ok(false);
+        };
         Ok(hash_of(&path)?.is_some_and(|hash| known.contains(&hash)))
     }
 
@@ -186,8 +201,8 @@ impl OutputFolder {
         disk::write_new(&self.stage(name)?, bytes).map_err(output(&self.root.join(name)))
     }
 
-    /// Writes a COLMAP model into a folder of this name (none: the folder itself). Gives the names of its files, in the order
-    /// for [`OutputFolder::publish`].
+    /// Writes a COLMAP model into a folder of this name (none: the folder itself). Gives the names
+    /// of its files, in the order for [`OutputFolder::publish`].
     pub(crate) fn stage_model(
         &self,
         folder: Option<&str>,
@@ -196,7 +211,8 @@ impl OutputFolder {
     ) -> Result<Vec<String>, Error> {
         let own = folder.unwrap_or("model");
         let path = self.stage(own)?;
-        colmap::write_model(&path, model, format).map_err(|error| self.renamed(error, own, folder))?;
+        colmap::write_model(&path, model, format)
+            .map_err(|error| self.renamed(error, own, folder))?;
         let mut names = Vec::new();
         for name in MODEL_FILES {
             let file = format!("{name}.{}", format.suffix());
@@ -225,7 +241,9 @@ impl OutputFolder {
             Err(_) => path,
         };
         Error::File(match error {
-            tiepoint_io::Error::Io { path, cause } => tiepoint_io::Error::Io { path: rename(path), cause },
+            tiepoint_io::Error::Io { path, cause } => {
+                tiepoint_io::Error::Io { path: rename(path), cause }
+            }
             tiepoint_io::Error::Content { path, what } => {
                 tiepoint_io::Error::Content { path: rename(path), what }
             }
@@ -236,13 +254,15 @@ impl OutputFolder {
         })
     }
 
-    /// Puts the staged files in their places, together, and removes others; in this order, the one that readers look for first
-    /// being the last. Those that are there already with the same content stay. Gives how many those are.
+    /// Puts the staged files in their places, together, and removes others; in this order, the one
+    /// that readers look for first being the last. Those that are there already with the same
+    /// content stay. Gives how many those are.
     ///
     /// # Errors
     ///
-    /// Where a file of somebody would be replaced or removed; then nothing is. Where the system refuses: if that comes after
-    /// the moment that decides, the next [`OutputFolder::open`] goes on, and until then nothing else is published.
+    /// Where a file of somebody would be replaced or removed; then nothing is. Where the system
+    /// refuses: if that comes after the moment that decides, the next [`OutputFolder::open`] goes
+    /// on, and until then nothing else is published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
         if Self::is_unfinished(&self.root) {
             return Err(Error::Unfinished { path: self.root.clone() });
@@ -327,7 +347,9 @@ impl OutputFolder {
         }
         for name in removed {
             let folder = self.root.join(name);
-            if let Some(folder) = folder.parent().filter(|folder| *folder != self.root && folder.is_dir()) {
+            if let Some(folder) =
+                folder.parent().filter(|folder| *folder != self.root && folder.is_dir())
+            {
                 // A link, or a folder of somebody: it may stay.
                 let _ = disk::remove_empty_folder(folder);
             }
@@ -359,7 +381,8 @@ fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
 /// The names that a COLMAP model in this folder may have, in both formats.
 pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
-    let names = |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
+    let names =
+        |format: Format| MODEL_FILES.map(|name| format!("{prefix}{name}.{}", format.suffix()));
     Format::ALL.into_iter().flat_map(names).collect()
 }
 
@@ -418,7 +441,8 @@ fn sync_folders(folder: &Path) -> io::Result<()> {
 
 #[cfg(unix)]
 fn lock(root: &Path) -> Result<Option<File>, Error> {
-    let folder = File::open(root).map_err(|cause| Error::Unreadable { path: root.to_owned(), cause })?;
+    let folder =
+        File::open(root).map_err(|cause| Error::Unreadable { path: root.to_owned(), cause })?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(Error::InUse { path: root.to_owned() }),
         // Some network disks have no locks: a lock is a help and not a promise there.
@@ -440,7 +464,11 @@ mod tests {
     /// Files whose hash was taken, in any test.
     pub(super) static HASHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-    fn put(folder: &mut OutputFolder, files: &[(&str, &str)], removed: &[&str]) -> Result<usize, Error> {
+    fn put(
+        folder: &mut OutputFolder,
+        files: &[(&str, &str)],
+        removed: &[&str],
+    ) -> Result<usize, Error> {
         for (name, text) in files {
             folder.stage_bytes(name, text.as_bytes())?;
         }
@@ -458,7 +486,11 @@ mod tests {
         assert!(matches!(OutputFolder::open(root), Err(Error::InUse { .. })) || cfg!(not(unix)));
         drop(folder);
         let mut folder = OutputFolder::open(root).unwrap();
-        assert_eq!(put(&mut folder, &[("a/b", "2"), ("c", "1")], &[]).unwrap(), 1, "c is there already");
+        assert_eq!(
+            put(&mut folder, &[("a/b", "2"), ("c", "1")], &[]).unwrap(),
+            1,
+            "c is there already"
+        );
         assert_eq!((read("a/b").as_str(), read("c").as_str()), ("2", "1"));
         fs::write(root.join("mine"), "mine").unwrap();
         fs::write(root.join("c"), "changed").unwrap();
@@ -471,7 +503,10 @@ mod tests {
         assert!(put(&mut folder, &[("a/b", "3")], &["mine"]).is_err());
         drop(folder);
         folder = OutputFolder::open(root).unwrap();
-        assert_eq!((read("a/b"), read("mine"), read("c")), ("2".into(), "mine".into(), "changed".into()));
+        assert_eq!(
+            (read("a/b"), read("mine"), read("c")),
+            ("2".into(), "mine".into(), "changed".into())
+        );
         // The same content is no harm, and stays theirs.
         assert_eq!(put(&mut folder, &[("mine", "mine")], &["a/b"]).unwrap(), 1);
         assert!(!root.join("a").exists());
@@ -490,7 +525,8 @@ mod tests {
         let count = || HASHED.lock().unwrap().iter().filter(|path| paths.contains(path)).count();
         let before = count();
         assert_eq!(put(&mut folder, &names.map(|name| (name, "2")), &[]).unwrap(), 1);
-        // Each once, and the two that are replaced again before they go, since they may have changed meanwhile.
+        // Each once, and the two that are replaced again before they go, since they may have
+        // changed meanwhile.
         assert_eq!(count() - before, 5);
     }
 

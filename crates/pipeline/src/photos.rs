@@ -26,8 +26,8 @@ pub(crate) struct Photo {
 }
 
 impl Photos {
-    /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder per camera is a rig. Nothing is
-    /// detected where the mask of an image is 0.
+    /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder
+    /// per camera is a rig. Nothing is detected where the mask of an image is 0.
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self, Error> {
         let folder = ImageFolder::open(inputs, masks)?;
         // So that a later run finds them from another working directory.
@@ -76,25 +76,29 @@ impl Photos {
         Ok(format!("{photos} masked by {masks}"))
     }
 
-    /// Reads all headers: the photos that can be used, and those that cannot. Those of one camera must be of one size.
+    /// Reads all headers: the photos that can be used, and those that cannot. Those of one camera
+    /// must be of one size.
     ///
     /// # Errors
     ///
     /// Photos of one camera have two sizes, or there are fewer than two.
     pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
-        let infos: Vec<_> = (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
+        let infos: Vec<_> =
+            (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
         let mut photos = Vec::<Photo>::new();
         let files = self.folder.skipped().iter();
-        let mut skipped: Vec<SkippedImage> =
-            files.map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() }).collect();
+        let mut skipped: Vec<SkippedImage> = files
+            .map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() })
+            .collect();
         let mut first_of_camera: Vec<Option<usize>> = vec![None; self.folder.camera_names().len()];
         let mut num_cameras = 0;
         for (index, (image, info)) in images.iter().zip(infos).enumerate() {
             let info = match info {
                 Ok(info) => info,
                 Err(error) => {
-                    skipped.push(SkippedImage { image: image.name.clone(), why: error.to_string() });
+                    skipped
+                        .push(SkippedImage { image: image.name.clone(), why: error.to_string() });
                     continue;
                 }
             };
@@ -122,7 +126,9 @@ impl Photos {
             photos.push(Photo { index, camera, info });
         }
         if photos.len() < 2 {
-            return Err(self.too_few(photos.len(), skipped.into_iter().map(|photo| photo.why).collect()));
+            return Err(
+                self.too_few(photos.len(), skipped.into_iter().map(|photo| photo.why).collect())
+            );
         }
         Ok((photos, skipped))
     }

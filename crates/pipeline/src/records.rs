@@ -1,11 +1,12 @@
-//! What each stage was made from, so that a later run can tell whether to keep it, to go on with it, or to ask.
+//! What each stage was made from, so that a later run can tell whether to keep it, to go on with
+//! it, or to ask.
 //!
-//! The database holds this for its own two stages, written in the transactions that change them; `stages.json` holds it for
-//! all. Where they differ, the database is right.
+//! The database holds this for its own two stages, written in the transactions that change them;
+//! `stages.json` holds it for all. Where they differ, the database is right.
 //!
-//! The input of the first stage is a fingerprint of the photos; that of a later stage stands for everything before it. Options
-//! are kept as texts by key ([`crate::option_keys`]), so that a difference can be named. Records of earlier versions become
-//! ones with keys as they are read.
+//! The input of the first stage is a fingerprint of the photos; that of a later stage stands for
+//! everything before it. Options are kept as texts by key ([`crate::option_keys`]), so that a
+//! difference can be named. Records of earlier versions become ones with keys as they are read.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -34,12 +35,16 @@ const MAX_NAMED: usize = 3;
 pub(crate) struct Recipe {
     /// Fingerprint of the photos, or of the stage before.
     pub(crate) input: String,
-    /// Options by key. One that is not given is left out, so that a new one changes no record of before.
+    /// Options by key. One that is not given is left out, so that a new one changes no record of
+    /// before.
     pub(crate) options: BTreeMap<String, String>,
 }
 
 impl Recipe {
-    pub(crate) fn new(input: String, options: impl IntoIterator<Item = (&'static str, String)>) -> Self {
+    pub(crate) fn new(
+        input: String,
+        options: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> Self {
         let given = options.into_iter().filter(|(_, value)| value != NONE);
         Self { input, options: given.map(|(key, value)| (key.to_owned(), value)).collect() }
     }
@@ -57,7 +62,8 @@ impl Recipe {
     /// In what this, which was, differs from what is asked for now; as the end of "were made …".
     fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
         let keys: BTreeSet<&String> = self.options.keys().chain(asked.options.keys()).collect();
-        let changed = keys.into_iter().filter(|key| self.options.get(*key) != asked.options.get(*key));
+        let changed =
+            keys.into_iter().filter(|key| self.options.get(*key) != asked.options.get(*key));
         let changed: Vec<String> = changed.map(|key| self.changed_option(asked, key)).collect();
         if !changed.is_empty() {
             let named = changed[..changed.len().min(MAX_NAMED)].join(", ");
@@ -73,7 +79,8 @@ impl Recipe {
     }
 
     fn changed_option(&self, asked: &Self, key: &str) -> String {
-        let value = |recipe: &Self| recipe.options.get(key).cloned().unwrap_or_else(|| NONE.to_owned());
+        let value =
+            |recipe: &Self| recipe.options.get(key).cloned().unwrap_or_else(|| NONE.to_owned());
         let (name, was, is) = (shown(key), value(self), value(asked));
         if was.len().max(is.len()) <= MAX_QUOTED {
             format!("{name} {was} and not {is}")
@@ -92,7 +99,8 @@ struct Record {
     recipe: Recipe,
 }
 
-/// Gives the options of an earlier version their keys. The input of a stage is the fingerprint of the one before, and follows it.
+/// Gives the options of an earlier version their keys. The input of a stage is the fingerprint of
+/// the one before, and follows it.
 fn give_keys(stages: &mut BTreeMap<Stage, Record>) {
     let mut made: Option<(String, String)> = None;
     for (stage, record) in stages {
@@ -156,7 +164,8 @@ impl Records {
             Err(cause) => return Err(Error::Unreadable { path: path.to_owned(), cause }),
             Ok(text) => text,
         };
-        let mut records: Self = serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
+        let mut records: Self =
+            serde_json::from_slice(&text).map_err(|error| broken(error.to_string()))?;
         if !(VERSION_WITHOUT_ROWS..=VERSION).contains(&records.version) {
             return Err(broken(format!("it is of version {} and not {VERSION}", records.version)));
         }
@@ -226,8 +235,8 @@ impl Records {
         self.stages.get(&stage).is_some_and(|record| record.is_complete)
     }
 
-    /// Compares what was with what is asked for, and notes that the stage is to be made where it is. Later stages are forgotten
-    /// with it.
+    /// Compares what was with what is asked for, and notes that the stage is to be made where it
+    /// is. Later stages are forgotten with it.
     pub(crate) fn begin(
         &mut self,
         workspace: &Path,
@@ -277,8 +286,8 @@ impl Records {
 
 /// A text of ours.
 pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
-    let mut text =
-        serde_json::to_vec_pretty(value).expect("our own types are JSON: string keys, finite numbers");
+    let mut text = serde_json::to_vec_pretty(value)
+        .expect("our own types are JSON: string keys, finite numbers");
     text.push(b'\n');
     text
 }
@@ -294,7 +303,10 @@ mod tests {
     use crate::option_keys::{of_features, of_mapping, of_matching};
 
     fn recipe(input: &str, pairs: &str) -> Recipe {
-        Recipe::new(input.to_owned(), [("match.pairs", pairs.to_owned()), ("match.seed", "0".to_owned())])
+        Recipe::new(
+            input.to_owned(),
+            [("match.pairs", pairs.to_owned()), ("match.seed", "0".to_owned())],
+        )
     }
 
     #[test]
@@ -306,7 +318,10 @@ mod tests {
         assert_eq!(records.begin(dir, Stage::Match, &asked, None).unwrap(), Progress::Continue);
         records.complete(Stage::Match);
         assert_eq!(records.begin(dir, Stage::Match, &asked, None).unwrap(), Progress::Kept);
-        assert_eq!(records.begin(dir, Stage::Match, &asked, Some(Stage::Match)).unwrap(), Progress::Begin);
+        assert_eq!(
+            records.begin(dir, Stage::Match, &asked, Some(Stage::Match)).unwrap(),
+            Progress::Begin
+        );
     }
 
     #[test]
@@ -314,18 +329,24 @@ mod tests {
         let (dir, mut records) = (Path::new("ws"), Records::default());
         records.begin(dir, Stage::Match, &recipe("a", "exhaustive"), None).unwrap();
         records.begin(dir, Stage::Map, &recipe("b", "-"), None).unwrap();
-        let error = records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), None).unwrap_err();
+        let error =
+            records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), None).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the matches in ws were made with --pairs exhaustive and not sequential:5: give --redo match to make them anew, or \
+            "the matches in ws were made with --pairs exhaustive and not sequential:5: give \
+            --redo match to make them anew, or \
              choose another workspace"
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
         assert!(error.to_string().contains("made anew since"), "{error}");
-        let redone = records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), Some(Stage::Match));
+        let redone =
+            records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), Some(Stage::Match));
         assert_eq!(redone.unwrap(), Progress::Begin);
         // What was made from it is forgotten.
-        assert_eq!(records.begin(dir, Stage::Map, &recipe("b", "-"), None).unwrap(), Progress::Begin);
+        assert_eq!(
+            records.begin(dir, Stage::Map, &recipe("b", "-"), None).unwrap(),
+            Progress::Begin
+        );
     }
 
     #[test]
@@ -382,7 +403,10 @@ mod tests {
     #[test]
     fn each_option_that_differs_is_named_and_many_are_counted() {
         let recipe = |options: &[(&'static str, &str)]| {
-            Recipe::new("a".to_owned(), options.iter().map(|(key, value)| (*key, (*value).to_owned())))
+            Recipe::new(
+                "a".to_owned(),
+                options.iter().map(|(key, value)| (*key, (*value).to_owned())),
+            )
         };
         let hash = "0123456789abcdef".repeat(4);
         for (was, is, expected) in [
@@ -416,35 +440,47 @@ mod tests {
 
     /// `stages.json` of version VERSION as the version before wrote it, for four photos.
     fn legacy_file(version: u32, pairs: &str) -> (String, [String; 3]) {
-        let detector = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: 0.0066666664, \
-             edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, orientation: Dominant, \
+        let detector = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: \
+        0.0066666664, \
+             edge_threshold: 10.0, max_features: 8192, limit: WholeLevels, max_orientations: 2, \
+             orientation: Dominant, \
              normalization: RootL1, domain_sizes: None }";
-        let matching = "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: BruteForce, \
+        let matching = "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, \
+        method: BruteForce, \
              preempt: None }";
-        let verification = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, \
+        let verification = "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, \
+        min_essential_share: 0.95, \
              max_homography_share: 0.8 }";
-        let mapper = "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: true, distortion: true }, \
+        let mapper = "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: \
+        true, distortion: true }, \
              tracks: TrackOptions { max_create_error_px: 12.0, max_merge_error_px: 4.0, \
              min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }, \
              filter: FilterOptions { max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }, \
-             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }, \
-             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, global_growth: 1.1, \
+             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, \
+             min_inlier_share: 0.25 }, \
+             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, \
+             global_growth: 1.1, \
              rig: Auto, readout: None, seed: 0 }";
         let features = format!(
-            r#"{{ "input": "PHOTOS", "options": {{ "camera-model": "SIMPLE_RADIAL", "detector": "{detector}" }} }}"#
+            r#"{{ "input": "PHOTOS", "options":
+                {{ "camera-model": "SIMPLE_RADIAL", "detector": "{detector}" }} }}"#
         );
         let fingerprint =
             |recipe: &str| serde_json::from_str::<Recipe>(recipe).expect("as it was").fingerprint();
         let matches = format!(
-            r#"{{ "input": "{}", "options": {{ "matching": "{matching}", "pairs": "{pairs}", "seed": "0",
-                "verification": "{verification}" }} }}"#,
+            r#"{{ "input": "{}", "options":
+                {{ "matching": "{matching}", "pairs": "{pairs}", "seed": "0",
+                   "verification": "{verification}" }} }}"#,
             fingerprint(&features)
         );
-        let models =
-            format!(r#"{{ "input": "{}", "options": {{ "mapper": "{mapper}" }} }}"#, fingerprint(&matches));
+        let models = format!(
+            r#"{{ "input": "{}", "options": {{ "mapper": "{mapper}" }} }}"#,
+            fingerprint(&matches)
+        );
         let complete = |recipe: &str| recipe.replacen('{', r#"{ "is_complete": true,"#, 1);
         let file = format!(
-            r#"{{ "version": {version}, "inputs": ["photos"], "stages": {{ "features": {}, "match": {}, "map": {} }} }}"#,
+            r#"{{ "version": {version}, "inputs": ["photos"],
+                "stages": {{ "features": {}, "match": {}, "map": {} }} }}"#,
             complete(&features),
             complete(&matches),
             complete(&models)
@@ -459,7 +495,9 @@ mod tests {
         let (calibration, detector) = (Calibration::default(), sift::Options::default());
         let (descriptors, verify) = (matching::Options::default(), VerifyOptions::default());
         match stage {
-            Stage::Features => Recipe::new("PHOTOS".to_owned(), of_features(&calibration, &detector, None)),
+            Stage::Features => {
+                Recipe::new("PHOTOS".to_owned(), of_features(&calibration, &detector, None))
+            }
             Stage::Match => {
                 let input = records.fingerprint(dir, Stage::Features).unwrap();
                 Recipe::new(input, of_matching(&pairs, &descriptors, &verify, 0))
@@ -483,7 +521,11 @@ mod tests {
             let rows: Vec<StageRow> = IN_DATABASE
                 .iter()
                 .zip(recipes)
-                .map(|(stage, recipe)| StageRow { stage: stage.name().to_owned(), is_complete: true, recipe })
+                .map(|(stage, recipe)| StageRow {
+                    stage: stage.name().to_owned(),
+                    is_complete: true,
+                    recipe,
+                })
                 .collect();
             let mut with_rows = read.clone();
             with_rows.take_rows(&rows);
@@ -497,18 +539,24 @@ mod tests {
             for mut records in [read, with_rows, upgraded] {
                 for stage in Stage::ALL {
                     let recipe = asked(&records, stage, exhaustive);
-                    assert_eq!(records.begin(dir, stage, &recipe, None).unwrap(), Progress::Kept, "{stage}");
+                    assert_eq!(
+                        records.begin(dir, stage, &recipe, None).unwrap(),
+                        Progress::Kept,
+                        "{stage}"
+                    );
                 }
                 let sequential = PairSelection::Sequential { reach: 5, ends: Ends::Open, loops: 0 };
                 let recipe = asked(&records, Stage::Match, sequential);
-                let error = records.begin(dir, Stage::Match, &recipe, None).unwrap_err().to_string();
+                let error =
+                    records.begin(dir, Stage::Match, &recipe, None).unwrap_err().to_string();
                 assert!(
                     error.contains("with --pairs exhaustive and not sequential:5: give --redo"),
                     "{error}"
                 );
                 let recipe = asked(&records, Stage::Features, exhaustive);
                 let recipe = Recipe { input: "OTHERS".to_owned(), ..recipe };
-                let error = records.begin(dir, Stage::Features, &recipe, None).unwrap_err().to_string();
+                let error =
+                    records.begin(dir, Stage::Features, &recipe, None).unwrap_err().to_string();
                 assert!(error.contains("in ws were made from other photos"), "{error}");
             }
         }
@@ -517,8 +565,11 @@ mod tests {
         let (_, [features, matches, _]) = legacy_file(2, "sequential:5");
         std::fs::write(&path, file).unwrap();
         let mut records = Records::read(&path).unwrap().unwrap();
-        let row =
-            |stage: Stage, recipe| StageRow { stage: stage.name().to_owned(), is_complete: true, recipe };
+        let row = |stage: Stage, recipe| StageRow {
+            stage: stage.name().to_owned(),
+            is_complete: true,
+            recipe,
+        };
         records.take_rows(&[row(Stage::Features, features), row(Stage::Match, matches)]);
         assert!(records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
     }

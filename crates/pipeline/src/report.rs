@@ -98,7 +98,8 @@ pub struct ModelReport {
     pub cameras: Vec<CameraReport>,
     /// Cameras that took images at the same moments.
     pub rig: Option<RigReport>,
-    /// Pairs of images that drift had torn apart where the way meets itself, and that are one place now.
+    /// Pairs of images that drift had torn apart where the way meets itself, and that are one place
+    /// now.
     #[serde(default)]
     pub loop_pairs: usize,
     /// What was asked for and failed, as sentences; the model is as it would be without.
@@ -134,7 +135,8 @@ impl CameraReport {
         let (model, params) =
             (camera.intrinsics.kind().name().to_owned(), camera.intrinsics.params().to_vec());
         let readout_s = shutter.map(|shutter| shutter.readout_s);
-        let readout_sd_s = shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
+        let readout_sd_s =
+            shutter.and_then(|shutter| shutter.readout_sd_s).filter(|sd_s| sd_s.is_finite());
         let (width, height) = (camera.width, camera.height);
         Self { id: id.0 + 1, model, width, height, params, readout_s, readout_sd_s }
     }
@@ -159,7 +161,9 @@ impl ModelReport {
             cameras: model
                 .cameras()
                 .filter(|(id, _)| is_used(id))
-                .map(|(id, c)| CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id)))
+                .map(|(id, c)| {
+                    CameraReport::new(id, c, shutters.iter().find(|shutter| shutter.camera == id))
+                })
                 .collect(),
             rig: None,
             loop_pairs: 0,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_sfm::scene::Reconstruction;
-use tiepoint_sfm::{Hold, MountedCamera, MountedRig, Timing};
+use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 
 use crate::Error;
 use crate::image_names::folder_of;
@@ -22,8 +22,9 @@ pub struct RigFile {
     pub reference: String,
     /// The others.
     pub cameras: Vec<RigCamera>,
-    /// Images of one moment, the first camera's and another's, that are wrong: they agree neither in the model nor by their own
-    /// matches with the mounting. `None` in files of versions before this was written.
+    /// Images of one moment, the first camera's and another's, that are wrong: they agree neither
+    /// in the model nor by their own matches with the mounting. `None` in files of versions before
+    /// this was written.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bad_pairs: Option<Vec<[String; 2]>>,
 }
@@ -43,15 +44,17 @@ pub struct RigCamera {
     pub hold: String,
     /// What turns its times into the first camera's.
     pub clock: RigClock,
-    /// Joint covariance of rotation (radians, R ← Exp(δ) R), translation, offset (seconds) and drift, rows in this order; zeros where
-    /// something is held, none where it is not determined. The size of the model is held, not part of it.
+    /// Joint covariance of rotation (radians, R ← Exp(δ) R), translation, offset (seconds) and
+    /// drift, rows in this order; zeros where something is held, none where it is not determined.
+    /// The size of the model is held, not part of it.
     pub covariance: Option<Vec<Vec<f64>>>,
     /// Largest standard deviation of the rotation about any axis.
     pub rotation_sd_deg: Option<f64>,
     /// Largest standard deviation of the translation in any direction.
     pub translation_sd: Option<f64>,
-    /// Of cameras that see nothing in common: a direction in the rig along which the motion does not tell where the camera is, as upwards on a flat
-    /// road. Its place along it is a guess: zero.
+    /// Of cameras that see nothing in common: a direction in the rig along which the motion does
+    /// not tell where the camera is, as upwards on a flat road. Its place along it is a guess:
+    /// zero.
     #[serde(default)]
     pub unobservable: Option<[f64; 3]>,
 }
@@ -59,8 +62,9 @@ pub struct RigCamera {
 /// Time of the first camera = time + offset + drift (time − pivot).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigClock {
-    /// together: the cameras take their images at the same instants, which fixes the offset; free: found from the images; not observable:
-    /// the images tell too little, and the offset is what the time stamps say.
+    /// together: the cameras take their images at the same instants, which fixes the offset; free:
+    /// found from the images; not observable: the images tell too little, and the offset is what
+    /// the time stamps say.
     pub timing: String,
     /// Offset at the pivot.
     pub offset_s: f64,
@@ -82,20 +86,24 @@ impl RigFile {
         for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
             let norm = rotation_wxyz.iter().map(|value| value * value).sum::<f64>().sqrt();
             if (norm - 1.0).abs().partial_cmp(&UNIT_TOLERANCE) != Some(Ordering::Less) {
-                return Err(broken(format!("the rotation of camera {name} has norm {norm} and not 1")));
+                return Err(broken(format!(
+                    "the rotation of camera {name} has norm {norm} and not 1"
+                )));
             }
         }
         Ok(file)
     }
 
     /// `None` without a camera that is held to the first one.
-    pub(crate) fn new(model: &Reconstruction, rig: &MountedRig) -> Option<Self> {
-        let reference = folder_of(model, rig.cameras.first()?.companion.left);
+    pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
+        let reference = folder_of(model, rig.cameras.first()?.rig_sensor.left);
         let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
             cameras: rig.cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
-            bad_pairs: Some(rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect()),
+            bad_pairs: Some(
+                rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
+            ),
         })
     }
 }
@@ -108,30 +116,31 @@ impl RigCamera {
         Rigid3::new(rotation, Vector3::from(self.translation))
     }
 
-    fn new(model: &Reconstruction, camera: &MountedCamera) -> Self {
-        let (pose, clock) = (&camera.right_from_left, &camera.companion.clock);
+    fn new(model: &Reconstruction, camera: &CalibratedCamera) -> Self {
+        let (pose, clock) = (&camera.right_from_left, &camera.rig_sensor.clock);
         let q = &pose.rotation;
-        let sd = |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
+        let sd =
+            |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
         let widest = |first: usize| {
             let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
             Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
         };
-        let is_free = camera.companion.timing == Timing::Free;
+        let is_free = camera.rig_sensor.clock_state == ClockState::Estimated;
         Self {
-            name: folder_of(model, camera.companion.right),
+            name: folder_of(model, camera.rig_sensor.right),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
-            hold: match camera.hold {
-                Hold::Soft { .. } => "soft",
-                Hold::Rigid => "hard",
+            hold: match camera.constraint {
+                RigConstraint::Soft { .. } => "soft",
+                RigConstraint::Rigid => "hard",
             }
             .to_owned(),
             clock: RigClock {
-                timing: match camera.companion.timing {
-                    Timing::Together => "together",
-                    Timing::Free => "free",
-                    Timing::NotObservable => "not observable",
+                timing: match camera.rig_sensor.clock_state {
+                    ClockState::Synchronised => "together",
+                    ClockState::Estimated => "free",
+                    ClockState::Unobservable => "not observable",
                 }
                 .to_owned(),
                 offset_s: clock.offset_s,
@@ -140,12 +149,12 @@ impl RigCamera {
                 drift_sd_ppm: sd(7).filter(|_| is_free).map(|sd| 1e6 * sd),
                 pivot_s: clock.pivot_s,
             },
-            covariance: camera
-                .covariance
-                .map(|covariance| covariance.row_iter().map(|row| row.iter().copied().collect()).collect()),
+            covariance: camera.covariance.map(|covariance| {
+                covariance.row_iter().map(|row| row.iter().copied().collect()).collect()
+            }),
             rotation_sd_deg: widest(0).map(f64::to_degrees),
             translation_sd: widest(3),
-            unobservable: camera.companion.blind.map(Into::into),
+            unobservable: camera.rig_sensor.unobservable_direction.map(Into::into),
         }
     }
 }
@@ -157,14 +166,21 @@ mod tests {
     #[test]
     fn a_rotation_that_is_none_is_refused() {
         let read = |rotation_wxyz| {
-            let camera = RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
-            let file = RigFile { reference: "left".to_owned(), cameras: vec![camera], bad_pairs: None };
+            let camera =
+                RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
+            let file =
+                RigFile { reference: "left".to_owned(), cameras: vec![camera], bad_pairs: None };
             RigFile::from_json(Path::new("ws/rig.json"), &serde_json::to_vec(&file).unwrap())
         };
         assert!(read([0.5, -0.5, 0.5, 0.5]).is_ok() && read([0.0, 0.707, 0.0, 0.707]).is_ok());
-        for none in [[0.0; 4], [1e-9, 0.0, 0.0, 0.0], [1e200, 0.0, 0.0, 1e200], [2.0, 0.0, 0.0, 0.0]] {
+        for none in
+            [[0.0; 4], [1e-9, 0.0, 0.0, 0.0], [1e200, 0.0, 0.0, 1e200], [2.0, 0.0, 0.0, 0.0]]
+        {
             let error = read(none).unwrap_err().to_string();
-            assert!(error.contains("ws/rig.json: the rotation of camera right has norm"), "{error}");
+            assert!(
+                error.contains("ws/rig.json: the rotation of camera right has norm"),
+                "{error}"
+            );
         }
         // serde_json writes what is not finite as null, and refuses that and 1e999 when it reads.
         assert!(read([f64::NAN; 4]).is_err());

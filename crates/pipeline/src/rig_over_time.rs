@@ -10,7 +10,8 @@ use tiepoint_sfm::scene::{CameraId, Image, Reconstruction};
 use crate::ErrorStatistics;
 use crate::image_names::{folder_of, number};
 
-/// How constant the relative pose of two cameras is in a model: p_i of the paper, its spread and its drift.
+/// How constant the relative pose of two cameras is in a model: p_i of the paper, its spread and
+/// its drift.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RigEvaluation {
     /// The folders of the two cameras.
@@ -19,11 +20,13 @@ pub struct RigEvaluation {
     pub moments: usize,
     /// Distance of the two cameras, in the unit asked for.
     pub baseline: ErrorStatistics,
-    /// Root mean square deviation of the second camera's centre, seen from the first, from its mean; in that unit.
+    /// Root mean square deviation of the second camera's centre, seen from the first, from its
+    /// mean; in that unit.
     pub translation_rms: f64,
     /// The same of the rotation.
     pub rotation_rms_deg: f64,
-    /// Change of the baseline over the drive (by a straight line through all moments), as a part of its mean.
+    /// Change of the baseline over the drive (by a straight line through all moments), as a part of
+    /// its mean.
     pub baseline_drift: f64,
     /// Change of the centre over the drive, in that unit.
     pub translation_drift: f64,
@@ -37,8 +40,9 @@ pub struct RigEvaluation {
     pub series: RigOverTime,
 }
 
-/// Measures every pair of a model's cameras that took images at the same moments; none for a lone camera. Lengths are multiplied by
-/// `scale`: 1 leaves the model's units, [`crate::PoseEvaluation::scale`] gives those of the truth.
+/// Measures every pair of a model's cameras that took images at the same moments; none for a lone
+/// camera. Lengths are multiplied by `scale`: 1 leaves the model's units,
+/// [`crate::PoseEvaluation::scale`] gives those of the truth.
 ///
 /// Images pair up by their times, or, where an image has none, by the numbers in their names.
 pub fn evaluate_rig(model: &Reconstruction, scale: f64) -> Vec<RigEvaluation> {
@@ -54,13 +58,19 @@ pub fn evaluate_rig(model: &Reconstruction, scale: f64) -> Vec<RigEvaluation> {
     }
     drives.values_mut().for_each(|drive| drive.sort_by(|a, b| a.0.total_cmp(&b.0)));
     let drives: Vec<(CameraId, Vec<(f64, Rigid3)>)> = drives.into_iter().collect();
-    let pairs = drives.iter().enumerate().flat_map(|(k, a)| drives[k + 1..].iter().map(move |b| (a, b)));
+    let pairs =
+        drives.iter().enumerate().flat_map(|(k, a)| drives[k + 1..].iter().map(move |b| (a, b)));
     pairs.filter_map(|(a, b)| evaluate_pair(model, a, b, scale)).collect()
 }
 
 type Drive = (CameraId, Vec<(f64, Rigid3)>);
 
-fn evaluate_pair(model: &Reconstruction, left: &Drive, right: &Drive, scale: f64) -> Option<RigEvaluation> {
+fn evaluate_pair(
+    model: &Reconstruction,
+    left: &Drive,
+    right: &Drive,
+    scale: f64,
+) -> Option<RigEvaluation> {
     let pairs = moments(&left.1, &right.1)?;
     let series = rig_over_time(&pairs)?;
     let statistics = |values: Statistics| {
@@ -89,7 +99,8 @@ fn evaluate_pair(model: &Reconstruction, left: &Drive, right: &Drive, scale: f64
 
 /// Images of both at most half an interval apart.
 fn moments(left: &[(f64, Rigid3)], right: &[(f64, Rigid3)]) -> Option<Vec<PosePair>> {
-    let times = |drive: &[(f64, Rigid3)]| -> Vec<f64> { drive.iter().map(|(time_s, _)| *time_s).collect() };
+    let times =
+        |drive: &[(f64, Rigid3)]| -> Vec<f64> { drive.iter().map(|(time_s, _)| *time_s).collect() };
     let (left_s, right_s) = (times(left), times(right));
     let intervals: Vec<f64> = left_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let max_difference_s = 0.5 * Statistics::of(&intervals)?.median;

@@ -1,10 +1,11 @@
 //! What the report says about cameras that ride together.
 
 use serde::{Deserialize, Serialize};
-use tiepoint_sfm::rig::{RelativePose, Spread, paper, spread};
+use tiepoint_sfm::rig::{RelativePose, RelativePoseStatistics, paper, relative_pose_statistics};
 use tiepoint_sfm::scene::{CameraId, ImagePair, Reconstruction};
 use tiepoint_sfm::{
-    Hold, MappedModel, MountedCamera, MountedRig, RigPair, RigPairs, RigTerm, relative_poses, rig_pairs,
+    CalibratedCamera, CalibratedRig, MappedModel, RigConstraint, RigPair, RigPairs, RigTerm,
+    relative_poses, rig_pairs,
 };
 
 use crate::image_names::folder_of;
@@ -38,9 +39,11 @@ pub struct MountingReport {
     pub held_out_error_off_px: f64,
     /// The same in the end.
     pub held_out_error_px: f64,
-    /// Images of one moment that agree with the mounting neither in the model nor by their own matches.
+    /// Images of one moment that agree with the mounting neither in the model nor by their own
+    /// matches.
     pub bad_pairs: Vec<[String; 2]>,
-    /// Where images without matches with their partners stood elsewhere: how many were brought back.
+    /// Where images without matches with their partners stood elsewhere: how many were brought
+    /// back.
     #[serde(default)]
     pub split: Option<SplitReport>,
     /// The calibration with the clocks, as in `rig.json`.
@@ -52,7 +55,8 @@ pub struct MountingReport {
 pub struct SplitReport {
     /// Images that were brought back to where their mounting has them.
     pub images: usize,
-    /// Pairs with them that matched when they were matched again; with none, nothing but the mounting holds these images.
+    /// Pairs with them that matched when they were matched again; with none, nothing but the
+    /// mounting holds these images.
     pub pairs_matched_again: usize,
 }
 
@@ -61,7 +65,8 @@ pub struct SplitReport {
 pub struct RigCameraReport {
     /// Their folders.
     pub names: [String; 2],
-    /// N_t: moments at which both took an image, or at which the first camera's place is known where the other took one.
+    /// N_t: moments at which both took an image, or at which the first camera's place is known
+    /// where the other took one.
     pub pairs: usize,
     /// N_p: those with both poses; of cameras that are held to a mounting, those at which they are.
     pub reconstructed_pairs: usize,
@@ -73,14 +78,17 @@ pub struct RigCameraReport {
     pub relative_translation_rms: f64,
     /// Root mean square angle from the mean rotation.
     pub rotation_rms_deg: f64,
-    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale does not drift.
+    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale
+    /// does not drift.
     pub second_over_first_half: f64,
 }
 
-/// The constraint of Huang, Elhashash & Qin 2022 has a unit: what it was, and how strong λ is in it.
+/// The constraint of Huang, Elhashash & Qin 2022 has a unit: what it was, and how strong λ is in
+/// it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PaperReport {
-    /// The images whose distance is one unit; the pose of the first one and this distance were held.
+    /// The images whose distance is one unit; the pose of the first one and this distance were
+    /// held.
     pub unit_images: [String; 2],
     /// Their distance now, in units: only one coordinate of it is held.
     pub unit_distance: f64,
@@ -92,7 +100,8 @@ pub struct PaperReport {
     pub relative_sigma_translation: f64,
     /// The same of the rotation.
     pub sigma_rotation_deg: f64,
-    /// Pairs that Eq. (4) took for incorrectly estimated, as it sees the final model; they weigh 500 and not 250.
+    /// Pairs that Eq. (4) took for incorrectly estimated, as it sees the final model; they weigh
+    /// 500 and not 250.
     pub bad_pairs: Vec<[String; 2]>,
 }
 
@@ -108,7 +117,8 @@ impl RigReport {
         let mut cameras: Vec<RigCameraReport> =
             mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
         // Where clocks are not known, images nearest in time count as of one moment.
-        let is_left = |rig: &RigPairs| mounted.iter().all(|mounted| mounted.companion.right != rig.right);
+        let is_left =
+            |rig: &RigPairs| mounted.iter().all(|mounted| mounted.rig_sensor.right != rig.right);
         cameras.extend(
             series
                 .iter()
@@ -137,53 +147,59 @@ fn camera(
     poses: &[(RigPair, RelativePose)],
 ) -> Option<RigCameraReport> {
     let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
-    Some(camera_report(model, [rig.left, rig.right], rig.pairs.len(), &spread(&relative)?))
+    Some(camera_report(
+        model,
+        [rig.left, rig.right],
+        rig.pairs.len(),
+        &relative_pose_statistics(&relative)?,
+    ))
 }
 
 /// With its clock: the moments at which it is held.
-fn mounted_camera(model: &Reconstruction, mounted: &MountedCamera) -> Option<RigCameraReport> {
-    let cameras = [mounted.companion.left, mounted.companion.right];
-    Some(camera_report(model, cameras, mounted.num_moments, &mounted.spread?))
+fn mounted_camera(model: &Reconstruction, mounted: &CalibratedCamera) -> Option<RigCameraReport> {
+    let cameras = [mounted.rig_sensor.left, mounted.rig_sensor.right];
+    Some(camera_report(model, cameras, mounted.num_referenced_images, &mounted.statistics?))
 }
 
 fn camera_report(
     model: &Reconstruction,
     cameras: [CameraId; 2],
     pairs: usize,
-    spread: &Spread,
+    statistics: &RelativePoseStatistics,
 ) -> RigCameraReport {
     RigCameraReport {
         names: cameras.map(|camera| folder_of(model, camera)),
         pairs,
-        reconstructed_pairs: spread.count,
-        median_baseline: spread.median_baseline,
-        relative_baseline_sd: spread.sd_baseline / spread.mean_baseline,
-        relative_translation_rms: spread.rms_translation / spread.mean_baseline,
-        rotation_rms_deg: spread.rms_rotation_rad.to_degrees(),
-        second_over_first_half: spread.second_over_first_half,
+        reconstructed_pairs: statistics.count,
+        median_baseline: statistics.median_baseline,
+        relative_baseline_sd: statistics.sd_baseline / statistics.mean_baseline,
+        relative_translation_rms: statistics.rms_translation / statistics.mean_baseline,
+        rotation_rms_deg: statistics.rms_rotation_rad.to_degrees(),
+        second_over_first_half: statistics.second_over_first_half,
     }
 }
 
-fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &MountedRig) -> MountingReport {
-    let MountedRig { hold, error_off_px, error_px, .. } = *rig;
+fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &CalibratedRig) -> MountingReport {
+    let CalibratedRig { constraint, error_off_px, error_px, .. } = *rig;
     let name = |image| model.image(image).name.clone();
-    let (chosen, sigmas) = match hold {
+    let (chosen, sigmas) = match constraint {
         None => ("off", None),
-        Some(Hold::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
+        Some(RigConstraint::Soft { sigma_translation, sigma_rotation_rad, .. }) => {
             ("soft", Some((sigma_translation, sigma_rotation_rad.to_degrees())))
         }
-        Some(Hold::Rigid) => ("hard", None),
+        Some(RigConstraint::Rigid) => ("hard", None),
     };
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
-    let why = match (term, hold) {
+    let why = match (term, constraint) {
         (RigTerm::Auto, None) => {
-            "cameras held to one mounting would explain tracks that took no part worse, even loosely"
+            "cameras held to one mounting would explain tracks that took no part worse, even \
+            loosely"
                 .to_owned()
         }
-        (RigTerm::Auto, Some(Hold::Rigid)) => {
+        (RigTerm::Auto, Some(RigConstraint::Rigid)) => {
             format!("a rigid rig explains tracks that took no part as well as any: {errors}")
         }
-        (_, Some(Hold::Soft { .. })) => {
+        (_, Some(RigConstraint::Soft { .. })) => {
             format!("this is as firmly as tracks that took no part allow: {errors}")
         }
         _ => format!("it was asked for; tracks that took no part are off by {errors}"),

@@ -1,8 +1,11 @@
-//! A workspace's model with its cameras held exactly to one calibration: what rigs and frames of COLMAP can say.
+//! A workspace's model with its cameras held exactly to one calibration: what rigs and frames of
+//! COLMAP can say.
 //!
-//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`); where it held nothing, the robust mean
-//! of the relative poses and [`tiepoint_sfm::companions`]. Images of one moment are then those nearest to each other in time. Where cameras are not
-//! triggered together, that is not the same instant, and what the rig moved in between becomes error: the report says how much.
+//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`); where it held
+//! nothing, the robust mean of the relative poses and [`tiepoint_sfm::rig_sensors`]. Images of one
+//! moment are then those nearest to each other in time. Where cameras are not triggered together,
+//! that is not the same instant, and what the rig moved in between becomes error: the report says
+//! how much.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,8 +17,8 @@ use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
-    AdjustOptions, Companion, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigidCamera, Timing,
-    companions, hold_rigidly, relative_poses,
+    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigSensor,
+    RigidCamera, constrain_rigidly, relative_poses, rig_sensors,
 };
 
 use crate::evaluate::read_times;
@@ -42,11 +45,13 @@ pub struct RigidReport {
     pub observations_before: usize,
     /// Those that still fit.
     pub observations_after: usize,
-    /// Largest difference in time between images of one frame, by the clocks that were found; `None` without times.
+    /// Largest difference in time between images of one frame, by the clocks that were found;
+    /// `None` without times.
     pub max_time_difference_s: Option<f64>,
 }
 
-/// Without a mounting found before, a pair farther than this from the mean is none: in baselines, and in radians.
+/// Without a mounting found before, a pair farther than this from the mean is none: in baselines,
+/// and in radians.
 const MAX_DEVIATION: (f64, f64) = (0.5, 0.1);
 const MIN_PAIRS: usize = 2;
 const ITERATIONS: usize = 100;
@@ -58,16 +63,18 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let mut model = read_model(&folder)?;
     read_times(&mut model, &place.timestamps())?;
     let rig = place.rig();
-    let (found, bad) = if rig.is_file() { mounted(&model, &place)? } else { (Vec::new(), BTreeSet::new()) };
+    let (found, bad) =
+        if rig.is_file() { mounted(&model, &place)? } else { (Vec::new(), BTreeSet::new()) };
     let candidates = if found.is_empty() {
-        companions(&model).into_iter().map(|companion| (companion, None)).collect()
+        rig_sensors(&model).into_iter().map(|rig_sensor| (rig_sensor, None)).collect()
     } else {
         found
     };
     let mut cameras: Vec<(RigidCamera, Clock)> = Vec::new();
-    for (companion, calibration) in candidates {
+    for (rig_sensor, calibration) in candidates {
         cameras.extend(
-            rigid_camera(&model, &companion, calibration, &bad).map(|camera| (camera, companion.clock)),
+            rigid_camera(&model, &rig_sensor, calibration, &bad)
+                .map(|camera| (camera, rig_sensor.clock)),
         );
     }
     if cameras.is_empty() {
@@ -82,7 +89,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
     let options = options.weighed_against(&model);
-    hold_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
+    constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
     let factor = length / cameras[0].right_from_left.translation.norm();
     if factor.is_normal() {
@@ -106,31 +113,38 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 }
 
 /// Cameras with what mapping found of them: clocks and calibrations.
-type Found = Vec<(Companion, Option<Rigid3>)>;
+type Found = Vec<(RigSensor, Option<Rigid3>)>;
 
-/// What mapping found of the cameras, and the images of further cameras that it found to be none of their moment.
-fn mounted(model: &Reconstruction, place: &ModelPlace) -> Result<(Found, BTreeSet<ImageId>), Error> {
+/// What mapping found of the cameras, and the images of further cameras that it found to be none of
+/// their moment.
+fn mounted(
+    model: &Reconstruction,
+    place: &ModelPlace,
+) -> Result<(Found, BTreeSet<ImageId>), Error> {
     let rig = place.rig();
     let broken = |what: String| Error::Broken { path: rig.clone(), what };
-    let text = std::fs::read(&rig).map_err(|cause| Error::Unreadable { path: rig.clone(), cause })?;
+    let text =
+        std::fs::read(&rig).map_err(|cause| Error::Unreadable { path: rig.clone(), cause })?;
     let file = RigFile::from_json(&rig, &text)?;
     let find = |name: &str| {
         let camera = camera_of_folder(model, name);
-        camera.map(|(id, _)| id).ok_or_else(|| broken(format!("there is no camera {name} in the model")))
+        camera
+            .map(|(id, _)| id)
+            .ok_or_else(|| broken(format!("there is no camera {name} in the model")))
     };
     let left = find(&file.reference)?;
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
-        let companion = Companion {
+        let rig_sensor = RigSensor {
             left,
             right: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
-            timing: Timing::Together,
-            unit: None,
-            blind: None,
+            clock_state: ClockState::Synchronised,
+            assumed_baseline: None,
+            unobservable_direction: None,
         };
-        Ok((companion, Some(camera.cam_from_rig())))
+        Ok((rig_sensor, Some(camera.cam_from_rig())))
     };
     let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
     let pairs = match file.bad_pairs {
@@ -138,7 +152,8 @@ fn mounted(model: &Reconstruction, place: &ModelPlace) -> Result<(Found, BTreeSe
         None => bad_pairs_of_report(place)?,
     };
     let names: BTreeSet<&str> = pairs.iter().map(|[_, right]| right.as_str()).collect();
-    let bad = model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
+    let bad =
+        model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
     Ok((cameras, bad.collect()))
 }
 
@@ -156,17 +171,17 @@ fn bad_pairs_of_report(place: &ModelPlace) -> Result<Vec<[String; 2]>, Error> {
 /// A camera with its moments; `None` where there are too few.
 fn rigid_camera(
     model: &Reconstruction,
-    companion: &Companion,
+    rig_sensor: &RigSensor,
     calibration: Option<Rigid3>,
     bad: &BTreeSet<ImageId>,
 ) -> Option<RigidCamera> {
     // Together: images pair up by their clocks, whatever lies between them.
-    let companion = Companion { timing: Timing::Together, ..*companion };
-    let pairs: Vec<RigPair> = companion
-        .moments(model)
+    let rig_sensor = RigSensor { clock_state: ClockState::Synchronised, ..*rig_sensor };
+    let pairs: Vec<RigPair> = rig_sensor
+        .referenced_images(model)
         .iter()
         .filter(|moment| !bad.contains(&moment.right))
-        .map(|moment| RigPair { left: moment.nearest_left(&companion.clock), right: moment.right })
+        .map(|moment| RigPair { left: moment.nearest_left(&rig_sensor.clock), right: moment.right })
         .collect();
     let poses = relative_poses(model, &pairs);
     let (right_from_left, pairs) = match calibration {
@@ -184,12 +199,14 @@ fn rigid_camera(
             )
         }
     };
-    let (left, right) = (companion.left, companion.right);
+    let (left, right) = (rig_sensor.left, rig_sensor.right);
     (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
 }
 
 fn time_difference_s(model: &Reconstruction, cameras: &[(RigidCamera, Clock)]) -> Option<f64> {
-    let all = cameras.iter().flat_map(|(camera, clock)| camera.pairs.iter().map(move |pair| (pair, clock)));
+    let all = cameras
+        .iter()
+        .flat_map(|(camera, clock)| camera.pairs.iter().map(move |pair| (pair, clock)));
     let apart_s = |(pair, clock): (&RigPair, &Clock)| {
         let right_s = clock.reference_time_s(model.image(pair.right).time_s?);
         Some((right_s - model.image(pair.left).time_s?).abs())

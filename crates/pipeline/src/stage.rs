@@ -48,9 +48,8 @@ impl FromStr for Stage {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|stage| stage.name() == text)
-            .ok_or_else(|| format!("there is no stage {text}: use {}", Self::ALL.map(Self::name).join(", ")))
+        Self::ALL.into_iter().find(|stage| stage.name() == text).ok_or_else(|| {
+            format!("there is no stage {text}: use {}", Self::ALL.map(Self::name).join(", "))
+        })
     }
 }

@@ -9,11 +9,13 @@ use tiepoint_sfm::scene::{Image, PointId, Reconstruction, Track};
 
 use crate::ErrorStatistics;
 
-/// Surfaces farther than this from every camera that saw them count as far, in units of the truth (metres): a keypoint off by
-/// 0.3 px moves a point 30 m away by decimetres, and far points would drown the mean.
+/// Surfaces farther than this from every camera that saw them count as far, in units of the truth
+/// (metres): a keypoint off by 0.3 px moves a point 30 m away by decimetres, and far points would
+/// drown the mean.
 const NEAR: f64 = 30.0;
 
-/// How far the points of a model are from the true surface at their pixels, cameras aligned. In units of the truth.
+/// How far the points of a model are from the true surface at their pixels, cameras aligned. In
+/// units of the truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceEvaluation {
     /// Points of the model.
@@ -24,7 +26,8 @@ pub struct SurfaceEvaluation {
     pub distance: ErrorStatistics,
     /// Those seen from at most 30 m (units of the truth).
     pub near: Option<ErrorStatistics>,
-    /// The distances that points would have if the cameras were exactly known: what is left is the keypoints' and the matches'.
+    /// The distances that points would have if the cameras were exactly known: what is left is the
+    /// keypoints' and the matches'.
     pub floor: Option<ErrorStatistics>,
     /// The same of those seen from at most 30 m.
     pub near_floor: Option<ErrorStatistics>,
@@ -36,9 +39,10 @@ pub struct SurfaceEvaluation {
     pub errors: Vec<(PointId, SurfaceError)>,
 }
 
-/// Compares each point of a model with what truly lies behind the pixels that saw it. `truth_from_model` comes from the cameras
-/// ([`crate::PoseEvaluation::truth_from_model`]); `sighting` says what an image sees at a pixel, and is asked in parallel.
-/// `None` where no point is on a surface.
+/// Compares each point of a model with what truly lies behind the pixels that saw it.
+/// `truth_from_model` comes from the cameras ([`crate::PoseEvaluation::truth_from_model`]);
+/// `sighting` says what an image sees at a pixel, and is asked in parallel. `None` where no point
+/// is on a surface.
 pub fn evaluate_surface(
     model: &Reconstruction,
     truth_from_model: &Sim3,
@@ -54,7 +58,8 @@ pub fn evaluate_surface(
         asked.collect()
     };
     let sightings: Vec<Vec<Sighting>> = tracks.par_iter().map(sightings_of).collect();
-    let points: Vec<Vector3<f64>> = tracks.iter().map(|(_, track)| *truth_from_model * track.xyz).collect();
+    let points: Vec<Vector3<f64>> =
+        tracks.iter().map(|(_, track)| *truth_from_model * track.xyz).collect();
     let all = surface_errors(&points, &sightings);
     let errors: Vec<(PointId, SurfaceError)> =
         tracks.iter().zip(all).filter_map(|((id, _), error)| Some((*id, error?))).collect();
@@ -63,7 +68,8 @@ pub fn evaluate_surface(
         .zip(sightings)
         .filter_map(|(point, sightings)| Some((point?, sightings)))
         .unzip();
-    let floor: Vec<SurfaceError> = surface_errors(&known, &of_known).into_iter().flatten().collect();
+    let floor: Vec<SurfaceError> =
+        surface_errors(&known, &of_known).into_iter().flatten().collect();
     let found: Vec<SurfaceError> = errors.iter().map(|(_, error)| *error).collect();
     Some(SurfaceEvaluation {
         points: tracks.len(),

@@ -5,7 +5,8 @@ use serde::Serialize;
 /// A row of a table: what it is, and its values.
 pub type TableRow = (String, Vec<String>);
 
-/// A table with lines of headings. An empty heading belongs to the one on its left, but in the first column.
+/// A table with lines of headings. An empty heading belongs to the one on its left, but in the
+/// first column.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Table {
     /// What it shows; may be empty.
@@ -32,7 +33,8 @@ impl Table {
         head.chain(rows).collect()
     }
 
-    /// With columns aligned: names to the left, values to the right, headings over all their columns.
+    /// With columns aligned: names to the left, values to the right, headings over all their
+    /// columns.
     pub fn to_text(&self) -> String {
         const GAP: usize = 2;
         let lines = self.lines();
@@ -50,7 +52,8 @@ impl Table {
         for line in &lines[..self.head.len()] {
             for column in 0..line.len() {
                 let span = span(line, column);
-                let has: usize = widths[column..column + span].iter().sum::<usize>() + GAP * (span - 1);
+                let has: usize =
+                    widths[column..column + span].iter().sum::<usize>() + GAP * (span - 1);
                 widths[column + span - 1] += line[column].chars().count().saturating_sub(has);
             }
         }
@@ -77,7 +80,8 @@ impl Table {
     /// As Markdown has it: the first line of headings, then a rule, then everything else.
     pub fn to_markdown(&self) -> String {
         let lines = self.lines();
-        let mut text = if self.caption.is_empty() { String::new() } else { format!("{}\n\n", self.caption) };
+        let mut text =
+            if self.caption.is_empty() { String::new() } else { format!("{}\n\n", self.caption) };
         for (index, line) in lines.iter().enumerate() {
             text += &format!("| {} |\n", line.join(" | "));
             if index == 0 {
@@ -101,7 +105,8 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let words = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let words =
+            |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
         Table {
             caption: "Table 3. Errors.".to_owned(),
             head: vec![

@@ -1,7 +1,8 @@
 //! Videos as input: the frames worth having, as photos in the workspace, and when they were taken.
 //!
-//! A recording says when it began in whole seconds at best. Where two have heard the same, their sound tells how much later one began than
-//! the other ([`sound`]); then its frames are taken at the moments of the other's, so that partners lie within half a frame.
+//! A recording says when it began in whole seconds at best. Where two have heard the same, their
+//! sound tells how much later one began than the other ([`sound`]); then its frames are taken at
+//! the moments of the other's, so that partners lie within half a frame.
 
 mod choice;
 mod sound;
@@ -37,7 +38,8 @@ struct Record {
     videos: Vec<(String, String)>,
 }
 
-/// A workspace, the photos that it is to be made from, and when they were taken where the input says it.
+/// A workspace, the photos that it is to be made from, and when they were taken where the input
+/// says it.
 pub struct Opened {
     /// The workspace, held.
     pub workspace: Workspace,
@@ -47,9 +49,9 @@ pub struct Opened {
     pub timestamps: Option<PathBuf>,
 }
 
-/// Opens the input of a workspace: folders of photos, or videos (files, or folders of them), of which the frames worth having
-/// are put into the workspace first, one of `every`. Frames of other videos, or another choice, are replaced where features
-/// are to be redone.
+/// Opens the input of a workspace: folders of photos, or videos (files, or folders of them), of
+/// which the frames worth having are put into the workspace first, one of `every`. Frames of other
+/// videos, or another choice, are replaced where features are to be redone.
 pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
@@ -65,8 +67,9 @@ pub fn open_input(
         return Ok(Opened { photos, workspace: Workspace::create(root)?, timestamps: None });
     }
     let recordings = named_apart(recordings(&files))?;
-    let videos =
-        recordings.iter().map(|recording| Ok((recording.name.clone(), of_files(&recording.chapters)?)));
+    let videos = recordings
+        .iter()
+        .map(|recording| Ok((recording.name.clone(), of_files(&recording.chapters)?)));
     let record = Record { every, videos: videos.collect::<Result<_, Error>>()? };
     let workspace = Workspace::create(root)?;
     let folder = workspace.root().join(FRAMES);
@@ -77,12 +80,15 @@ pub fn open_input(
             return Err(Error::OtherFrames { path: folder });
         }
         let earlier: Vec<String> = frames.names().map(str::to_owned).collect();
-        frames.protect(recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path));
+        frames.protect(
+            recordings.iter().flat_map(|recording| &recording.chapters).map(PathBuf::as_path),
+        );
         frames.refuse_foreign(earlier.iter().map(String::as_str))?;
         let mut names = extract(&recordings, &frames, every, watch)?;
         frames.stage_bytes(RECORD, &json(&record))?;
         names.push(RECORD.to_owned());
-        let removed: Vec<String> = earlier.into_iter().filter(|name| !names.contains(name)).collect();
+        let removed: Vec<String> =
+            earlier.into_iter().filter(|name| !names.contains(name)).collect();
         frames.publish(&names, &removed)?;
     }
     drop(frames);
@@ -122,13 +128,15 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     Ok((frames, Some(record)))
 }
 
-/// The video files that are meant: inputs themselves, or what lies in a folder without images. Empty where photos are meant.
+/// The video files that are meant: inputs themselves, or what lies in a folder without images.
+/// Empty where photos are meant.
 fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for input in inputs {
         if input.is_dir() {
             let entries = fs::read_dir(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-            let entries = entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
+            let entries =
+                entries.map_err(|cause| Error::Unreadable { path: input.clone(), cause })?;
             let mut here: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             here.sort();
             if !here.iter().any(|path| is_image(path)) {
@@ -153,7 +161,8 @@ fn named_apart(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> 
     for recording in &mut recordings {
         if names.iter().filter(|name| **name == recording.name).count() > 1 {
             let folder = recording.chapters.first().and_then(|file| file.parent()?.file_name());
-            let folder = folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned());
+            let folder =
+                folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned());
             recording.name = format!("{folder}-{}", recording.name);
         }
     }
@@ -184,7 +193,8 @@ fn extract(
         let moments_s = if after_s.is_some() { first_moments_s.clone() } else { Vec::new() };
         let mut choice = Chooser::new(every, moments_s);
         let heard_s = after_s.and_then(|after_s| Some(first_began_s? + after_s));
-        let (mut read, mut began_s, mut offset_s, mut last_s, mut interval_s) = (0, heard_s, 0.0, 0.0, 0.0);
+        let (mut read, mut began_s, mut offset_s, mut last_s, mut interval_s) =
+            (0, heard_s, 0.0, 0.0, 0.0);
         let of_recording = taken.len();
         let mut keep = |frame: Option<Candidate>, watch: Watch, read: usize| -> Result<(), Error> {
             let Some(frame) = frame else { return Ok(()) };
@@ -216,14 +226,18 @@ fn extract(
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0));
-    timestamps::write(&frames.stage(TIMES)?, taken.iter().map(|(name, time_s)| (name.as_str(), *time_s)))?;
+    timestamps::write(
+        &frames.stage(TIMES)?,
+        taken.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
+    )?;
     Ok(taken.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect())
 }
 
 /// By how many seconds each recording began after the first one, where their sound tells it.
 fn heard_after_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
     let mut after_s = vec![None; recordings.len()];
-    let Some((first, others)) = recordings.split_first().filter(|(_, others)| !others.is_empty()) else {
+    let Some((first, others)) = recordings.split_first().filter(|(_, others)| !others.is_empty())
+    else {
         return Ok(after_s);
     };
     let sound = |recording: &Recording| -> Result<Vec<i16>, Error> {
@@ -252,7 +266,8 @@ mod tests {
             fs::create_dir(dir.path().join(folder)).unwrap();
         }
         let path = |name: &str| dir.path().join(name);
-        for name in ["photos/1.jpg", "left/GX010042.MP4", "left/GX020042.MP4", "right/GX010042.MP4"] {
+        for name in ["photos/1.jpg", "left/GX010042.MP4", "left/GX020042.MP4", "right/GX010042.MP4"]
+        {
             fs::write(path(name), "").unwrap();
         }
         assert_eq!(videos(&[path("photos")]).unwrap(), Vec::<PathBuf>::new());

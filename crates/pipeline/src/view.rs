@@ -1,8 +1,9 @@
 //! `report.html`: models to look at, in one file that needs nothing else.
 //!
-//! This gathers the data, bounded in size whatever the model's; `view.html` draws them. Models are turned upright (up is where the
-//! cameras' pictures have it on average) and scaled so that nine points of ten lie within a distance of one. Where the world of the
-//! models is known, all get one frame, so that they can be compared by eye.
+//! This gathers the data, bounded in size whatever the model's; `view.html` draws them. Models are
+//! turned upright (up is where the cameras' pictures have it on average) and scaled so that nine
+//! points of ten lie within a distance of one. Where the world of the models is known, all get one
+//! frame, so that they can be compared by eye.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -31,7 +32,8 @@ const MAX_POINTS: usize = 100_000;
 const MAX_CAMERAS: usize = 2_000;
 /// Cells along a side of the matrix; more images share a cell.
 const MAX_CELLS: usize = 100;
-/// Coordinates are whole multiples of this, in view units, up to 8 of them. `view.html` has the same number.
+/// Coordinates are whole multiples of this, in view units, up to 8 of them. `view.html` has the
+/// same number.
 const UNIT: f64 = 8.0 / 32767.0;
 /// Errors beyond this are in the last bar, in pixels.
 const MAX_ERROR_PX: f64 = 4.0;
@@ -47,11 +49,13 @@ pub struct Exhibit<'a> {
     pub name: &'a str,
     /// The model.
     pub model: &'a Reconstruction,
-    /// Where it lies in a world in metres, if that is known: models are then shown in one frame, and lengths in metres.
+    /// Where it lies in a world in metres, if that is known: models are then shown in one frame,
+    /// and lengths in metres.
     pub world_from_model: Option<Sim3>,
     /// What each stage did.
     pub report: Option<&'a Report>,
-    /// Where its cameras are in that world and where they should be, in order of time; empty where that is not known.
+    /// Where its cameras are in that world and where they should be, in order of time; empty where
+    /// that is not known.
     pub whereabouts: &'a [Whereabouts],
 }
 
@@ -136,14 +140,16 @@ struct Way {
     vertical: Vec<f32>,
 }
 
-/// A page with models side by side below tables; `files` are texts to fold out below the first model.
+/// A page with models side by side below tables; `files` are texts to fold out below the first
+/// model.
 pub fn report_html(
     title: &str,
     exhibits: &[Exhibit],
     tables: &[Table],
     files: Vec<(&'static str, String)>,
 ) -> String {
-    let shared_frame = exhibits.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
+    let shared_frame =
+        exhibits.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
     let mut files = Some(files);
     let models = exhibits.iter().map(|exhibit| {
         let view_from_world = shared_frame.filter(|_| exhibit.world_from_model.is_some());
@@ -157,8 +163,8 @@ pub fn report_html(
     TEMPLATE.replacen(PLACE, &data.replace('<', "\\u003c"), 1)
 }
 
-/// Writes `report.html` into a workspace: its largest model, with what `report.json` and `rig.json` say. `path` may also be a
-/// folder with a COLMAP model. Gives the file's path.
+/// Writes `report.html` into a workspace: its largest model, with what `report.json` and `rig.json`
+/// say. `path` may also be a folder with a COLMAP model. Gives the file's path.
 pub fn view(path: &Path) -> Result<PathBuf, Error> {
     refuse_foreign_page(&path.join(PAGE))?;
     let folder = model_folder(path)?;
@@ -189,7 +195,9 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
 
 fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
     // A model on disk holds no images without a pose; the report counts them.
-    let images = report.and_then(|report| report.models.first()).map_or(model.images().count(), |m| m.images);
+    let images = report
+        .and_then(|report| report.models.first())
+        .map_or(model.images().count(), |m| m.images);
     let registered = format!("{} of {images}", model.num_registered());
     let mut rows = vec![
         ("images with a pose".to_owned(), registered),
@@ -198,7 +206,10 @@ fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
             "observations (a point)".to_owned(),
             format!("{} ({:.2})", model.num_observations(), model.mean_track_length()),
         ),
-        ("mean reprojection error".to_owned(), format!("{:.3} px", model.mean_reprojection_error_px())),
+        (
+            "mean reprojection error".to_owned(),
+            format!("{:.3} px", model.mean_reprojection_error_px()),
+        ),
     ];
     for rig in evaluate_rig(model, 1.0) {
         let between = format!("{} – {}", rig.cameras[0], rig.cameras[1]);
@@ -216,8 +227,9 @@ fn upright(exhibit: &Exhibit) -> Sim3 {
     let poses = exhibit.model.registered().map(|(.., pose)| world_from_model.transform_pose(pose));
     let poses: Vec<Rigid3> = poses.collect();
     let up: Vector3<f64> = poses.iter().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum();
-    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z())
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(|| {
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    });
     let seen = exhibit.model.tracks().map(|(_, track)| world_from_model * track.xyz);
     let places: Vec<Vector3<f64>> = seen.chain(poses.iter().map(Rigid3::origin_in_a)).collect();
     let middle = |axis: usize| {
@@ -226,8 +238,11 @@ fn upright(exhibit: &Exhibit) -> Sim3 {
     let centre = Vector3::new(middle(0), middle(1), middle(2));
     let mut distances: Vec<f64> = places.iter().map(|place| (place - centre).norm()).collect();
     distances.sort_by(f64::total_cmp);
-    let radius =
-        distances.get(distances.len() * 9 / 10).copied().filter(|radius| *radius > 0.0).unwrap_or(1.0);
+    let radius = distances
+        .get(distances.len() * 9 / 10)
+        .copied()
+        .filter(|radius| *radius > 0.0)
+        .unwrap_or(1.0);
     let scale = 1.0 / radius;
     Sim3 { scale, rotation, translation: -(rotation * centre) * scale }
 }
@@ -271,10 +286,13 @@ fn describe<'a>(
 
 fn way(whereabouts: &[Whereabouts], view_from_world: &Sim3) -> Option<Way> {
     let first = whereabouts.iter().map(|place| place.camera).min()?;
-    let places: Vec<&Whereabouts> = whereabouts.iter().filter(|place| place.camera == first).collect();
-    let (mut way, mut driven_m, step) = (Way::default(), 0.0, places.len().div_ceil(MAX_CAMERAS).max(1));
+    let places: Vec<&Whereabouts> =
+        whereabouts.iter().filter(|place| place.camera == first).collect();
+    let (mut way, mut driven_m, step) =
+        (Way::default(), 0.0, places.len().div_ceil(MAX_CAMERAS).max(1));
     for (index, Whereabouts { found, truth, .. }) in places.iter().enumerate() {
-        driven_m += index.checked_sub(1).map_or(0.0, |before| (truth - places[before].truth).norm());
+        driven_m +=
+            index.checked_sub(1).map_or(0.0, |before| (truth - places[before].truth).norm());
         if index % step > 0 {
             continue;
         }
@@ -296,7 +314,8 @@ fn way(whereabouts: &[Whereabouts], view_from_world: &Sim3) -> Option<Way> {
 fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
     let step = model.num_registered().div_ceil(MAX_CAMERAS).max(1);
     let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
-    let steps = poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
+    let steps =
+        poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
     let mut steps: Vec<f64> = steps.collect();
     let depth = CAMERA_DEPTH * median(&mut steps).unwrap_or(1.0);
     let mut all: BTreeMap<CameraId, Vec<f32>> = BTreeMap::new();
@@ -310,7 +329,9 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
         let numbers = all.entry(*id).or_default();
         for point in std::iter::once(pose.origin_in_a()).chain(corners) {
             // A ten-thousandth of the view is less than a pixel.
-            numbers.extend((*view_from_model * point).iter().map(|value| (value * 1e4).round() as f32 / 1e4));
+            numbers.extend(
+                (*view_from_model * point).iter().map(|value| (value * 1e4).round() as f32 / 1e4),
+            );
         }
     }
     all.into_iter().map(|(id, corners)| Frusta { colour: id.0, corners }).collect()
@@ -336,7 +357,8 @@ fn track_lengths(model: &Reconstruction) -> Histogram {
     Histogram { first: SHORTEST as f64, last: MAX_TRACK_LENGTH as f64 + 1.0, counts }
 }
 
-/// How many points images have in common; neighbours by name share a cell where there are many images.
+/// How many points images have in common; neighbours by name share a cell where there are many
+/// images.
 fn shared_points(model: &Reconstruction) -> Matrix {
     let mut order: Vec<(&str, ImageId)> =
         model.registered().map(|(id, image, _)| (image.name.as_str(), id)).collect();
@@ -365,7 +387,13 @@ fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
         };
         RigSeries {
             times_s: rig.times_s.iter().step_by(step).copied().collect(),
-            baselines: rig.series.centres.iter().step_by(step).map(|centre| centre.norm() * scale).collect(),
+            baselines: rig
+                .series
+                .centres
+                .iter()
+                .step_by(step)
+                .map(|centre| centre.norm() * scale)
+                .collect(),
             turns_deg: [turn(0), turn(1), turn(2)],
             cameras: rig.cameras,
         }
@@ -388,7 +416,8 @@ fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for chunk in bytes.chunks(3) {
-        let bits = (0..3).fold(0u32, |bits, k| bits << 8 | u32::from(chunk.get(k).copied().unwrap_or(0)));
+        let bits =
+            (0..3).fold(0u32, |bits, k| bits << 8 | u32::from(chunk.get(k).copied().unwrap_or(0)));
         for k in 0..4 {
             let letter = LETTERS[(bits >> (18 - 6 * k) & 63) as usize];
             text.push(if k <= chunk.len() { char::from(letter) } else { '=' });

@@ -1,4 +1,5 @@
-//! The folder in which a run works and leaves its results: a COLMAP project with a few files of ours beside it.
+//! The folder in which a run works and leaves its results: a COLMAP project with a few files of
+//! ours beside it.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -38,18 +39,21 @@ impl Workspace {
     ///
     /// # Errors
     ///
-    /// Where the folder holds files of somebody under the names of a workspace's, is in use, or cannot be written.
+    /// Where the folder holds files of somebody under the names of a workspace's, is in use, or
+    /// cannot be written.
     pub fn create(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let is_claimed = OutputFolder::is_ours(root);
         let record = Records::read(&root.join(STAGES));
         let database = root.join(DATABASE);
         if !is_claimed {
-            // What says that this program made it: the record, or, where that is damaged, the database.
+            // What says that this program made it: the record, or, where that is damaged, the
+            // database.
             let is_ours = matches!(record, Ok(Some(_)))
                 || database.is_file() && matches!(read_stage_rows(&database), Ok(Some(_)));
             let reserved = RESERVED.into_iter().map(str::to_owned).chain(rigs_in(root));
-            let found = reserved.into_iter().find(|name| fs::symlink_metadata(root.join(name)).is_ok());
+            let found =
+                reserved.into_iter().find(|name| fs::symlink_metadata(root.join(name)).is_ok());
             if let Some(found) = found.filter(|_| !is_ours) {
                 return Err(Error::ForeignWorkspace { path: root.to_owned(), found });
             }
@@ -87,7 +91,8 @@ impl Workspace {
             }
             (records, _) => records,
         };
-        let mut this = Self { root: root.to_owned(), _lock: lock, folder, records: records.upgraded() };
+        let mut this =
+            Self { root: root.to_owned(), _lock: lock, folder, records: records.upgraded() };
         if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
             this.mend()?;
         }
@@ -123,7 +128,8 @@ impl Workspace {
         self.folder.publish(&[STAGES.to_owned()], &[]).map(drop)
     }
 
-    /// Begins a workspace at `root` with the features and matches of this one, unless there is one already.
+    /// Begins a workspace at `root` with the features and matches of this one, unless there is one
+    /// already.
     ///
     /// # Errors
     ///
@@ -229,21 +235,27 @@ impl Workspace {
         self.records.fingerprint(&self.root, stage)
     }
 
-    /// The times of the images as the first stage left them; nobody else may have changed them, since the record would not
-    /// tell.
+    /// The times of the images as the first stage left them; nobody else may have changed them,
+    /// since the record would not tell.
     pub(crate) fn timestamps_as_left(&self) -> Result<Option<PathBuf>, Error> {
         let path = self.timestamps();
         if !path.is_file() && self.folder.names().all(|name| name != TIMESTAMPS) {
             return Ok(None);
         }
-        if self.folder.is_as_left(TIMESTAMPS)? { Ok(Some(path)) } else { Err(Error::ChangedTimes { path }) }
+        if self.folder.is_as_left(TIMESTAMPS)? {
+            Ok(Some(path))
+        } else {
+            Err(Error::ChangedTimes { path })
+        }
     }
 }
 
 /// The names of files in a folder that are those of models' rigs.
 pub(crate) fn rigs_in(root: &Path) -> impl Iterator<Item = String> {
     let entries = fs::read_dir(root).into_iter().flatten().flatten();
-    entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(|name| is_rig_name(name))
+    entries
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| is_rig_name(name))
 }
 
 /// Whether this program works in a folder.
@@ -251,7 +263,8 @@ pub(crate) fn is_workspace(root: &Path) -> bool {
     root.join(STAGES).is_file() || OutputFolder::is_ours(root) && root.join(DATABASE).is_file()
 }
 
-/// What the stages of a workspace were made from, by its record and its database; nothing is written.
+/// What the stages of a workspace were made from, by its record and its database; nothing is
+/// written.
 pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     let database = root.join(DATABASE);
     let found = Records::read(&root.join(STAGES));
@@ -320,7 +333,8 @@ mod tests {
         }
         from.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {}).unwrap();
         let rows = from.records.rows();
-        let made = Database::create_with(&from.database(), |database| database.write_stage_rows(&rows));
+        let made =
+            Database::create_with(&from.database(), |database| database.write_stage_rows(&rows));
         made.unwrap().finish().unwrap();
         let root = dir.path().join("b");
         from.fork(&root).unwrap();
@@ -344,7 +358,8 @@ mod tests {
         made.begin(Stage::Features, &Recipe::new("photos".to_owned(), []), None).unwrap();
         made.complete(Stage::Features);
         let rows = made.records.rows();
-        let database = Database::create_with(&made.database(), |database| database.write_stage_rows(&rows));
+        let database =
+            Database::create_with(&made.database(), |database| database.write_stage_rows(&rows));
         database.unwrap().finish().unwrap();
         made.note(|_| {}).unwrap();
         let good = fs::read(root.join(STAGES)).unwrap();
@@ -364,7 +379,10 @@ mod tests {
         fs::remove_file(root.join(DATABASE)).unwrap();
         fs::write(root.join(STAGES), "{").unwrap();
         let error = Workspace::open(&root).unwrap_err().to_string();
-        assert!(error.contains("stages.json") && error.contains("choose another workspace"), "{error}");
+        assert!(
+            error.contains("stages.json") && error.contains("choose another workspace"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -373,7 +391,8 @@ mod tests {
             let dir = tempfile::tempdir().unwrap();
             fs::write(dir.path().join(name), "theirs").unwrap();
             let error = Workspace::create(dir.path()).unwrap_err();
-            let is_named = matches!(&error, Error::ForeignWorkspace { found, .. } if *found == name);
+            let is_named =
+                matches!(&error, Error::ForeignWorkspace { found, .. } if *found == name);
             assert!(is_named || name == STAGES, "{error}");
             assert_eq!(fs::read(dir.path().join(name)).unwrap(), b"theirs");
             assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);

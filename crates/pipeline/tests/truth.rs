@@ -15,8 +15,11 @@ use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 const TOLERANCE_M: f64 = 1e-5;
 
 fn drive(effects: &str) -> Drive {
-    let options =
-        DriveOptions { effects: effects.parse().unwrap(), length_m: 160.0, ..DriveOptions::default() };
+    let options = DriveOptions {
+        effects: effects.parse().unwrap(),
+        length_m: 160.0,
+        ..DriveOptions::default()
+    };
     let mut drive = Drive::new(&options).unwrap();
     drive.keep_first(30);
     drive
@@ -26,12 +29,18 @@ fn sighting(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> Sighting {
     let (camera, exposure) = drive.find(&image.name).unwrap();
     let surface = drive.surface_at(camera, exposure.time_s, pixel);
     Sighting {
-        camera_in_world: drive.row_pose(camera, exposure.time_s, pixel.y).world_from_cam.translation,
-        surface_in_world: surface.filter(|surface| !surface.is_moving).map(|surface| surface.point_in_world),
+        camera_in_world: drive
+            .row_pose(camera, exposure.time_s, pixel.y)
+            .world_from_cam
+            .translation,
+        surface_in_world: surface
+            .filter(|surface| !surface.is_moving)
+            .map(|surface| surface.point_in_world),
     }
 }
 
-/// The true model with points: those that a grid of pixels of the left camera sees, where the right camera sees them as well.
+/// The true model with points: those that a grid of pixels of the left camera sees, where the right
+/// camera sees them as well.
 fn truth_with_points(drive: &Drive) -> Reconstruction {
     let bare = drive.truth();
     let mut keypoints: Vec<Vec<Keypoint>> = bare.images().map(|_| Vec::new()).collect();
@@ -39,15 +48,19 @@ fn truth_with_points(drive: &Drive) -> Reconstruction {
     let frames = drive.cameras()[0].exposures.len().min(drive.cameras()[1].exposures.len());
     for frame in 0..frames {
         for cell in 0..80u32 {
-            let pixel = Vector2::new(f64::from(cell % 10) * 60.0 + 40.0, f64::from(cell / 10) * 50.0 + 60.0);
+            let pixel = Vector2::new(
+                f64::from(cell % 10) * 60.0 + 40.0,
+                f64::from(cell / 10) * 50.0 + 60.0,
+            );
             let times = [0, 1].map(|camera| drive.cameras()[camera].exposures[frame].time_s);
-            let Some(seen) = drive.surface_at(0, times[0], &pixel).filter(|seen| !seen.is_moving) else {
+            let Some(seen) = drive.surface_at(0, times[0], &pixel).filter(|seen| !seen.is_moving)
+            else {
                 continue;
             };
             let Some(other) = drive.project(1, times[1], &seen.point_in_world) else { continue };
-            let is_same = drive
-                .surface_at(1, times[1], &other)
-                .is_some_and(|back| (back.point_in_world - seen.point_in_world).norm() < TOLERANCE_M);
+            let is_same = drive.surface_at(1, times[1], &other).is_some_and(|back| {
+                (back.point_in_world - seen.point_in_world).norm() < TOLERANCE_M
+            });
             if !is_same {
                 continue;
             }
@@ -97,7 +110,11 @@ fn the_truth_has_no_error_and_a_shift_is_measured() {
             model.track_mut(id).unwrap().xyz.x += 0.25;
         }
         let shifted = evaluate(&model);
-        assert!((shifted.distance.median - 0.5).abs() < TOLERANCE_M, "{effects}: {:?}", shifted.distance);
+        assert!(
+            (shifted.distance.median - 0.5).abs() < TOLERANCE_M,
+            "{effects}: {:?}",
+            shifted.distance
+        );
         assert!((shifted.near.unwrap().mean - 0.5).abs() < TOLERANCE_M);
         assert!(shifted.distance.std < TOLERANCE_M);
         assert_eq!(shifted.floor, exact.floor);
@@ -115,7 +132,9 @@ fn the_true_rig_is_rigid_and_a_drifting_one_is_not() {
     assert_eq!(rig.cameras, ["left", "right"]);
     assert!((rig.baseline.mean - 0.5).abs() < TOLERANCE_M, "{rig:?}");
     assert!(
-        rig.baseline.std < TOLERANCE_M && rig.translation_rms < TOLERANCE_M && rig.rotation_rms_deg < 1e-6
+        rig.baseline.std < TOLERANCE_M
+            && rig.translation_rms < TOLERANCE_M
+            && rig.rotation_rms_deg < 1e-6
     );
     // The right camera moves off to its right by 1 cm an image; in units of half a metre.
     let right: Vec<(ImageId, Rigid3)> = model
@@ -137,8 +156,11 @@ fn the_true_rig_is_rigid_and_a_drifting_one_is_not() {
 #[test]
 fn a_moved_cloud_is_put_back_onto_its_scan() {
     let drive = drive("none");
-    let scanner =
-        LidarOptions { every_turns: 10, azimuth_step_rad: 1f64.to_radians(), ..LidarOptions::default() };
+    let scanner = LidarOptions {
+        every_turns: 10,
+        azimuth_step_rad: 1f64.to_radians(),
+        ..LidarOptions::default()
+    };
     let scan = reference_cloud(&drive, &scanner).unwrap();
     let cloud: Vec<Vector3<f64>> = scan.iter().step_by(3).copied().collect();
     let moved = Sim3 {
@@ -156,7 +178,8 @@ fn a_moved_cloud_is_put_back_onto_its_scan() {
     assert!(unaligned.distance.mean > 0.05, "{unaligned:?}");
     // Every third point is there, so the nearest to any is near.
     assert!(
-        found.reference_distance.mean > 0.0 && found.reference_distance.mean < unaligned.distance.mean * 10.0
+        found.reference_distance.mean > 0.0
+            && found.reference_distance.mean < unaligned.distance.mean * 10.0
     );
     assert!(evaluate_cloud(&[], &scan, &start, Alignment::Rigid).is_none());
 }
@@ -164,22 +187,27 @@ fn a_moved_cloud_is_put_back_onto_its_scan() {
 #[test]
 fn a_cloud_is_found_from_anywhere() {
     let drive = drive("none");
-    let scanner =
-        LidarOptions { every_turns: 10, azimuth_step_rad: 1f64.to_radians(), ..LidarOptions::default() };
+    let scanner = LidarOptions {
+        every_turns: 10,
+        azimuth_step_rad: 1f64.to_radians(),
+        ..LidarOptions::default()
+    };
     let scan = reference_cloud(&drive, &scanner).unwrap();
-    // What another scan of the same drive sees, at another place, orientation and scale, with points far out.
+    // What another scan of the same drive sees, at another place, orientation and scale, with
+    // points far out.
     let other = LidarOptions { azimuth_step_rad: 1.3f64.to_radians(), seed: 1, ..scanner };
     let moved = Sim3 {
         scale: 0.03,
         rotation: tiepoint_pipeline::eval::geometry::so3::exp(&Vector3::new(0.5, -2.0, 1.0)),
         translation: Vector3::new(30.0, -20.0, 10.0),
     };
-    let mut cloud: Vec<_> = reference_cloud(&drive, &other).unwrap().iter().map(|p| moved * *p).collect();
+    let mut cloud: Vec<_> =
+        reference_cloud(&drive, &other).unwrap().iter().map(|p| moved * *p).collect();
     cloud.extend((0..20).map(|k| Vector3::new(1000.0, f64::from(k), 0.0)));
     let start = find_alignment(&cloud, &scan).unwrap();
     let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Similarity).unwrap();
-    // Scans half a metre apart between points at 10 m, and noise of 1.5 cm: closest points pull the scale by a few parts of a
-    // thousand.
+    // Scans half a metre apart between points at 10 m, and noise of 1.5 cm: closest points pull the
+    // scale by a few parts of a thousand.
     assert!((found.scale * moved.scale - 1.0).abs() < 0.01, "{found:?}");
     assert!(found.distance.median < 0.3, "{found:?}");
     let line: Vec<_> = (0..50).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
@@ -210,7 +238,8 @@ fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
     let other = Exhibit { name: "</script>paper", ..exhibit };
     let rows = vec![("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
     let table = Table::of_columns(&["off".to_owned(), "paper".to_owned()], rows);
-    let page = report_html("a drive", &[exhibit, other], &[table], vec![("rig.json", "{}".to_owned())]);
+    let page =
+        report_html("a drive", &[exhibit, other], &[table], vec![("rig.json", "{}".to_owned())]);
     assert_eq!(page.matches("</script>").count(), 2, "the template's own");
     let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
@@ -220,14 +249,16 @@ fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
         way[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect()
     };
     assert_eq!(series("truth").len(), 3 * 30, "of the first camera");
-    // Up is where the cameras have it on average: a body that pitches leaves a hundredth of two metres.
+    // Up is where the cameras have it on average: a body that pitches leaves a hundredth of two
+    // metres.
     assert!(series("horizontal").iter().all(|off| (off - 1.0).abs() < 0.02), "{way}");
     assert!(series("vertical").iter().all(|off| (off + 2.0).abs() < 0.02), "{way}");
     assert!(series("driven").windows(2).all(|pair| pair[0] < pair[1]), "{way}");
     assert_eq!(data["models"][1]["name"], "</script>paper");
     for shown in data["models"].as_array().unwrap() {
         assert_eq!(shown["points_shown"], shown["num_points"]);
-        // Four letters of base64 are three bytes; a point has six bytes of place and three of colour.
+        // Four letters of base64 are three bytes; a point has six bytes of place and three of
+        // colour.
         let count = shown["num_points"].as_u64().unwrap() as usize;
         assert_eq!(shown["points"].as_str().unwrap().len(), (6 * count).div_ceil(3) * 4);
         assert_eq!(shown["cameras"][0]["corners"].as_array().unwrap().len(), 15 * 30);

@@ -1,7 +1,8 @@
 //! The calibration of a rig from its relative poses at many moments, some of them wrong.
 //!
-//! The geometric median of the centres (Weiszfeld 1937) and the L1 mean of the rotations (Hartley, Aftab & Trumpf 2011): one bad
-//! moment in two would be needed to carry them off, where one in forty carries off a mean.
+//! The geometric median of the centres (Weiszfeld 1937) and the L1 mean of the rotations (Hartley,
+//! Aftab & Trumpf 2011): one bad moment in two would be needed to carry them off, where one in
+//! forty carries off a mean.
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
@@ -9,12 +10,15 @@ use tiepoint_geometry::so3;
 
 use crate::RelativePose;
 
-/// Rounds of Weiszfeld's iteration; it converges linearly, and what is left is far below the spread.
+/// Rounds of Weiszfeld's iteration; it converges linearly, and what is left is far below the
+/// spread.
 const ROUNDS: usize = 100;
-/// Distances below this share of the median count as this, so that a datum that is met does not become a trap.
+/// Distances below this share of the median count as this, so that a datum that is met does not
+/// become a trap.
 const FLOOR: f64 = 1e-6;
 
-/// The relative pose nearest to all in the sum of distances, rotation and translation apart; `None` without any.
+/// The relative pose nearest to all in the sum of distances, rotation and translation apart; `None`
+/// without any.
 pub fn robust_average(poses: &[RelativePose]) -> Option<RelativePose> {
     if poses.is_empty() {
         return None;
@@ -30,7 +34,8 @@ pub fn robust_average(poses: &[RelativePose]) -> Option<RelativePose> {
     };
     // The rotation with the least sum of angles to the others is a safe start.
     let rotations: Vec<_> = poses.iter().map(|pose| so3::exp(&pose.axis_angle)).collect();
-    let cost = |index: &usize| rotations.iter().map(|r| r.angle_to(&rotations[*index])).sum::<f64>();
+    let cost =
+        |index: &usize| rotations.iter().map(|r| r.angle_to(&rotations[*index])).sum::<f64>();
     let step = rotations.len().div_ceil(MAX_STARTS);
     let start = (0..rotations.len()).step_by(step).min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
     let mut rotation = rotations[start];
@@ -58,6 +63,7 @@ fn weiszfeld_step(offsets: &[Vector3<f64>]) -> Vector3<f64> {
     let lengths: Vec<f64> = offsets.iter().map(|offset| offset.norm()).collect();
     let floor = (FLOOR * median(&mut lengths.clone()).unwrap_or(0.0)).max(f64::MIN_POSITIVE.sqrt());
     let weights: Vec<f64> = lengths.into_iter().map(|length| 1.0 / length.max(floor)).collect();
-    let sum: Vector3<f64> = offsets.iter().zip(&weights).map(|(offset, weight)| offset * *weight).sum();
+    let sum: Vector3<f64> =
+        offsets.iter().zip(&weights).map(|(offset, weight)| offset * *weight).sum();
     sum / weights.iter().sum::<f64>()
 }

@@ -1,11 +1,13 @@
-//! The baseline constraint between two moments: E = ½ w ‖p_i − p_{i+1}‖² (Huang, Elhashash & Qin 2022, Eq. 3).
+//! The baseline constraint between two moments: E = ½ w ‖p_i − p_{i+1}‖² (Huang, Elhashash & Qin
+//! 2022, Eq. 3).
 //!
-//! It joins four camera poses, the left and the right one at time i and at time i + 1, and knows nothing of the calibration: only
-//! that it stays. It weighs metres against radians, so its strength depends on the unit of the model; see [`crate::paper`].
+//! It joins four camera poses, the left and the right one at time i and at time i + 1, and knows
+//! nothing of the calibration: only that it stays. It weighs metres against radians, so its
+//! strength depends on the unit of the model; see [`crate::paper`].
 //!
-//! A rotation has many axis-angle vectors, and which of them is the shortest changes at π, where cameras that look in opposite
-//! directions are. A difference of shortest vectors would change sign there, so the factor writes both rotations by the vectors
-//! nearest to a given one.
+//! A rotation has many axis-angle vectors, and which of them is the shortest changes at π, where
+//! cameras that look in opposite directions are. A difference of shortest vectors would change sign
+//! there, so the factor writes both rotations by the vectors nearest to a given one.
 
 use tiepoint_ba::{Factor, Linear, Refs};
 use tiepoint_geometry::Rigid3;
@@ -13,13 +15,15 @@ use tiepoint_geometry::nalgebra::SVector;
 
 use crate::relative_pose::RelativePose;
 
-/// The relative pose of two cameras equals that at the next moment. Variables: `left_from_world` and `right_from_world` at time
-/// i, then the same at time i + 1.
+/// The relative pose of two cameras equals that at the next moment. Variables: `left_from_world`
+/// and `right_from_world` at time i, then the same at time i + 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baseline {
-    /// Square root of the weight w (units: 1 / model unit for the translation, 1 / radian for the rotation).
+    /// Square root of the weight w (units: 1 / model unit for the translation, 1 / radian for the
+    /// rotation).
     pub sqrt_weight: f64,
-    /// Both rotations are written by the axis-angle vectors nearest to that of this relative pose, say the first one's.
+    /// Both rotations are written by the axis-angle vectors nearest to that of this relative pose,
+    /// say the first one's.
     pub near: RelativePose,
 }
 

@@ -4,15 +4,16 @@ use tiepoint_ba::factors::Difference;
 use tiepoint_geometry::Manifold;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2};
 
-/// What turns a camera's times into those of the first camera: time + offset + drift · (time − pivot). A variable of two dimensions:
-/// offset and drift.
+/// What turns a camera's times into those of the first camera: time + offset + drift · (time −
+/// pivot). A variable of two dimensions: offset and drift.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clock {
     /// What to add, at the pivot, in seconds.
     pub offset_s: f64,
     /// How much more to add with each second.
     pub drift: f64,
-    /// Where the offset is that, on this clock: the middle of the drive, so that offset and drift tell apart.
+    /// Where the offset is that, on this clock: the middle of the drive, so that offset and drift
+    /// tell apart.
     pub pivot_s: f64,
 }
 

@@ -1,11 +1,13 @@
-//! The offset of a camera's clock, from how the two cameras move: the one at which their relative pose is most constant.
+//! The offset of a camera's clock, from how the two cameras move: the one at which their relative
+//! pose is most constant.
 //!
-//! For an offset d, the relative pose p_i(d) of each image i of the second camera is taken against the first one's trajectory,
-//! interpolated. Both coordinates and rotations of p_i scatter with unknown deviations about an unknown mounting, so what is minimised
-//! is the mean of ln(1 + |c_i − c|²/σ_c²) + ln(1 + |r_i − r|²/σ_r²), the negative logarithm of Cauchy's likelihood, over d and
-//! the centres c and r. The σ are the smallest medians that any offset reaches; a median itself would not do for the cost,
-//! since most of a drive goes straight on at one speed and tells nothing. Neither would a spread relative to the baseline, which
-//! grows with a wrong offset.
+//! For an offset d, the relative pose p_i(d) of each image i of the second camera is taken against
+//! the first one's trajectory, interpolated. Both coordinates and rotations of p_i scatter with
+//! unknown deviations about an unknown mounting, so what is minimised is the mean of ln(1 + |c_i −
+//! c|²/σ_c²) + ln(1 + |r_i − r|²/σ_r²), the negative logarithm of Cauchy's likelihood, over d and
+//! the centres c and r. The σ are the smallest medians that any offset reaches; a median itself
+//! would not do for the cost, since most of a drive goes straight on at one speed and tells
+//! nothing. Neither would a spread relative to the baseline, which grows with a wrong offset.
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::{golden_section, median};
@@ -20,11 +22,13 @@ const MAX_OFFSET_S: f64 = 1.5;
 const MIN_OVERLAP: f64 = 0.5;
 /// Steps of the search within an interval between images.
 const STEPS_PER_INTERVAL: f64 = 8.0;
-/// More offsets are not tried: clocks that share nothing, of drives that are too long for that, or photos that are no drive.
+/// More offsets are not tried: clocks that share nothing, of drives that are too long for that, or
+/// photos that are no drive.
 const MAX_CANDIDATES: usize = 50_000;
 /// Images that are looked at while searching.
 const MAX_IMAGES: usize = 250;
-/// An offset is considered when so many of the images that any offset leaves take part, and at least so many in number.
+/// An offset is considered when so many of the images that any offset leaves take part, and at
+/// least so many in number.
 const MIN_SHARE: f64 = 0.6;
 const MIN_IMAGES: usize = 6;
 /// Scales of Cauchy's loss, in medians.
@@ -38,15 +42,15 @@ const GOLDEN_STEPS: usize = 24;
 pub struct FoundOffset {
     /// What to add to the second camera's times to get the first one's, in seconds.
     pub offset_s: f64,
-    /// By how much the logarithm of the likelihood is better than with `offset_s` 0, were the images independent; infinite where the
-    /// clocks as they are leave too few images.
+    /// By how much the logarithm of the likelihood is better than with `offset_s` 0, were the
+    /// images independent; infinite where the clocks as they are leave too few images.
     pub gain: f64,
     /// Standard deviation from the curvature of the likelihood, were the images independent.
     pub sd_s: f64,
 }
 
-/// Searches the offset: within 1.5 s where the clocks nearly agree, anywhere where the two drives hardly overlap on them. `None` where
-/// too few images can be compared.
+/// Searches the offset: within 1.5 s where the clocks nearly agree, anywhere where the two drives
+/// hardly overlap on them. `None` where too few images can be compared.
 pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOffset> {
     let (first, last) = (*left.times_s().first()?, *left.times_s().last()?);
     let (right_first, right_last) = (right.first()?.0, right.last()?.0);
@@ -143,12 +147,15 @@ fn median_distance(values: &[Vector3<f64>]) -> f64 {
 
 /// The mean loss about the centre that makes it least.
 fn cauchy(values: &[Vector3<f64>], scale: f64) -> f64 {
-    let relative =
-        |value: &Vector3<f64>, centre: &Vector3<f64>| (value - centre).norm_squared() / (scale * scale);
+    let relative = |value: &Vector3<f64>, centre: &Vector3<f64>| {
+        (value - centre).norm_squared() / (scale * scale)
+    };
     let mut centre = componentwise_median(values);
     for _ in 0..REWEIGHTINGS {
-        let weights: Vec<f64> = values.iter().map(|value| 1.0 / (1.0 + relative(value, &centre))).collect();
-        let sum: Vector3<f64> = values.iter().zip(&weights).map(|(value, weight)| value * *weight).sum();
+        let weights: Vec<f64> =
+            values.iter().map(|value| 1.0 / (1.0 + relative(value, &centre))).collect();
+        let sum: Vector3<f64> =
+            values.iter().zip(&weights).map(|(value, weight)| value * *weight).sum();
         centre = sum / weights.iter().sum::<f64>();
     }
     values.iter().map(|value| relative(value, &centre).ln_1p()).sum::<f64>() / values.len() as f64

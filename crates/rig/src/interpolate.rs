@@ -1,12 +1,14 @@
 //! Where a camera was between its images: a cubic on SE(3) through four poses at any times.
 //!
-//! With the poses P_k = `cam_from_world` at times t_k and Lagrange's polynomials ℓ_k of those times,
-//! P(t) = Exp(Σ ℓ_k(t) η_k) P_1, η_k = Log(P_k P_1⁻¹): Lagrange's cubic in the tangent space at the second pose. It passes
-//! through all four, and a motion of constant twist (straight on, or around a bend) is reproduced exactly, since then η_k = (t_k − t_1) ξ
-//! and Σ ℓ_k(t) (t_k − t_1) = t − t_1.
+//! With the poses P_k = `cam_from_world` at times t_k and Lagrange's polynomials ℓ_k of those
+//! times, P(t) = Exp(Σ ℓ_k(t) η_k) P_1, η_k = Log(P_k P_1⁻¹): Lagrange's cubic in the tangent space
+//! at the second pose. It passes through all four, and a motion of constant twist (straight on, or
+//! around a bend) is reproduced exactly, since then η_k = (t_k − t_1) ξ and Σ ℓ_k(t) (t_k − t_1) =
+//! t − t_1.
 //!
-//! The tangents ε = (δ, τ) of CONVENTIONS.md are, to first order, perturbations P ← Exp(ε) P, so that dη_k = 𝒥⁻¹(η_k) ε_k − 𝒥⁻¹(−η_k) ε_1 and
-//! dP(t) = 𝒥(ζ) Σ ℓ_k dη_k + Ad(Exp ζ) ε_1, ζ = Σ ℓ_k η_k; dP/dt = 𝒥(ζ) Σ ℓ_k' η_k.
+//! The tangents ε = (δ, τ) of CONVENTIONS.md are, to first order, perturbations P ← Exp(ε) P, so
+//! that dη_k = 𝒥⁻¹(η_k) ε_k − 𝒥⁻¹(−η_k) ε_1 and dP(t) = 𝒥(ζ) Σ ℓ_k dη_k + Ad(Exp ζ) ε_1, ζ = Σ ℓ_k
+//! η_k; dP/dt = 𝒥(ζ) Σ ℓ_k' η_k.
 
 use tiepoint_geometry::Rigid3;
 
@@ -21,7 +23,8 @@ pub struct Knots<'a> {
     pub times_s: [f64; 4],
 }
 
-/// A pose with its derivatives by the tangents (rotation, translation) of the four knots and by time.
+/// A pose with its derivatives by the tangents (rotation, translation) of the four knots and by
+/// time.
 pub(crate) struct LinearPose {
     pub(crate) pose: Rigid3,
     pub(crate) d_knots: [Matrix6; 4],
@@ -74,7 +77,8 @@ impl Knots<'_> {
         for k in 0..4 {
             for other in (0..4).filter(|&other| other != k) {
                 // The product rule, factor by factor.
-                let (factor, slope) = ((time_s - t[other]) / (t[k] - t[other]), 1.0 / (t[k] - t[other]));
+                let (factor, slope) =
+                    ((time_s - t[other]) / (t[k] - t[other]), 1.0 / (t[k] - t[other]));
                 slopes[k] = slopes[k] * factor + weights[k] * slope;
                 weights[k] *= factor;
             }

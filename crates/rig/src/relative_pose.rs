@@ -1,17 +1,18 @@
-//! The relative pose p of two cameras at one moment: six numbers, three of translation and three of rotation.
+//! The relative pose p of two cameras at one moment: six numbers, three of translation and three of
+//! rotation.
 //!
-//! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the right camera,
-//! c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the left one's frame, and a = Log(R_r R_lᵀ) is the
-//! axis-angle vector (radians) of right from left. With the perturbations (δ, τ) of CONVENTIONS.md and
-//! Q = R_r R_lᵀ:
+//! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the
+//! right camera, c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the
+//! left one's frame, and a = Log(R_r R_lᵀ) is the axis-angle vector (radians) of right from left.
+//! With the perturbations (δ, τ) of CONVENTIONS.md and Q = R_r R_lᵀ:
 //!
 //! | | δ_l | τ_l | δ_r | τ_r |
 //! |---|---|---|---|---|
 //! | c | −[c]ₓ | I | 0 | −Qᵀ |
 //! | a | −J_l⁻¹(a) Q | 0 | J_l⁻¹(a) | 0 |
 //!
-//! J_l is the left Jacobian of SO(3). Axis-angle wraps at π: for cameras that look in opposite directions, differences of `a`
-//! are only meaningful after [`RelativePose::nearest_to`].
+//! J_l is the left Jacobian of SO(3). Axis-angle wraps at π: for cameras that look in opposite
+//! directions, differences of `a` are only meaningful after [`RelativePose::nearest_to`].
 
 use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector3};
 use tiepoint_geometry::{Rigid3, so3};
@@ -25,7 +26,8 @@ pub struct RelativePose {
     pub axis_angle: Vector3<f64>,
 }
 
-/// A relative pose with its derivatives by the tangents (rotation, translation) of the two camera poses.
+/// A relative pose with its derivatives by the tangents (rotation, translation) of the two camera
+/// poses.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LinearRelativePose {
     pub(crate) p: RelativePose,
@@ -49,7 +51,8 @@ impl RelativePose {
         Rigid3::new(rotation, -(rotation * self.translation))
     }
 
-    /// Distance of the right camera's centres, in units of the model, and angle between the rotations, in radians.
+    /// Distance of the right camera's centres, in units of the model, and angle between the
+    /// rotations, in radians.
     pub fn apart(&self, other: &RelativePose) -> (f64, f64) {
         let angle = so3::exp(&self.axis_angle).angle_to(&so3::exp(&other.axis_angle));
         ((self.translation - other.translation).norm(), angle)
@@ -61,7 +64,8 @@ impl RelativePose {
         SVector::<f64, 6>::new(t.x, t.y, t.z, a.x, a.y, a.z)
     }
 
-    /// The same rotation written by the axis-angle vector nearest to that of `other`: a, or a turn more or less about its axis.
+    /// The same rotation written by the axis-angle vector nearest to that of `other`: a, or a turn
+    /// more or less about its axis.
     pub fn nearest_to(&self, other: &RelativePose) -> Self {
         let angle = self.axis_angle.norm();
         if angle == 0.0 {
@@ -73,7 +77,10 @@ impl RelativePose {
     }
 
     /// With derivatives.
-    pub(crate) fn linearize(left_from_world: &Rigid3, right_from_world: &Rigid3) -> LinearRelativePose {
+    pub(crate) fn linearize(
+        left_from_world: &Rigid3,
+        right_from_world: &Rigid3,
+    ) -> LinearRelativePose {
         let p = Self::between(left_from_world, right_from_world);
         let q = (right_from_world.rotation * left_from_world.rotation.inverse())
             .to_rotation_matrix()

@@ -1,7 +1,8 @@
 //! Exponential, logarithm and left Jacobian of rigid motions; vectors are (ω, v), rotation first.
 //!
-//! Exp(ω, v) = (Exp ω, J_l(ω) v). The left Jacobian is 𝒥 = [[J, 0], [Q, J]] with Exp(ξ + δ) ≈ Exp(𝒥 δ) Exp(ξ); Q is Eq. (102) of
-//! Barfoot & Furgale 2014, "Associating uncertainty with three-dimensional poses".
+//! Exp(ω, v) = (Exp ω, J_l(ω) v). The left Jacobian is 𝒥 = [[J, 0], [Q, J]] with Exp(ξ + δ) ≈ Exp(𝒥
+//! δ) Exp(ξ); Q is Eq. (102) of Barfoot & Furgale 2014, "Associating uncertainty with
+//! three-dimensional poses".
 
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use tiepoint_geometry::{Rigid3, so3};
@@ -28,7 +29,7 @@ pub(crate) fn log(motion: &Rigid3) -> Twist {
 }
 
 /// A share of a motion: Exp(share · Log(motion)).
-pub fn share_of(motion: &Rigid3, share: f64) -> Rigid3 {
+pub fn scaled_motion(motion: &Rigid3, share: f64) -> Rigid3 {
     exp(&(log(motion) * share))
 }
 
@@ -106,7 +107,10 @@ mod tests {
         }
 
         #[test]
-        fn the_left_jacobian_is_the_derivative(angle in prop_oneof![0.0..3.0, 0.049..0.051, 0.0..1e-6], seed: u64) {
+        fn the_left_jacobian_is_the_derivative(
+            angle in prop_oneof![0.0..3.0, 0.049..0.051, 0.0..1e-6],
+            seed: u64,
+        ) {
             let xi = twist(angle, seed);
             let mut numeric = Matrix6::zeros();
             for column in 0..6 {
@@ -119,7 +123,10 @@ mod tests {
             }
             // Central differences: step² and rounding / step.
             prop_assert!((numeric - left_jacobian(&xi)).amax() < 1e-8);
-            prop_assert!((left_jacobian(&xi) * left_jacobian_inverse(&xi) - Matrix6::identity()).amax() < TOLERANCE);
+            prop_assert!(
+                (left_jacobian(&xi) * left_jacobian_inverse(&xi) - Matrix6::identity()).amax()
+                    < TOLERANCE
+            );
         }
 
         #[test]

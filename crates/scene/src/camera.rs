@@ -16,6 +16,7 @@ pub struct Camera {
 impl Camera {
     /// Whether a pixel lies on the sensor.
     pub fn contains(&self, pixel: &tiepoint_geometry::nalgebra::Vector2<f64>) -> bool {
-        (0.0..=f64::from(self.width)).contains(&pixel.x) && (0.0..=f64::from(self.height)).contains(&pixel.y)
+        (0.0..=f64::from(self.width)).contains(&pixel.x)
+            && (0.0..=f64::from(self.height)).contains(&pixel.y)
     }
 }

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use crate::{ImageId, ImagePair, Observation, TwoView};
 
-/// Verified pairs and, for each keypoint of each image, the keypoints of other images that match it.
+/// Verified pairs and, for each keypoint of each image, the keypoints of other images that match
+/// it.
 #[derive(Clone, Debug, Default)]
 pub struct CorrespondenceGraph {
     pairs: BTreeMap<ImagePair, TwoView>,
@@ -12,7 +13,8 @@ pub struct CorrespondenceGraph {
     neighbours: Vec<Vec<ImageId>>,
 }
 
-/// The correspondences of one image in compressed rows: those of keypoint k are `targets[offsets[k]..offsets[k + 1]]`.
+/// The correspondences of one image in compressed rows: those of keypoint k are
+/// `targets[offsets[k]..offsets[k + 1]]`.
 #[derive(Clone, Debug, Default)]
 struct Correspondences {
     offsets: Vec<u32>,
@@ -20,15 +22,19 @@ struct Correspondences {
 }
 
 impl CorrespondenceGraph {
-    /// From the number of keypoints of each image (by id) and the verified pairs. Pairs that are not verified, and matches
-    /// that name a keypoint that does not exist, are left out.
-    pub fn new(keypoint_counts: &[usize], two_views: impl IntoIterator<Item = (ImagePair, TwoView)>) -> Self {
+    /// From the number of keypoints of each image (by id) and the verified pairs. Pairs that are
+    /// not verified, and matches that name a keypoint that does not exist, are left out.
+    pub fn new(
+        keypoint_counts: &[usize],
+        two_views: impl IntoIterator<Item = (ImagePair, TwoView)>,
+    ) -> Self {
         let mut pairs = BTreeMap::new();
         for (pair, mut two_view) in two_views {
             if !two_view.is_verified() || pair.b.index() >= keypoint_counts.len() {
                 continue;
             }
-            let (count_a, count_b) = (keypoint_counts[pair.a.index()], keypoint_counts[pair.b.index()]);
+            let (count_a, count_b) =
+                (keypoint_counts[pair.a.index()], keypoint_counts[pair.b.index()]);
             two_view.matches.retain(|m| (m.a as usize) < count_a && (m.b as usize) < count_b);
             pairs.insert(pair, two_view);
         }
@@ -75,7 +81,8 @@ impl CorrespondenceGraph {
         Self { pairs, images, neighbours }
     }
 
-    /// The same with further verified pairs, which take the place of those that there were of the same images.
+    /// The same with further verified pairs, which take the place of those that there were of the
+    /// same images.
     pub fn extended(&self, two_views: impl IntoIterator<Item = (ImagePair, TwoView)>) -> Self {
         let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
         Self::new(&counts, self.pairs.clone().into_iter().chain(two_views))
@@ -108,8 +115,8 @@ impl CorrespondenceGraph {
         !self.correspondences(of).is_empty()
     }
 
-    /// Whether a keypoint and the only one that it matches match nothing else: nothing but themselves would contradict a point
-    /// triangulated from them.
+    /// Whether a keypoint and the only one that it matches match nothing else: nothing but
+    /// themselves would contradict a point triangulated from them.
     pub fn is_two_view(&self, of: Observation) -> bool {
         match self.correspondences(of) {
             [only] => self.correspondences(*only).len() == 1,

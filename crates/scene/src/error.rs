@@ -14,7 +14,10 @@ pub enum Error {
         cameras: usize,
     },
     /// A track and the keypoint that it observes disagree.
-    #[error("point {point:?} observes keypoint {keypoint} of image {image:?}, which belongs to {found:?}")]
+    #[error(
+        "point {point:?} observes keypoint {keypoint} of image {image:?}, which belongs to \
+        {found:?}"
+    )]
     TrackMismatch {
         /// The point.
         point: PointId,
@@ -27,7 +30,8 @@ pub enum Error {
     },
     /// A keypoint belongs to a point whose track does not hold it.
     #[error(
-        "keypoint {keypoint} of image {image:?} belongs to point {point:?}, whose track does not hold it"
+        "keypoint {keypoint} of image {image:?} belongs to point {point:?}, whose track does not \
+        hold it"
     )]
     DanglingKeypoint {
         /// The image.
@@ -80,7 +84,9 @@ pub enum Error {
         camera: CameraId,
     },
     /// The reference of a rig is where its frames are.
-    #[error("the first camera of rig {rig:?} is its reference and has another pose than the identity")]
+    #[error(
+        "the first camera of rig {rig:?} is its reference and has another pose than the identity"
+    )]
     ReferenceWithPose {
         /// The rig.
         rig: RigId,

@@ -1,5 +1,6 @@
-//! The owner of cameras, images and tracks. Every change goes through a method that keeps both directions of the relation
-//! "this keypoint sees this point" true; [`Reconstruction::validate`] checks them all.
+//! The owner of cameras, images and tracks. Every change goes through a method that keeps both
+//! directions of the relation "this keypoint sees this point" true; [`Reconstruction::validate`]
+//! checks them all.
 
 use std::sync::Arc;
 
@@ -9,14 +10,16 @@ use tiepoint_geometry::{Rigid3, Sim3};
 use crate::rig::is_same_pose;
 use crate::{Camera, CameraId, Frame, Image, ImageId, Observation, PointId, Rig, Track};
 
-/// A model: cameras, images with poses, points with tracks; rigs and frames where images are rigidly connected.
+/// A model: cameras, images with poses, points with tracks; rigs and frames where images are
+/// rigidly connected.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reconstruction {
     cameras: Vec<Camera>,
     images: Vec<Image>,
     /// `None` where a point was deleted: ids stay valid.
     tracks: Vec<Option<Track>>,
-    /// Rigs of more than one camera with rigid frames; images in no frame ride alone. A camera is on one rig at most.
+    /// Rigs of more than one camera with rigid frames; images in no frame ride alone. A camera is
+    /// on one rig at most.
     pub rigs: Vec<Rig>,
     /// The frames of those rigs. An image is in one frame at most.
     pub frames: Vec<Frame>,
@@ -72,7 +75,8 @@ impl Reconstruction {
 
     /// Images with a pose, in order of their ids.
     pub fn registered(&self) -> impl Iterator<Item = (ImageId, &Image, &Rigid3)> {
-        self.images().filter_map(|(id, image)| image.cam_from_world.as_ref().map(|pose| (id, image, pose)))
+        self.images()
+            .filter_map(|(id, image)| image.cam_from_world.as_ref().map(|pose| (id, image, pose)))
     }
 
     /// How many images have a pose.
@@ -85,7 +89,8 @@ impl Reconstruction {
         self.camera(self.image(image).camera)
     }
 
-    /// Gives an image a pose, or another one. An image in a frame leaves it, unless the pose is the one that the frame gives.
+    /// Gives an image a pose, or another one. An image in a frame leaves it, unless the pose is the
+    /// one that the frame gives.
     pub fn register(&mut self, image: ImageId, cam_from_world: Rigid3) {
         self.images[image.index()].cam_from_world = Some(cam_from_world);
         let camera = self.image(image).camera;
@@ -120,8 +125,8 @@ impl Reconstruction {
         self.images[image.index()].time_s = time_s;
     }
 
-    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two are deleted. An image in a frame
-    /// leaves it.
+    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two
+    /// are deleted. An image in a frame leaves it.
     pub fn deregister(&mut self, image: ImageId) {
         for keypoint in 0..self.image(image).points.len() as u32 {
             self.remove_observation(Observation { image, keypoint });
@@ -130,11 +135,13 @@ impl Reconstruction {
         self.leave_frame(image);
     }
 
-    /// Adds a point. Its observations must be of keypoints that see no point yet, each once, in images with a pose.
+    /// Adds a point. Its observations must be of keypoints that see no point yet, each once, in
+    /// images with a pose.
     pub fn add_track(&mut self, track: Track) -> PointId {
         let id = PointId::from_index(self.tracks.len());
         for observation in &track.observations {
-            let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+            let slot =
+                &mut self.images[observation.image.index()].points[observation.keypoint as usize];
             debug_assert!(slot.is_none(), "{observation:?} already sees {slot:?}");
             *slot = Some(id);
         }
@@ -147,21 +154,24 @@ impl Reconstruction {
         self.tracks.get(id.index()).and_then(Option::as_ref)
     }
 
-    /// A point's position, colour and hold-out flag, to change. (Its observations change through the methods beside this.)
+    /// A point's position, colour and hold-out flag, to change. (Its observations change through
+    /// the methods beside this.)
     pub fn track_mut(&mut self, id: PointId) -> Option<&mut Track> {
         self.tracks.get_mut(id.index()).and_then(Option::as_mut)
     }
 
     /// All points, in order of their ids.
     pub fn tracks(&self) -> impl Iterator<Item = (PointId, &Track)> {
-        self.tracks
-            .iter()
-            .enumerate()
-            .filter_map(|(index, track)| track.as_ref().map(|track| (PointId::from_index(index), track)))
+        self.tracks.iter().enumerate().filter_map(|(index, track)| {
+            track.as_ref().map(|track| (PointId::from_index(index), track))
+        })
     }
 
     /// The points that some images see, each once, in order of their ids.
-    pub fn points_seen_by<'a>(&self, images: impl IntoIterator<Item = &'a ImageId>) -> Vec<PointId> {
+    pub fn points_seen_by<'a>(
+        &self,
+        images: impl IntoIterator<Item = &'a ImageId>,
+    ) -> Vec<PointId> {
         let seen = images.into_iter().flat_map(|image| self.image(*image).points.iter().flatten());
         let mut points: Vec<PointId> = seen.copied().collect();
         points.sort_unstable();
@@ -189,9 +199,11 @@ impl Reconstruction {
         self.num_observations() as f64 / self.num_tracks().max(1) as f64
     }
 
-    /// Lets a keypoint of an image with a pose see a point; nothing happens if it sees one already or the point is deleted.
+    /// Lets a keypoint of an image with a pose see a point; nothing happens if it sees one already
+    /// or the point is deleted.
     pub fn add_observation(&mut self, point: PointId, observation: Observation) {
-        let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+        let slot =
+            &mut self.images[observation.image.index()].points[observation.keypoint as usize];
         if let (None, Some(Some(track))) = (*slot, self.tracks.get_mut(point.index())) {
             *slot = Some(point);
             track.observations.push(observation);
@@ -200,7 +212,8 @@ impl Reconstruction {
 
     /// Lets a keypoint see nothing; a point left with fewer than two observations is deleted.
     pub fn remove_observation(&mut self, observation: Observation) {
-        let slot = &mut self.images[observation.image.index()].points[observation.keypoint as usize];
+        let slot =
+            &mut self.images[observation.image.index()].points[observation.keypoint as usize];
         let Some(point) = slot.take() else { return };
         if let Some(track) = self.tracks[point.index()].as_mut() {
             track.observations.retain(|o| *o != observation);
@@ -218,8 +231,14 @@ impl Reconstruction {
         }
     }
 
-    /// Replaces two points by one at `xyz` with all their observations. `None`, and nothing changes, where one is deleted.
-    pub fn merge_tracks(&mut self, one: PointId, other: PointId, xyz: Vector3<f64>) -> Option<PointId> {
+    /// Replaces two points by one at `xyz` with all their observations. `None`, and nothing
+    /// changes, where one is deleted.
+    pub fn merge_tracks(
+        &mut self,
+        one: PointId,
+        other: PointId,
+        xyz: Vector3<f64>,
+    ) -> Option<PointId> {
         if one == other || self.track(one).is_none() || self.track(other).is_none() {
             return None;
         }
@@ -231,14 +250,15 @@ impl Reconstruction {
         Some(self.add_track(merged))
     }
 
-    /// Reprojection error of one observation of a point, in pixels; `None` where the camera does not see it.
+    /// Reprojection error of one observation of a point, in pixels; `None` where the camera does
+    /// not see it.
     pub fn reprojection_error_px(&self, point: PointId, observation: usize) -> Option<f64> {
         let track = self.track(point)?;
         self.error_of_px(track.observations.get(observation)?, &track.xyz)
     }
 
-    /// Distance between a keypoint and the projection of a point, in pixels; `None` where the image has no pose or the camera
-    /// does not see the point.
+    /// Distance between a keypoint and the projection of a point, in pixels; `None` where the image
+    /// has no pose or the camera does not see the point.
     pub fn error_of_px(&self, observation: &Observation, xyz: &Vector3<f64>) -> Option<f64> {
         let image = self.image(observation.image);
         let point_in_cam = *image.cam_from_world()? * *xyz;
@@ -249,11 +269,13 @@ impl Reconstruction {
     /// Mean of the reprojection errors of a point's observations, in pixels.
     pub fn track_error_px(&self, track: &Track) -> f64 {
         let errors = track.observations.iter().filter_map(|o| self.error_of_px(o, &track.xyz));
-        let (sum, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error, count + 1));
+        let (sum, count) =
+            errors.fold((0.0, 0usize), |(sum, count), error| (sum + error, count + 1));
         sum / count.max(1) as f64
     }
 
-    /// Mean over the points of each point's mean reprojection error, in pixels: what COLMAP calls the mean reprojection error.
+    /// Mean over the points of each point's mean reprojection error, in pixels: what COLMAP calls
+    /// the mean reprojection error.
     pub fn mean_reprojection_error_px(&self) -> f64 {
         let sum: f64 = self.tracks.iter().flatten().map(|track| self.track_error_px(track)).sum();
         sum / self.num_tracks().max(1) as f64

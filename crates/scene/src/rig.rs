@@ -4,8 +4,9 @@ use tiepoint_geometry::Rigid3;
 
 use crate::{CameraId, ImageId, RigId};
 
-/// How far an image's pose may be from the one that its frame and its rig give it: in radians, and in the model's unit of
-/// length per one plus the length of the pose's translation. Far above rounding, far below what anything can measure.
+/// How far an image's pose may be from the one that its frame and its rig give it: in radians, and
+/// in the model's unit of length per one plus the length of the pose's translation. Far above
+/// rounding, far below what anything can measure.
 pub const FRAME_POSE_TOLERANCE: f64 = 1e-6;
 
 /// A camera's place on a rig.
@@ -13,7 +14,8 @@ pub const FRAME_POSE_TOLERANCE: f64 = 1e-6;
 pub struct RigSensor {
     /// Which camera.
     pub camera: CameraId,
-    /// Its pose on the rig, once known; of the reference, which is the first sensor, identity or nothing.
+    /// Its pose on the rig, once known; of the reference, which is the first sensor, identity or
+    /// nothing.
     pub cam_from_rig: Option<Rigid3>,
 }
 
@@ -30,8 +32,8 @@ impl Rig {
         self.sensors.iter().find(|sensor| sensor.camera == camera)
     }
 
-    /// The pose of a camera on the rig: identity for the reference; `None` where the camera is not on the rig, or its pose is
-    /// not known.
+    /// The pose of a camera on the rig: identity for the reference; `None` where the camera is not
+    /// on the rig, or its pose is not known.
     pub fn cam_from_rig(&self, camera: CameraId) -> Option<Rigid3> {
         match self.sensors.first() {
             Some(reference) if reference.camera == camera => Some(Rigid3::identity()),
@@ -52,8 +54,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The pose that the frame gives to its image of a camera on `rig`, the frame's rig; `None` where the camera is not on the
-    /// rig, or its pose there is not known.
+    /// The pose that the frame gives to its image of a camera on `rig`, the frame's rig; `None`
+    /// where the camera is not on the rig, or its pose there is not known.
     pub fn cam_from_world(&self, rig: &Rig, camera: CameraId) -> Option<Rigid3> {
         rig.cam_from_rig(camera).map(|cam_from_rig| cam_from_rig * self.rig_from_world)
     }

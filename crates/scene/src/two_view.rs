@@ -71,6 +71,9 @@ pub struct TwoView {
 impl TwoView {
     /// Whether it relates the two images at all.
     pub fn is_verified(&self) -> bool {
-        !matches!(self.kind, TwoViewKind::Undefined | TwoViewKind::Degenerate | TwoViewKind::Watermark)
+        !matches!(
+            self.kind,
+            TwoViewKind::Undefined | TwoViewKind::Degenerate | TwoViewKind::Watermark
+        )
     }
 }

@@ -1,16 +1,17 @@
 //! The invariants of a [`Reconstruction`], each checked and named.
 //!
-//! Two keypoints of one image may see the same point: COLMAP's mapper makes such tracks, and so does ours, since SIFT gives a
-//! keypoint with two orientations twice. On fountain-P11, 332 of 14,357 tracks are such ones; without them the mean centre error
-//! is the same 2.407 mm, on Herz-Jesus-P8 it is 3.630 mm and not 3.623 mm.
+//! Two keypoints of one image may see the same point: COLMAP's mapper makes such tracks, and so
+//! does ours, since SIFT gives a keypoint with two orientations twice. On fountain-P11, 332 of
+//! 14,357 tracks are such ones; without them the mean centre error is the same 2.407 mm, on
+//! Herz-Jesus-P8 it is 3.630 mm and not 3.623 mm.
 
 use tiepoint_geometry::{Rigid3, nalgebra::Quaternion};
 
 use crate::rig::is_same_pose;
 use crate::{CameraId, Error, FrameId, Image, ImageId, Observation, Reconstruction, RigId};
 
-/// How far the norm of a rotation's quaternion may be from 1: far above the rounding of a thousand products, which is 1e-13,
-/// far below what moves a point.
+/// How far the norm of a rotation's quaternion may be from 1: far above the rounding of a thousand
+/// products, which is 1e-13, far below what moves a point.
 const UNIT_TOLERANCE: f64 = 1e-9;
 
 impl Reconstruction {
@@ -34,7 +35,11 @@ impl Reconstruction {
 
     fn validate_image(&self, id: ImageId, image: &Image) -> Result<(), Error> {
         if image.camera.index() >= self.num_cameras() {
-            return Err(Error::NoSuchCamera { image: id, camera: image.camera, cameras: self.num_cameras() });
+            return Err(Error::NoSuchCamera {
+                image: id,
+                camera: image.camera,
+                cameras: self.num_cameras(),
+            });
         }
         if let Some(pose) = image.cam_from_world() {
             validate_pose(pose, || format!("image {id:?}"))?;
@@ -103,8 +108,10 @@ impl Reconstruction {
                     return Err(Error::TwoImagesOfOneCamera { frame: id, camera });
                 }
                 cameras.push(camera);
-                let pose =
-                    self.image(image).cam_from_world().ok_or(Error::UnposedImage { frame: id, image })?;
+                let pose = self
+                    .image(image)
+                    .cam_from_world()
+                    .ok_or(Error::UnposedImage { frame: id, image })?;
                 let of_frame = frame.cam_from_world(rig, camera);
                 if !of_frame.is_some_and(|of_frame| is_same_pose(pose, &of_frame)) {
                     return Err(Error::PoseNotOfFrame { image });

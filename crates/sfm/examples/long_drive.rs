@@ -1,6 +1,8 @@
-//! How the time of mapping grows with the images: `cargo run --release -p tiepoint-sfm --example long_drive -- 250 500 1000`.
+//! How the time of mapping grows with the images:
+//! `cargo run --release -p tiepoint-sfm --example long_drive -- 250 500 1000`.
 //!
-//! For each number of moments a drive of two cameras, as features and verified matches, mapped with `--rig off` and with `soft`.
+//! For each number of moments a drive of two cameras, as features and verified matches, mapped with
+//! `--rig off` and with `soft`.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -23,28 +25,36 @@ fn main() {
         "{:>8} {:>14} {:>10} {:>10} {:>12}",
         "images", "observations", "off, s", "soft, s", "ms an image"
     );
-    for moments in std::env::args().skip(1).map(|word| word.parse::<usize>().expect("numbers of moments")) {
+    for moments in
+        std::env::args().skip(1).map(|word| word.parse::<usize>().expect("numbers of moments"))
+    {
         let length_m = (METRES_A_MOMENT * moments as f64).max(MIN_LENGTH_M);
         let route = RouteKind::Open;
         let options = DriveOptions { length_m, rate_hz: RATE_HZ, route, ..DriveOptions::default() };
         let mut drive = Drive::new(&options).expect("a street");
         drive.keep_first(moments);
         let observations = 2 * OBSERVATIONS_AN_IMAGE * moments;
-        let features = FeatureOptions { observations, clutter: CLUTTER, ..FeatureOptions::default() };
+        let features =
+            FeatureOptions { observations, clutter: CLUTTER, ..FeatureOptions::default() };
         let scene = FeatureScene::new(&drive, &features).expect("sound options");
         let graph = scene.graph(&MatchOptions { window: Some(WINDOW), ..MatchOptions::default() });
         let blank = scene.without_poses();
         let mut observations = 0;
         let seconds = [RigTerm::Off, RigTerm::Soft].map(|rig| {
-            let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
+            let options =
+                MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
             let start = Instant::now();
-            let models =
-                map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
+            let models = map(&graph, &blank, &mut |_| Vec::new(), &options, &mut |_| {
+                ControlFlow::Continue(())
+            });
             let seconds = start.elapsed().as_secs_f64();
             observations = models.map_or(0, |models| models[0].reconstruction.num_observations());
             seconds
         });
         let (images, [off, soft]) = (graph.num_images(), seconds);
-        println!("{images:8} {observations:14} {off:10.1} {soft:10.1} {:12.1}", 1e3 * off / images as f64);
+        println!(
+            "{images:8} {observations:14} {off:10.1} {soft:10.1} {:12.1}",
+            1e3 * off / images as f64
+        );
     }
 }

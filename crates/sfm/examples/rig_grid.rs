@@ -1,7 +1,9 @@
-//! What `--rig` does under each effect, on scenes of features: `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES [FIRST]`.
+//! What `--rig` does under each effect, on scenes of features:
+//! `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES [FIRST]`.
 //!
-//! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for `auto` how far the clock and the calibration
-//! are off (from their mean, where the mount gives); a cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
+//! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for
+//! `auto` how far the clock and the calibration are off (from their mean, where the mount gives); a
+//! cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -9,14 +11,15 @@ use std::ops::ControlFlow;
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
-use tiepoint_sfm::{MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, map};
+use tiepoint_sfm::{CalibratedCamera, MappedModel, MapperOptions, RefineIntrinsics, RigTerm, map};
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
 };
 
 const RATE_HZ: f64 = 5.0;
 
-/// A cell of the grid: its name, what is not ideal, and how many right images in a hundred have another one's time.
+/// A cell of the grid: its name, what is not ideal, and how many right images in a hundred have
+/// another one's time.
 type Cell = (&'static str, Effects, usize);
 
 fn cells() -> Vec<Cell> {
@@ -34,7 +37,8 @@ fn cells() -> Vec<Cell> {
         clocks: clocks(offset_s, jitter_s),
         ..effects
     };
-    let flex = |effects: Effects, degrees: f64| Effects { flex_rad: degrees.to_radians(), ..effects };
+    let flex =
+        |effects: Effects, degrees: f64| Effects { flex_rad: degrees.to_radians(), ..effects };
     let none = Effects::default();
     vec![
         ("triggered together", none, 0),
@@ -62,7 +66,8 @@ struct Scene {
 }
 
 fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene {
-    let options = DriveOptions { seed, rate_hz: RATE_HZ, effects: *effects, ..DriveOptions::default() };
+    let options =
+        DriveOptions { seed, rate_hz: RATE_HZ, effects: *effects, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
     drive.keep_first(frames);
     let features = FeatureOptions { seed, observations: 600 * frames, ..FeatureOptions::default() };
@@ -74,8 +79,10 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
         blank.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
     let wrong = rights.len() * wrong_percent / 100 / 2;
     for k in 0..wrong {
-        let (a, b) =
-            (rights[k * rights.len() / (2 * wrong)], rights[(k + wrong) * rights.len() / (2 * wrong)]);
+        let (a, b) = (
+            rights[k * rights.len() / (2 * wrong)],
+            rights[(k + wrong) * rights.len() / (2 * wrong)],
+        );
         let times = [a, b].map(|id| blank.image(id).time_s);
         blank.set_time(a, times[1]);
         blank.set_time(b, times[0]);
@@ -87,15 +94,17 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
 struct Outcome {
     ate_m: f64,
     scale: f64,
-    right: Option<MountedCamera>,
+    right: Option<CalibratedCamera>,
     /// What tracks that took no part are explained to, in pixels, without a term and with it.
     held_out_px: [f64; 2],
 }
 
 fn run(scene: &Scene, seed: u64, rig: RigTerm) -> Option<Outcome> {
-    let options = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models =
-        map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
+    let options =
+        MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
+    let models = map(&scene.graph, &scene.blank, &mut |_| Vec::new(), &options, &mut |_| {
+        ControlFlow::Continue(())
+    });
     let MappedModel { reconstruction: model, rig, .. } = models.ok()?.into_iter().next()?;
     let held_out_px = rig.as_ref().map_or([f64::NAN; 2], |rig| [rig.error_off_px, rig.error_px]);
     let right = rig.and_then(|rig| rig.cameras.into_iter().next());
@@ -119,7 +128,8 @@ fn main() {
     let (seeds, frames) = (arguments.next().unwrap_or(3), arguments.next().unwrap_or(45) as usize);
     let first = arguments.next().unwrap_or(1);
     println!(
-        "{:24} {:>8} {:>8} {:>8}   of auto, per seed: error of held-out tracks, clock (ms ± sd), turn (°), place (mm)",
+        "{:24} {:>8} {:>8} {:>8}   of auto, per seed: error of held-out tracks, clock (ms ± sd), \
+        turn (°), place (mm)",
         "", "off", "soft", "auto"
     );
     for cell in cells() {
@@ -142,16 +152,20 @@ fn main() {
                     notes += " off";
                     continue;
                 };
-                let (true_mount, clock) = (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
-                let pivot_s = camera.companion.clock.pivot_s;
-                let offset_s = camera.companion.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+                let (true_mount, clock) =
+                    (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
+                let pivot_s = camera.rig_sensor.clock.pivot_s;
+                let offset_s =
+                    camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
                 let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
-                let turn = camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
-                let place = (camera.right_from_left.translation * scale - true_mount.translation).norm();
+                let turn =
+                    camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
+                let place =
+                    (camera.right_from_left.translation * scale - true_mount.translation).norm();
                 let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
                 notes += &format!(
                     " {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};",
-                    camera.companion.timing
+                    camera.rig_sensor.clock_state
                 );
             }
         }

@@ -3,8 +3,10 @@
 pub enum Error {
     /// No two images overlap enough to begin with.
     #[error(
-        "no image pair can start a model: {verified} verified pairs, the best has {best_inliers} matches that triangulate \
-         (at least {required} are needed); take photos that overlap more and are taken from different places"
+        "no image pair can start a model: {verified} verified pairs, the best has {best_inliers} \
+        matches that triangulate \
+         (at least {required} are needed); take photos that overlap more and are taken from \
+         different places"
     )]
     NoInitialPair {
         /// How many verified pairs there are.
@@ -15,7 +17,9 @@ pub enum Error {
         required: usize,
     },
     /// Fewer than two images with a pose and a common point.
-    #[error("nothing to adjust: {images} posed images, {points} points, {observations} observations")]
+    #[error(
+        "nothing to adjust: {images} posed images, {points} points, {observations} observations"
+    )]
     NothingToAdjust {
         /// Images with a pose.
         images: usize,
@@ -33,14 +37,17 @@ pub enum Error {
         after: usize,
     },
     /// Making the matches of torn pairs one point costs more matches elsewhere.
-    #[error("a loop of {pairs} pairs of images was not closed: their matches contradict the others'")]
+    #[error(
+        "a loop of {pairs} pairs of images was not closed: their matches contradict the others'"
+    )]
     LoopNotClosed {
         /// Pairs of images.
         pairs: usize,
     },
     /// Terms compose the pose of an image twice, or of another image than they said.
     #[error(
-        "the terms of an adjustment compose the pose of an image twice, or of an image that they did not name"
+        "the terms of an adjustment compose the pose of an image twice, or of an image that they \
+        did not name"
     )]
     ComposedPoses,
     /// A term of the caller's own cannot join an adjustment.

@@ -17,7 +17,8 @@ mod tracks;
 mod two_view;
 
 pub use adjust::{
-    AdjustOptions, RefineIntrinsics, Scope, Shifted, Term, TermContext, Variables, adjust, fix_gauge,
+    AdjustOptions, RefineIntrinsics, Scope, Shifted, Term, TermContext, Variables, adjust,
+    fix_gauge,
 };
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
@@ -27,9 +28,10 @@ pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigTerm};
 pub use register::{RegisterOptions, register_image};
 pub use rigs::{
-    BaselineLink, BaselineTerm, ClosedSplit, Companion, Descriptors, Hold, Left, Moment, MountedCamera,
-    MountedRig, MountingCovariance, RigPair, RigPairs, RigidCamera, Timing, companions, final_links,
-    growing_links, hold_rigidly, relative_poses, rig_pairs,
+    BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, ClosedSplit,
+    Descriptors, ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair,
+    RigPairs, RigSensor, RigidCamera, constrain_rigidly, final_links, growing_links,
+    relative_poses, rig_pairs, rig_sensors,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;
@@ -38,11 +40,11 @@ pub use tiepoint_matching as matching;
 pub use tiepoint_rig as rig;
 pub use tiepoint_scene as scene;
 pub use tracks::{
-    FilterOptions, Sight, TrackOptions, Triangulated, complete_tracks, filter_all_points, filter_images,
-    filter_points, held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate, triangulate,
-    triangulate_image,
+    FilterOptions, TrackOptions, Triangulated, ViewRay, complete_tracks, filter_all_points,
+    filter_images, filter_points, held_out_rms_px, hold_out_tracks, merge_tracks, retriangulate,
+    triangulate, triangulate_image,
 };
 pub use two_view::{
-    FocalPrior, InitialPair, VerifyOptions, View, estimate_focal_lengths, focal_priors, initial_pairs,
-    verify_pair,
+    FocalPrior, InitialPair, VerifyOptions, View, estimate_focal_lengths, focal_priors,
+    initial_pairs, verify_pair,
 };

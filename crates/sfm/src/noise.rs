@@ -1,15 +1,18 @@
 //! How precise a keypoint is, from its scale.
 //!
-//! A blob found at a Gaussian of σ pixels is localised to a fraction of σ, on top of what the sensor and the interpolation of
-//! the extremum leave (Lowe 2004, section 4). On photos the rms residual grows from 0.3 px at scale 2 to 0.7 px at scale 15. To
-//! weigh by that in full costs accuracy on the road, where the large blobs are what ties frames far apart: on KITTI 04,
-//! with a squared loss, the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without; the photos hardly care.
+//! A blob found at a Gaussian of σ pixels is localised to a fraction of σ, on top of what the
+//! sensor and the interpolation of the extremum leave (Lowe 2004, section 4). On photos the rms
+//! residual grows from 0.3 px at scale 2 to 0.7 px at scale 15. To weigh by that in full costs
+//! accuracy on the road, where the large blobs are what ties frames far apart: on KITTI 04, with a
+//! squared loss, the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without; the
+//! photos hardly care.
 
 use tiepoint_geometry::Loss;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::Reconstruction;
 
-/// Localisation error of the smallest keypoints, in pixels; also the unit in which residuals are weighed.
+/// Localisation error of the smallest keypoints, in pixels; also the unit in which residuals are
+/// weighed.
 const FLOOR_PX: f64 = 1.0;
 /// Scale at which the error has grown by √2, in pixels.
 const KNEE_SCALE_PX: f64 = 32.0;
@@ -20,18 +23,21 @@ pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
     FLOOR_PX * (1.0 + relative * relative).sqrt()
 }
 
-/// Standard deviation of a model's keypoints, as a multiple of [`keypoint_sigma_px`]: from the median error, and what the fit has taken
-/// away.
+/// Standard deviation of a model's keypoints, as a multiple of [`keypoint_sigma_px`]: from the
+/// median error, and what the fit has taken away.
 pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
     // Of a vector of two unit normals.
     const MEDIAN_OF_TWO: f64 = 1.177;
     let Errors { mut relative, freedom } = Errors::of(model);
-    median(&mut relative).map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt()).max(f64::MIN_POSITIVE)
+    median(&mut relative)
+        .map_or(1.0, |median| median / MEDIAN_OF_TWO / freedom.sqrt())
+        .max(f64::MIN_POSITIVE)
 }
 
-/// The σ with which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss, W its weights ρ', as a multiple of [`keypoint_sigma_px`]. Of an
-/// M-estimator the covariance is E ψ² / (E ψ')² (JᵀJ)⁻¹ (Huber 1981, section 7.6), with JᵀWJ = E ρ' JᵀJ; for the plain square
-/// it is the root mean square error.
+/// The σ with which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss, W its weights ρ', as
+/// a multiple of [`keypoint_sigma_px`]. Of an M-estimator the covariance is E ψ² / (E ψ')² (JᵀJ)⁻¹
+/// (Huber 1981, section 7.6), with JᵀWJ = E ρ' JᵀJ; for the plain square it is the root mean square
+/// error.
 pub(crate) fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
     let Errors { relative, freedom } = Errors::of(model);
     let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
@@ -67,7 +73,8 @@ impl Errors {
                 Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
             }));
         }
-        let (equations, unknowns) = (2 * relative.len(), 3 * num_points + 6 * model.num_registered());
+        let (equations, unknowns) =
+            (2 * relative.len(), 3 * num_points + 6 * model.num_registered());
         let freedom = equations.saturating_sub(unknowns).max(1) as f64 / equations.max(1) as f64;
         Self { relative, freedom }
     }

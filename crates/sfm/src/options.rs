@@ -13,10 +13,12 @@ pub enum RigTerm {
     /// Nothing.
     #[default]
     Off,
-    /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4), to the letter. What the paper leaves open: one unit is the
-    /// distance of the initial pair, which is held, with the pose of its first image, and never normalised again.
+    /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4), to the letter. What the
+    /// paper leaves open: one unit is the distance of the initial pair, which is held, with the
+    /// pose of its first image, and never normalised again.
     Paper,
-    /// One mounting for each camera, held up to standard deviations that are found by held-out tracks.
+    /// One mounting for each camera, held up to standard deviations that are found by held-out
+    /// tracks.
     Soft,
     /// One mounting for each camera, held exactly.
     Hard,

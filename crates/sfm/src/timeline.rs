@@ -15,7 +15,10 @@ pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Ve
 }
 
 /// Times of the images, in order; `None` unless all have one.
-pub(crate) fn images_in_time(scene: &Reconstruction, images: &[ImageId]) -> Option<Vec<(f64, ImageId)>> {
+pub(crate) fn images_in_time(
+    scene: &Reconstruction,
+    images: &[ImageId],
+) -> Option<Vec<(f64, ImageId)>> {
     let mut times: Vec<(f64, ImageId)> =
         images.iter().map(|&id| Some((scene.image(id).time_s?, id))).collect::<Option<_>>()?;
     times.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -23,9 +26,13 @@ pub(crate) fn images_in_time(scene: &Reconstruction, images: &[ImageId]) -> Opti
 }
 
 /// Those of a camera's images of which time and pose are known, in order of time.
-pub(crate) fn posed_in_time(model: &Reconstruction, camera: CameraId) -> Vec<(f64, ImageId, Rigid3)> {
+pub(crate) fn posed_in_time(
+    model: &Reconstruction,
+    camera: CameraId,
+) -> Vec<(f64, ImageId, Rigid3)> {
     let images = model.registered().filter(|(_, image, _)| image.camera == camera);
-    let mut posed: Vec<_> = images.filter_map(|(id, image, pose)| Some((image.time_s?, id, *pose))).collect();
+    let mut posed: Vec<_> =
+        images.filter_map(|(id, image, pose)| Some((image.time_s?, id, *pose))).collect();
     posed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     posed
 }

@@ -1,4 +1,5 @@
-//! Time of a frame: 2000 × 1500 through an action lens with a rolling shutter among moving cars, and 640 × 480.
+//! Time of a frame: 2000 × 1500 through an action lens with a rolling shutter among moving cars,
+//! and 640 × 480.
 
 use std::hint::black_box;
 
@@ -12,12 +13,14 @@ fn render(criterion: &mut Criterion) {
         for mounting in [Mounting::Front, Mounting::Right] {
             let mounts = vec![Mount::of(mounting)];
             let effects = Effects::all();
-            let options = DriveOptions { mounts, width, height, effects, ..DriveOptions::default() };
+            let options =
+                DriveOptions { mounts, width, height, effects, ..DriveOptions::default() };
             let drive = Drive::new(&options).expect("the default drive can be driven");
             let renderer = drive.renderer(0);
             let exposure = &drive.cameras()[0].exposures[40];
             group.bench_function(format!("{} {width}x{height}", mounting.name()), |bencher| {
-                bencher.iter(|| renderer.render(|y| drive.row_pose(0, black_box(exposure.time_s), y)));
+                bencher
+                    .iter(|| renderer.render(|y| drive.row_pose(0, black_box(exposure.time_s), y)));
             });
         }
     }

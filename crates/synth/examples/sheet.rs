@@ -1,5 +1,5 @@
-//! A contact sheet of a loop: what the paper's five mountings see, the street from above, and the reference cloud from above,
-//! coloured by height.
+//! A contact sheet of a loop: what the paper's five mountings see, the street from above, and the
+//! reference cloud from above, coloured by height.
 //!
 //! cargo run --release -p tiepoint-synth --example sheet -- FILE.jpg [SEED]
 
@@ -9,8 +9,8 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_synth::image::{Rgb, RgbImage, imageops};
 use tiepoint_synth::{
-    Development, Drive, DriveOptions, Lens, LidarOptions, Mount, Mounting, Renderer, RowPose, develop,
-    reference_cloud,
+    Development, Drive, DriveOptions, Lens, LidarOptions, Mount, Mounting, Renderer, RowPose,
+    develop, reference_cloud,
 };
 
 const WIDTH: u32 = 400;
@@ -46,12 +46,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let light = above.render(|_| RowPose { world_from_cam: down, time_s: 0.0 });
     pictures.push(develop(&light, &Development::default()));
 
-    let mut cloud = reference_cloud(&drive, &LidarOptions { every_turns: 10, ..LidarOptions::default() })?;
+    let mut cloud =
+        reference_cloud(&drive, &LidarOptions { every_turns: 10, ..LidarOptions::default() })?;
     cloud.sort_by(|a, b| a.z.total_cmp(&b.z));
     let mut map = RgbImage::from_pixel(WIDTH, HEIGHT, Rgb([16, 16, 20]));
     for point in &cloud {
         let Some(pixel) = lens.project(&(down.inverse() * *point)) else { continue };
-        if pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(WIDTH) && pixel.y < f64::from(HEIGHT) {
+        if pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < f64::from(WIDTH)
+            && pixel.y < f64::from(HEIGHT)
+        {
             let height = (point.z / 12.0).clamp(0.0, 1.0);
             let color = [
                 40.0 + 215.0 * height,

@@ -1,4 +1,5 @@
-//! Renders a short drive of a rig with everything switched on, and writes it as cameras would leave it, with the truth beside.
+//! Renders a short drive of a rig with everything switched on, and writes it as cameras would leave
+//! it, with the truth beside.
 //!
 //! cargo run --release -p tiepoint-synth --example write_drive -- FOLDER [EFFECTS] [SEED]
 //!

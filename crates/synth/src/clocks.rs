@@ -33,8 +33,8 @@ impl Clock {
     }
 }
 
-/// A camera that exposes `rate_hz` times a second of its own clock until `duration_s`. The first camera sets the time: its
-/// clock is true and it starts at once.
+/// A camera that exposes `rate_hz` times a second of its own clock until `duration_s`. The first
+/// camera sets the time: its clock is true and it starts at once.
 pub(crate) fn schedule(
     effects: &ClockEffects,
     is_first: bool,
@@ -44,9 +44,13 @@ pub(crate) fn schedule(
 ) -> Schedule {
     let scale = if is_first { 0.0 } else { 1.0 };
     let mut either_way = |most: f64| scale * most * (2.0 * rng.uniform() - 1.0);
-    let clock = Clock { offset_s: either_way(effects.offset_s), drift: either_way(effects.drift_ppm) * 1e-6 };
+    let clock = Clock {
+        offset_s: either_way(effects.offset_s),
+        drift: either_way(effects.drift_ppm) * 1e-6,
+    };
     let rate_hz = rate_hz * (1.0 + either_way(effects.rate_spread));
-    let start_s = scale * (effects.late_start_s * rng.uniform() + effects.phase * rng.uniform() / rate_hz);
+    let start_s =
+        scale * (effects.late_start_s * rng.uniform() + effects.phase * rng.uniform() / rate_hz);
     let period_s = 1.0 / (rate_hz * (1.0 + clock.drift));
     let mut times_s = Vec::new();
     for k in 0.. {
@@ -72,7 +76,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_clock_goes_both_ways(offset_s in -100.0..100.0, drift in -1e-3..1e-3, time_s in 0.0..1e4) {
+        fn a_clock_goes_both_ways(
+            offset_s in -100.0..100.0,
+            drift in -1e-3..1e-3,
+            time_s in 0.0..1e4,
+        ) {
             let clock = Clock { offset_s, drift };
             prop_assert!((clock.time_s(clock.stamp_s(time_s)) - time_s).abs() < 1e-9);
         }
@@ -88,8 +96,13 @@ mod tests {
                 prop_assert!((made.clock.stamp_s(time_s) - stamp_s).abs() < 6.0 * effects.jitter_s);
                 prop_assert!((0.0..=60.0).contains(&time_s));
             }
-            // 1 % of 1800 frames are lost, ± 6 deviations of 4; half a second of start and 0.2 % of rate are 18.6 more.
-            prop_assert!((1800 - 18 - 24 - 19..1800 + 4).contains(&made.times_s.len()), "{}", made.times_s.len());
+            // 1 % of 1800 frames are lost, ± 6 deviations of 4; half a second of start and 0.2 % of
+            // rate are 18.6 more.
+            prop_assert!(
+                (1800 - 18 - 24 - 19..1800 + 4).contains(&made.times_s.len()),
+                "{}",
+                made.times_s.len()
+            );
         }
     }
 

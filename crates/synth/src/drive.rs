@@ -1,4 +1,5 @@
-//! A drive: the street, the vehicle, the cameras with their clocks, and every image that they take, on demand.
+//! A drive: the street, the vehicle, the cameras with their clocks, and every image that they take,
+//! on demand.
 
 use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -56,7 +57,8 @@ pub struct DriveOptions {
 }
 
 impl Default for DriveOptions {
-    /// A loop of 200 m with a stereo pair that looks ahead, at ten images a second; everything ideal.
+    /// A loop of 200 m with a stereo pair that looks ahead, at ten images a second; everything
+    /// ideal.
     fn default() -> Self {
         Self {
             seed: 1,
@@ -101,7 +103,8 @@ pub struct DriveCamera {
     pub height: u32,
     /// Where it sits, on average.
     pub cam_from_vehicle: Rigid3,
-    /// The rotation by which it swings about that place, as axis-angle, and where in its period it begins.
+    /// The rotation by which it swings about that place, as axis-angle, and where in its period it
+    /// begins.
     flex: (Vector3<f64>, f64),
     /// Its clock.
     pub clock: Clock,
@@ -145,7 +148,12 @@ impl Drive {
     pub fn new(options: &DriveOptions) -> Result<Self, Error> {
         options.effects.validate()?;
         require(!options.mounts.is_empty(), "number of cameras", 0.0, "at least one")?;
-        require((0.01..=1000.0).contains(&options.rate_hz), "rate_hz", options.rate_hz, "0.01 to 1000")?;
+        require(
+            (0.01..=1000.0).contains(&options.rate_hz),
+            "rate_hz",
+            options.rate_hz,
+            "0.01 to 1000",
+        )?;
         for (name, size) in [("width", options.width), ("height", options.height)] {
             require((2..=20_000).contains(&size), name, f64::from(size), "2 to 20000 pixels")?;
         }
@@ -165,8 +173,15 @@ impl Drive {
         // Streams of their own: switching an effect changes nothing else.
         let trajectory = Trajectory::drive(&route, &motion, &mut Rng::stream(seed, &[11]))?;
         let cameras = options.mounts.iter().enumerate();
-        let cameras = cameras.map(|(index, mount)| camera(options, index, mount, &trajectory)).collect();
-        Ok(Self { route, trajectory, world, cameras, jpeg_quality: effects.photometry.jpeg_quality })
+        let cameras =
+            cameras.map(|(index, mount)| camera(options, index, mount, &trajectory)).collect();
+        Ok(Self {
+            route,
+            trajectory,
+            world,
+            cameras,
+            jpeg_quality: effects.photometry.jpeg_quality,
+        })
     }
 
     /// Leaves out the images of every camera after its first `frames`.
@@ -200,7 +215,8 @@ impl Drive {
     pub fn find(&self, image: &str) -> Option<(usize, &Exposure)> {
         self.cameras.iter().enumerate().find_map(|(camera, DriveCamera { exposures, .. })| {
             // Numbers have leading zeros, so names are in order.
-            let index = exposures.binary_search_by(|exposure| exposure.name.as_str().cmp(image)).ok()?;
+            let index =
+                exposures.binary_search_by(|exposure| exposure.name.as_str().cmp(image)).ok()?;
             Some((camera, &exposures[index]))
         })
     }
@@ -219,18 +235,25 @@ impl Drive {
         camera.cam_from_vehicle_at(time_s) * self.trajectory.world_from_vehicle(time_s).inverse()
     }
 
-    /// Where a camera is while it exposes height `y` (pixels) of an image whose middle row is exposed at `time_s`.
+    /// Where a camera is while it exposes height `y` (pixels) of an image whose middle row is
+    /// exposed at `time_s`.
     pub fn row_pose(&self, camera: usize, time_s: f64, y: f64) -> RowPose {
         let camera = &self.cameras[camera];
         let time_s = time_s + (y / f64::from(camera.height) - 0.5) * camera.readout_s;
-        let world_from_cam =
-            self.trajectory.world_from_vehicle(time_s) * camera.cam_from_vehicle_at(time_s).inverse();
+        let world_from_cam = self.trajectory.world_from_vehicle(time_s)
+            * camera.cam_from_vehicle_at(time_s).inverse();
         RowPose { world_from_cam, time_s }
     }
 
-    /// The pixel at which a camera images a point that stands still, rolling shutter and lens included; `None` where it does
-    /// not. (Pixels may lie off the sensor; what stands in between is not looked at.)
-    pub fn project(&self, camera: usize, time_s: f64, point_in_world: &Vector3<f64>) -> Option<Vector2<f64>> {
+    /// The pixel at which a camera images a point that stands still, rolling shutter and lens
+    /// included; `None` where it does not. (Pixels may lie off the sensor; what stands in between
+    /// is not looked at.)
+    pub fn project(
+        &self,
+        camera: usize,
+        time_s: f64,
+        point_in_world: &Vector3<f64>,
+    ) -> Option<Vector2<f64>> {
         let DriveCamera { lens, height, readout_s, .. } = &self.cameras[camera];
         let project_from_row = |y: f64| {
             let cam_from_world = self.row_pose(camera, time_s, y).world_from_cam.inverse();
@@ -240,8 +263,8 @@ impl Drive {
         if *readout_s == 0.0 {
             return Some(pixel);
         }
-        // The row that sees the point depends on where it is seen: a contraction, since images move by much less than their
-        // height during the readout.
+        // The row that sees the point depends on where it is seen: a contraction, since images move
+        // by much less than their height during the readout.
         for _ in 0..ROW_ITERATIONS {
             let next = project_from_row(pixel.y)?;
             let moved = (next.y - pixel.y).abs();
@@ -254,7 +277,12 @@ impl Drive {
     }
 
     /// The true surface point that a pixel sees; `None` for the sky.
-    pub fn surface_at(&self, camera: usize, time_s: f64, pixel: &Vector2<f64>) -> Option<SurfacePoint> {
+    pub fn surface_at(
+        &self,
+        camera: usize,
+        time_s: f64,
+        pixel: &Vector2<f64>,
+    ) -> Option<SurfacePoint> {
         let pose = self.row_pose(camera, time_s, pixel.y);
         surface_at(&self.world, &self.cameras[camera].lens, &pose, pixel)
     }
@@ -275,7 +303,12 @@ impl Drive {
     }
 
     /// The image before compression, and the quality to compress it with.
-    pub(crate) fn render_raw(&self, camera: usize, exposure: &Exposure, renderer: &Renderer) -> RgbImage {
+    pub(crate) fn render_raw(
+        &self,
+        camera: usize,
+        exposure: &Exposure,
+        renderer: &Renderer,
+    ) -> RgbImage {
         let light = renderer.render(|y| self.row_pose(camera, exposure.time_s, y));
         develop(&light, &exposure.development)
     }
@@ -284,8 +317,9 @@ impl Drive {
         self.jpeg_quality
     }
 
-    /// The poses of all images at their middle rows, with the pinhole that equals each lens on its axis (exact for the ideal
-    /// lens; the action lens is in no family of COLMAP's) and the stamps as times; no points. Images are ordered by camera, then time.
+    /// The poses of all images at their middle rows, with the pinhole that equals each lens on its
+    /// axis (exact for the ideal lens; the action lens is in no family of COLMAP's) and the stamps
+    /// as times; no points. Images are ordered by camera, then time.
     pub fn truth(&self) -> Reconstruction {
         let mut truth = Reconstruction::default();
         for (index, camera) in self.cameras.iter().enumerate() {
@@ -305,7 +339,12 @@ impl Drive {
     }
 }
 
-fn camera(options: &DriveOptions, index: usize, mount: &Mount, trajectory: &Trajectory) -> DriveCamera {
+fn camera(
+    options: &DriveOptions,
+    index: usize,
+    mount: &Mount,
+    trajectory: &Trajectory,
+) -> DriveCamera {
     let (seed, effects) = (options.seed, &options.effects);
     let stream = |purpose: u64| Rng::stream(seed, &[12, index as u64, purpose]);
     let lens = if effects.has_action_lens {
@@ -313,9 +352,15 @@ fn camera(options: &DriveOptions, index: usize, mount: &Mount, trajectory: &Traj
     } else {
         Lens::pinhole(PINHOLE_FOCAL * f64::from(options.width), options.width, options.height)
     };
-    let mount = if effects.is_misaligned { mount.misaligned(&mut stream(1)) } else { mount.clone() };
-    let timing =
-        schedule(&effects.clocks, index == 0, options.rate_hz, trajectory.duration_s(), &mut stream(2));
+    let mount =
+        if effects.is_misaligned { mount.misaligned(&mut stream(1)) } else { mount.clone() };
+    let timing = schedule(
+        &effects.clocks,
+        index == 0,
+        options.rate_hz,
+        trajectory.duration_s(),
+        &mut stream(2),
+    );
     let phases: [f64; 2] = {
         let mut rng = stream(3);
         std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform())
@@ -323,8 +368,9 @@ fn camera(options: &DriveOptions, index: usize, mount: &Mount, trajectory: &Traj
     let extension = if effects.photometry.jpeg_quality.is_some() { "jpg" } else { "png" };
     let exposure = |(k, &(time_s, stamp_s)): (usize, &(f64, f64))| {
         let waves = EXPOSURE_PERIODS_S.iter().zip(phases);
-        let wave: f64 =
-            waves.map(|(period, phase)| 0.5 * (std::f64::consts::TAU * time_s / period + phase).sin()).sum();
+        let wave: f64 = waves
+            .map(|(period, phase)| 0.5 * (std::f64::consts::TAU * time_s / period + phase).sin())
+            .sum();
         Exposure {
             name: format!("{}/{k:06}.{extension}", mount.name),
             time_s,

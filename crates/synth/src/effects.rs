@@ -5,7 +5,8 @@ use std::str::FromStr;
 use crate::Error;
 use crate::error::require;
 
-/// How cameras' clocks and triggers differ. Values are the largest; each camera but the first draws its own.
+/// How cameras' clocks and triggers differ. Values are the largest; each camera but the first draws
+/// its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockEffects {
     /// Clocks are set differently by up to this, in seconds, either way.
@@ -48,7 +49,8 @@ pub struct Effects {
     pub vibration_rad: f64,
     /// Cameras fixed by hand: turned by about 1.5 degrees.
     pub is_misaligned: bool,
-    /// Every camera but the first swings about its place by up to this, in radians, either way: a mount that gives. In no preset.
+    /// Every camera but the first swings about its place by up to this, in radians, either way: a
+    /// mount that gives. In no preset.
     pub flex_rad: f64,
     /// Cars that drive through the picture.
     pub moving_cars: usize,
@@ -138,18 +140,35 @@ impl Effects {
     }
 
     pub(crate) fn validate(&self) -> Result<(), Error> {
-        let ClockEffects { offset_s, drift_ppm, jitter_s, phase, late_start_s, drop_fraction, rate_spread } =
-            self.clocks;
+        let ClockEffects {
+            offset_s,
+            drift_ppm,
+            jitter_s,
+            phase,
+            late_start_s,
+            drop_fraction,
+            rate_spread,
+        } = self.clocks;
         let small = "0 to 0.2 s";
         require((0.0..=0.2).contains(&self.readout_s), "readout_s", self.readout_s, small)?;
         require((0.0..=3.0).contains(&self.suspension), "suspension", self.suspension, "0 to 3")?;
-        require((0.0..=0.1).contains(&self.vibration_rad), "vibration_rad", self.vibration_rad, "0 to 0.1")?;
+        require(
+            (0.0..=0.1).contains(&self.vibration_rad),
+            "vibration_rad",
+            self.vibration_rad,
+            "0 to 0.1",
+        )?;
         require((0.0..=0.2).contains(&self.flex_rad), "flex_rad", self.flex_rad, "0 to 0.2")?;
         require((0.0..=3600.0).contains(&offset_s), "offset_s", offset_s, "0 to 3600 s")?;
         require((0.0..=1e4).contains(&drift_ppm), "drift_ppm", drift_ppm, "0 to 10000")?;
         require((0.0..=0.2).contains(&jitter_s), "jitter_s", jitter_s, small)?;
         require((0.0..=1.0).contains(&phase), "phase", phase, "0 to 1")?;
-        require((0.0..=3600.0).contains(&late_start_s), "late_start_s", late_start_s, "0 to 3600 s")?;
+        require(
+            (0.0..=3600.0).contains(&late_start_s),
+            "late_start_s",
+            late_start_s,
+            "0 to 3600 s",
+        )?;
         require((0.0..=0.9).contains(&drop_fraction), "drop_fraction", drop_fraction, "0 to 0.9")?;
         require((0.0..=0.5).contains(&rate_spread), "rate_spread", rate_spread, "0 to 0.5")?;
         let PhotometryEffects { exposure_stops, noise, jpeg_quality } = self.photometry;

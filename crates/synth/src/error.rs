@@ -15,7 +15,8 @@ pub enum Error {
     },
     /// Two corners of a route are too near for the radii of their turns.
     #[error(
-        "corners {corner} and the next are {distance_m:.1} m apart, but their turns take {needed_m:.1} m"
+        "corners {corner} and the next are {distance_m:.1} m apart, but their turns take \
+        {needed_m:.1} m"
     )]
     CornersTooClose {
         /// Index of the first corner.
@@ -54,6 +55,11 @@ pub enum Error {
 }
 
 /// `Ok` where `ok` holds of an option's value.
-pub(crate) fn require(ok: bool, name: &'static str, value: f64, expected: &'static str) -> Result<(), Error> {
+pub(crate) fn require(
+    ok: bool,
+    name: &'static str,
+    value: f64,
+    expected: &'static str,
+) -> Result<(), Error> {
     if ok { Ok(()) } else { Err(Error::OutOfRange { name, value, expected }) }
 }

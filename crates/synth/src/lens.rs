@@ -1,18 +1,20 @@
 //! How light falls on the sensor: an action camera's lens, and the ideal pinhole.
 //!
-//! The action lens has a radial profile with even and odd powers of the angle from the axis (as the maps that GoPro publishes
-//! for its lenses have), then decentring (Brown 1966) on the fisheye plane, then a principal point off the middle. With
-//! m(θ) = θ (1 + a₁θ + a₂θ² + a₃θ³ + a₄θ⁴) and (u, v) the point at distance m in the direction of the ray,
+//! The action lens has a radial profile with even and odd powers of the angle from the axis (as the
+//! maps that GoPro publishes for its lenses have), then decentring (Brown 1966) on the fisheye
+//! plane, then a principal point off the middle. With m(θ) = θ (1 + a₁θ + a₂θ² + a₃θ³ + a₄θ⁴) and
+//! (u, v) the point at distance m in the direction of the ray,
 //!
 //! u' = u + p₁ (m² + 2u²) + 2 p₂ uv,  v' = v + p₂ (m² + 2v²) + 2 p₁ uv,  pixel = c + f (u', v').
 //!
-//! The odd aⱼ (even powers of θ) are in none of COLMAP's families, and decentring on that plane is in its THIN_PRISM_FISHEYE alone: an
-//! estimator is left with a residual, as with a real lens.
+//! The odd aⱼ (even powers of θ) are in none of COLMAP's families, and decentring on that plane is
+//! in its THIN_PRISM_FISHEYE alone: an estimator is left with a residual, as with a real lens.
 
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
 
-/// Newton's iterations end when they move by less than this (radians, or units of the fisheye plane).
+/// Newton's iterations end when they move by less than this (radians, or units of the fisheye
+/// plane).
 const NEWTON_TOLERANCE: f64 = 1e-14;
 const NEWTON_ITERATIONS: usize = 30;
 
@@ -46,8 +48,8 @@ pub enum Lens {
 }
 
 impl ActionLens {
-    /// A lens as a maker sells it for this image size, and no two alike: all numbers scatter a little. The horizontal field of
-    /// view is about 94°, that of a GoPro's wide setting at 4:3.
+    /// A lens as a maker sells it for this image size, and no two alike: all numbers scatter a
+    /// little. The horizontal field of view is about 94°, that of a GoPro's wide setting at 4:3.
     pub fn sample(width: u32, height: u32, rng: &mut Rng) -> Self {
         let (width, height) = (f64::from(width), f64::from(height));
         let mut scattered = |value: f64, sigma: f64| value + sigma * rng.normal();
@@ -60,7 +62,10 @@ impl ActionLens {
                 scattered(-0.022, 0.003),
             ],
             decentring: [scattered(0.0, 0.0008), scattered(0.0, 0.0008)],
-            principal_point: Vector2::new(width * scattered(0.5, 0.005), height * scattered(0.5, 0.005)),
+            principal_point: Vector2::new(
+                width * scattered(0.5, 0.005),
+                height * scattered(0.5, 0.005),
+            ),
             max_angle_rad: 1.2,
         }
     }
@@ -69,7 +74,8 @@ impl ActionLens {
     fn radius(&self, angle: f64) -> (f64, f64) {
         let [a1, a2, a3, a4] = self.radial;
         let value = angle * (1.0 + angle * (a1 + angle * (a2 + angle * (a3 + angle * a4))));
-        let slope = 1.0 + angle * (2.0 * a1 + angle * (3.0 * a2 + angle * (4.0 * a3 + angle * 5.0 * a4)));
+        let slope =
+            1.0 + angle * (2.0 * a1 + angle * (3.0 * a2 + angle * (4.0 * a3 + angle * 5.0 * a4)));
         (value, slope)
     }
 
@@ -82,8 +88,12 @@ impl ActionLens {
             p2 * (m2 + 2.0 * v * v) + 2.0 * p1 * u * v,
         );
         let mixed = 2.0 * (p1 * v + p2 * u);
-        let jacobian =
-            Matrix2::new(1.0 + 6.0 * p1 * u + 2.0 * p2 * v, mixed, mixed, 1.0 + 6.0 * p2 * v + 2.0 * p1 * u);
+        let jacobian = Matrix2::new(
+            1.0 + 6.0 * p1 * u + 2.0 * p2 * v,
+            mixed,
+            mixed,
+            1.0 + 6.0 * p2 * v + 2.0 * p1 * u,
+        );
         (point + shift, jacobian)
     }
 
@@ -136,7 +146,8 @@ impl Lens {
         Self::Pinhole { focal_px, principal_point }
     }
 
-    /// The pixel of a point in the camera's frame; `None` where the lens does not image it. (Pixels may lie off the sensor.)
+    /// The pixel of a point in the camera's frame; `None` where the lens does not image it. (Pixels
+    /// may lie off the sensor.)
     pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         match self {
             Self::Pinhole { focal_px, principal_point } => (point_in_cam.z > 1e-9)
@@ -171,8 +182,8 @@ impl Lens {
         }
     }
 
-    /// The pinhole with the same focal length and principal point: exact for a pinhole, right on the axis for the action lens,
-    /// which is in no family.
+    /// The pinhole with the same focal length and principal point: exact for a pinhole, right on
+    /// the axis for the action lens, which is in no family.
     pub fn paraxial_intrinsics(&self) -> Intrinsics {
         let (focal, centre) = (self.focal_px(), self.principal_point());
         Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
@@ -202,7 +213,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn pixel_to_ray_to_pixel(lens in lenses(), x in 0.0..2000.0, y in 0.0..1500.0, depth in 0.1..1000.0) {
+        fn pixel_to_ray_to_pixel(
+            lens in lenses(),
+            x in 0.0..2000.0,
+            y in 0.0..1500.0,
+            depth in 0.1..1000.0,
+        ) {
             let pixel = Vector2::new(x, y);
             let ray = lens.unproject(&pixel).expect("every pixel of the sensor sees");
             prop_assert!((ray.norm() - 1.0).abs() < RAY_TOLERANCE);
@@ -222,7 +238,9 @@ mod tests {
     fn what_is_behind_is_not_imaged() {
         let action = Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(1, &[])));
         for lens in [Lens::pinhole(900.0, SIZE.0, SIZE.1), action] {
-            for point in [Vector3::new(0.1, 0.2, -1.0), Vector3::zeros(), Vector3::new(1.0, 0.0, f64::NAN)] {
+            for point in
+                [Vector3::new(0.1, 0.2, -1.0), Vector3::zeros(), Vector3::new(1.0, 0.0, f64::NAN)]
+            {
                 assert_eq!(lens.project(&point), None);
             }
         }

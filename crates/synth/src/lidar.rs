@@ -1,7 +1,8 @@
-//! A reference cloud, as a VLP-16 on the roof would sweep it: 16 rings over 30°, 0.2° in azimuth, up to 100 m, within ±3 cm.
+//! A reference cloud, as a VLP-16 on the roof would sweep it: 16 rings over 30°, 0.2° in azimuth,
+//! up to 100 m, within ±3 cm.
 //!
-//! Every ray has the vehicle's pose of its own moment, so the cloud is exact but for its range noise. Moving cars are left
-//! out, as a surveyor would clean them out of a reference.
+//! Every ray has the vehicle's pose of its own moment, so the cloud is exact but for its range
+//! noise. Moving cars are left out, as a surveyor would clean them out of a reference.
 
 use std::f64::consts::TAU;
 
@@ -55,11 +56,17 @@ impl Default for LidarOptions {
 /// Sweeps the whole drive: points in the world, in order of time.
 pub fn reference_cloud(drive: &Drive, options: &LidarOptions) -> Result<Vec<Vector3<f64>>, Error> {
     require(options.turns_per_s > 0.0, "turns_per_s", options.turns_per_s, "more than 0")?;
-    require(options.azimuth_step_rad > 1e-5, "azimuth_step_rad", options.azimuth_step_rad, "more than 1e-5")?;
+    require(
+        options.azimuth_step_rad > 1e-5,
+        "azimuth_step_rad",
+        options.azimuth_step_rad,
+        "more than 1e-5",
+    )?;
     require(options.every_turns > 0, "every_turns", 0.0, "at least 1")?;
     let turns = (drive.trajectory().duration_s() * options.turns_per_s) as usize;
     let turns: Vec<usize> = (0..turns).step_by(options.every_turns).collect();
-    let clouds: Vec<Vec<Vector3<f64>>> = turns.par_iter().map(|&turn| sweep(drive, options, turn)).collect();
+    let clouds: Vec<Vec<Vector3<f64>>> =
+        turns.par_iter().map(|&turn| sweep(drive, options, turn)).collect();
     Ok(clouds.concat())
 }
 
@@ -75,7 +82,8 @@ fn sweep(drive: &Drive, options: &LidarOptions, turn: usize) -> Vec<Vector3<f64>
         let (sin, cos) = (TAU * turned).sin_cos();
         for ring in 0..options.rings {
             let noise_m = options.noise_m * rng.normal();
-            let up = (ring as f64 / (options.rings.max(2) - 1) as f64 - 0.5) * options.elevation_range_rad;
+            let up = (ring as f64 / (options.rings.max(2) - 1) as f64 - 0.5)
+                * options.elevation_range_rad;
             let direction = Vector3::new(sin * up.cos(), -up.sin(), cos * up.cos());
             let ray = Ray {
                 origin: world_from_lidar.translation,
@@ -98,11 +106,18 @@ mod tests {
     #[test]
     fn points_lie_on_surfaces_and_noise_is_what_was_asked_for() {
         let effects = Effects { moving_cars: 4, suspension: 1.0, ..Effects::default() };
-        let options =
-            DriveOptions { route: RouteKind::Open, length_m: 60.0, effects, ..DriveOptions::default() };
+        let options = DriveOptions {
+            route: RouteKind::Open,
+            length_m: 60.0,
+            effects,
+            ..DriveOptions::default()
+        };
         let drive = Drive::new(&options).unwrap();
-        let scanner =
-            LidarOptions { every_turns: 20, azimuth_step_rad: 4f64.to_radians(), ..LidarOptions::default() };
+        let scanner = LidarOptions {
+            every_turns: 20,
+            azimuth_step_rad: 4f64.to_radians(),
+            ..LidarOptions::default()
+        };
         let exact = reference_cloud(&drive, &LidarOptions { noise_m: 0.0, ..scanner }).unwrap();
         let noisy = reference_cloud(&drive, &scanner).unwrap();
         assert!(exact.len() > 1000 && exact.len() == noisy.len(), "{} points", exact.len());

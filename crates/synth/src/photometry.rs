@@ -1,4 +1,5 @@
-//! From light on the sensor to the numbers of an image: exposure, noise, a tone curve, eight bits, JPEG.
+//! From light on the sensor to the numbers of an image: exposure, noise, a tone curve, eight bits,
+//! JPEG.
 
 use std::io::Cursor;
 
@@ -18,8 +19,8 @@ const GAMMA: f64 = 2.2;
 pub struct Development {
     /// Factor on the light.
     pub gain: f64,
-    /// Standard deviation of the noise at white, relative to white; it goes with the square root of the light, and a tenth of
-    /// it is there in the dark. 0 for none.
+    /// Standard deviation of the noise at white, relative to white; it goes with the square root of
+    /// the light, and a tenth of it is there in the dark. 0 for none.
     pub noise: f64,
     /// Names the noise.
     pub seed: u64,
@@ -38,7 +39,8 @@ pub fn develop(radiance: &Radiance, development: &Development) -> RgbImage {
         .collect();
     let (gain, noise) = (development.gain as f32, development.noise as f32);
     let mut bytes = vec![0u8; 3 * radiance.width * radiance.height];
-    let rows = bytes.par_chunks_mut(3 * radiance.width).zip(radiance.pixels.par_chunks(radiance.width));
+    let rows =
+        bytes.par_chunks_mut(3 * radiance.width).zip(radiance.pixels.par_chunks(radiance.width));
     rows.enumerate().for_each(|(y, (bytes, pixels))| {
         let mut rng = Rng::stream(development.seed, &[y as u64]);
         for (bytes, light) in bytes.chunks_exact_mut(3).zip(pixels) {
@@ -57,8 +59,8 @@ pub fn develop(radiance: &Radiance, development: &Development) -> RgbImage {
         .expect("three bytes a pixel were allocated")
 }
 
-/// Mean 0, variance 1: the sum of four uniform numbers of ten bits each, taken from what is left of 128 random bits (Irwin
-/// 1927, Hall 1927). Twelve draws of a sensor's noise need no better tails.
+/// Mean 0, variance 1: the sum of four uniform numbers of ten bits each, taken from what is left of
+/// 128 random bits (Irwin 1927, Hall 1927). Twelve draws of a sensor's noise need no better tails.
 fn near_normal(bits: &mut [u64; 2]) -> f32 {
     let mut sum = 0;
     for word in bits.iter_mut() {
@@ -71,7 +73,8 @@ fn near_normal(bits: &mut [u64; 2]) -> f32 {
 
 /// An image as a JPEG of the given quality (1 to 100) would give it back.
 pub(crate) fn through_jpeg(image: &RgbImage, quality: u8) -> Option<RgbImage> {
-    let decoded = image::load_from_memory_with_format(&jpeg_bytes(image, quality)?, ImageFormat::Jpeg);
+    let decoded =
+        image::load_from_memory_with_format(&jpeg_bytes(image, quality)?, ImageFormat::Jpeg);
     decoded.ok().map(|image| image.to_rgb8())
 }
 
@@ -91,7 +94,8 @@ mod tests {
     }
 
     fn mean_and_deviation(image: &RgbImage) -> (f64, f64) {
-        let linear: Vec<f64> = image.as_raw().iter().map(|&b| (f64::from(b) / 255.0).powf(GAMMA)).collect();
+        let linear: Vec<f64> =
+            image.as_raw().iter().map(|&b| (f64::from(b) / 255.0).powf(GAMMA)).collect();
         let mean = linear.iter().sum::<f64>() / linear.len() as f64;
         let variance = linear.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / linear.len() as f64;
         (mean, variance.sqrt())
@@ -99,7 +103,8 @@ mod tests {
 
     #[test]
     fn gain_and_noise_are_what_was_asked_for() {
-        // 60,000 samples: the deviation is known to 0.3 %, the quantisation of eight bits adds less than 3 %.
+        // 60,000 samples: the deviation is known to 0.3 %, the quantisation of eight bits adds less
+        // than 3 %.
         let development = Development { gain: 1.5, noise: 0.03, seed: 1 };
         let (mean, deviation) = mean_and_deviation(&develop(&flat(0.2), &development));
         let expected = 0.03 * (0.01 + 0.3f64).sqrt();

@@ -1,9 +1,11 @@
 //! From the world to light on the sensor.
 //!
-//! A first pass asks, for the ray of each pixel (sixteen at a time), what it meets. A pixel whose neighbours see the same piece
-//! of surface is shaded once, its texture averaged over its footprint; one on an edge is asked again with a grid of 4 × 4
-//! rays, and each surface found is shaded once, weighted by its share. Every row has a pose and a time of its own: that is all
-//! there is to a rolling shutter. Rows are computed in parallel and depend on nothing but their number.
+//! A first pass asks, for the ray of each pixel (sixteen at a time), what it meets. A pixel whose
+//! neighbours see the same piece of surface is shaded once, its texture averaged over its
+//! footprint; one on an edge is asked again with a grid of 4 × 4 rays, and each surface found is
+//! shaded once, weighted by its share. Every row has a pose and a time of its own: that is all
+//! there is to a rolling shutter. Rows are computed in parallel and depend on nothing but their
+//! number.
 
 use rayon::prelude::*;
 use tiepoint_geometry::Rigid3;
@@ -94,8 +96,8 @@ impl<'w> Renderer<'w> {
         Pixel { ray: Ray { origin: row.centre, direction }, right, down }
     }
 
-    /// Renders an image; `row_pose` gives the camera's pose for a height on the sensor in pixels (row r has its middle at
-    /// r + 0.5).
+    /// Renders an image; `row_pose` gives the camera's pose for a height on the sensor in pixels
+    /// (row r has its middle at r + 0.5).
     pub fn render(&self, row_pose: impl Fn(f64) -> RowPose + Sync) -> Radiance {
         let middle = row_pose(0.5 * self.height as f64);
         let movers = self.world.movers_near(&middle.world_from_cam.translation, middle.time_s);
@@ -103,7 +105,8 @@ impl<'w> Renderer<'w> {
             .into_par_iter()
             .map(|index| {
                 let RowPose { world_from_cam, time_s } = row_pose(index as f64 + 0.5);
-                let with_pose = |&mover: &usize| Some((mover, self.world.mover_pose(mover, time_s)?));
+                let with_pose =
+                    |&mover: &usize| Some((mover, self.world.mover_pose(mover, time_s)?));
                 Row {
                     index,
                     rotation: world_from_cam.rotation.to_rotation_matrix().into_inner(),
@@ -113,11 +116,13 @@ impl<'w> Renderer<'w> {
             })
             .collect();
         let mut keys = vec![SKY; self.width * self.height];
-        keys.par_chunks_mut(self.width * TILE).zip(rows.par_chunks(TILE)).for_each(|(keys, rows)| {
-            for x in (0..self.width).step_by(TILE) {
-                self.trace_tile(rows, x, keys);
-            }
-        });
+        keys.par_chunks_mut(self.width * TILE).zip(rows.par_chunks(TILE)).for_each(
+            |(keys, rows)| {
+                for x in (0..self.width).step_by(TILE) {
+                    self.trace_tile(rows, x, keys);
+                }
+            },
+        );
         let mut pixels = vec![[0.0; 3]; self.width * self.height];
         pixels.par_chunks_mut(self.width).zip(&rows).for_each(|(pixels, row)| {
             for (x, pixel) in pixels.iter_mut().enumerate() {
@@ -127,16 +132,19 @@ impl<'w> Renderer<'w> {
         Radiance { width: self.width, height: self.height, pixels }
     }
 
-    /// Keys of a tile of pixels. Tiles at the right and lower edge repeat their last column and row.
+    /// Keys of a tile of pixels. Tiles at the right and lower edge repeat their last column and
+    /// row.
     fn trace_tile(&self, rows: &[Row], x: usize, keys: &mut [u64]) {
-        let place =
-            |lane: usize| (&rows[(lane / TILE).min(rows.len() - 1)], (x + lane % TILE).min(self.width - 1));
+        let place = |lane: usize| {
+            (&rows[(lane / TILE).min(rows.len() - 1)], (x + lane % TILE).min(self.width - 1))
+        };
         let mut packet = Packet::new([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
         let mut rays = [Ray { origin: Vector3::zeros(), direction: Vector3::zeros() }; LANES];
         for (lane, ray) in rays.iter_mut().enumerate() {
             let (row, column) = place(lane);
             let [dx, dy, dz] = self.rays[row.index * self.width + column];
-            let direction = row.rotation * Vector3::new(f64::from(dx), f64::from(dy), f64::from(dz));
+            let direction =
+                row.rotation * Vector3::new(f64::from(dx), f64::from(dy), f64::from(dz));
             *ray = Ray { origin: row.centre, direction };
             packet.set(lane, ray);
         }
@@ -152,8 +160,15 @@ impl<'w> Renderer<'w> {
     }
 
     /// Fills a packet whose rays are at most `spread` per metre from `middle`.
-    fn cast<'r>(&self, packet: &mut Packet, middle: &Ray, spread: f64, row_of: impl Fn(usize) -> &'r Row) {
-        // A car that enters or leaves the street during the readout is drawn only if it is there in every row.
+    fn cast<'r>(
+        &self,
+        packet: &mut Packet,
+        middle: &Ray,
+        spread: f64,
+        row_of: impl Fn(usize) -> &'r Row,
+    ) {
+        // A car that enters or leaves the street during the readout is drawn only if it is there in
+        // every row.
         let first = row_of(0);
         let movers: Vec<(usize, [MoverPose; LANES])> = first
             .movers
@@ -214,15 +229,18 @@ impl<'w> Renderer<'w> {
             }
             let of_key = || (0..LANES).filter(|&lane| keys[lane] == key);
             let count = of_key().count();
-            let mean: [f64; 2] =
-                [0, 1].map(|axis| of_key().map(|lane| offsets[lane][axis]).sum::<f64>() / count as f64);
-            // The mean of its samples may miss a bent piece; then the sample nearest to it stands for it.
+            let mean: [f64; 2] = [0, 1]
+                .map(|axis| of_key().map(|lane| offsets[lane][axis]).sum::<f64>() / count as f64);
+            // The mean of its samples may miss a bent piece; then the sample nearest to it stands
+            // for it.
             let is_met = |offset: [f64; 2]| {
                 self.world.key((key >> 32) as u32, &ray(offset), |mover| row.mover(mover)) == key
             };
-            let distance2 =
-                |lane: usize| (offsets[lane][0] - mean[0]).powi(2) + (offsets[lane][1] - mean[1]).powi(2);
-            let nearest = of_key().min_by(|&a, &b| distance2(a).total_cmp(&distance2(b))).unwrap_or(first);
+            let distance2 = |lane: usize| {
+                (offsets[lane][0] - mean[0]).powi(2) + (offsets[lane][1] - mean[1]).powi(2)
+            };
+            let nearest =
+                of_key().min_by(|&a, &b| distance2(a).total_cmp(&distance2(b))).unwrap_or(first);
             let offset = if is_met(mean) { mean } else { offsets[nearest] };
             let sample = Pixel { ray: ray(offset), ..*pixel };
             let hit = self.resolve((key >> 32) as u32, &sample.ray, row);
@@ -233,7 +251,8 @@ impl<'w> Renderer<'w> {
     }
 }
 
-/// The surface point that a pixel (not only its centre) sees through a lens, from the pose of its row.
+/// The surface point that a pixel (not only its centre) sees through a lens, from the pose of its
+/// row.
 pub(crate) fn surface_at(
     world: &World,
     lens: &Lens,

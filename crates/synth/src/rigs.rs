@@ -7,9 +7,11 @@ use tiepoint_geometry::{Rigid3, Rng};
 
 use crate::Error;
 
-/// How inexactly a camera is fixed: 1.5 degrees about each axis. Rigs that nobody calibrated are not exactly parallel.
+/// How inexactly a camera is fixed: 1.5 degrees about each axis. Rigs that nobody calibrated are
+/// not exactly parallel.
 const MISALIGNMENT_RAD: f64 = 0.026;
-/// Middle of the roof in the vehicle's frame (right, down, forward of the rear axle on the road), in metres.
+/// Middle of the roof in the vehicle's frame (right, down, forward of the rear axle on the road),
+/// in metres.
 const ROOF_M: [f64; 3] = [0.0, -1.55, 1.1];
 
 /// The paper's mountings: which way a camera looks.
@@ -29,7 +31,8 @@ pub enum Mounting {
 
 impl Mounting {
     /// All of them.
-    pub const ALL: [Mounting; 5] = [Self::Front, Self::FrontRight, Self::Right, Self::Rear, Self::Left];
+    pub const ALL: [Mounting; 5] =
+        [Self::Front, Self::FrontRight, Self::Right, Self::Rear, Self::Left];
 
     /// Its name, also that of the camera's folder.
     pub fn name(self) -> &'static str {
@@ -70,10 +73,12 @@ impl Mounting {
 impl FromStr for Mounting {
     type Err = Error;
     fn from_str(name: &str) -> Result<Self, Error> {
-        Self::ALL.into_iter().find(|mounting| mounting.name() == name).ok_or_else(|| Error::UnknownName {
-            what: "mounting",
-            name: name.to_owned(),
-            known: Self::ALL.map(Self::name).join(", "),
+        Self::ALL.into_iter().find(|mounting| mounting.name() == name).ok_or_else(|| {
+            Error::UnknownName {
+                what: "mounting",
+                name: name.to_owned(),
+                known: Self::ALL.map(Self::name).join(", "),
+            }
         })
     }
 }
@@ -88,8 +93,14 @@ pub struct Mount {
 }
 
 impl Mount {
-    /// At a position of the vehicle's frame (metres), looking `yaw_rad` clockwise from ahead and `pitch_rad` upwards.
-    pub fn at(name: impl Into<String>, position_m: Vector3<f64>, yaw_rad: f64, pitch_rad: f64) -> Self {
+    /// At a position of the vehicle's frame (metres), looking `yaw_rad` clockwise from ahead and
+    /// `pitch_rad` upwards.
+    pub fn at(
+        name: impl Into<String>,
+        position_m: Vector3<f64>,
+        yaw_rad: f64,
+        pitch_rad: f64,
+    ) -> Self {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad)
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), pitch_rad);
         Self { name: name.into(), cam_from_vehicle: Rigid3::new(rotation, position_m).inverse() }
@@ -100,9 +111,9 @@ impl Mount {
         Self::at(mounting.name(), mounting.position_m(), mounting.yaw_rad(), 0.0)
     }
 
-    /// Two cameras that look the same way, `baseline_m` apart: `left` and `right` of the direction of view, which is ahead
-    /// with [`Mounting::Front`] and sideways, one camera in front of the other, with [`Mounting::Right`] (the paper's
-    /// Experiment II).
+    /// Two cameras that look the same way, `baseline_m` apart: `left` and `right` of the direction
+    /// of view, which is ahead with [`Mounting::Front`] and sideways, one camera in front of the
+    /// other, with [`Mounting::Right`] (the paper's Experiment II).
     pub fn stereo(mounting: Mounting, baseline_m: f64) -> [Self; 2] {
         let middle = Self::of(mounting).cam_from_vehicle;
         [("left", -0.5), ("right", 0.5)].map(|(name, side)| {
@@ -112,10 +123,12 @@ impl Mount {
         })
     }
 
-    /// As hands would have fixed it: turned by about 1.5 degrees about each axis, about its own centre.
+    /// As hands would have fixed it: turned by about 1.5 degrees about each axis, about its own
+    /// centre.
     pub fn misaligned(&self, rng: &mut Rng) -> Self {
         let turn = Vector3::from_fn(|_, _| MISALIGNMENT_RAD * rng.normal());
-        let cam_from_vehicle = Rigid3::from_axis_angle(turn, Vector3::zeros()) * self.cam_from_vehicle;
+        let cam_from_vehicle =
+            Rigid3::from_axis_angle(turn, Vector3::zeros()) * self.cam_from_vehicle;
         Self { name: self.name.clone(), cam_from_vehicle }
     }
 }
@@ -136,7 +149,10 @@ mod tests {
             (Mounting::FrontRight, Vector3::new(1.0, 0.0, 1.0).normalize()),
         ] {
             let vehicle_from_cam = Mount::of(mounting).cam_from_vehicle.inverse();
-            assert!((vehicle_from_cam.rotation * Vector3::z() - axis).norm() < TOLERANCE, "{mounting:?}");
+            assert!(
+                (vehicle_from_cam.rotation * Vector3::z() - axis).norm() < TOLERANCE,
+                "{mounting:?}"
+            );
             assert!(
                 (vehicle_from_cam.rotation * Vector3::y() - Vector3::y()).norm() < TOLERANCE,
                 "{mounting:?}"
@@ -152,7 +168,10 @@ mod tests {
         let view = mount.cam_from_vehicle.inverse().rotation * Vector3::z();
         assert!((view.y + 0.1f64.sin()).abs() < TOLERANCE, "{view}");
         let turned = mount.misaligned(&mut Rng::stream(1, &[]));
-        assert!((turned.cam_from_vehicle.origin_in_a() - Vector3::new(1.0, 2.0, 3.0)).norm() < TOLERANCE);
+        assert!(
+            (turned.cam_from_vehicle.origin_in_a() - Vector3::new(1.0, 2.0, 3.0)).norm()
+                < TOLERANCE
+        );
         assert!(turned.cam_from_vehicle.rotation.angle_to(&mount.cam_from_vehicle.rotation) > 1e-3);
     }
 
@@ -162,7 +181,10 @@ mod tests {
             let [left, right] = Mount::stereo(mounting, 0.5);
             let right_from_left = right.cam_from_vehicle * left.cam_from_vehicle.inverse();
             let centre = right_from_left.origin_in_a();
-            assert!((centre - Vector3::new(0.5, 0.0, 0.0)).norm() < TOLERANCE, "{mounting:?}: {centre}");
+            assert!(
+                (centre - Vector3::new(0.5, 0.0, 0.0)).norm() < TOLERANCE,
+                "{mounting:?}: {centre}"
+            );
         }
     }
 }

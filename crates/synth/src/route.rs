@@ -1,13 +1,15 @@
 //! The centre line of the street: straight lines and circular arcs, joined without kinks.
 //!
-//! Lines and arcs have a closed form both ways, from an arc length to a point and from a point to (arc length, lateral
-//! offset), so that the vehicle, the buildings and the paint on the road share one exact centre line.
+//! Lines and arcs have a closed form both ways, from an arc length to a point and from a point to
+//! (arc length, lateral offset), so that the vehicle, the buildings and the paint on the road share
+//! one exact centre line.
 
 use tiepoint_geometry::{Rng, nalgebra::Vector2};
 
 use crate::error::{Error, require};
 
-/// Turns of a street corner have radii in this range, in metres: of the centre line, so that the inner lane stays drivable.
+/// Turns of a street corner have radii in this range, in metres: of the centre line, so that the
+/// inner lane stays drivable.
 const TURN_RADIUS_M: [f64; 2] = [10.0, 14.0];
 /// Radius of a gentle bend within a block, in metres.
 const BEND_RADIUS_M: f64 = 60.0;
@@ -81,11 +83,13 @@ impl Piece {
         let s = if self.curvature_per_m == 0.0 {
             from_start.dot(&tangent)
         } else {
-            // On a circle the direction there is at right angles to the radius; the angle from the arc's middle does not wrap.
+            // On a circle the direction there is at right angles to the radius; the angle from the
+            // arc's middle does not wrap.
             let radius = 1.0 / self.curvature_per_m;
             let from_centre = (from_start - left_of(self.direction) * radius) * radius.signum();
             tangent = left_of(from_centre) / from_centre.norm();
-            let from_middle = self.middle_direction.perp(&tangent).atan2(self.middle_direction.dot(&tangent));
+            let from_middle =
+                self.middle_direction.perp(&tangent).atan2(self.middle_direction.dot(&tangent));
             0.5 * self.length_m + from_middle * radius
         };
         let is_beyond = !(0.0..=self.length_m).contains(&s);
@@ -110,12 +114,18 @@ impl Piece {
 }
 
 impl Route {
-    /// Through corners, each cut by an arc of its radius (metres). A closed route begins in the middle of the side from the
-    /// last corner to the first; the first and last corner of an open one are its ends.
+    /// Through corners, each cut by an arc of its radius (metres). A closed route begins in the
+    /// middle of the side from the last corner to the first; the first and last corner of an open
+    /// one are its ends.
     pub fn from_corners(corners: &[(Vector2<f64>, f64)], is_closed: bool) -> Result<Self, Error> {
         let count = corners.len();
         let least = if is_closed { 3 } else { 2 };
-        require(count >= least, "number of corners", count as f64, "at least 3 for a loop, 2 for a street")?;
+        require(
+            count >= least,
+            "number of corners",
+            count as f64,
+            "at least 3 for a loop, 2 for a street",
+        )?;
         let mut route = Self { pieces: Vec::new(), length_m: 0.0, is_closed };
         let at = |index: usize| corners[index % count].0;
         let turn = |index: usize| {
@@ -138,7 +148,8 @@ impl Route {
         }
         let first = if is_closed { 0.5 * (at(count - 1) + at(0)) } else { at(0) };
         let mut position = first;
-        for (corner, &(vertex, radius)) in corners.iter().enumerate().skip(usize::from(!is_closed)) {
+        for (corner, &(vertex, radius)) in corners.iter().enumerate().skip(usize::from(!is_closed))
+        {
             let direction = (vertex - position).normalize();
             let heading_rad = direction.y.atan2(direction.x);
             route.push(position, heading_rad, 0.0, (vertex - position).norm() - cut(corner));
@@ -156,7 +167,8 @@ impl Route {
         Ok(route)
     }
 
-    /// A loop of about `length_m` around a block: a quadrangle, gently bent where its sides are long; in either sense.
+    /// A loop of about `length_m` around a block: a quadrangle, gently bent where its sides are
+    /// long; in either sense.
     pub fn street_loop(length_m: f64, rng: &mut Rng) -> Result<Self, Error> {
         require(length_m >= 160.0, "loop length_m", length_m, "at least 160 m")?;
         let aspect = in_range(rng, [0.75, 1.35]);
@@ -165,7 +177,8 @@ impl Route {
         let slack = 0.04 * width.min(height);
         let mut corners = Vec::new();
         for (x, y) in [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)] {
-            let shift = Vector2::new(in_range(rng, [-slack, slack]), in_range(rng, [-slack, slack]));
+            let shift =
+                Vector2::new(in_range(rng, [-slack, slack]), in_range(rng, [-slack, slack]));
             corners.push(Vector2::new(x * width, y * height) + shift);
         }
         if rng.below(2) == 1 {
@@ -180,7 +193,8 @@ impl Route {
         Self::from_corners(&bent, true)
     }
 
-    /// A street of about `length_m` that never comes back: blocks eastwards, northwards and southwards.
+    /// A street of about `length_m` that never comes back: blocks eastwards, northwards and
+    /// southwards.
     pub fn open_street(length_m: f64, rng: &mut Rng) -> Result<Self, Error> {
         require(length_m >= 40.0, "street length_m", length_m, "at least 40 m")?;
         let mut corners = vec![(Vector2::zeros(), 0.0)];
@@ -191,7 +205,8 @@ impl Route {
             let block = if left < block + BLOCK_M[0] { left } else { block };
             let tilt = in_range(rng, [-0.12, 0.12]);
             let side = if rng.below(2) == 0 { 1.0 } else { -1.0 };
-            let heading = if is_eastwards { tilt } else { side * std::f64::consts::FRAC_PI_2 + tilt };
+            let heading =
+                if is_eastwards { tilt } else { side * std::f64::consts::FRAC_PI_2 + tilt };
             let end = position + unit(heading) * block;
             corners.extend(bend(position, end, rng));
             corners.push((end, in_range(rng, TURN_RADIUS_M)));
@@ -227,8 +242,8 @@ impl Route {
         self.is_closed
     }
 
-    /// The piece at an arc length, and the arc length from its beginning. A loop goes round; an open street goes on straight
-    /// beyond its ends.
+    /// The piece at an arc length, and the arc length from its beginning. A loop goes round; an
+    /// open street goes on straight beyond its ends.
     fn piece_at(&self, along_m: f64) -> (&Piece, f64) {
         let s = if self.is_closed { along_m.rem_euclid(self.length_m) } else { along_m };
         let index = self.pieces.partition_point(|piece| piece.offset_m <= s).max(1) - 1;
@@ -243,7 +258,8 @@ impl Route {
 
     /// The point at an arc length and a lateral offset (positive to the left).
     pub fn point_beside(&self, position: RoutePosition) -> Vector2<f64> {
-        self.point(position.along_m) + left_of(unit(self.heading_rad(position.along_m))) * position.left_m
+        self.point(position.along_m)
+            + left_of(unit(self.heading_rad(position.along_m))) * position.left_m
     }
 
     /// The heading at an arc length, from east towards north.
@@ -268,7 +284,8 @@ impl Route {
         point: Vector2<f64>,
         pieces: impl IntoIterator<Item = usize>,
     ) -> (RoutePosition, Vector2<f64>) {
-        let mut best = (RoutePosition { along_m: 0.0, left_m: f64::INFINITY }, Vector2::x(), f64::INFINITY);
+        let mut best =
+            (RoutePosition { along_m: 0.0, left_m: f64::INFINITY }, Vector2::x(), f64::INFINITY);
         for index in pieces {
             let found = self.pieces[index].foot(point);
             if found.2 < best.2 {
@@ -305,10 +322,17 @@ mod tests {
     proptest! {
         #[test]
         fn the_line_has_no_kink_and_locates_its_own_points(
-            seed in 0u64..1000, is_loop: bool, fraction in 0.0..1.0, left_m in -7.0..7.0,
+            seed in 0u64..1000,
+            is_loop: bool,
+            fraction in 0.0..1.0,
+            left_m in -7.0..7.0,
         ) {
             let mut rng = Rng::stream(seed, &[1]);
-            let route = if is_loop { Route::street_loop(400.0, &mut rng) } else { Route::open_street(400.0, &mut rng) };
+            let route = if is_loop {
+                Route::street_loop(400.0, &mut rng)
+            } else {
+                Route::open_street(400.0, &mut rng)
+            };
             let route = route.unwrap();
             for pair in route.pieces.windows(2) {
                 prop_assert!((pair[0].point_at(pair[0].length_m) - pair[1].start).norm() < CLOSE_M);
@@ -328,8 +352,8 @@ mod tests {
 
     #[test]
     fn turns_that_do_not_fit_are_refused() {
-        let corners =
-            [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)].map(|(x, y)| (Vector2::new(x, y), 6.0));
+        let corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+            .map(|(x, y)| (Vector2::new(x, y), 6.0));
         assert!(matches!(Route::from_corners(&corners, true), Err(Error::CornersTooClose { .. })));
     }
 }

@@ -15,7 +15,8 @@ use crate::{Exposure, Lens, Renderer};
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let part = path.with_extension("part");
     let written = path.parent().map_or(Ok(()), fs::create_dir_all);
-    let written = written.and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, path));
+    let written =
+        written.and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, path));
     written.map_err(|source| Error::Write { path: path.to_owned(), source })
 }
 
@@ -24,7 +25,8 @@ impl Drive {
     pub fn timestamps_csv(&self) -> String {
         let mut text = String::from("image,seconds\n");
         for exposure in self.cameras().iter().flat_map(|camera| &camera.exposures) {
-            writeln!(text, "{},{:.6}", exposure.name, exposure.stamp_s).expect("a string can be written to");
+            writeln!(text, "{},{:.6}", exposure.name, exposure.stamp_s)
+                .expect("a string can be written to");
         }
         text
     }
@@ -44,7 +46,8 @@ impl Drive {
         text
     }
 
-    /// The trajectory of a camera's images as TUM has it: `seconds tx ty tz qx qy qz qw`, true time, world_from_cam.
+    /// The trajectory of a camera's images as TUM has it: `seconds tx ty tz qx qy qz qw`, true
+    /// time, world_from_cam.
     pub fn trajectory_tum(&self, camera: usize) -> String {
         let mut text = String::new();
         for exposure in &self.cameras()[camera].exposures {
@@ -57,8 +60,9 @@ impl Drive {
         text
     }
 
-    /// The true cameras: name and number, one a line. Lens (`focal_px`, `cx`, `cy`, and for the action lens `a1`..`a4`, `p1`,
-    /// `p2`), clock, readout, and place on the rig (cam_from_rig, the first camera being the rig).
+    /// The true cameras: name and number, one a line. Lens (`focal_px`, `cx`, `cy`, and for the
+    /// action lens `a1`..`a4`, `p1`, `p2`), clock, readout, and place on the rig (cam_from_rig, the
+    /// first camera being the rig).
     pub fn cameras_csv(&self) -> String {
         let mut text = String::from("camera,quantity,value\n");
         for (index, camera) in self.cameras().iter().enumerate() {
@@ -86,13 +90,15 @@ impl Drive {
                 rows.extend(["p1", "p2"].into_iter().zip(lens.decentring));
             }
             for (quantity, value) in rows {
-                writeln!(text, "{},{quantity},{value}", camera.name).expect("a string can be written to");
+                writeln!(text, "{},{quantity},{value}", camera.name)
+                    .expect("a string can be written to");
             }
         }
         text
     }
 
-    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and one TUM trajectory a camera.
+    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and one TUM
+    /// trajectory a camera.
     pub fn write_tables(&self, folder: &Path) -> Result<(), Error> {
         write_file(&folder.join("timestamps.csv"), self.timestamps_csv().as_bytes())?;
         write_file(&folder.join("truth/poses.csv"), self.poses_csv().as_bytes())?;
@@ -118,12 +124,19 @@ impl Drive {
             Some(quality) => jpeg_bytes(&image, quality),
             None => {
                 let mut bytes = std::io::Cursor::new(Vec::new());
-                image.write_to(&mut bytes, image::ImageFormat::Png).ok().map(|()| bytes.into_inner())
+                image
+                    .write_to(&mut bytes, image::ImageFormat::Png)
+                    .ok()
+                    .map(|()| bytes.into_inner())
             }
         };
         let bytes = bytes.ok_or_else(|| Error::Encode {
             path: path.clone(),
-            reason: format!("an image of {} x {} pixels was refused", image.width(), image.height()),
+            reason: format!(
+                "an image of {} x {} pixels was refused",
+                image.width(),
+                image.height()
+            ),
         })?;
         write_file(&path, &bytes)
     }

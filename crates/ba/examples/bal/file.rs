@@ -1,5 +1,6 @@
-//! Problem files of "Bundle adjustment in the large": counts, then observations (camera, point, x, y), then per camera the rotation
-//! as an axis times an angle, the translation and f, k₁, k₂, then the points.
+//! Problem files of "Bundle adjustment in the large": counts, then observations (camera, point, x,
+//! y), then per camera the rotation as an axis times an angle, the translation and f, k₁, k₂, then
+//! the points.
 
 use std::fmt::Write;
 use std::str::FromStr;
@@ -45,8 +46,12 @@ impl Bal {
     /// Reads a file's text.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut words = text.split_ascii_whitespace();
-        fn next<'a, T: FromStr>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<T, String> {
-            let word = words.next().ok_or_else(|| format!("the file ends where {what} should be"))?;
+        fn next<'a, T: FromStr>(
+            words: &mut impl Iterator<Item = &'a str>,
+            what: &str,
+        ) -> Result<T, String> {
+            let word =
+                words.next().ok_or_else(|| format!("the file ends where {what} should be"))?;
             word.parse().map_err(|_| format!("{what}: '{word}' is not a number"))
         }
         let [num_cameras, num_points, num_observations] = [
@@ -58,13 +63,19 @@ impl Bal {
         for _ in 0..num_observations {
             let (camera, point) = (next(&mut words, "a camera")?, next(&mut words, "a point")?);
             if camera >= num_cameras || point >= num_points {
-                return Err(format!("camera {camera} of {num_cameras} sees point {point} of {num_points}"));
+                return Err(format!(
+                    "camera {camera} of {num_cameras} sees point {point} of {num_points}"
+                ));
             }
             let pixel = Vector2::new(next(&mut words, "x")?, next(&mut words, "y")?);
             observations.push(Observation { camera, point, pixel });
         }
         let mut vector = |what| -> Result<Vector3<f64>, String> {
-            Ok(Vector3::new(next(&mut words, what)?, next(&mut words, what)?, next(&mut words, what)?))
+            Ok(Vector3::new(
+                next(&mut words, what)?,
+                next(&mut words, what)?,
+                next(&mut words, what)?,
+            ))
         };
         let (mut poses, mut lenses, mut points) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..num_cameras {
@@ -82,15 +93,16 @@ impl Bal {
 
     /// Writes a file's text.
     pub(crate) fn to_text(&self) -> String {
-        let counts =
-            [self.poses.len(), self.points.len(), self.observations.len()].map(|count| count.to_string());
+        let counts = [self.poses.len(), self.points.len(), self.observations.len()]
+            .map(|count| count.to_string());
         let mut text = counts.join(" ") + "\n";
         // Writing to a string cannot fail.
         for Observation { camera, point, pixel } in &self.observations {
             let _ = writeln!(text, "{camera} {point} {:e} {:e}", pixel.x, pixel.y);
         }
         let cameras = self.poses.iter().zip(&self.lenses);
-        let parameters = cameras.flat_map(|(pose, lens)| [so3::log(&pose.rotation), pose.translation, *lens]);
+        let parameters =
+            cameras.flat_map(|(pose, lens)| [so3::log(&pose.rotation), pose.translation, *lens]);
         for number in parameters.chain(self.points.iter().copied()).flat_map(<[f64; 3]>::from) {
             let _ = writeln!(text, "{number:e}");
         }
@@ -98,13 +110,21 @@ impl Bal {
     }
 
     /// Makes the problem: cameras kept, points eliminated.
-    pub(crate) fn problem(&self, derivatives: Derivatives) -> Result<(Problem, Keys), tiepoint_ba::Error> {
+    pub(crate) fn problem(
+        &self,
+        derivatives: Derivatives,
+    ) -> Result<(Problem, Keys), tiepoint_ba::Error> {
         let mut problem = Problem::new();
         let cameras: Vec<_> = (0u32..)
             .zip(self.poses.iter().zip(&self.lenses))
-            .map(|(i, (pose, lens))| (problem.keep(*pose, Order::At(i)), problem.keep(*lens, Order::At(i))))
+            .map(|(i, (pose, lens))| {
+                (
+                    problem.add_parameter(*pose, Order::At(i)),
+                    problem.add_parameter(*lens, Order::At(i)),
+                )
+            })
             .collect();
-        let points: Vec<_> = self.points.iter().map(|point| problem.eliminate(*point)).collect();
+        let points: Vec<_> = self.points.iter().map(|point| problem.add_landmark(*point)).collect();
         for Observation { camera, point, pixel } in &self.observations {
             let (pose, lens) = cameras[*camera];
             let (keys, factor) = ((pose, lens, points[*point]), Snavely { pixel: *pixel });

@@ -1,8 +1,12 @@
 //! Bundle adjustment of a file of "Bundle adjustment in the large".
 //!
-//! `cargo run --release --example bal -- PROBLEM.txt [--out ADJUSTED.txt] [--threads N] [--dual] [--trace]`
+//! ```text
+//! cargo run --release --example bal -- PROBLEM.txt [--out ADJUSTED.txt] [--threads N] [--dual]
+//!     [--trace]
+//! ```
 //!
-//! `--dual` finds derivatives by dual numbers; `--trace` prints only `seconds cost` after the analysis and after every step.
+//! `--dual` finds derivatives by dual numbers; `--trace` prints only `seconds cost` after the
+//! analysis and after every step.
 
 mod file;
 mod snavely;
@@ -30,7 +34,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             _ => path = Some(argument),
         }
     }
-    let path = path.ok_or("usage: bal PROBLEM.txt [--out ADJUSTED.txt] [--threads N] [--dual] [--trace]")?;
+    let path =
+        path.ok_or("usage: bal PROBLEM.txt [--out ADJUSTED.txt] [--threads N] [--dual] [--trace]")?;
     let mut bal = Bal::parse(&std::fs::read_to_string(path)?)?;
     let (mut problem, keys) = bal.problem(derivatives)?;
 

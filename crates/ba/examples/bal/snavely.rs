@@ -1,8 +1,8 @@
-//! The camera of "Bundle adjustment in the large" (Agarwal, Snavely, Seitz, Szeliski 2010) as a factor, with derivatives by hand
-//! and by dual numbers.
+//! The camera of "Bundle adjustment in the large" (Agarwal, Snavely, Seitz, Szeliski 2010) as a
+//! factor, with derivatives by hand and by dual numbers.
 //!
-//! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along −z, and, as the definition has it,
-//! also sees what is behind it.
+//! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along
+//! −z, and, as the definition has it, also sees what is behind it.
 
 use tiepoint_ba::nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
 use tiepoint_ba::{Factor, Linear, Refs, Residual, RigidOf, Scalar};
@@ -17,7 +17,8 @@ pub(crate) struct Snavely {
 impl Factor<2> for Snavely {
     type Vars = (Rigid3, Vector3<f64>, Vector3<f64>);
 
-    // Inlined for certain, so that the engine, where it wants the point's part alone, computes no other.
+    // Inlined for certain, so that the engine, where it wants the point's part alone, computes no
+    // other.
     #[inline(always)]
     fn linearize(
         &self,
@@ -61,7 +62,10 @@ impl Factor<2> for Snavely {
     }
 
     #[inline]
-    fn residual(&self, (cam_from_world, lens, point): Refs<'_, Self::Vars>) -> Option<Vector2<f64>> {
+    fn residual(
+        &self,
+        (cam_from_world, lens, point): Refs<'_, Self::Vars>,
+    ) -> Option<Vector2<f64>> {
         let in_cam = *cam_from_world * *point;
         let p = -in_cam.xy() / in_cam.z;
         let s = p.norm_squared();

@@ -1,6 +1,8 @@
 //! Bundle adjustment of two cameras on a rig, whose mounting is known.
 //!
-//! `cargo run --release --example rig -- CALIBRATION.txt POSES.txt OBSERVATIONS.txt [TRUE_POSES.txt]`
+//! ```text
+//! cargo run --release --example rig -- CALIBRATION.txt POSES.txt OBSERVATIONS.txt [TRUE_POSES.txt]
+//! ```
 
 mod stereo;
 
@@ -28,7 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let compare = |poses: &[Rigid3]| {
         let Some(truth) = &truth else { return };
-        let Distance { as_they_are_m, aligned_m, ahead_m, turn_rad } = distance(poses, truth, APART);
+        let Distance { as_they_are_m, aligned_m, ahead_m, turn_rad } =
+            distance(poses, truth, APART);
         let turn_deg = turn_rad.to_degrees();
         println!("    {as_they_are_m:.3} m from the true positions, {aligned_m:.3} m when aligned");
         println!("    {APART} moments ahead {ahead_m:.3} m and {turn_deg:.3} degrees off");

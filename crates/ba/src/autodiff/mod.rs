@@ -1,8 +1,9 @@
 //! Jacobians by dual numbers, for factors of which only the residual is written.
 //!
-//! A dual number a + Σ b_i ε_i with ε_i ε_j = 0 carries the derivatives b of a through any formula (Griewank, Walther 2008,
-//! "Evaluating derivatives", chapter 3). Each variable is lifted to x ⊕ ε, so that what comes out are derivatives by the tangent.
-//! [`DIRECTIONS`] columns of the Jacobian are found at once.
+//! A dual number a + Σ b_i ε_i with ε_i ε_j = 0 carries the derivatives b of a through any formula
+//! (Griewank, Walther 2008, "Evaluating derivatives", chapter 3). Each variable is lifted to x ⊕ ε,
+//! so that what comes out are derivatives by the tangent. [`DIRECTIONS`] columns of the Jacobian
+//! are found at once.
 
 mod dual;
 mod lift;

@@ -1,5 +1,6 @@
 //! The elimination of any cell: factors of any shape, that may share blocks or see parts of them.
-#![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
+// One index runs through several arrays, and closures are not compiled for the instruction set.
+#![allow(clippy::needless_range_loop)]
 
 use super::cursor::At;
 use super::product::{Of, SumProduct, over_lanes};
@@ -32,8 +33,11 @@ impl<const P: usize> Task for Eliminate<'_, '_, P> {
         let w = &mut w[..cells.len() * P * width];
         let y = &mut y[..cells.len() * P];
         w.fill(0.0);
-        for ((cell, w), y) in cells.iter().zip(w.chunks_exact_mut(P * width)).zip(y.chunks_exact_mut(P)) {
-            let (head, stashed) = stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)]
+        for ((cell, w), y) in
+            cells.iter().zip(w.chunks_exact_mut(P * width)).zip(y.chunks_exact_mut(P))
+        {
+            let (head, stashed) = stash[cell.stash..]
+                [..stash_len(P, pattern.dense, chunk.elimination)]
                 .split_at_mut(stash_head(P));
             let head = Head::<P>::of(head);
             y.copy_from_slice(&head.y);
@@ -44,7 +48,8 @@ impl<const P: usize> Task for Eliminate<'_, '_, P> {
                 let these = &chunk.factors.locals[at.local..][..shape.segments.len()];
                 at.local += these.len();
                 let len = shape.rows * shape.stride;
-                // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
+                // The slack behind the buffer lets loads of whole vectors reach beyond the last
+                // row.
                 let rows = &rows[at.row..][..len + SLACK];
                 at.row += len;
                 // Two rows at a time: a reprojection has two.
@@ -92,10 +97,17 @@ struct Coupling<'a, const P: usize> {
 impl<const P: usize> Coupling<'_, P> {
     /// Adds `R` rows of one factor, of which `these` are the blocks of its segments.
     #[inline(always)]
-    fn add_rows<const R: usize, I: Isa>(&mut self, rows: [&[f64]; R], shape: &Shape, these: &[u16]) {
+    fn add_rows<const R: usize, I: Isa>(
+        &mut self,
+        rows: [&[f64]; R],
+        shape: &Shape,
+        these: &[u16],
+    ) {
         let mut z = [[0.0; P]; R];
         for r in 0..R {
-            z[r] = *rows[r][shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+            z[r] = *rows[r][shape.eliminated..]
+                .first_chunk()
+                .expect("rows hold the eliminated variable");
             for k in 0..P {
                 for i in 0..k {
                     z[r][k] = I::mul_add_one(-self.head.factor[k][i], z[r][i], z[r][k]);

@@ -1,6 +1,7 @@
 //! The inner loops of the elimination, compiled once per instruction set and ignorant of factors.
 //!
-//! Rows are padded to multiples of [`LANES`](super::simd::LANES); what the padding holds is never looked at.
+//! Rows are padded to multiples of [`LANES`](super::simd::LANES); what the padding holds is never
+//! looked at.
 
 use super::cell;
 use super::cursor::At;
@@ -28,7 +29,8 @@ impl Work<'_, '_> {
 }
 
 impl Task for Work<'_, '_> {
-    /// Passes over the cells: the first is short but hangs on square roots and divisions, of which several then overlap.
+    /// Passes over the cells: the first is short but hangs on square roots and divisions, of which
+    /// several then overlap.
     fn run<I: Isa>(self) {
         let Self { room, chunk, batch, lambda, at } = self;
         at.row = 0;
@@ -46,9 +48,14 @@ impl Task for Work<'_, '_> {
             }
         }
         if !batch.bundles.is_empty() {
-            I::run(normal::Add { room, chunk, bundles: &chunk.bundles.list[batch.bundles.clone()] });
+            I::run(normal::Add {
+                room,
+                chunk,
+                bundles: &chunk.bundles.list[batch.bundles.clone()],
+            });
         }
-        let alike = |a: &Cell, b: &Cell| (a.pattern, a.dof, a.single) == (b.pattern, b.dof, b.single);
+        let alike =
+            |a: &Cell, b: &Cell| (a.pattern, a.dof, a.single) == (b.pattern, b.dof, b.single);
         for cells in all.chunk_by(alike) {
             match cells[0].dof {
                 0 => at.skip(chunk, cells),
@@ -76,7 +83,13 @@ fn own_blocks<const P: usize, I: Isa>(
     lambda: f64,
     at: &mut At,
 ) {
-    struct OwnBlocks<'a, 'r, const P: usize>(&'a mut Room<'r>, &'a Chunk, &'a [Cell], f64, &'a mut At);
+    struct OwnBlocks<'a, 'r, const P: usize>(
+        &'a mut Room<'r>,
+        &'a Chunk,
+        &'a [Cell],
+        f64,
+        &'a mut At,
+    );
     impl<const P: usize> Task for OwnBlocks<'_, '_, P> {
         #[inline(always)]
         fn run<I: Isa>(self) {
@@ -151,7 +164,8 @@ fn own_block<const P: usize, I: Isa>(
     }
 }
 
-/// The lower Cholesky factor of a damped, hence positive definite, matrix, in place; and the inverses of its diagonal.
+/// The lower Cholesky factor of a damped, hence positive definite, matrix, in place; and the
+/// inverses of its diagonal.
 #[inline(always)]
 fn cholesky<const P: usize>(v: &mut [[f64; P]; P], inverse: &mut [f64; P]) {
     for j in 0..P {

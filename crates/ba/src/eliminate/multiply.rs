@@ -55,7 +55,12 @@ pub(super) fn multiply<T: Stored>(y: &[T], locals: &[Local], kept: &[f64], step:
 }
 
 /// See [`Y`](super::stash::Y).
-pub(super) fn multiply_transposed<T: Stored>(y: &[T], locals: &[Local], u: &[f64], kept: &mut [f64]) {
+pub(super) fn multiply_transposed<T: Stored>(
+    y: &[T],
+    locals: &[Local],
+    u: &[f64],
+    kept: &mut [f64],
+) {
     for local in locals {
         let kept = &mut kept[local.at..][..local.dof];
         for (row, u) in y[u.len() * local.dense..].chunks_exact(local.dof).zip(u) {

@@ -1,5 +1,6 @@
-//! What the factors add to the kept variables' own part of the normal equations: C, g_c and the diagonal of C, a bundle of factors
-//! with the same blocks at a time, so that sums stay in registers.
+//! What the factors add to the kept variables' own part of the normal equations: C, g_c and the
+//! diagonal of C, a bundle of factors with the same blocks at a time, so that sums stay in
+//! registers.
 
 use super::product::{Listed, Of, SumProduct, over_lanes};
 use super::simd::{Isa, Task, Vector, WIDE};
@@ -48,7 +49,8 @@ fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
             }
         }
         for ((other, other_at), &tile) in shape.segments[..=s].iter().zip(ats).zip(pairs.by_ref()) {
-            // The columns of a tile are those of the earlier block, and of parts of one block those of the earlier part.
+            // The columns of a tile are those of the earlier block, and of parts of one block those
+            // of the earlier part.
             let (a, b) = if (other_at, other.offset) <= (&at, segment.offset) {
                 (other, segment)
             } else {
@@ -56,14 +58,16 @@ fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
             };
             let tile = &mut tiles[tile as usize..];
             if a.whole && b.whole {
-                let (a, b) = (Of { column: a.column, dof: a.dof }, Of { column: b.column, dof: b.dof });
+                let (a, b) =
+                    (Of { column: a.column, dof: a.dof }, Of { column: b.column, dof: b.dof });
                 I::run(SumProduct::<_, true> { rows: rows.clone(), a, b, tile });
                 continue;
             }
             for row in rows.clone() {
                 for j in 0..a.dof {
                     for i in 0..b.dof {
-                        let to = &mut tile[tile_index(a.block_dof, b.block_dof, a.offset + j, b.offset + i)];
+                        let to = &mut tile
+                            [tile_index(a.block_dof, b.block_dof, a.offset + j, b.offset + i)];
                         *to = I::mul_add_one(row[a.column + j], row[b.column + i], *to);
                     }
                 }

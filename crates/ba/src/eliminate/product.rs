@@ -1,14 +1,15 @@
 //! Products of rows, the innermost loops: `tile ± aᵀb`.
 //!
-//! A tile of blocks a and b is stored by columns, one for each direction of a, of as many numbers as make whole vectors. Where b
-//! has one direction more than fit into wide vectors, such as the nine of a camera with its lens, that one has a row of its own
-//! behind the columns: one vector instead of one in each column. See [`tile_lanes`].
+//! A tile of blocks a and b is stored by columns, one for each direction of a, of as many numbers
+//! as make whole vectors. Where b has one direction more than fit into wide vectors, such as the
+//! nine of a camera with its lens, that one has a row of its own behind the columns: one vector
+//! instead of one in each column. See [`tile_lanes`].
 
 use super::simd::{Isa, LANES, Task, Vector, WIDE};
 use crate::structure::{tile_lanes, tile_len};
 
-/// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as will do: from number i on, with
-/// vectors of type V.
+/// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as
+/// will do: from number i on, with vectors of type V.
 macro_rules! over_lanes {
     ($len:expr, $f:ident::<$I:ident $(, $n:ident)*>($($argument:expr),*)) => {{
         let len: usize = $len;
@@ -25,7 +26,8 @@ macro_rules! over_lanes {
 
 pub(super) use over_lanes;
 
-/// Calls `f::<.., L, S>(first, ..)` for columns of `lanes` numbers: from number `first` on, `L` wide and `S` narrow vectors.
+/// Calls `f::<.., L, S>(first, ..)` for columns of `lanes` numbers: from number `first` on, `L`
+/// wide and `S` narrow vectors.
 macro_rules! over_columns {
     ($lanes:expr, $f:ident::<$($n:ident),*>($($argument:expr),*)) => {
         match $lanes / LANES {
@@ -65,7 +67,8 @@ pub(super) fn product<I: Isa, const N: usize>(
     over_lanes!(row.len(), add_row::<I, N>(a, b, dof_b - 1, row));
 }
 
-/// The same for `L` wide and `S` narrow vectors of each column, from number `first` on: those of b stay in registers.
+/// The same for `L` wide and `S` narrow vectors of each column, from number `first` on: those of b
+/// stay in registers.
 #[inline(always)]
 fn product_of<I: Isa, const N: usize, const L: usize, const S: usize>(
     first: usize,
@@ -182,7 +185,8 @@ impl<'a, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Task for SumPr
     }
 }
 
-/// tile ± aᵀb over all rows of a matrix, of which a and b are columns: the sums stay in registers meanwhile.
+/// tile ± aᵀb over all rows of a matrix, of which a and b are columns: the sums stay in registers
+/// meanwhile.
 #[inline(always)]
 pub(super) fn sum_product<'a, I: Isa, const PLUS: bool>(
     rows: impl Iterator<Item = &'a [f64]> + Clone,
@@ -203,7 +207,14 @@ pub(super) fn sum_product<'a, I: Isa, const PLUS: bool>(
         4 => sum_columns::<I, PLUS, 2, 0>(0, rows.clone(), a.column, b.column, lanes, columns),
         _ => {
             for first in (0..lanes).step_by(LANES) {
-                sum_columns::<I, PLUS, 0, 1>(first, rows.clone(), a.column, b.column, lanes, columns);
+                sum_columns::<I, PLUS, 0, 1>(
+                    first,
+                    rows.clone(),
+                    a.column,
+                    b.column,
+                    lanes,
+                    columns,
+                );
             }
         }
     }
@@ -330,10 +341,12 @@ fn sum_some<'a, const C: usize, const L: usize, const S: usize, const PLUS: bool
         }
         for c in 0..C {
             for l in 0..L {
-                wide[c][l] = add_or_subtract::<_, PLUS>(wide[c][l], I::Wide::splat(a[c]), b_wide[l]);
+                wide[c][l] =
+                    add_or_subtract::<_, PLUS>(wide[c][l], I::Wide::splat(a[c]), b_wide[l]);
             }
             for s in 0..S {
-                narrow[c][s] = add_or_subtract::<_, PLUS>(narrow[c][s], I::Narrow::splat(a[c]), b_narrow[s]);
+                narrow[c][s] =
+                    add_or_subtract::<_, PLUS>(narrow[c][s], I::Narrow::splat(a[c]), b_narrow[s]);
             }
         }
     }

@@ -1,23 +1,27 @@
-//! The elimination of a point that is seen once by each of some cameras, with nothing that these share: the bulk of most
-//! bundle adjustments. Then each factor has two rows, each of its cell's blocks belongs to one factor, and what
-//! [`cell`](super::cell) sums up in memory stays in registers.
-#![allow(clippy::needless_range_loop)] // one index runs through several arrays, and closures are not compiled for the instruction set
+//! The elimination of a point that is seen once by each of some cameras, with nothing that these
+//! share: the bulk of most bundle adjustments. Then each factor has two rows, each of its cell's
+//! blocks belongs to one factor, and what [`cell`](super::cell) sums up in memory stays in
+//! registers.
+// One index runs through several arrays, and closures are not compiled for the instruction set.
+#![allow(clippy::needless_range_loop)]
 
 use super::cursor::At;
 use super::product::{Of, over_lanes, product, sum_product};
 use super::simd::{Isa, Task, Vector, WIDE};
 use super::stash::{Head, stash_rows};
 use super::workspace::{Room, SLACK};
-use crate::structure::{Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len};
+use crate::structure::{
+    Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len,
+};
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
 
-/// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product for all of them. `D` is the
-/// size of all their blocks, known to the compiler, or 0.
+/// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product
+/// for all of them. `D` is the size of all their blocks, known to the compiler, or 0.
 ///
-/// With Z = J_p L⁻ᵀ of one factor, two rows of P numbers, Y = ZᵀJ_c, and its part of C − YᵀY is J_cᵀ (I − ZZᵀ) J_c: two products
-/// of rows instead of the five of J_cᵀJ_c and YᵀY.
+/// With Z = J_p L⁻ᵀ of one factor, two rows of P numbers, Y = ZᵀJ_c, and its part of C − YᵀY is
+/// J_cᵀ (I − ZZᵀ) J_c: two products of rows instead of the five of J_cᵀJ_c and YᵀY.
 pub(super) struct Eliminate<'a, 'r, const D: usize> {
     pub(super) room: &'a mut Room<'r>,
     pub(super) chunk: &'a Chunk,
@@ -31,12 +35,14 @@ impl<const D: usize> Task for Eliminate<'_, '_, D> {
         let Self { room, chunk, cells, at } = self;
         let pattern = chunk.patterns.of(&cells[0]);
         let locals = chunk.patterns.locals_of(&cells[0]);
-        let pairs = &chunk.patterns.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
+        let pairs =
+            &chunk.patterns.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
         let width = pattern.width;
         let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
         let w = &mut w[..cells.len() * P * width];
         for (cell, w) in cells.iter().zip(w.chunks_exact_mut(P * width)) {
-            let (head, stashed) = stash[cell.stash..][..stash_len(P, pattern.dense, chunk.elimination)]
+            let (head, stashed) = stash[cell.stash..]
+                [..stash_len(P, pattern.dense, chunk.elimination)]
                 .split_at_mut(stash_head(P));
             let head = Head::<P>::of(head);
             let factors = at.factor..cell.end as usize;
@@ -48,7 +54,8 @@ impl<const D: usize> Task for Eliminate<'_, '_, D> {
                 let local = &locals[l as usize];
                 let dof = local.dof_or::<D>();
                 let lanes = padded(dof);
-                // The slack behind the buffer lets loads of whole vectors reach beyond the last row.
+                // The slack behind the buffer lets loads of whole vectors reach beyond the last
+                // row.
                 let both = &rows[at.row..][..ROWS * shape.stride + SLACK];
                 at.row += ROWS * shape.stride;
                 let mut rows = [&[][..]; ROWS];
@@ -57,7 +64,9 @@ impl<const D: usize> Task for Eliminate<'_, '_, D> {
                     let row = &both[r * shape.stride..];
                     rows[r] = &row[shape.segments[0].column..][..lanes];
                     residual[r] = row[shape.residual];
-                    z[r] = *row[shape.eliminated..].first_chunk().expect("rows hold the eliminated variable");
+                    z[r] = *row[shape.eliminated..]
+                        .first_chunk()
+                        .expect("rows hold the eliminated variable");
                 }
                 let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
                 let turned = &mut turned[..ROWS * lanes];

@@ -7,7 +7,8 @@ use crate::structure::{Cell, Chunk, Elimination, Local, padded, row, stash_head,
 
 /// The parts of a cell's stash.
 pub(crate) struct CellStash<'a> {
-    /// The lower triangle of L, row by row, with the inverses of its diagonal; 0 there for a direction that no factor sees.
+    /// The lower triangle of L, row by row, with the inverses of its diagonal; 0 there for a
+    /// direction that no factor sees.
     pub(super) factor: &'a [f64],
     /// y.
     pub(super) reduced_gradient: &'a [f64],
@@ -105,8 +106,8 @@ impl<const P: usize> Head<P> {
     }
 }
 
-/// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what comes next, which is therefore
-/// written later.
+/// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what
+/// comes next, which is therefore written later.
 #[inline(always)]
 pub(super) fn stash_rows<const P: usize, I: Isa, const D: usize>(
     w: &[f64],

@@ -9,7 +9,8 @@ use crate::run::Rows;
 use crate::structure::{Cell, Chunk, SINGLE_ROWS, row};
 use crate::variable::Values;
 
-/// What a chunk sums up, apart from its tiles and its stash, which live in the memory of all chunks.
+/// What a chunk sums up, apart from its tiles and its stash, which live in the memory of all
+/// chunks.
 #[derive(Default)]
 pub(crate) struct Sums {
     /// For each of the chunk's blocks, one after the other: g_c, Yᵀy and the diagonal of J_cᵀJ_c.
@@ -37,14 +38,18 @@ impl Sums {
             vectors: vec![0.0; 3 * chunk.vector_len],
             costs: vec![0.0; chunk.factors.numbers.len()],
             rows: vec![0.0; chunk.rows_len + SLACK],
-            w: vec![0.0; most_at_once(chunk, |cell| cell.dof as usize * chunk.patterns.of(cell).width)],
+            w: vec![
+                0.0;
+                most_at_once(chunk, |cell| cell.dof as usize * chunk.patterns.of(cell).width)
+            ],
             y: vec![0.0; most_at_once(chunk, |cell| cell.dof as usize)],
             turned: vec![0.0; SINGLE_ROWS * widest],
             ..Self::default()
         }
     }
 
-    /// Linearises the chunk's factors and eliminates its variables, with damping `lambda`, in the chunk's part of the memory.
+    /// Linearises the chunk's factors and eliminates its variables, with damping `lambda`, in the
+    /// chunk's part of the memory.
     pub(crate) fn linearize(
         &mut self,
         memory: &mut [f64],
@@ -81,8 +86,8 @@ impl Sums {
         }
     }
 
-    /// The step of each eliminated variable of the chunk, given that of the kept ones; and what the step promises: gᵀδ and
-    /// λ δᵀDδ over these variables.
+    /// The step of each eliminated variable of the chunk, given that of the kept ones; and what the
+    /// step promises: gᵀδ and λ δᵀDδ over these variables.
     pub(crate) fn back_substitute(
         memory: &[f64],
         chunk: &Chunk,
@@ -126,10 +131,11 @@ impl Sums {
     }
 }
 
-/// The largest sum of what cells need that are worked on at once: those of a batch with the same pattern.
+/// The largest sum of what cells need that are worked on at once: those of a batch with the same
+/// pattern.
 fn most_at_once(chunk: &Chunk, need: impl Fn(&Cell) -> usize) -> usize {
     let batches = chunk.batches.iter();
-    let groups =
-        batches.flat_map(|batch| chunk.cells[batch.cells.clone()].chunk_by(|a, b| a.pattern == b.pattern));
+    let groups = batches
+        .flat_map(|batch| chunk.cells[batch.cells.clone()].chunk_by(|a, b| a.pattern == b.pattern));
     groups.map(|cells| cells.iter().map(&need).sum()).max().unwrap_or(0)
 }

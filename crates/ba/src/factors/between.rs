@@ -6,9 +6,9 @@ use super::relative::Relative;
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
-/// The relative pose of two frames was measured: variables (`a_from_world`, `b_from_world`), residual
-/// A (`b_from_world · world_from_a` ⊖ `b_from_a`), rotation first. What a pose graph is made of, of rigid poses (6 numbers) or of
-/// similarities (7, the logarithm of the scale last).
+/// The relative pose of two frames was measured: variables (`a_from_world`, `b_from_world`),
+/// residual A (`b_from_world · world_from_a` ⊖ `b_from_a`), rotation first. What a pose graph is
+/// made of, of rigid poses (6 numbers) or of similarities (7, the logarithm of the scale last).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Between<V = Rigid3, const N: usize = 6> {
     /// The measurement.
@@ -18,8 +18,8 @@ pub struct Between<V = Rigid3, const N: usize = 6> {
 }
 
 impl<V: Difference<N>, const N: usize> Between<V, N> {
-    /// From standard deviations of the rotation (radians, about the axes of b), of the place of b's origin, along the axes of b, and of what
-    /// else the tangent has; infinite ones say nothing.
+    /// From standard deviations of the rotation (radians, about the axes of b), of the place of b's
+    /// origin, along the axes of b, and of what else the tangent has; infinite ones say nothing.
     pub fn new(b_from_a: V, sigmas: &[f64; N]) -> Result<Self, Error> {
         Ok(Self { b_from_a, sqrt_information: from_sigmas(sigmas)? })
     }

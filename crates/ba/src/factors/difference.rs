@@ -28,8 +28,8 @@ impl Difference<3> for UnitQuaternion<f64> {
     }
 }
 
-/// By a motion (δ, τ) of x, the motion (Exp r, p) that leads from the base to x becomes (Exp(δ) Exp(r), Exp(δ) p + τ). Rows and columns
-/// behind the sixth are those of the identity.
+/// By a motion (δ, τ) of x, the motion (Exp r, p) that leads from the base to x becomes (Exp(δ)
+/// Exp(r), Exp(δ) p + τ). Rows and columns behind the sixth are those of the identity.
 fn d_motion<const N: usize>(r_and_p: &SVector<f64, N>) -> SMatrix<f64, N, N> {
     let (r, p) = (r_and_p.fixed_rows::<3>(0).into_owned(), r_and_p.fixed_rows::<3>(3).into_owned());
     let mut jacobian = SMatrix::<f64, N, N>::identity();
@@ -51,7 +51,9 @@ impl Difference<7> for Sim3 {
 }
 
 /// A diagonal square root of information from standard deviations; infinite ones say nothing.
-pub(super) fn from_sigmas<const N: usize>(sigmas: &[f64; N]) -> Result<SMatrix<f64, N, N>, crate::Error> {
+pub(super) fn from_sigmas<const N: usize>(
+    sigmas: &[f64; N],
+) -> Result<SMatrix<f64, N, N>, crate::Error> {
     if let Some((index, &value)) =
         sigmas.iter().enumerate().find(|(_, sigma)| sigma.is_nan() || **sigma <= 0.0)
     {

@@ -5,7 +5,8 @@ use super::difference::{Difference, from_sigmas};
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
-/// A variable is believed to have a value: residual A (x ⊖ mean), with A the square root of the information.
+/// A variable is believed to have a value: residual A (x ⊖ mean), with A the square root of the
+/// information.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior<V, const N: usize> {
     /// The value.
@@ -15,7 +16,8 @@ pub struct Prior<V, const N: usize> {
 }
 
 impl<V: Difference<N>, const N: usize> Prior<V, N> {
-    /// From a standard deviation for each direction of the tangent; an infinite one leaves the direction alone.
+    /// From a standard deviation for each direction of the tangent; an infinite one leaves the
+    /// direction alone.
     pub fn new(mean: V, sigmas: &[f64; N]) -> Result<Self, Error> {
         Ok(Self { mean, sqrt_information: from_sigmas(sigmas)? })
     }
@@ -26,7 +28,9 @@ impl<V: Difference<N>, const N: usize> Factor<N> for Prior<V, N> {
 
     fn linearize(&self, (x,): (&V,)) -> Option<Linear<Self::Vars, N>> {
         let mut jacobian = <V as Manifold>::Jacobian::<N>::zeros();
-        jacobian.as_mut_slice().copy_from_slice((self.sqrt_information * x.d_minus(&self.mean)).as_slice());
+        jacobian
+            .as_mut_slice()
+            .copy_from_slice((self.sqrt_information * x.d_minus(&self.mean)).as_slice());
         Some((self.sqrt_information * x.minus(&self.mean), (jacobian,)))
     }
 

@@ -23,8 +23,9 @@ impl Relative<6> for Rigid3 {
     }
 }
 
-/// As for [`Rigid3`], with lengths of a scaled. When a frame grows by e^σ about its own origin, the origin of a moves in b away from that of the
-/// world (or towards it, when a grows), which `b_from_world` shows as its translation.
+/// As for [`Rigid3`], with lengths of a scaled. When a frame grows by e^σ about its own origin, the
+/// origin of a moves in b away from that of the world (or towards it, when a grows), which
+/// `b_from_world` shows as its translation.
 impl Relative<7> for Sim3 {
     fn relative_to(&self, a: &Self) -> Self {
         *self * a.inverse()

@@ -3,9 +3,9 @@ use tiepoint_geometry::{Block, CameraModel, Rigid3};
 
 use crate::factor::{Factor, Linear, Refs};
 
-/// A point was seen at a pixel: variables (camera parameters, `cam_from_world`, `point_in_world`), residual
-/// (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Does not exist where the camera does not see the
-/// point.
+/// A point was seen at a pixel: variables (camera parameters, `cam_from_world`, `point_in_world`),
+/// residual (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Does not
+/// exist where the camera does not see the point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reprojection<M> {
     /// Where.
@@ -23,7 +23,8 @@ impl<M: CameraModel> Reprojection<M> {
     }
 }
 
-/// Derivative by the pose that brought the point to where it is `moved` to: Exp(δ) p + τ ≈ p + δ × p + τ.
+/// Derivative by the pose that brought the point to where it is `moved` to: Exp(δ) p + τ ≈ p + δ ×
+/// p + τ.
 #[inline(always)]
 fn d_pose(d_point: &Matrix2x3<f64>, moved: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
     let [x, y] = [0, 1].map(|r| Vector3::new(d_point[(r, 0)], d_point[(r, 1)], d_point[(r, 2)]));
@@ -54,19 +55,23 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
         let projected = M::project_with_jacobian(params, &in_cam)?;
         let weight = 1.0 / self.sigma_px;
         let d_point = projected.d_point * weight;
-        let jacobians = (scale(projected.d_params, weight), d_pose(&d_point, &in_cam), d_point * rotation);
+        let jacobians =
+            (scale(projected.d_params, weight), d_pose(&d_point, &in_cam), d_point * rotation);
         Some(((projected.pixel - self.pixel) * weight, jacobians))
     }
 
     #[inline]
-    fn residual(&self, (params, cam_from_world, point): Refs<'_, Self::Vars>) -> Option<Vector2<f64>> {
+    fn residual(
+        &self,
+        (params, cam_from_world, point): Refs<'_, Self::Vars>,
+    ) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_world * *point))?;
         Some((pixel - self.pixel) * (1.0 / self.sigma_px))
     }
 }
 
-/// A point was seen by a camera of a rig: variables (camera parameters, `cam_from_rig`, `rig_from_world`, `point_in_world`), else
-/// as [`Reprojection`].
+/// A point was seen by a camera of a rig: variables (camera parameters, `cam_from_rig`,
+/// `rig_from_world`, `point_in_world`), else as [`Reprojection`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigReprojection<M> {
     /// Where.
@@ -119,8 +124,9 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
     }
 }
 
-/// A point was seen at a pixel that something shifted in an unknown proportion, as the time that a rolling shutter takes does: variables
-/// (camera parameters, `cam_from_world`, amount, `point_in_world`), residual that of [`Reprojection`] plus amount · shift / sigma.
+/// A point was seen at a pixel that something shifted in an unknown proportion, as the time that a
+/// rolling shutter takes does: variables (camera parameters, `cam_from_world`, amount,
+/// `point_in_world`), residual that of [`Reprojection`] plus amount · shift / sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShiftedReprojection<M> {
     /// The same without a shift.

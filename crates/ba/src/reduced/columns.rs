@@ -11,7 +11,8 @@ pub(crate) struct Columns {
     pub(super) row_of: Vec<u32>,
     /// First reduced column of each block, and the number of columns.
     pub(super) reduced: Vec<usize>,
-    /// For each block column, the blocks in it, itself first, and the first row of each among the stored ones.
+    /// For each block column, the blocks in it, itself first, and the first row of each among the
+    /// stored ones.
     below: Vec<Vec<(u32, u32)>>,
 }
 
@@ -31,12 +32,17 @@ impl Columns {
             for column in 0..blocks[a].num_free() {
                 for &(b, _) in below {
                     let skip = if b as usize == a { column } else { 0 };
-                    row_of
-                        .extend((reduced[b as usize] + skip..reduced[b as usize + 1]).map(|row| row as u32));
+                    row_of.extend(
+                        (reduced[b as usize] + skip..reduced[b as usize + 1]).map(|row| row as u32),
+                    );
                 }
                 if row_of.len() > u32::MAX as usize {
                     let (count, limit) = (row_of.len(), u32::MAX as usize);
-                    return Err(Error::TooLarge { what: "numbers in the reduced system", count, limit });
+                    return Err(Error::TooLarge {
+                        what: "numbers in the reduced system",
+                        count,
+                        limit,
+                    });
                 }
                 column_at.push(row_of.len() as u32);
             }
@@ -60,7 +66,9 @@ impl Layout for Columns {
         let first = self.reduced[a];
         let start = (self.column_at[first + column] - self.column_at[first]) as usize;
         let below = &self.below[a];
-        let at = below.binary_search_by_key(&(b as u32), |below| below.0).expect("every tile has its rows");
+        let at = below
+            .binary_search_by_key(&(b as u32), |below| below.0)
+            .expect("every tile has its rows");
         // Column i of the block with itself lacks its first i rows.
         start + if a == b { 0 } else { below[at].1 as usize - column }
     }

@@ -1,6 +1,8 @@
-//! Preconditioned conjugate gradients on the reduced system, for what no direct factorisation has room for: nothing fills in. The
-//! system is a sparse matrix, or never put together (see `implicit`). The preconditioner is the Cholesky factorisation of each block on the diagonal (Schur-Jacobi in Ceres' terms; Agarwal,
-//! Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 4).
+//! Preconditioned conjugate gradients on the reduced system, for what no direct factorisation has
+//! room for: nothing fills in. The system is a sparse matrix, or never put together (see
+//! `implicit`). The preconditioner is the Cholesky factorisation of each block on the diagonal
+//! (Schur-Jacobi in Ceres' terms; Agarwal, Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the
+//! large", section 4).
 
 use super::columns::Columns;
 use super::factorisation::{Factorisation, Layout, NotPositive};
@@ -93,7 +95,11 @@ impl Layout for Conjugate {
 }
 
 impl Factorisation for Conjugate {
-    fn factorise(&mut self, numbers: &mut Vec<f64>, rest: Eliminated<'_>) -> Result<(), NotPositive> {
+    fn factorise(
+        &mut self,
+        numbers: &mut Vec<f64>,
+        rest: Eliminated<'_>,
+    ) -> Result<(), NotPositive> {
         let blocks: Vec<_> = self.blocks().collect();
         for (a, (columns, at)) in blocks.iter().enumerate() {
             let (n, first) = (columns.len(), self.columns.block_column(a).start);
@@ -139,7 +145,8 @@ impl Factorisation for Conjugate {
             for _ in 0..MAX_ITERATIONS {
                 self.multiply(numbers, rest, &p, &mut s);
                 let curvature = dot(&p, &s);
-                // At the bottom, or where rounding has eaten the matrix' being positive. Not a number ends it, too.
+                // At the bottom, or where rounding has eaten the matrix' being positive. Not a
+                // number ends it, too.
                 if !(rz > goal && curvature > 0.0) {
                     break;
                 }

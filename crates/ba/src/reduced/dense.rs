@@ -1,8 +1,11 @@
-//! A full matrix, column by column, and its Cholesky factorisation: right for up to some hundred cameras.
+//! A full matrix, column by column, and its Cholesky factorisation: right for up to some hundred
+//! cameras.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, cholesky_in_place, cholesky_in_place_scratch};
-use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
+use faer::linalg::triangular_solve::{
+    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
+};
 use faer::{MatMut, MatRef, Par};
 
 use super::factorisation::{Factorisation, Layout, NotPositive};
@@ -20,7 +23,8 @@ impl Dense {
     pub(crate) fn new(structure: &Structure) -> Self {
         let columns = structure.columns;
         let reduced = structure.blocks.iter().map(|block| block.reduced).chain([columns]).collect();
-        let memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(columns, Par::Seq, Default::default()));
+        let memory =
+            MemBuffer::new(cholesky_in_place_scratch::<f64>(columns, Par::Seq, Default::default()));
         Self { columns, reduced, memory }
     }
 }

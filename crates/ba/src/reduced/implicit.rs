@@ -1,8 +1,10 @@
-//! The reduced system without putting it together: S x = C x − Yᵀ(Y x), cell by cell, from what elimination has stashed. Nothing
-//! fills in, neither by factorisation nor by points that many cameras see: the numbers are as many as the observations (Agarwal,
-//! Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 3.3).
+//! The reduced system without putting it together: S x = C x − Yᵀ(Y x), cell by cell, from what
+//! elimination has stashed. Nothing fills in, neither by factorisation nor by points that many
+//! cameras see: the numbers are as many as the observations (Agarwal, Snavely, Seitz, Szeliski
+//! 2010, "Bundle adjustment in the large", section 3.3).
 //!
-//! C, the kept variables' own part, is put together as ever, from tiles of blocks that share a factor.
+//! C, the kept variables' own part, is put together as ever, from tiles of blocks that share a
+//! factor.
 
 use crate::eliminate::CellStash;
 use crate::structure::{Block, Chunk, Structure, for_chunks};
@@ -17,7 +19,8 @@ pub(crate) struct Eliminated<'a> {
 }
 
 impl Eliminated<'_> {
-    /// y −= Yᵀ Y x over the columns of the reduced system. The chunks' sums are subtracted in their order.
+    /// y −= Yᵀ Y x over the columns of the reduced system. The chunks' sums are subtracted in their
+    /// order.
     pub(super) fn subtract_product(self, x: &[f64], y: &mut [f64]) {
         let blocks = &self.structure.blocks;
         let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];
@@ -49,8 +52,8 @@ impl Eliminated<'_> {
         }
     }
 
-    /// Subtracts the blocks of YᵀY on the diagonal from full blocks, row by row, of which only the lower triangle is meant; each
-    /// begins where `first` says.
+    /// Subtracts the blocks of YᵀY on the diagonal from full blocks, row by row, of which only the
+    /// lower triangle is meant; each begins where `first` says.
     pub(super) fn subtract_diagonal(self, first: &[usize], numbers: &mut [f64]) {
         let blocks = &self.structure.blocks;
         let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];

@@ -1,7 +1,8 @@
-//! The reduced system over the kept variables: put together from the chunks' tiles, then factorised, dense or sparse, or solved
-//! iteratively, put together or not.
+//! The reduced system over the kept variables: put together from the chunks' tiles, then
+//! factorised, dense or sparse, or solved iteratively, put together or not.
 //!
-//! Only the lower triangle is stored, by block columns, each one contiguous, so that columns can be filled in parallel.
+//! Only the lower triangle is stored, by block columns, each one contiguous, so that columns can be
+//! filled in parallel.
 
 mod columns;
 mod conjugate;
@@ -24,7 +25,8 @@ use factorisation::NotPositive;
 pub(crate) use implicit::Eliminated;
 pub(crate) use sparse::Sparse;
 
-/// How far steps are solved for iteratively. A tenth of it hardly changes what a step achieves; ten times it does.
+/// How far steps are solved for iteratively. A tenth of it hardly changes what a step achieves; ten
+/// times it does.
 const STEP_ACCURACY: f64 = 1e-5;
 /// The same for solutions that are wanted for themselves.
 const ACCURACY: f64 = 1e-12;
@@ -54,8 +56,11 @@ impl Reduced {
                 start = end;
             }
         }
-        let len =
-            structure.blocks.len().checked_sub(1).map_or(0, |last| factorisation.block_column(last).end);
+        let len = structure
+            .blocks
+            .len()
+            .checked_sub(1)
+            .map_or(0, |last| factorisation.block_column(last).end);
         let zeros = vec![0.0; structure.kept_len];
         Self {
             numbers: vec![0.0; len],
@@ -69,7 +74,13 @@ impl Reduced {
     }
 
     /// Adds up what the chunks have summed, in their order, and the damping.
-    pub(crate) fn gather(&mut self, structure: &Structure, sums: &[Sums], memory: &[f64], lambda: f64) {
+    pub(crate) fn gather(
+        &mut self,
+        structure: &Structure,
+        sums: &[Sums],
+        memory: &[f64],
+        lambda: f64,
+    ) {
         for (part, to) in
             [&mut self.gradient, &mut self.correction, &mut self.diagonal].into_iter().enumerate()
         {
@@ -91,7 +102,8 @@ impl Reduced {
             columns.push((a, column));
             rest = others;
         }
-        let (layout, diagonal, contributions) = (&self.factorisation, &self.diagonal, &self.contributions);
+        let (layout, diagonal, contributions) =
+            (&self.factorisation, &self.diagonal, &self.contributions);
         let fill = |(a, numbers): (usize, &mut [f64])| {
             numbers.fill(0.0);
             let block = &structure.blocks[a];
@@ -99,7 +111,13 @@ impl Reduced {
                 let chunk = &structure.chunks[*c as usize];
                 for tile in &chunk.tiles[tiles.start as usize..tiles.end as usize] {
                     let tile_numbers = &memory[chunk.memory.start + tile.at..];
-                    add_tile(&**layout, &structure.blocks, (a, tile.b as usize), tile_numbers, numbers);
+                    add_tile(
+                        &**layout,
+                        &structure.blocks,
+                        (a, tile.b as usize),
+                        tile_numbers,
+                        numbers,
+                    );
                 }
             }
             for (column, i) in block.free_columns().enumerate() {
@@ -114,8 +132,13 @@ impl Reduced {
         }
     }
 
-    /// Factorises and solves for the step of the kept variables, written over all blocks, fixed columns zero.
-    pub(crate) fn solve(&mut self, rest: Eliminated<'_>, step: &mut [f64]) -> Result<(), NotPositive> {
+    /// Factorises and solves for the step of the kept variables, written over all blocks, fixed
+    /// columns zero.
+    pub(crate) fn solve(
+        &mut self,
+        rest: Eliminated<'_>,
+        step: &mut [f64],
+    ) -> Result<(), NotPositive> {
         self.factorise(rest)?;
         let structure = rest.structure;
         for block in &structure.blocks {

@@ -1,13 +1,14 @@
 //! faer's supernodal Cholesky factorisation of a sparse lower triangle.
 //!
-//! The order of elimination is that of the blocks (time, then shared ones) or approximate minimum degree, whichever leaves the
-//! smaller factor. The symbolic work is done once.
+//! The order of elimination is that of the blocks (time, then shared ones) or approximate minimum
+//! degree, whichever leaves the smaller factor. The symbolic work is done once.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltError;
 use faer::perm::PermRef;
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering,
+    factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par, Side};
@@ -31,7 +32,8 @@ impl Sparse {
     pub(crate) fn new(columns: Columns) -> Result<Self, Columns> {
         let Columns { len, column_at, row_of, .. } = &columns;
         let pattern = SymbolicSparseColMatRef::new_checked(*len, *len, column_at, None, row_of);
-        let Some(symbolic) = symbolic(pattern, *len).filter(|symbolic| symbolic.len_val() <= MAX_FACTOR)
+        let Some(symbolic) =
+            symbolic(pattern, *len).filter(|symbolic| symbolic.len_val() <= MAX_FACTOR)
         else {
             return Err(columns);
         };
@@ -46,11 +48,20 @@ impl Sparse {
 }
 
 /// `None` when it cannot even be counted.
-fn symbolic(pattern: SymbolicSparseColMatRef<'_, u32>, columns: usize) -> Option<SymbolicCholesky<u32>> {
+fn symbolic(
+    pattern: SymbolicSparseColMatRef<'_, u32>,
+    columns: usize,
+) -> Option<SymbolicCholesky<u32>> {
     let natural: Vec<u32> = (0..columns as u32).collect();
     let natural = PermRef::new_checked(&natural, &natural, columns);
     let factorise = |ordering| {
-        factorize_symbolic_cholesky(pattern, Side::Lower, ordering, CholeskySymbolicParams::default()).ok()
+        factorize_symbolic_cholesky(
+            pattern,
+            Side::Lower,
+            ordering,
+            CholeskySymbolicParams::default(),
+        )
+        .ok()
     };
     let by_degree = factorise(SymmetricOrdering::Amd);
     let in_order = factorise(SymmetricOrdering::Custom(natural));

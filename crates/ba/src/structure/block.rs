@@ -29,7 +29,8 @@ impl Block {
     }
 }
 
-/// Where a variable went: its block and the first column in it. `block == NONE`: fixed, or eliminated.
+/// Where a variable went: its block and the first column in it. `block == NONE`: fixed, or
+/// eliminated.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     pub(crate) block: u32,

@@ -10,12 +10,16 @@ use super::shapes::Shapes;
 use super::stash::stash_len;
 use crate::error::Error;
 
-/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a first-level cache; fewer make
-/// products of few cells.
+/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a
+/// first-level cache; fewer make products of few cells.
 const FACTORS_PER_BATCH: usize = 96;
 
 /// Builds the chunk of some cells, whose steps begin at `first_step`.
-pub(super) fn build(context: &Context<'_>, drafts: &[Draft], first_step: usize) -> Result<Chunk, Error> {
+pub(super) fn build(
+    context: &Context<'_>,
+    drafts: &[Draft],
+    first_step: usize,
+) -> Result<Chunk, Error> {
     let mut chunk = Chunk::new(context.elimination, first_step);
     let Groups { drafts, groups } = Groups::new(context.cells, drafts, context.elimination);
     patterns::find(context, &drafts, &groups, &mut chunk)?;
@@ -126,8 +130,14 @@ impl Filling<'_> {
         Ok(())
     }
 
-    /// Adds a factor to the cell at hand. Gives whether that may be [`single`](Cell::single) with it.
-    fn add_factor(&mut self, entry: Entry, blocks: &[u32], chunk: &mut Chunk) -> Result<bool, Error> {
+    /// Adds a factor to the cell at hand. Gives whether that may be [`single`](Cell::single) with
+    /// it.
+    fn add_factor(
+        &mut self,
+        entry: Entry,
+        blocks: &[u32],
+        chunk: &mut Chunk,
+    ) -> Result<bool, Error> {
         let number = self.shapes.add(entry, blocks, &mut chunk.factors.locals)?;
         let facts = &self.shapes.facts[number as usize];
         let i = chunk.factors.numbers.len();
@@ -137,7 +147,12 @@ impl Filling<'_> {
         match chunk.stretches[self.batch.stretches.clone()].last_mut() {
             Some(last) if (last.run, last.own) == (entry.run, facts.own) => last.end = i + 1,
             _ => {
-                chunk.stretches.push(Stretch { run: entry.run, own: facts.own, start: i, end: i + 1 });
+                chunk.stretches.push(Stretch {
+                    run: entry.run,
+                    own: facts.own,
+                    start: i,
+                    end: i + 1,
+                });
                 self.batch.stretches.end += 1;
             }
         }

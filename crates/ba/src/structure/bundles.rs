@@ -27,7 +27,8 @@ impl Entry {
 }
 
 impl Bundler {
-    /// Adds the factors of the chunk's last cell, from number `first` on, whose rows begin at `row` of the batch.
+    /// Adds the factors of the chunk's last cell, from number `first` on, whose rows begin at `row`
+    /// of the batch.
     pub(super) fn add(
         &mut self,
         chunk: &Chunk,
@@ -44,7 +45,9 @@ impl Bundler {
             let (these, rest) = locals.split_at(shape.segments.len());
             locals = rest;
             let begin = self.places.len();
-            let at = |&local: &u16| chunk.patterns.locals[pattern.locals.start + local as usize].at as u32;
+            let at = |&local: &u16| {
+                chunk.patterns.locals[pattern.locals.start + local as usize].at as u32
+            };
             self.places.extend(these.iter().map(at));
             let key = self.places[begin..].iter().fold(u32::from(number), mixed);
             for (s, &l) in these.iter().enumerate() {
@@ -68,18 +71,25 @@ impl Bundler {
         for &key in &self.keys {
             let entry = &self.factors[key as u32 as usize];
             let places = entry.places(shapes, &self.places);
-            let same = last
-                .is_some_and(|last| last.shape == entry.shape && last.places(shapes, &self.places) == places);
+            let same = last.is_some_and(|last| {
+                last.shape == entry.shape && last.places(shapes, &self.places) == places
+            });
             if !same {
                 let rows = chunk.bundles.rows.len();
-                let bundle =
-                    Bundle { shape: entry.shape, places: chunk.bundles.places.len(), rows: rows..rows };
+                let bundle = Bundle {
+                    shape: entry.shape,
+                    places: chunk.bundles.places.len(),
+                    rows: rows..rows,
+                };
                 chunk.bundles.list.push(bundle);
                 chunk.bundles.places.extend_from_slice(places);
             }
             last = Some(entry);
             let shape = &shapes[entry.shape as usize];
-            chunk.bundles.rows.extend((0..shape.rows).map(|row| entry.row + (row * shape.stride) as u32));
+            chunk
+                .bundles
+                .rows
+                .extend((0..shape.rows).map(|row| entry.row + (row * shape.stride) as u32));
             if let Some(bundle) = chunk.bundles.list.last_mut() {
                 bundle.rows.end = chunk.bundles.rows.len();
             }

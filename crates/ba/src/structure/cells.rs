@@ -53,7 +53,8 @@ pub(super) struct View<'a> {
 impl<'a> View<'a> {
     /// Of all runs.
     pub(super) fn all(problem: &'a Problem, places: &'a [Vec<Place>]) -> Vec<Self> {
-        let places_of = |stores: &[u16]| stores.iter().map(|&store| &places[store as usize][..]).collect();
+        let places_of =
+            |stores: &[u16]| stores.iter().map(|&store| &places[store as usize][..]).collect();
         let runs = problem.runs.iter();
         runs.map(|run| Self { slots: run.all_slots(), places: places_of(run.stores()) }).collect()
     }
@@ -150,7 +151,9 @@ impl<'a> Cells<'a> {
         let mut tasks = Vec::new();
         for (store, ends) in (0u32..).zip(variables.first.windows(2)) {
             let firsts = (ends[0]..ends[1]).step_by(VARIABLES_PER_TASK);
-            tasks.extend(firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_TASK as u32))));
+            tasks.extend(
+                firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_TASK as u32))),
+            );
         }
         let part = |(number, (store, range)): (usize, (u32, Range<u32>))| {
             let ends = [start[range.start as usize], start[range.end as usize]];
@@ -187,7 +190,12 @@ impl<'a> Cells<'a> {
         let mut part = Part::default();
         let mut singles: Vec<_> = entries
             .clone()
-            .map(|i| (collect_blocks(&self.views, &self.entries[i..=i], &mut part.blocks), self.entries[i]))
+            .map(|i| {
+                (
+                    collect_blocks(&self.views, &self.entries[i..=i], &mut part.blocks),
+                    self.entries[i],
+                )
+            })
             .collect();
         singles.sort_by(|a, b| {
             let blocks = part.blocks[a.0.clone()].cmp(&part.blocks[b.0.clone()]);
@@ -199,8 +207,9 @@ impl<'a> Cells<'a> {
         let mut at = 0;
         while at < singles.len() {
             let blocks = singles[at].0.clone();
-            let same =
-                |other: &&(Range<usize>, Entry)| part.blocks[other.0.clone()] == part.blocks[blocks.clone()];
+            let same = |other: &&(Range<usize>, Entry)| {
+                part.blocks[other.0.clone()] == part.blocks[blocks.clone()]
+            };
             let len = singles[at..].iter().take(FACTORS_PER_KEPT_CELL).take_while(same).count();
             part.push(Draft {
                 part: self.parts.len() as u32,
@@ -219,7 +228,8 @@ impl<'a> Cells<'a> {
 
     /// The sorted blocks of a cell.
     pub(super) fn blocks_of(&self, draft: &Draft) -> &[u32] {
-        &self.parts[draft.part as usize].blocks[draft.first_block as usize..][..draft.num_blocks as usize]
+        &self.parts[draft.part as usize].blocks[draft.first_block as usize..]
+            [..draft.num_blocks as usize]
     }
 
     /// The factors of a cell.
@@ -227,8 +237,9 @@ impl<'a> Cells<'a> {
         &self.entries[draft.first_entry as usize..][..draft.num_entries as usize]
     }
 
-    /// The cells sorted by their first three blocks, those without a variable last, so that tiles, points and factors stay near;
-    /// and so that equal patterns are neighbours, which are then worked on at once.
+    /// The cells sorted by their first three blocks, those without a variable last, so that tiles,
+    /// points and factors stay near; and so that equal patterns are neighbours, which are then
+    /// worked on at once.
     pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
         let count = self.parts.iter().map(|part| part.drafts.len()).sum();
         let (mut keys, mut drafts) = (Vec::with_capacity(count), Vec::with_capacity(count));
@@ -245,8 +256,9 @@ impl<'a> Cells<'a> {
 
 /// The same number for the same blocks, and nearly always others for others.
 fn mixed(blocks: &[u32]) -> u32 {
-    let step =
-        |sum: u64, &block| (sum ^ u64::from(block)).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+    let step = |sum: u64, &block| {
+        (sum ^ u64::from(block)).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29)
+    };
     (blocks.iter().fold(0, step) >> 32) as u32
 }
 

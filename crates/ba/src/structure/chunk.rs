@@ -1,4 +1,5 @@
-//! The work of one task: cells with their factors, and the patterns, batches and tiles through which it passes.
+//! The work of one task: cells with their factors, and the patterns, batches and tiles through
+//! which it passes.
 
 use std::ops::Range;
 
@@ -51,7 +52,8 @@ pub(crate) struct Cell {
     pub(crate) pattern: u32,
     /// Degrees of freedom of the eliminated variable; 0 where there is none.
     pub(crate) dof: u32,
-    /// It is a point, and each factor has [`SINGLE_ROWS`] and sees the whole of one block, that no other one of the cell sees.
+    /// It is a point, and each factor has [`SINGLE_ROWS`] and sees the whole of one block, that no
+    /// other one of the cell sees.
     pub(crate) single: bool,
     pub(crate) store: u32,
     pub(crate) slot: u32,
@@ -81,13 +83,14 @@ pub(crate) struct Batch {
     pub(crate) bundles: Range<usize>,
 }
 
-/// Factors of a batch that have the same shape and see the same blocks: their part of C is one product. Those of
-/// [`single`](Cell::single) cells are in none.
+/// Factors of a batch that have the same shape and see the same blocks: their part of C is one
+/// product. Those of [`single`](Cell::single) cells are in none.
 #[derive(Clone, Debug)]
 pub(crate) struct Bundle {
     pub(crate) shape: u16,
-    /// In the chunk's list: for each segment of the shape where its block's numbers begin in the chunk's vectors, then the tile of
-    /// each pair of segments, that of i ≤ j at `j (j + 1) / 2 + i`.
+    /// In the chunk's list: for each segment of the shape where its block's numbers begin in the
+    /// chunk's vectors, then the tile of each pair of segments, that of i ≤ j at
+    /// `j (j + 1) / 2 + i`.
     pub(crate) places: usize,
     /// In the chunk's list: where each of the rows begins in the batch.
     pub(crate) rows: Range<usize>,
@@ -118,7 +121,8 @@ pub(crate) struct Patterns {
     pub(crate) list: Vec<Pattern>,
     /// The blocks of each.
     pub(crate) locals: Vec<Local>,
-    /// Offsets of tiles, see [`Pattern::pairs`]; [`NONE`](super::block::NONE) where there is no tile.
+    /// Offsets of tiles, see [`Pattern::pairs`]; [`NONE`](super::block::NONE) where there is no
+    /// tile.
     pub(crate) pair_tiles: Vec<u32>,
 }
 

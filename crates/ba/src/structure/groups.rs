@@ -1,13 +1,15 @@
 //! Which cells are worked on at once, as if all of them saw the same blocks.
 //!
-//! The product YᵀY of many cells together has its sums in registers where each cell's own would read and write every tile. So a
-//! cell whose blocks are among those of a larger one joins it, and has zeros for the blocks that it does not see. No tile comes of
-//! it that there would not be, for the larger one needs it anyway.
+//! The product YᵀY of many cells together has its sums in registers where each cell's own would
+//! read and write every tile. So a cell whose blocks are among those of a larger one joins it, and
+//! has zeros for the blocks that it does not see. No tile comes of it that there would not be, for
+//! the larger one needs it anyway.
 
 use super::cells::{Cells, Draft};
 use super::elimination::Elimination;
 
-/// A cell joins a larger one where it has at least this part of the pairs of blocks: so much dearer is a product of its own.
+/// A cell joins a larger one where it has at least this part of the pairs of blocks: so much dearer
+/// is a product of its own.
 const MIN_PART: f64 = 0.4;
 /// Among so many groups a cell looks for one.
 const LOOK_BACK: usize = 32;
@@ -39,14 +41,21 @@ impl<'a> Groups<'a> {
             stretch.clear();
             stretch.extend(drafts.iter().map(|draft| (0, *draft)));
             // The largest first; what joins no larger one stays in its order.
-            stretch.sort_by_key(|(_, draft)| if joins(draft) { u32::MAX - draft.num_blocks } else { 0 });
+            stretch.sort_by_key(
+                |(_, draft)| if joins(draft) { u32::MAX - draft.num_blocks } else { 0 },
+            );
             this.add(cells, &mut stretch, joins);
         }
         this
     }
 
     /// Adds cells with the same first block, the largest first.
-    fn add(&mut self, cells: &'a Cells<'a>, stretch: &mut [(u32, Draft)], joins: impl Fn(&Draft) -> bool) {
+    fn add(
+        &mut self,
+        cells: &'a Cells<'a>,
+        stretch: &mut [(u32, Draft)],
+        joins: impl Fn(&Draft) -> bool,
+    ) {
         let begin = self.groups.len();
         for (number, draft) in &mut *stretch {
             let blocks = cells.blocks_of(draft);
@@ -71,7 +80,8 @@ impl<'a> Groups<'a> {
     }
 }
 
-/// Whether a cell may join a larger one. Cells of which each factor has a block of its own have quicker ways.
+/// Whether a cell may join a larger one. Cells of which each factor has a block of its own have
+/// quicker ways.
 fn joins(draft: &Draft) -> bool {
     draft.dof > 0 && draft.num_blocks != draft.num_entries
 }
@@ -115,10 +125,11 @@ mod tests {
     /// Images with one lens, and which of them see each point.
     fn seen_by(points: &[&[usize]], elimination: Elimination) -> (Structure, Vec<BTreeSet<u32>>) {
         let mut problem = Problem::new();
-        let lens = problem.keep(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
-        let poses: Vec<_> = (0..6).map(|i| problem.keep(Rigid3::identity(), Order::At(i))).collect();
+        let lens = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
+        let poses: Vec<_> =
+            (0..6).map(|i| problem.add_parameter(Rigid3::identity(), Order::At(i))).collect();
         for images in points {
-            let point = problem.eliminate(Vector3::new(0.0, 0.0, 5.0));
+            let point = problem.add_landmark(Vector3::new(0.0, 0.0, 5.0));
             for &image in *images {
                 let factor = Reprojection::<SimplePinhole>::new(Vector2::new(320.0, 240.0), 1.0);
                 problem.add((lens, poses[image], point), factor, Loss::Trivial).unwrap();
@@ -126,15 +137,25 @@ mod tests {
         }
         let structure = Structure::new(&problem, elimination).unwrap();
         // The lens comes last.
-        let blocks =
-            points.iter().map(|images| images.iter().map(|&i| i as u32).chain([6]).collect()).collect();
+        let blocks = points
+            .iter()
+            .map(|images| images.iter().map(|&i| i as u32).chain([6]).collect())
+            .collect();
         (structure, blocks)
     }
 
     #[test]
     fn cells_join_larger_ones_and_no_tile_comes_of_it() {
-        let points: &[&[usize]] =
-            &[&[0, 2, 3], &[0, 1, 2, 3], &[1, 4], &[0, 1, 3], &[0, 5], &[1, 3, 4], &[0, 2, 3], &[0, 1, 2]];
+        let points: &[&[usize]] = &[
+            &[0, 2, 3],
+            &[0, 1, 2, 3],
+            &[1, 4],
+            &[0, 1, 3],
+            &[0, 5],
+            &[1, 3, 4],
+            &[0, 2, 3],
+            &[0, 1, 2],
+        ];
         let (structure, blocks) = seen_by(points, Elimination::Do);
         let [chunk] = &structure.chunks[..] else { panic!("one chunk") };
         // All but {0, 5} join {0, 1, 2, 3}, and {1, 4} joins {1, 3, 4}.

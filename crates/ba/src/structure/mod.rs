@@ -1,16 +1,19 @@
-//! What is known of a problem before its numbers: blocks of the reduced system, cells to eliminate, chunks of work.
+//! What is known of a problem before its numbers: blocks of the reduced system, cells to eliminate,
+//! chunks of work.
 //!
-//! * A **block** is a stretch of columns of the reduced system: one kept variable, or several that never occur apart beside an
-//!   eliminated one (a camera's own intrinsics and its pose), which then cost one product instead of four.
-//! * A **cell** is one eliminated variable with all its factors, or a bunch of factors that join the same kept variables only.
-//!   Its **pattern** is a sorted list of distinct blocks, those that it touches or more: products are taken over these, not over
-//!   factors, and for all cells of a pattern together.
-//! * A **chunk** is a stretch of cells, sorted by their blocks, that one task works through. It sums into tiles of its own,
-//!   for the blocks that it touches only, and the chunks' sums are added in order. Their number depends on the problem
-//!   alone, and so does every rounding error.
+//! * A **block** is a stretch of columns of the reduced system: one kept variable, or several that
+//!   never occur apart beside an eliminated one (a camera's own intrinsics and its pose), which
+//!   then cost one product instead of four.
+//! * A **cell** is one eliminated variable with all its factors, or a bunch of factors that join
+//!   the same kept variables only. Its **pattern** is a sorted list of distinct blocks, those that
+//!   it touches or more: products are taken over these, not over factors, and for all cells of a
+//!   pattern together.
+//! * A **chunk** is a stretch of cells, sorted by their blocks, that one task works through. It
+//!   sums into tiles of its own, for the blocks that it touches only, and the chunks' sums are
+//!   added in order. Their number depends on the problem alone, and so does every rounding error.
 //!
-//! A partly fixed variable keeps its full width up to here, with columns of zeros, so that blocks stay uniform; the columns are
-//! left out when the reduced system is put together.
+//! A partly fixed variable keeps its full width up to here, with columns of zeros, so that blocks
+//! stay uniform; the columns are left out when the reduced system is put together.
 
 mod block;
 mod build;
@@ -80,7 +83,8 @@ impl Structure {
         let mut parts = Vec::with_capacity(count);
         let (mut rest, mut done) = (&drafts[..], 0);
         while !rest.is_empty() {
-            // Each ends where its share of the work does, which evens out what the ones before got wrong.
+            // Each ends where its share of the work does, which evens out what the ones before got
+            // wrong.
             let end = (work * (parts.len() + 1)).div_ceil(count);
             let (begin, mut len) = (step_len, 0);
             while let Some(draft) = rest.get(len).filter(|_| done < end) {
@@ -92,7 +96,8 @@ impl Structure {
             rest = others;
             parts.push((these, begin));
         }
-        let context = Context { problem, blocks: &blocks, looks: &looks, cells: &cells, elimination };
+        let context =
+            Context { problem, blocks: &blocks, looks: &looks, cells: &cells, elimination };
         // Of several errors, the first in order.
         let chunks: Vec<Result<Chunk, Error>> = parts
             .into_par_iter()
@@ -134,8 +139,11 @@ impl Structure {
 
     /// All pairs of blocks that some tile joins, sorted.
     pub(crate) fn tile_pairs(&self) -> Vec<(u32, u32)> {
-        let mut pairs: Vec<_> =
-            self.chunks.iter().flat_map(|chunk| chunk.tiles.iter().map(|tile| (tile.a, tile.b))).collect();
+        let mut pairs: Vec<_> = self
+            .chunks
+            .iter()
+            .flat_map(|chunk| chunk.tiles.iter().map(|tile| (tile.a, tile.b)))
+            .collect();
         pairs.extend((0..self.blocks.len() as u32).map(|block| (block, block)));
         pairs.sort_unstable();
         pairs.dedup();
@@ -150,8 +158,9 @@ fn num_chunks(factors: usize) -> usize {
 }
 
 fn check_sizes(problem: &Problem) -> Result<(), Error> {
-    let check =
-        |what, count, limit| if count > limit { Err(Error::TooLarge { what, count, limit }) } else { Ok(()) };
+    let check = |what, count, limit| {
+        if count > limit { Err(Error::TooLarge { what, count, limit }) } else { Ok(()) }
+    };
     let limit = u32::MAX as usize - 1;
     check("factors", problem.num_factors(), limit)?;
     let numbers = problem.values.stores.iter().map(|store| store.len() * store.dof()).sum();

@@ -1,4 +1,5 @@
-//! The blocks that a chunk touches, the patterns that they form, and a tile for each two blocks that meet in a pattern.
+//! The blocks that a chunk touches, the patterns that they form, and a tile for each two blocks
+//! that meet in a pattern.
 
 use super::block::{Block, NONE};
 use super::cells::Draft;
@@ -19,7 +20,11 @@ pub(super) fn find(
     for group in groups {
         if group.blocks.len() >= u16::MAX as usize {
             let (count, limit) = (group.blocks.len(), u16::MAX as usize - 1);
-            return Err(Error::TooLarge { what: "variables of one eliminated variable", count, limit });
+            return Err(Error::TooLarge {
+                what: "variables of one eliminated variable",
+                count,
+                limit,
+            });
         }
     }
     let local_of = list_blocks(context.blocks, groups, chunk);
@@ -64,7 +69,13 @@ fn list_patterns(blocks: &[Block], groups: &[Group<'_>], local_of: &[u32], chunk
         for &block in group.blocks {
             let dof = blocks[block as usize].dof;
             let at = chunk.blocks[local_of[block as usize] as usize].1;
-            chunk.patterns.locals.push(Local { dof, padded: padded(dof), at, column: width, dense });
+            chunk.patterns.locals.push(Local {
+                dof,
+                padded: padded(dof),
+                at,
+                column: width,
+                dense,
+            });
             width += padded(dof);
             dense += dof;
         }
@@ -80,8 +91,13 @@ fn list_patterns(blocks: &[Block], groups: &[Group<'_>], local_of: &[u32], chunk
 /// That a block is in a pattern: the pattern, and the block's number in it.
 type Occurrence = (u32, u32);
 
-/// The occurrences of each of the chunk's blocks, one after the other, and where those of each begin, and the last ones end.
-fn occurrences(groups: &[Group<'_>], local_of: &[u32], chunk: &Chunk) -> (Vec<Occurrence>, Vec<usize>) {
+/// The occurrences of each of the chunk's blocks, one after the other, and where those of each
+/// begin, and the last ones end.
+fn occurrences(
+    groups: &[Group<'_>],
+    local_of: &[u32],
+    chunk: &Chunk,
+) -> (Vec<Occurrence>, Vec<usize>) {
     let mut start = vec![0; chunk.blocks.len() + 1];
     for &block in groups.iter().flat_map(|group| group.blocks) {
         start[local_of[block as usize] as usize + 1] += 1;
@@ -144,7 +160,8 @@ impl Tiling<'_> {
         for &(pattern, i) in occurrences {
             for &block in &self.groups[pattern as usize].blocks[i as usize..] {
                 let tile_at = &mut self.tile_at[self.local_of[block as usize] as usize];
-                let is_direct = |direct: &Vec<_>| block == a || direct.binary_search(&(a, block)).is_ok();
+                let is_direct =
+                    |direct: &Vec<_>| block == a || direct.binary_search(&(a, block)).is_ok();
                 if self.direct.as_ref().is_none_or(is_direct) && *tile_at == NONE {
                     *tile_at = 0;
                     self.met.push(self.local_of[block as usize]);

@@ -54,10 +54,11 @@ impl Variables {
 
 /// What one look at every factor tells.
 pub(super) struct Scan {
-    /// For each factor, run by run, its eliminated variable; the number of variables where it has none.
+    /// For each factor, run by run, its eliminated variable; the number of variables where it has
+    /// none.
     pub(super) owners: Vec<u32>,
-    /// For each kept variable, the one that always stands next behind it in factors with an eliminated variable, as it
-    /// always stands next before that one; [`NONE`] if there is none.
+    /// For each kept variable, the one that always stands next behind it in factors with an
+    /// eliminated variable, as it always stands next before that one; [`NONE`] if there is none.
     next: Vec<u32>,
 }
 
@@ -97,7 +98,8 @@ pub(super) fn scan(problem: &Problem, variables: &Variables) -> Result<Scan, Err
             for (slot, first) in slots.iter().zip(&firsts) {
                 let this = first + slot;
                 let kept = fates[this as usize] == Fate::Kept;
-                // Only what stands side by side in the rows, with nothing fixed or eliminated between.
+                // Only what stands side by side in the rows, with nothing fixed or eliminated
+                // between.
                 if previous != NOBODY {
                     meet(&mut after[previous as usize], if kept { this } else { NOBODY });
                 }
@@ -139,8 +141,8 @@ pub(super) struct Look {
     pub(super) block_dof: u32,
 }
 
-/// Decides blocks and their order. A chain of inseparable variables becomes one block; it stands where the earliest of them
-/// wants to.
+/// Decides blocks and their order. A chain of inseparable variables becomes one block; it stands
+/// where the earliest of them wants to.
 pub(super) fn place(problem: &Problem, variables: &Variables, scan: &Scan) -> Placed {
     let mut has_previous = vec![false; variables.len()];
     for &next in scan.next.iter().filter(|&&next| next != NONE) {
@@ -180,7 +182,8 @@ pub(super) fn place(problem: &Problem, variables: &Variables, scan: &Scan) -> Pl
         let mut block = Block { dof: 0, at, free: 0, reduced };
         for &member in &members[chain] {
             let (store, slot, meta, dof) = of(member);
-            (places[store][slot].block, places[store][slot].offset) = (blocks.len() as u32, block.dof as u32);
+            (places[store][slot].block, places[store][slot].offset) =
+                (blocks.len() as u32, block.dof as u32);
             block.free |= meta.free << block.dof;
             block.dof += dof;
         }

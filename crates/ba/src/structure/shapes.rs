@@ -13,8 +13,8 @@ use super::shape::{NO_OWN, Segment, Shape};
 /// Most variables of a factor.
 const MAX_VARIABLES: usize = 8;
 
-/// The few shapes that serve all factors of a chunk. Most factors are shaped as the one before, which a look at what matters of
-/// their variables tells.
+/// The few shapes that serve all factors of a chunk. Most factors are shaped as the one before,
+/// which a look at what matters of their variables tells.
 pub(super) struct Shapes<'a> {
     pub(super) shapes: Vec<Shape>,
     /// What is often asked of each shape.
@@ -58,7 +58,8 @@ impl<'a> Shapes<'a> {
         }
     }
 
-    /// The number of a factor's shape; and, for each of its segments, which of the cell's blocks it is, appended to `locals`.
+    /// The number of a factor's shape; and, for each of its segments, which of the cell's blocks it
+    /// is, appended to `locals`.
     pub(super) fn add(
         &mut self,
         entry: Entry,
@@ -101,8 +102,13 @@ impl<'a> Shapes<'a> {
     /// The shape that follows from `key`, found or new.
     fn number(&mut self, key: &Key) -> Result<u16, Error> {
         let run = &self.runs[key.run as usize];
-        let mut shape =
-            Shape { run: key.run, own: NO_OWN, rows: run.rows(), stride: run.stride(), ..Shape::default() };
+        let mut shape = Shape {
+            run: key.run,
+            own: NO_OWN,
+            rows: run.rows(),
+            stride: run.stride(),
+            ..Shape::default()
+        };
         let (mut column, mut last_placed, mut begins) = (0, false, Vec::new());
         for ((position, &class), &dof) in (0u8..).zip(&key.classes).zip(run.dofs()) {
             let look = &self.looks[class as usize];
@@ -144,7 +150,8 @@ impl<'a> Shapes<'a> {
         self.facts.push(Facts {
             rows_len: shape.rows * shape.stride,
             own: shape.own,
-            single: shape.rows == SINGLE_ROWS && matches!(shape.segments[..], [Segment { whole: true, .. }]),
+            single: shape.rows == SINGLE_ROWS
+                && matches!(shape.segments[..], [Segment { whole: true, .. }]),
             begins,
         });
         self.shapes.push(shape);

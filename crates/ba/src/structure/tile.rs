@@ -5,8 +5,9 @@ pub(crate) fn padded(dof: usize) -> usize {
     dof.next_multiple_of(4)
 }
 
-/// Numbers in a column of a tile whose rows belong to a block of so many directions. Where one direction is left over beside
-/// vectors of eight, it is not in the columns but has a row behind them.
+/// Numbers in a column of a tile whose rows belong to a block of so many directions. Where one
+/// direction is left over beside vectors of eight, it is not in the columns but has a row behind
+/// them.
 #[inline(always)]
 pub(crate) fn tile_lanes(dof: usize) -> usize {
     if dof % 8 == 1 { dof - 1 } else { padded(dof) }

@@ -17,7 +17,8 @@ const TRAFALGAR_21: (&str, f64, f64) = ("bal/problem-21-11315-pre.txt", 4.41324e
 /// The starting costs are given to six digits; final costs may differ by a tenth of a percent.
 const START_TOLERANCE: f64 = 2e-6;
 const END_TOLERANCE: f64 = 1e-3;
-/// The order of operations differs between derivatives by hand and by dual numbers, and four steps amplify that.
+/// The order of operations differs between derivatives by hand and by dual numbers, and four steps
+/// amplify that.
 const SAME_COST: f64 = 1e-8;
 
 fn read(file: &str) -> Option<Bal> {
@@ -31,7 +32,10 @@ fn as_low_as_ceres() {
         let Some(mut bal) = read(file) else { return };
         let (mut problem, keys) = bal.problem(Derivatives::ByHand).unwrap();
         let summary = solve_as(&mut problem, &Options { max_iterations: 50, ..Options::default() });
-        assert!((summary.initial_cost - start).abs() < START_TOLERANCE * start, "{file}: {summary}");
+        assert!(
+            (summary.initial_cost - start).abs() < START_TOLERANCE * start,
+            "{file}: {summary}"
+        );
         assert!(summary.final_cost < end * (1.0 + END_TOLERANCE), "{file}: {summary}");
         assert_eq!(summary.final_cost, summary.iterations.last().unwrap().cost);
         bal.update(&problem, &keys);
@@ -55,9 +59,14 @@ fn dual_numbers_take_the_same_steps() {
 proptest! {
     #[test]
     fn snavely(
-        turn in prop::array::uniform3(-2.0..2.0), shift in prop::array::uniform3(-2.0..2.0),
-        f in 300.0..900.0, k1 in -0.1..0.1, k2 in -0.01..0.01,
-        x in -1.0..1.0, y in -1.0..1.0, z in -20.0..-2.0,
+        turn in prop::array::uniform3(-2.0..2.0),
+        shift in prop::array::uniform3(-2.0..2.0),
+        f in 300.0..900.0,
+        k1 in -0.1..0.1,
+        k2 in -0.01..0.01,
+        x in -1.0..1.0,
+        y in -1.0..1.0,
+        z in -20.0..-2.0,
     ) {
         let pose = Rigid3::from_axis_angle(Vector3::from(turn), Vector3::from(shift));
         let point = pose.inverse() * Vector3::new(x * z, y * z, z);
@@ -66,7 +75,8 @@ proptest! {
         let law = check_jacobians(&factor, (pose, lens, point), 1e-7);
         prop_assert_eq!(law, Ok(()));
         let (residual, by_hand) = factor.linearize((&pose, &lens, &point)).unwrap();
-        let (twin_residual, by_dual) = AutoDiff(SnavelyResidual(factor)).linearize((&pose, &lens, &point)).unwrap();
+        let (twin_residual, by_dual) =
+            AutoDiff(SnavelyResidual(factor)).linearize((&pose, &lens, &point)).unwrap();
         prop_assert!((residual - twin_residual).norm() < 1e-9);
         prop_assert!((by_hand.0 - by_dual.0).norm() < 1e-9 * by_hand.0.norm());
         prop_assert!((by_hand.1 - by_dual.1).norm() < 1e-9 * by_hand.1.norm());
@@ -81,7 +91,11 @@ fn a_file_can_be_read_back() {
         translation: Vector3::new(1.0, 2.0, 3.0),
     };
     let bal = Bal {
-        observations: vec![crate::file::Observation { camera: 0, point: 1, pixel: Vector2::new(-3.5, 4.25) }],
+        observations: vec![crate::file::Observation {
+            camera: 0,
+            point: 1,
+            pixel: Vector2::new(-3.5, 4.25),
+        }],
         poses: vec![pose],
         lenses: vec![Vector3::new(500.0, -1e-7, 1e-13)],
         points: vec![Vector3::zeros(), Vector3::new(1.0, 0.1, -3e10)],

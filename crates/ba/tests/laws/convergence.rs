@@ -5,7 +5,8 @@ use std::ops::ControlFlow;
 use tiepoint_ba::nalgebra::SVector;
 use tiepoint_ba::{AutoDiff, Loss, Options, Order, Problem, Residual, Scalar, Solver, Termination};
 
-/// x/√(1 + x²): Gauss-Newton goes from x to -x³, so that from just within 1 a step gains next to nothing.
+/// x/√(1 + x²): Gauss-Newton goes from x to -x³, so that from just within 1 a step gains next to
+/// nothing.
 struct Overshoots;
 
 impl Residual<1> for Overshoots {
@@ -25,7 +26,7 @@ const MAX_ERROR: f64 = 1e-3;
 #[test]
 fn a_bad_step_that_gains_next_to_nothing_is_not_the_end() {
     let mut problem = Problem::new();
-    let x = problem.keep(SVector::<f64, 1>::new(START), Order::Shared);
+    let x = problem.add_parameter(SVector::<f64, 1>::new(START), Order::Shared);
     problem.add(x, AutoDiff(Overshoots), Loss::Trivial).unwrap();
     let options = Options { initial_damping: NO_DAMPING, ..Options::default() };
     let mut first = None;

@@ -1,8 +1,11 @@
-//! Covariances: against a twin that eliminates nothing, against a textbook formula, and where there are none.
+//! Covariances: against a twin that eliminates nothing, against a textbook formula, and where there
+//! are none.
 
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
-use tiepoint_ba::{AnyKey, AutoDiff, Error, Key, LinearSolver, Loss, Order, Problem, Residual, Scalar};
+use tiepoint_ba::{
+    AnyKey, AutoDiff, Error, Key, LinearSolver, Loss, Order, Problem, Residual, Scalar,
+};
 use tiepoint_geometry::cameras::SimpleRadial;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 
@@ -11,7 +14,8 @@ use crate::scene::{Intrinsics, NOISE_PX, PARAMS, Scene, solve};
 /// Rounding times the condition number of a small bundle adjustment.
 const SAME: f64 = 1e-7;
 
-/// A line through samples with unit noise: the covariance of (slope, offset) is the inverse of [Σx², Σx; Σx, n].
+/// A line through samples with unit noise: the covariance of (slope, offset) is the inverse of
+/// [Σx², Σx; Σx, n].
 struct Line(f64);
 impl Residual<1> for Line {
     type Vars = (Vector2<f64>,);
@@ -23,20 +27,23 @@ impl Residual<1> for Line {
 #[test]
 fn of_a_line() {
     let mut problem = Problem::new();
-    let line = problem.keep(Vector2::zeros(), Order::Shared);
+    let line = problem.add_parameter(Vector2::zeros(), Order::Shared);
     let (n, mut sum, mut squares) = (10.0, 0.0, 0.0);
     for i in 0..10 {
         let x = f64::from(i);
         problem.add(line, AutoDiff(Line(x)), Loss::Trivial).unwrap();
         (sum, squares) = (sum + x, squares + x * x);
     }
-    let expected = DMatrix::from_row_slice(2, 2, &[n, -sum, -sum, squares]) / (n * squares - sum * sum);
+    let expected =
+        DMatrix::from_row_slice(2, 2, &[n, -sum, -sum, squares]) / (n * squares - sum * sum);
     let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
     assert!((found - expected).amax() < 1e-12);
     // With the offset known, the slope's variance is 1/Σx².
-    problem.fix_tangent(line, &[1]).unwrap();
+    problem.fix_dofs(line, &[1]).unwrap();
     let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
-    assert!((found - DMatrix::from_row_slice(2, 2, &[1.0 / squares, 0.0, 0.0, 0.0])).amax() < 1e-12);
+    assert!(
+        (found - DMatrix::from_row_slice(2, 2, &[1.0 / squares, 0.0, 0.0, 0.0])).amax() < 1e-12
+    );
     assert_eq!(problem.covariance(&[]).unwrap().matrix().shape(), (0, 0));
 }
 
@@ -44,11 +51,13 @@ fn of_a_line() {
 fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
     let mut twin = Problem::new();
     let (old, mut keys) = (&scene.problem, Vec::new());
-    let params = twin.keep(old.get(scene.intrinsics[0]), Order::Shared);
+    let params = twin.add_parameter(old.get(scene.intrinsics[0]), Order::Shared);
     keys.push(params.into());
-    let poses: Vec<_> = scene.poses.iter().map(|&key| twin.keep(old.get(key), Order::At(0))).collect();
+    let poses: Vec<_> =
+        scene.poses.iter().map(|&key| twin.add_parameter(old.get(key), Order::At(0))).collect();
     keys.extend(poses.iter().map(|&key| AnyKey::from(key)));
-    let points: Vec<_> = scene.points.iter().map(|&key| twin.keep(old.get(key), Order::At(1))).collect();
+    let points: Vec<_> =
+        scene.points.iter().map(|&key| twin.add_parameter(old.get(key), Order::At(1))).collect();
     keys.extend(points.iter().map(|&key| AnyKey::from(key)));
     for &point in &points {
         for &pose in &poses {
@@ -58,9 +67,9 @@ fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
         }
     }
     twin.fix(poses[0]);
-    twin.fix_tangent(poses[1], &[5]).unwrap();
+    twin.fix_dofs(poses[1], &[5]).unwrap();
     twin.fix(points[2]);
-    twin.fix_tangent(points[4], &[0, 2]).unwrap();
+    twin.fix_dofs(points[4], &[0, 2]).unwrap();
     (twin, keys)
 }
 
@@ -70,7 +79,7 @@ fn of_eliminated_variables_as_if_they_were_kept() {
     let mut scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
     scene.fix_gauge();
     scene.problem.fix(scene.points[2]);
-    scene.problem.fix_tangent(scene.points[4], &[0, 2]).unwrap();
+    scene.problem.fix_dofs(scene.points[4], &[0, 2]).unwrap();
     solve(&mut scene.problem, LinearSolver::Auto, 5);
     let mut keys = vec![scene.intrinsics[0].into()];
     keys.extend(scene.poses.iter().map(|&key| AnyKey::from(key)));
@@ -87,9 +96,13 @@ fn of_eliminated_variables_as_if_they_were_kept() {
     assert!(partly[(1, 1)] > 0.0 && partly[(0, 0)] == 0.0 && partly[(2, 1)] == 0.0);
     let cross = found.between(scene.poses[2], scene.points[5]).unwrap();
     assert_eq!(cross.shape(), (6, 3));
-    assert!((cross - found.between(scene.points[5], scene.poses[2]).unwrap().transpose()).amax() < SAME);
+    assert!(
+        (cross - found.between(scene.points[5], scene.poses[2]).unwrap().transpose()).amax() < SAME
+    );
     let few = scene.problem.covariance(&[scene.points[5].into()]).unwrap();
-    assert!((few.matrix() - found.of(scene.points[5]).unwrap()).amax() < SAME * few.matrix().amax());
+    assert!(
+        (few.matrix() - found.of(scene.points[5]).unwrap()).amax() < SAME * few.matrix().amax()
+    );
     assert_eq!(few.of(scene.poses[2]), None);
 }
 
@@ -101,23 +114,35 @@ fn there_is_none_without_a_gauge() {
         assert!(matches!(error, Error::Undetermined { .. }), "{error}");
     }
     let mut problem = Problem::new();
-    let (alone, known) = (problem.keep(1.0, Order::Shared), problem.keep(2.0, Order::Shared));
-    let point = problem.eliminate(Vector3::zeros());
+    let (alone, known) =
+        (problem.add_parameter(1.0, Order::Shared), problem.add_parameter(2.0, Order::Shared));
+    let point = problem.add_landmark(Vector3::zeros());
     problem.add(known, Prior::new(2.0, &[0.5]).unwrap(), Loss::Trivial).unwrap();
-    assert!(matches!(problem.covariance(&[alone.into()]), Err(Error::Undetermined { slot: 0, .. })));
-    assert!(matches!(problem.covariance(&[point.into()]), Err(Error::Undetermined { slot: 0, .. })));
+    assert!(matches!(
+        problem.covariance(&[alone.into()]),
+        Err(Error::Undetermined { slot: 0, .. })
+    ));
+    assert!(matches!(
+        problem.covariance(&[point.into()]),
+        Err(Error::Undetermined { slot: 0, .. })
+    ));
     assert!((problem.covariance(&[known.into()]).unwrap().matrix()[(0, 0)] - 0.25).abs() < 1e-12);
     let strange: Key<f64> = {
         let mut other = Problem::new();
-        (0..3).map(|_| other.keep(0.0, Order::Shared)).last().unwrap()
+        (0..3).map(|_| other.add_parameter(0.0, Order::Shared)).last().unwrap()
     };
-    assert!(matches!(problem.covariance(&[strange.into()]), Err(Error::UnknownVariable { slot: 2, .. })));
+    assert!(matches!(
+        problem.covariance(&[strange.into()]),
+        Err(Error::UnknownVariable { slot: 2, .. })
+    ));
 }
 
-/// How far the estimates of a rig's calibration scatter around the truth over many noises is what its covariance says.
+/// How far the estimates of a rig's calibration scatter around the truth over many noises is what
+/// its covariance says.
 #[test]
 fn of_a_rig_is_its_scatter() {
-    /// χ² of 6 degrees of freedom, mean of so many runs: 6 ± √(12 / RUNS), within 4 standard deviations.
+    /// χ² of 6 degrees of freedom, mean of so many runs: 6 ± √(12 / RUNS), within 4 standard
+    /// deviations.
     const RUNS: u32 = 60;
     let cam_from_rig =
         Rigid3::from_axis_angle(Vector3::new(0.02, -0.1, 0.01), Vector3::new(-0.5, 0.02, 0.05));
@@ -126,24 +151,36 @@ fn of_a_rig_is_its_scatter() {
         let mut rng = Rng::stream(11, &[u64::from(run)]);
         let mut problem = Problem::new();
         let lens = Vector4::from(PARAMS);
-        let params = problem.keep(lens, Order::Shared);
+        let params = problem.add_parameter(lens, Order::Shared);
         problem.fix(params);
-        let first = problem.keep(Rigid3::identity(), Order::Shared);
+        let first = problem.add_parameter(Rigid3::identity(), Order::Shared);
         problem.fix(first);
-        let second = problem.keep(cam_from_rig, Order::Shared);
+        let second = problem.add_parameter(cam_from_rig, Order::Shared);
         let moments: Vec<_> = (0..4)
-            .map(|i| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.4 * f64::from(i), 0.0, 0.0)))
+            .map(|i| {
+                Rigid3::from_axis_angle(
+                    Vector3::zeros(),
+                    Vector3::new(-0.4 * f64::from(i), 0.0, 0.0),
+                )
+            })
             .collect();
-        let rigs: Vec<_> =
-            moments.iter().zip(0..).map(|(&pose, i)| problem.keep(pose, Order::At(i))).collect();
+        let rigs: Vec<_> = moments
+            .iter()
+            .zip(0..)
+            .map(|(&pose, i)| problem.add_parameter(pose, Order::At(i)))
+            .collect();
         problem.fix(rigs[0]);
-        problem.fix_tangent(rigs[3], &[3]).unwrap();
+        problem.fix_dofs(rigs[3], &[3]).unwrap();
         for _ in 0..25 {
-            let point =
-                Vector3::new(4.0 * rng.uniform() - 1.4, 3.0 * rng.uniform() - 1.5, 3.0 + 3.0 * rng.uniform());
-            let key = problem.eliminate(point);
+            let point = Vector3::new(
+                4.0 * rng.uniform() - 1.4,
+                3.0 * rng.uniform() - 1.5,
+                3.0 + 3.0 * rng.uniform(),
+            );
+            let key = problem.add_landmark(point);
             for (rig_from_world, &rig) in moments.iter().zip(&rigs) {
-                for (cam_from_rig, camera) in [(Rigid3::identity(), first), (cam_from_rig, second)] {
+                for (cam_from_rig, camera) in [(Rigid3::identity(), first), (cam_from_rig, second)]
+                {
                     let in_cam = cam_from_rig * *rig_from_world * point;
                     let pixel = SimpleRadial::project(&lens, &in_cam).unwrap();
                     let noise = Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;

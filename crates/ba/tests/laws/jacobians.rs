@@ -7,8 +7,8 @@ use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::cameras::{Opencv, OpencvFisheye, Pinhole, SimpleRadial};
 use tiepoint_geometry::{CameraModel, Rigid3, Sim3, so3};
 
-/// The numeric derivative is good to 1e-12 of the size of the *third* derivatives; strong distortion at steep angles makes these
-/// a few thousand times the first.
+/// The numeric derivative is good to 1e-12 of the size of the *third* derivatives; strong
+/// distortion at steep angles makes these a few thousand times the first.
 const TOLERANCE: f64 = 1e-7;
 /// Angles below this keep the logarithm of the relative rotation away from its cut at π.
 const MAX_TURN: f64 = 1.0;
@@ -23,7 +23,8 @@ fn rigid(max_turn: f64) -> impl Strategy<Value = Rigid3> {
 
 /// A point that a camera sees, given in its coordinates, up to 45 degrees off its axis.
 fn in_view() -> impl Strategy<Value = Vector3<f64>> {
-    (-1.0..1.0, -1.0..1.0, 2.0..20.0).prop_map(|(x, y, z): (f64, f64, f64)| Vector3::new(x * z, y * z, z))
+    (-1.0..1.0, -1.0..1.0, 2.0..20.0)
+        .prop_map(|(x, y, z): (f64, f64, f64)| Vector3::new(x * z, y * z, z))
 }
 
 fn similarity(rigid: Rigid3, scale: f64) -> Sim3 {
@@ -60,10 +61,25 @@ fn check_reprojections<M: CameraModel>(
 
 proptest! {
     #[test]
-    fn reprojections(cam_from_rig in rigid(MAX_TURN), rig_from_world in rigid(3.0), in_cam in in_view(), k in -0.05..0.05f64) {
+    fn reprojections(
+        cam_from_rig in rigid(MAX_TURN),
+        rig_from_world in rigid(3.0),
+        in_cam in in_view(),
+        k in -0.05..0.05f64,
+    ) {
         let law = [
-            check_reprojections::<Pinhole>([800.0, 790.0, 320.0, 240.0].into(), cam_from_rig, rig_from_world, in_cam),
-            check_reprojections::<SimpleRadial>([800.0, 320.0, 240.0, k].into(), cam_from_rig, rig_from_world, in_cam),
+            check_reprojections::<Pinhole>(
+                [800.0, 790.0, 320.0, 240.0].into(),
+                cam_from_rig,
+                rig_from_world,
+                in_cam,
+            ),
+            check_reprojections::<SimpleRadial>(
+                [800.0, 320.0, 240.0, k].into(),
+                cam_from_rig,
+                rig_from_world,
+                in_cam,
+            ),
             check_reprojections::<Opencv>(
                 [800.0, 790.0, 320.0, 240.0, k, 0.3 * k, 0.001, -0.002].into(),
                 cam_from_rig,
@@ -96,18 +112,31 @@ proptest! {
     ) {
         let (a, b_from_a) = (similarity(a, scale_of_a), similarity(b_from_a, scale_of_b));
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
-        prop_assert_eq!(check_jacobians(&factor, (a, similarity(off, scale_off) * b_from_a * a), TOLERANCE), Ok(()));
+        prop_assert_eq!(
+            check_jacobians(&factor, (a, similarity(off, scale_off) * b_from_a * a), TOLERANCE),
+            Ok(())
+        );
     }
 
     #[test]
     fn priors(mean in rigid(3.0), off in rigid(MAX_TURN), scale in 0.5..2.0f64) {
         let pose = Prior::new(mean, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
         prop_assert_eq!(check_jacobians(&pose, (off * mean,), TOLERANCE), Ok(()));
-        let rotation = Prior::<UnitQuaternion<f64>, 3>::new(mean.rotation, &[0.1, f64::INFINITY, 0.3]).unwrap();
-        prop_assert_eq!(check_jacobians(&rotation, (off.rotation * mean.rotation,), TOLERANCE), Ok(()));
+        let rotation =
+            Prior::<UnitQuaternion<f64>, 3>::new(mean.rotation, &[0.1, f64::INFINITY, 0.3])
+                .unwrap();
+        prop_assert_eq!(
+            check_jacobians(&rotation, (off.rotation * mean.rotation,), TOLERANCE),
+            Ok(())
+        );
         let vector = Prior::<SVector<f64, 3>, 3>::new(mean.translation, &[1.0, 2.0, 0.5]).unwrap();
         prop_assert_eq!(check_jacobians(&vector, (off.translation,), TOLERANCE), Ok(()));
-        let prior = Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
-        prop_assert_eq!(check_jacobians(&prior, (similarity(off * mean, scale),), TOLERANCE), Ok(()));
+        let prior =
+            Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1])
+                .unwrap();
+        prop_assert_eq!(
+            check_jacobians(&prior, (similarity(off * mean, scale),), TOLERANCE),
+            Ok(())
+        );
     }
 }

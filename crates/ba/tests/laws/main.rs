@@ -1,6 +1,7 @@
 //! The crate's tests, in one program.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr)] // the lints know test functions, not their helpers
+// The lints know test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::print_stderr)]
 
 mod bad_input;
 mod bal;

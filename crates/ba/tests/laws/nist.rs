@@ -1,6 +1,7 @@
-//! The nonlinear regression problems of NIST's Statistical Reference Datasets (itl.nist.gov/div898/strd; the files under
-//! `tests/nist` are theirs, in the public domain), from both starts, scored as Ceres' `examples/nist.cc` does: the number of
-//! certified digits that the worst parameter has, at most 11; a run is passed with more than 4.
+//! The nonlinear regression problems of NIST's Statistical Reference Datasets
+//! (itl.nist.gov/div898/strd; the files under `tests/nist` are theirs, in the public domain), from
+//! both starts, scored as Ceres' `examples/nist.cc` does: the number of certified digits that the
+//! worst parameter has, at most 11; a run is passed with more than 4.
 
 use std::ops::ControlFlow;
 
@@ -10,7 +11,8 @@ use tiepoint_ba::{AutoDiff, Loss, Options, Order, Problem, Residual, Scalar, Sol
 /// Digits that are certified, and those that count as a pass, in Ceres' scoring.
 const CERTIFIED_DIGITS: f64 = 11.0;
 const DIGITS_TO_PASS: f64 = 4.0;
-/// Ceres' `examples/nist.cc`, built on Ceres 2.1 with its default options: 53 of 54 runs passed, 9.15 digits on average.
+/// Ceres' `examples/nist.cc`, built on Ceres 2.1 with its default options: 53 of 54 runs passed,
+/// 9.15 digits on average.
 const FAILED_BY_CERES: (&str, usize) = ("BoxBOD", 1);
 const MEAN_DIGITS_OF_CERES: f64 = 9.15;
 /// A first step that goes less far than by default; found by trying 1e-4, 3e-4, … 1e-2.
@@ -47,7 +49,8 @@ struct DataFile {
 }
 
 fn parse(text: &str) -> DataFile {
-    let (mut starts, mut certified, mut certified_cost) = ([Vec::new(), Vec::new()], Vec::new(), f64::NAN);
+    let (mut starts, mut certified, mut certified_cost) =
+        ([Vec::new(), Vec::new()], Vec::new(), f64::NAN);
     let mut rows = Vec::new();
     let mut data = false;
     for line in text.lines() {
@@ -62,7 +65,8 @@ fn parse(text: &str) -> DataFile {
         } else if let Some((_, values)) =
             line.split_once(" = ").filter(|(name, _)| name.trim().starts_with('b'))
         {
-            let values: Vec<f64> = values.split_whitespace().map(|word| word.parse().unwrap()).collect();
+            let values: Vec<f64> =
+                values.split_whitespace().map(|word| word.parse().unwrap()).collect();
             starts[0].push(values[0]);
             starts[1].push(values[1]);
             certified.push(values[2]);
@@ -77,9 +81,11 @@ fn digits<M: Model<N>, const N: usize>(text: &str, initial_damping: f64) -> [f64
     assert_eq!(data.certified.len(), N);
     std::array::from_fn(|start| {
         let mut problem = Problem::new();
-        let b = problem.keep(SVector::from_column_slice(&data.starts[start]), Order::Shared);
+        let b =
+            problem.add_parameter(SVector::from_column_slice(&data.starts[start]), Order::Shared);
         for row in &data.rows {
-            let sample = Sample::<M, N> { x: row[1..].to_vec(), y: row[0], model: std::marker::PhantomData };
+            let sample =
+                Sample::<M, N> { x: row[1..].to_vec(), y: row[0], model: std::marker::PhantomData };
             problem.add(b, AutoDiff(sample), Loss::Trivial).unwrap();
         }
         // As far as double precision goes, as in Ceres' own run of these problems.
@@ -95,10 +101,15 @@ fn digits<M: Model<N>, const N: usize>(text: &str, initial_damping: f64) -> [f64
         let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())).unwrap();
         assert_eq!(summary.linear_solver, "dense QR");
         let found = problem.get(b);
-        let of_parameter =
-            |(found, certified): (&f64, &f64)| -((found - certified).abs() / certified.abs()).log10();
-        let digits =
-            found.iter().zip(&data.certified).map(of_parameter).fold(CERTIFIED_DIGITS, f64::min).max(0.0);
+        let of_parameter = |(found, certified): (&f64, &f64)| {
+            -((found - certified).abs() / certified.abs()).log10()
+        };
+        let digits = found
+            .iter()
+            .zip(&data.certified)
+            .map(of_parameter)
+            .fold(CERTIFIED_DIGITS, f64::min)
+            .max(0.0);
         eprintln!(
             "start {} {digits:4.1} digits, {:3} steps, {:?}, cost {:.6e} (certified {:.6e})",
             start + 1,
@@ -130,7 +141,8 @@ macro_rules! models {
             })];
             $($(
                 eprintln!($file);
-                all.push(($file, digits::<$name, $dof>(include_str!(concat!("../nist/", $file, ".dat")), initial_damping)));
+                let data = include_str!(concat!("../nist/", $file, ".dat"));
+                all.push(($file, digits::<$name, $dof>(data, initial_damping)));
             )*)*
             all
         }
@@ -162,13 +174,17 @@ models! {
     };
     Eckerle4 3 ["Eckerle4"] |[b1, b2, b3], x| b1 / b2 * (((-b3 + x) / b2).powi(2) * -0.5).exp();
     Gauss 8 ["Gauss1", "Gauss2", "Gauss3"] |[b1, b2, b3, b4, b5, b6, b7, b8], x| {
-        let bump = |height: T, centre: T, width: T| height * (-((-centre + x) / width).powi(2)).exp();
+        let bump = |height: T, centre: T, width: T| {
+            height * (-((-centre + x) / width).powi(2)).exp()
+        };
         b1 * (-b2 * x).exp() + bump(b3, b4, b5) + bump(b6, b7, b8)
     };
     Cubic 7 ["Hahn1", "Thurber"] |[b1, b2, b3, b4, b5, b6, b7], x| {
-        (b1 + b2 * x + b3 * (x * x) + b4 * (x * x * x)) / (b5 * x + b6 * (x * x) + b7 * (x * x * x) + 1.0)
+        (b1 + b2 * x + b3 * (x * x) + b4 * (x * x * x))
+            / (b5 * x + b6 * (x * x) + b7 * (x * x * x) + 1.0)
     };
-    Kirby2 5 ["Kirby2"] |[b1, b2, b3, b4, b5], x| (b1 + b2 * x + b3 * (x * x)) / (b4 * x + b5 * (x * x) + 1.0);
+    Kirby2 5 ["Kirby2"] |[b1, b2, b3, b4, b5], x|
+        (b1 + b2 * x + b3 * (x * x)) / (b4 * x + b5 * (x * x) + 1.0);
     Lanczos 6 ["Lanczos1", "Lanczos2", "Lanczos3"] |[b1, b2, b3, b4, b5, b6], x| {
         b1 * (-b2 * x).exp() + b3 * (-b4 * x).exp() + b5 * (-b6 * x).exp()
     };
@@ -180,7 +196,8 @@ models! {
     Misra1d 2 ["Misra1d"] |[b1, b2], x| b1 * b2 * x / (b2 * x + 1.0);
     Rat42 3 ["Rat42"] |[b1, b2, b3], x| b1 / ((b2 - b3 * x).exp() + 1.0);
     Rat43 4 ["Rat43"] |[b1, b2, b3, b4], x| b1 * pow((b2 - b3 * x).exp() + 1.0, -one::<T>() / b4);
-    Roszman1 4 ["Roszman1"] |[b1, b2, b3, b4], x| b1 - b2 * x - b3.atan2(-b4 + x) / std::f64::consts::PI;
+    Roszman1 4 ["Roszman1"] |[b1, b2, b3, b4], x|
+        b1 - b2 * x - b3.atan2(-b4 + x) / std::f64::consts::PI;
 }
 
 /// The one with two predictors and the logarithm of the response.
@@ -199,9 +216,12 @@ fn score(initial_damping: f64) -> (Vec<(&'static str, usize)>, f64) {
     let all = all(initial_damping);
     assert_eq!(all.len(), 27);
     let runs = all.iter().flat_map(|(name, digits)| [(*name, 1, digits[0]), (*name, 2, digits[1])]);
-    let failed = runs.clone().filter(|run| run.2 <= DIGITS_TO_PASS).map(|run| (run.0, run.1)).collect();
+    let failed =
+        runs.clone().filter(|run| run.2 <= DIGITS_TO_PASS).map(|run| (run.0, run.1)).collect();
     let mean = runs.map(|run| run.2).sum::<f64>() / (2.0 * all.len() as f64);
-    eprintln!("initial damping {initial_damping:e}: {mean:.2} digits on average, not passed: {failed:?}");
+    eprintln!(
+        "initial damping {initial_damping:e}: {mean:.2} digits on average, not passed: {failed:?}"
+    );
     (failed, mean)
 }
 

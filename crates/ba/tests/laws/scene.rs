@@ -23,7 +23,8 @@ pub(crate) struct Scene {
     pub(crate) true_points: Vec<Vector3<f64>>,
 }
 
-/// Measurement noise, and how far from the truth the poses (radians, units of a scene ten across) and points start.
+/// Measurement noise, and how far from the truth the poses (radians, units of a scene ten across)
+/// and points start.
 pub(crate) const NOISE_PX: f64 = 0.5;
 const OFF: f64 = 0.02;
 const POINT_OFF: f64 = 0.05;
@@ -39,7 +40,8 @@ fn vector(rng: &mut Rng, max: f64) -> Vector3<f64> {
 }
 
 impl Scene {
-    /// Every camera sees each point with probability `share`, and neighbours in the order only within `window`.
+    /// Every camera sees each point with probability `share`, and neighbours in the order only
+    /// within `window`.
     pub(crate) fn new(
         cameras: usize,
         points: usize,
@@ -63,7 +65,7 @@ impl Scene {
         let intrinsics: Vec<_> = (0..num_intrinsics)
             .map(|i| {
                 let order = if num_intrinsics == 1 { Order::Shared } else { Order::At(i as u32) };
-                problem.keep(start, order)
+                problem.add_parameter(start, order)
             })
             .collect();
         let poses: Vec<_> = true_poses
@@ -71,11 +73,13 @@ impl Scene {
             .enumerate()
             .map(|(i, pose)| {
                 let off = Rigid3::from_axis_angle(vector(&mut rng, OFF), vector(&mut rng, OFF));
-                problem.keep(if i == 0 { *pose } else { off * *pose }, Order::At(i as u32))
+                problem.add_parameter(if i == 0 { *pose } else { off * *pose }, Order::At(i as u32))
             })
             .collect();
-        let keys: Vec<_> =
-            true_points.iter().map(|point| problem.eliminate(point + vector(&mut rng, POINT_OFF))).collect();
+        let keys: Vec<_> = true_points
+            .iter()
+            .map(|point| problem.add_landmark(point + vector(&mut rng, POINT_OFF)))
+            .collect();
         for (j, point) in true_points.iter().enumerate() {
             let first = j * cameras / points;
             for i in 0..cameras {
@@ -83,8 +87,10 @@ impl Scene {
                 if !(near && (rng.uniform() < share || i.abs_diff(first) <= 2)) {
                     continue;
                 }
-                let pixel = SimpleRadial::project(&PARAMS.into(), &(true_poses[i] * *point)).unwrap();
-                let pixel = pixel + Vector2::new(symmetric(&mut rng), symmetric(&mut rng)) * noise_px;
+                let pixel =
+                    SimpleRadial::project(&PARAMS.into(), &(true_poses[i] * *point)).unwrap();
+                let pixel =
+                    pixel + Vector2::new(symmetric(&mut rng), symmetric(&mut rng)) * noise_px;
                 let factor = Reprojection::<SimpleRadial>::new(pixel, 1.0);
                 let params = intrinsics[i.min(num_intrinsics - 1)];
                 problem.add((params, poses[i], keys[j]), factor, Loss::Trivial).unwrap();
@@ -96,13 +102,20 @@ impl Scene {
     /// Holds the first pose, and the second one's centre along its axis, which is mostly scale.
     pub(crate) fn fix_gauge(&mut self) {
         self.problem.fix(self.poses[0]);
-        self.problem.fix_tangent(self.poses[1], &[5]).unwrap();
+        self.problem.fix_dofs(self.poses[1], &[5]).unwrap();
     }
 }
 
 /// Steps of the linear solver alone, so that its twins can be compared step by step.
-pub(crate) fn solve(problem: &mut Problem, linear_solver: LinearSolver, max_iterations: usize) -> Summary {
-    solve_as(problem, &Options { linear_solver, max_iterations, refinements: 0, ..Options::default() })
+pub(crate) fn solve(
+    problem: &mut Problem,
+    linear_solver: LinearSolver,
+    max_iterations: usize,
+) -> Summary {
+    solve_as(
+        problem,
+        &Options { linear_solver, max_iterations, refinements: 0, ..Options::default() },
+    )
 }
 
 pub(crate) fn solve_as(problem: &mut Problem, options: &Options) -> Summary {

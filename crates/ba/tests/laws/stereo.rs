@@ -1,8 +1,9 @@
-//! A stereo rig on a real drive: KITTI 00, from GTSAM's data, beside the poses that KITTI takes for true.
+//! A stereo rig on a real drive: KITTI 00, from GTSAM's data, beside the poses that KITTI takes for
+//! true.
 //!
-//! With the right lens as calibrated, rotations get nearer to the true ones and positions do not: the path is 1.5 % too short
-//! before and after, as if disparities were off. With its principal point's column free, which moves by 0.12 px, all get nearer,
-//! by any measure.
+//! With the right lens as calibrated, rotations get nearer to the true ones and positions do not:
+//! the path is 1.5 % too short before and after, as if disparities were off. With its principal
+//! point's column free, which moves by 0.12 px, all get nearer, by any measure.
 
 use tiepoint_ba::{Loss, Options};
 
@@ -14,8 +15,8 @@ use crate::skipped;
 const APART: usize = 20;
 /// With the right lens held, turns end at 0.84 of their error.
 const TURN: f64 = 0.9;
-/// With its column free, positions end at 0.954 of their error, aligned at 0.80, 20 moments ahead at 0.946, and turns at 0.84:
-/// a bit less is asked for, for other machines' rounding.
+/// With its column free, positions end at 0.954 of their error, aligned at 0.80, 20 moments ahead
+/// at 0.946, and turns at 0.84: a bit less is asked for, for other machines' rounding.
 const NEARER: [f64; 4] = [0.97, 0.85, 0.97, 0.9];
 /// Where the column goes, px.
 const SHIFT: f64 = -0.12;
@@ -44,7 +45,8 @@ fn a_real_drive_ends_nearer_to_the_true_poses() {
             continue;
         }
         assert!((adjustment.right_shift_px() - SHIFT).abs() < 0.01, "{found}");
-        let errors = [before, after].map(|it| [it.as_they_are_m, it.aligned_m, it.ahead_m, it.turn_rad]);
+        let errors =
+            [before, after].map(|it| [it.as_they_are_m, it.aligned_m, it.ahead_m, it.turn_rad]);
         for ((before, after), nearer) in errors[0].iter().zip(errors[1]).zip(NEARER) {
             assert!(after < nearer * before, "{found}");
         }

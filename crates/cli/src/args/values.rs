@@ -82,14 +82,17 @@ impl FromStr for Metres {
         // The longer endings first.
         let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0), ("", 1.0)];
         let split = units.iter().find_map(|(unit, per_m)| Some((text.strip_suffix(unit)?, per_m)));
-        let length = split.and_then(|(number, per_m)| Some(number.trim_end().parse::<f64>().ok()? / per_m));
-        length.filter(|length| (NEAREST_M..=FARTHEST_M).contains(length)).map(Self).ok_or_else(|| {
-            format!(
-                "it must be a length from {} mm to {} m with its unit, m, cm or mm, as 0.62m",
-                1e3 * NEAREST_M,
-                FARTHEST_M
-            )
-        })
+        let length =
+            split.and_then(|(number, per_m)| Some(number.trim_end().parse::<f64>().ok()? / per_m));
+        length.filter(|length| (NEAREST_M..=FARTHEST_M).contains(length)).map(Self).ok_or_else(
+            || {
+                format!(
+                    "it must be a length from {} mm to {} m with its unit, m, cm or mm, as 0.62m",
+                    1e3 * NEAREST_M,
+                    FARTHEST_M
+                )
+            },
+        )
     }
 }
 
@@ -103,10 +106,12 @@ pub(super) fn readout(text: &str) -> Result<Readout, String> {
     // The longer ending first.
     let units = [("ms", 1e3), ("s", 1.0)];
     let split = units.iter().find_map(|(unit, per_s)| Some((text.strip_suffix(unit)?, per_s)));
-    let time_s = split.and_then(|(number, per_s)| Some(number.trim_end().parse::<f64>().ok()? / per_s));
+    let time_s =
+        split.and_then(|(number, per_s)| Some(number.trim_end().parse::<f64>().ok()? / per_s));
     time_s.filter(|time_s| time_s.abs() <= SLOWEST_S).map(Readout::Known).ok_or_else(|| {
         format!(
-            "it must be the word estimate or a time of up to {} ms with its unit, ms or s, as 16ms; negative where the last row comes first",
+            "it must be the word estimate or a time of up to {} ms with its unit, ms or s, as \
+            16ms; negative where the last row comes first",
             1e3 * SLOWEST_S
         )
     })
@@ -183,7 +188,8 @@ mod tests {
             assert!((found - metres).abs() <= f64::EPSILON, "{text}: {found}");
         }
         for wrong in [
-            "", "m", "-1m", "0m", "0", "nan", "infm", "1e300m", "1e-300m", "0.6 ft", "62 c m", "m62", "0,62m",
+            "", "m", "-1m", "0m", "0", "nan", "infm", "1e300m", "1e-300m", "0.6 ft", "62 c m",
+            "m62", "0,62m",
         ] {
             assert!(wrong.parse::<Metres>().unwrap_err().contains("0.62m"), "{wrong}");
         }

@@ -12,8 +12,9 @@ use crate::progress::Progress;
 pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
     let output_path = args.output.as_deref();
-    let report =
-        adjust_model(&args.model, output_path, args.fix_intrinsics, &mut |event| progress.watch(event))?;
+    let report = adjust_model(&args.model, output_path, args.fix_intrinsics, &mut |event| {
+        progress.watch(event)
+    })?;
     drop(progress);
     output.result(&report, || {
         let end = if report.converged { "converged" } else { "stopped at the limit of steps" };

@@ -1,5 +1,5 @@
-//! `demo`: the drive of `synth`, through `reconstruct` without a constraint between its cameras, with the paper's, and with one mounting and its clock, and
-//! all against the truth.
+//! `demo`: the drive of `synth`, through `reconstruct` without a constraint between its cameras,
+//! with the paper's, and with one mounting and its clock, and all against the truth.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -10,9 +10,9 @@ use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Exhibit, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation, Report,
-    RigCamera, RigEvaluation, SurfaceEvaluation, Table, TableRow, Whereabouts, Workspace, reconstruct,
-    refuse_foreign_page, report_html, write_page,
+    CloudEvaluation, Exhibit, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation,
+    Report, RigCamera, RigEvaluation, SurfaceEvaluation, Table, TableRow, Whereabouts, Workspace,
+    reconstruct, refuse_foreign_page, report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
@@ -59,7 +59,8 @@ struct Run {
     baseline: Option<RigEvaluation>,
     surface: Option<SurfaceEvaluation>,
     cloud: Option<CloudEvaluation>,
-    /// What one unit of the model truly was where it began, over what it is on the whole: 1 where the model keeps its size.
+    /// What one unit of the model truly was where it began, over what it is on the whole: 1 where
+    /// the model keeps its size.
     model_size_over_true_size: Option<f64>,
 }
 
@@ -97,10 +98,12 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
             // Features and matches are the same.
             Workspace::open(first)?.fork(&workspace)?;
         }
-        let report =
-            reconstruct(std::slice::from_ref(&plan.folder), &workspace, &options(term)?, &mut |event| {
-                progress.watch(event)
-            })?;
+        let report = reconstruct(
+            std::slice::from_ref(&plan.folder),
+            &workspace,
+            &options(term)?,
+            &mut |event| progress.watch(event),
+        )?;
         runs.push(evaluate(rig, workspace, report, &drive, &rendered, &scan)?);
     }
     drop(progress);
@@ -112,8 +115,9 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
 }
 
 fn plan(args: &Demo) -> Result<Plan, Failure> {
-    let effects =
-        EFFECTS.parse().map_err(|error: tiepoint_synth::Error| Failure::Usage(error.to_string()))?;
+    let effects = EFFECTS
+        .parse()
+        .map_err(|error: tiepoint_synth::Error| Failure::Usage(error.to_string()))?;
     let options = DriveOptions {
         seed: args.seed,
         route: RouteKind::Loop,
@@ -153,8 +157,14 @@ fn evaluate(
     })
 }
 
-/// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over what the whole model says.
-fn size_ratio(report: &Report, model: &Reconstruction, drive: &Drive, metres_per_unit: f64) -> Option<f64> {
+/// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over
+/// what the whole model says.
+fn size_ratio(
+    report: &Report,
+    model: &Reconstruction,
+    drive: &Drive,
+    metres_per_unit: f64,
+) -> Option<f64> {
     let names = &report.models.first()?.rig.as_ref()?.paper.as_ref()?.unit_images;
     let place = |name: &String| {
         let (camera, exposure) = drive.find(name)?;
@@ -207,10 +217,16 @@ impl Outcome {
             let values = self.runs.iter().map(|run| value(run).unwrap_or_else(|| "-".to_owned()));
             rows.push((what.to_owned(), values.collect()));
         };
-        row("images with a pose", &|run| Some(format!("{} of {}", run.poses.registered, run.poses.images)));
+        row("images with a pose", &|run| {
+            Some(format!("{} of {}", run.poses.registered, run.poses.images))
+        });
         row("trajectory error (ATE)", &|run| Some(format!("{:.4} m", run.poses.centre_error.rmse)));
-        row("camera centres, median", &|run| Some(format!("{:.4} m", run.poses.centre_error.median)));
-        row("rotation, median", &|run| Some(format!("{:.4}°", run.poses.rotation_error_deg.median)));
+        row("camera centres, median", &|run| {
+            Some(format!("{:.4} m", run.poses.centre_error.median))
+        });
+        row("rotation, median", &|run| {
+            Some(format!("{:.4}°", run.poses.rotation_error_deg.median))
+        });
         row("focal length", &|run| {
             let focal = run.poses.focal_lengths.first()?;
             let percent = 100.0 * (focal.model_px / focal.truth_px? - 1.0);
@@ -219,7 +235,9 @@ impl Outcome {
         row("baseline (true 0.5 m), mean", &|run| {
             Some(format!("{:.4} m", run.baseline.as_ref()?.baseline.mean))
         });
-        row("baseline, spread", &|run| Some(format!("{:.4} m", run.baseline.as_ref()?.translation_rms)));
+        row("baseline, spread", &|run| {
+            Some(format!("{:.4} m", run.baseline.as_ref()?.translation_rms))
+        });
         row("baseline, drift", &|run| {
             Some(format!("{:+.2} %", 100.0 * run.baseline.as_ref()?.baseline_drift))
         });
@@ -246,9 +264,13 @@ impl Outcome {
             let distance = &run.cloud.as_ref()?.distance;
             Some(format!("{:.3} ± {:.3} m", distance.mean, distance.std))
         });
-        row("model size / true size", &|run| Some(format!("{:.4}", run.model_size_over_true_size?)));
+        row("model size / true size", &|run| {
+            Some(format!("{:.4}", run.model_size_over_true_size?))
+        });
         row("points", &|run| Some(run.report.models.first()?.points.to_string()));
-        row("time to map", &|run| Some(format!("{:.1} s", run.report.stages.map.as_ref()?.seconds)));
+        row("time to map", &|run| {
+            Some(format!("{:.1} s", run.report.stages.map.as_ref()?.seconds))
+        });
         rows
     }
 
@@ -276,13 +298,15 @@ impl Outcome {
         let (folder, truth) = (plan.folder.display(), self.drive.truth.display());
         let frames = plan.frames.map(|frames| format!(" --frames {frames}")).unwrap_or_default();
         line(format_args!(
-            "  tiepoint synth -o {folder} --length {LENGTH_M} --rate {RATE_HZ} --effects {EFFECTS} --size {}x{} --seed {}{frames}",
+            "  tiepoint synth -o {folder} --length {LENGTH_M} --rate {RATE_HZ} --effects \
+            {EFFECTS} --size {}x{} --seed {}{frames}",
             plan.options.width, plan.options.height, plan.options.seed
         ));
         for Run { rig, workspace, .. } in &self.runs {
             let workspace = workspace.display();
             line(format_args!(
-                "  tiepoint reconstruct {folder} -o {workspace} --rig {rig} --pairs {PAIRS} --timestamps {folder}/timestamps.csv \
+                "  tiepoint reconstruct {folder} -o {workspace} --rig {rig} --pairs {PAIRS} \
+                --timestamps {folder}/timestamps.csv \
                  --seed {}",
                 plan.options.seed
             ));

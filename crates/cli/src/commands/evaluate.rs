@@ -20,11 +20,15 @@ pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure
         (Some(truth), _) => {
             (Some(evaluate_poses(&args.cloud, truth, None)?.truth_from_model), Alignment::Rigid)
         }
-        (None, Alignment::Similarity) => (find_alignment(&cloud, &reference), Alignment::Similarity),
+        (None, Alignment::Similarity) => {
+            (find_alignment(&cloud, &reference), Alignment::Similarity)
+        }
         (None, alignment) => (Some(Sim3::identity()), alignment),
     };
     let evaluation = start.and_then(|start| evaluate_cloud(&cloud, &reference, &start, alignment));
-    let evaluation = evaluation
-        .ok_or_else(|| Error::Clouds { cloud: args.cloud.clone(), reference: args.reference.clone() })?;
+    let evaluation = evaluation.ok_or_else(|| Error::Clouds {
+        cloud: args.cloud.clone(),
+        reference: args.reference.clone(),
+    })?;
     output.result(&evaluation, || summary::cloud(&evaluation))
 }

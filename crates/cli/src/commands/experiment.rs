@@ -1,11 +1,15 @@
-//! `experiment`: Experiments I and II of Huang, Elhashash & Qin 2022 in the rendered world, where the truth is known.
+//! `experiment`: Experiments I and II of Huang, Elhashash & Qin 2022 in the rendered world, where
+//! the truth is known.
 //!
-//! Both drive along one street on a loop whose end overlaps with its beginning. I (`mounting`): one camera, looking to the front, right, rear
-//! and left in turn. II (`baseline`): two cameras that look right, reconstructed with and without a constraint between them. What is measured is
-//! what the paper measures, the distance of the cloud to a laser scan after registration, scans of one side where a camera sees one side; beside it
-//! stand the distances that exactly known cameras would have, and the error of the trajectory. A sparse cloud takes the place of the dense one.
+//! Both drive along one street on a loop whose end overlaps with its beginning. I (`mounting`): one
+//! camera, looking to the front, right, rear and left in turn. II (`baseline`): two cameras that
+//! look right, reconstructed with and without a constraint between them. What is measured is what
+//! the paper measures, the distance of the cloud to a laser scan after registration, scans of one
+//! side where a camera sees one side; beside it stand the distances that exactly known cameras
+//! would have, and the error of the trajectory. A sparse cloud takes the place of the dense one.
 //!
-//! Each drive and each reconstruction has a folder of its own that is kept: what is complete is not made again.
+//! Each drive and each reconstruction has a folder of its own that is kept: what is complete is not
+//! made again.
 
 mod cell;
 mod drive;
@@ -71,8 +75,14 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
         let own = folder.join(mounting.name());
         let plan = plan(own.join("drive"), mounting)?;
         let drive = plan.drive()?;
-        let task =
-            Task { name, rig: RigTerm::Off, workspace: own.join("off"), scenery, plan: &plan, drive: &drive };
+        let task = Task {
+            name,
+            rig: RigTerm::Off,
+            workspace: own.join("off"),
+            scenery,
+            plan: &plan,
+            drive: &drive,
+        };
         // Where a camera sees one side of the street, that side is what is compared.
         let side = match mounting {
             Mounting::Right => Side::right(&drive),
@@ -89,15 +99,20 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
 
 fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outcome, Failure> {
     let folder = scenery.output.join("baseline");
-    let plan = plan(scenery, folder.join("drive"), Mount::stereo(Mounting::Right, BASELINE_M).to_vec())?;
+    let plan =
+        plan(scenery, folder.join("drive"), Mount::stereo(Mounting::Right, BASELINE_M).to_vec())?;
     let drive = plan.drive()?;
     begin(scenery, &folder, &plan)?;
     let mut progress = Progress::new(output);
     let (mut cells, whole) = (Vec::new(), Scan::new());
-    for (index, rig) in rigs.iter().enumerate().filter(|(index, rig)| !rigs[..*index].contains(rig)) {
+    for (index, rig) in rigs.iter().enumerate().filter(|(index, rig)| !rigs[..*index].contains(rig))
+    {
         let workspace = folder.join(rig_name(*rig));
         let first = folder.join(rig_name(rigs[0]));
-        if index > 0 && first.join("stages.json").is_file() && !workspace.join("stages.json").is_file() {
+        if index > 0
+            && first.join("stages.json").is_file()
+            && !workspace.join("stages.json").is_file()
+        {
             // Features and matches are the same.
             Workspace::open(&first)?.fork(&workspace)?;
         }
@@ -129,7 +144,9 @@ fn plan(scenery: &Scenery, folder: PathBuf, mounts: Vec<Mount>) -> Result<Plan, 
 
 /// Takes the folder for an experiment with these options.
 fn begin(scenery: &Scenery, folder: &Path, plan: &Plan) -> Result<(), Failure> {
-    if let Some(frames) = scenery.frames.map(usize::from).filter(|frames| *frames < cell::MIN_FRAMES) {
+    if let Some(frames) =
+        scenery.frames.map(usize::from).filter(|frames| *frames < cell::MIN_FRAMES)
+    {
         let least = cell::MIN_FRAMES;
         return Err(Failure::Usage(format!(
             "--frames {frames} is too few: a trajectory can be compared from {least} frames on"

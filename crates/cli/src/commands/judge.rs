@@ -13,7 +13,8 @@ use tiepoint_pipeline::{
 };
 use tiepoint_synth::Drive;
 
-/// Points of a cloud farther than this from the vehicle's way are no more compared than a scanner would see them.
+/// Points of a cloud farther than this from the vehicle's way are no more compared than a scanner
+/// would see them.
 const MAX_CLOUD_RANGE_M: f64 = 30.0;
 
 /// What there is to say about a model whose world is known. Lengths are in metres.
@@ -30,8 +31,8 @@ pub(crate) struct Judged {
     pub(crate) exact_cloud: Option<CloudEvaluation>,
 }
 
-/// Compares a workspace with its drive; `truth` is the true model, `scan` what of the street its points may lie on, and `is_compared` which of
-/// them are looked at.
+/// Compares a workspace with its drive; `truth` is the true model, `scan` what of the street its
+/// points may lie on, and `is_compared` which of them are looked at.
 pub(crate) fn judge(
     workspace: &Path,
     drive: &Drive,
@@ -43,17 +44,20 @@ pub(crate) fn judge(
     let poses = evaluate_poses(workspace, &truth, None)?;
     let model = read_drive_model(workspace, drive)?;
     let world_from_model = poses.truth_from_model;
-    let surface = evaluate_surface(&model, &world_from_model, |image, pixel| sighting(drive, image, pixel));
+    let surface =
+        evaluate_surface(&model, &world_from_model, |image, pixel| sighting(drive, image, pixel));
     let whereabouts = whereabouts(&model, drive, &world_from_model);
     let near = |centre: &dyn Fn(&Whereabouts) -> Vector3<f64>, point: &Vector3<f64>| {
         whereabouts.iter().any(|place| (centre(place) - point).norm() < MAX_CLOUD_RANGE_M)
             && is_compared(point)
     };
     let found = model.tracks().map(|(_, track)| world_from_model * track.xyz);
-    let found: Vec<Vector3<f64>> = found.filter(|point| near(&|place| place.found, point)).collect();
+    let found: Vec<Vector3<f64>> =
+        found.filter(|point| near(&|place| place.found, point)).collect();
     let cloud = evaluate_cloud(&found, scan, &Sim3::identity(), Alignment::Rigid);
     let exact = surface.iter().flat_map(|surface| &surface.exact_points).copied();
-    let exact: Vec<Vector3<f64>> = exact.filter(|point| near(&|place| place.truth, point)).collect();
+    let exact: Vec<Vector3<f64>> =
+        exact.filter(|point| near(&|place| place.truth, point)).collect();
     let exact_cloud = evaluate_cloud(&exact, scan, &Sim3::identity(), Alignment::None);
     let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
     Ok(Judged { poses, model, whereabouts, baseline, surface, cloud, exact_cloud })
@@ -62,8 +66,10 @@ pub(crate) fn judge(
 /// The largest model of a workspace, its images with the times on their cameras' clocks.
 pub(crate) fn read_drive_model(workspace: &Path, drive: &Drive) -> Result<Reconstruction, Error> {
     let mut model = read_model(&model_folder(workspace)?)?;
-    let times: Vec<(ImageId, f64)> =
-        model.images().filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s))).collect();
+    let times: Vec<(ImageId, f64)> = model
+        .images()
+        .filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s)))
+        .collect();
     times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
     Ok(model)
 }
@@ -89,7 +95,9 @@ pub(crate) fn whereabouts(
 /// What an image of a drive truly sees at a pixel, through the true lens, shutter and clock.
 fn sighting(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> Sighting {
     let (camera, exposure) = drive.find(&image.name).expect("the images are those of the drive");
-    let camera_in_world = drive.row_pose(camera, exposure.time_s, pixel.y).world_from_cam.translation;
-    let surface = drive.surface_at(camera, exposure.time_s, pixel).filter(|surface| !surface.is_moving);
+    let camera_in_world =
+        drive.row_pose(camera, exposure.time_s, pixel.y).world_from_cam.translation;
+    let surface =
+        drive.surface_at(camera, exposure.time_s, pixel).filter(|surface| !surface.is_moving);
     Sighting { camera_in_world, surface_in_world: surface.map(|surface| surface.point_in_world) }
 }

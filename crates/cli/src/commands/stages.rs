@@ -3,10 +3,13 @@
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
     FeatureOptions, MapOptions, MatchOptions, Opened, Options, Stage, Workspace, extract_features,
-    map as map_workspace, match_images as match_workspace, open_input, reconstruct as reconstruct_all,
+    map as map_workspace, match_images as match_workspace, open_input,
+    reconstruct as reconstruct_all,
 };
 
-use crate::args::{Cameras, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed};
+use crate::args::{
+    Cameras, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed,
+};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
@@ -23,8 +26,9 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
     };
     let mut progress = Progress::new(output);
     let workspace = &args.input.output;
-    let report =
-        reconstruct_all(&args.input.inputs, workspace, &options, &mut |event| progress.watch(event))?;
+    let report = reconstruct_all(&args.input.inputs, workspace, &options, &mut |event| {
+        progress.watch(event)
+    })?;
     drop(progress);
     output.result(&report, || summary::report(workspace, &report))
 }
@@ -35,7 +39,9 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
     let mut progress = Progress::new(output);
     let Input { inputs, output: root, masks, every, .. } = &args.input;
     let Opened { photos, mut workspace, timestamps } =
-        open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| progress.watch(event))?;
+        open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| {
+            progress.watch(event)
+        })?;
     options.timestamps = options.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);

@@ -1,7 +1,8 @@
 //! `synth`: a drive on disk.
 //!
-//! The same command writes the same files again. A folder with anything else is refused, so that no drive is mixed with another
-//! and nothing of anybody is overwritten: `synth.json` says what the files were made from.
+//! The same command writes the same files again. A folder with anything else is refused, so that no
+//! drive is mixed with another and nothing of anybody is overwritten: `synth.json` says what the
+//! files were made from.
 
 use std::fs;
 use std::io::{ErrorKind, Write};
@@ -14,7 +15,9 @@ use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::io::AtomicFile;
 use tiepoint_pipeline::io::colmap::{Format, write_model};
 use tiepoint_pipeline::io::disk::create_folders;
-use tiepoint_synth::{Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply};
+use tiepoint_synth::{
+    Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply,
+};
 
 use crate::args::Synth;
 use crate::failure::Failure;
@@ -27,7 +30,8 @@ pub(crate) const BASELINE_M: f64 = 0.5;
 const SCAN_EVERY_TURNS: usize = 10;
 /// Images at once, for each thread; each takes some 25 bytes a pixel.
 const AT_ONCE: usize = 3;
-/// A street is laid out as a whole before anything is rendered; this one has hundreds of thousands of houses.
+/// A street is laid out as a whole before anything is rendered; this one has hundreds of thousands
+/// of houses.
 const MAX_LENGTH_M: f64 = 100_000.0;
 /// What the files were made from.
 const RECORD: &str = "synth.json";
@@ -132,11 +136,18 @@ impl Plan {
 
 /// What a laser scanner on the roof sees, the whole drive long.
 pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
-    Ok(reference_cloud(drive, &LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() })?)
+    Ok(reference_cloud(
+        drive,
+        &LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() },
+    )?)
 }
 
 /// Renders a drive to disk; images that are there are not rendered again.
-pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<Rendered, Failure> {
+pub(crate) fn render(
+    plan: &Plan,
+    drive: &Drive,
+    progress: &mut Progress,
+) -> Result<Rendered, Failure> {
     let folder = &plan.folder;
     claim(folder, RECORD, &plan.record(), "a drive")?;
     drive.write_tables(folder)?;
@@ -166,11 +177,13 @@ pub(crate) fn render(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Res
 
 pub(crate) fn driven_m(drive: &Drive) -> f64 {
     let exposures = drive.cameras()[0].exposures.iter();
-    let centres: Vec<_> = exposures.map(|e| drive.cam_from_world(0, e.time_s).origin_in_a()).collect();
+    let centres: Vec<_> =
+        exposures.map(|e| drive.cam_from_world(0, e.time_s).origin_in_a()).collect();
     centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
 }
 
-/// Makes the folder ours, if it is new or empty; it may be already, if its `record` has the same text.
+/// Makes the folder ours, if it is new or empty; it may be already, if its `record` has the same
+/// text.
 pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Result<(), Failure> {
     let path = folder.join(record);
     let cannot = |path: &Path, doing: &str, cause: std::io::Error| {
@@ -181,7 +194,8 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
         Ok(_) => {
             let folder = folder.display();
             return Err(Failure::CouldNot(format!(
-                "{folder} holds {what} with other options, or of another version: choose another folder with -o, or remove it"
+                "{folder} holds {what} with other options, or of another version: choose another \
+                folder with -o, or remove it"
             )));
         }
         Err(cause) if cause.kind() == ErrorKind::NotFound => {}
@@ -192,7 +206,8 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
     if entries.next().is_some() {
         let folder = folder.display();
         return Err(Failure::CouldNot(format!(
-            "{folder} is not empty, and what is there is not {what} of this program: choose another folder with -o"
+            "{folder} is not empty, and what is there is not {what} of this program: choose \
+            another folder with -o"
         )));
     }
     Ok(AtomicFile::write_with(&path, |file| file.write_all(text.as_bytes()))?)
@@ -214,7 +229,9 @@ impl Rendered {
     fn describe(&self) -> String {
         let line = |camera: &RenderedCamera| {
             let RenderedCamera { name, images, width, height, focal_px } = camera;
-            format!("{name:<9} {images} images, {width} x {height}, focal length {focal_px:.2} px\n")
+            format!(
+                "{name:<9} {images} images, {width} x {height}, focal length {focal_px:.2} px\n"
+            )
         };
         let cameras: String = self.cameras.iter().map(line).collect();
         let truth = self.truth.display();

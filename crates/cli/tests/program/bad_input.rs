@@ -57,7 +57,9 @@ fn a_truncated_photo_and_a_file_that_is_none_are_left_out() {
     let run = reconstruct(dir.path()).done();
     let said = run.stderr();
     assert_eq!(said.lines().count(), 2, "{said}");
-    let line = |name: &str| said.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{said}"));
+    let line = |name: &str| {
+        said.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{said}"))
+    };
     assert!(line("4.jpg").starts_with("skipped") && line("4.jpg").contains("truncated"), "{said}");
     assert!(line("5.jpg").contains("is no JPEG"), "{said}");
     assert!(run.stdout().contains("4 of 4 images"), "{}", run.stdout());
@@ -85,8 +87,10 @@ fn two_sizes_in_one_camera() {
     let folder = dir.path().join("photos");
     photos::write(&folder, 2, 0);
     imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
-    reconstruct(dir.path())
-        .failed(1, &["photos", "0.png", "320 x 240", "2.png", "240 x 320", "one folder for each camera"]);
+    reconstruct(dir.path()).failed(
+        1,
+        &["photos", "0.png", "320 x 240", "2.png", "240 x 320", "one folder for each camera"],
+    );
 }
 
 #[test]
@@ -94,8 +98,10 @@ fn an_output_that_cannot_be_written() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);
     fs::write(dir.path().join("file"), "").unwrap();
-    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file/ws").failed(1, &["cannot write", "file/ws"]);
-    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file").failed(1, &["cannot write", "file"]);
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file/ws")
+        .failed(1, &["cannot write", "file/ws"]);
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/file")
+        .failed(1, &["cannot write", "file"]);
 }
 
 #[test]
@@ -115,12 +121,21 @@ fn wrong_command_lines() {
         let run = tiepoint_in(dir.path(), line).failed(2, parts);
         assert_eq!(run.stderr().lines().count(), 1, "{}", run.stderr());
     };
-    wrong("reconstruct {} -o {}/ws --pair exhaustive", &["unexpected argument '--pair'", "'--pairs'"]);
+    wrong(
+        "reconstruct {} -o {}/ws --pair exhaustive",
+        &["unexpected argument '--pair'", "'--pairs'"],
+    );
     wrong("reconstruct {}", &["required", "--output <WORKSPACE>"]);
-    wrong("reconstruct {} -o {}/ws --pairs sequential", &["sequential", "exhaustive", "sequential:20"]);
+    wrong(
+        "reconstruct {} -o {}/ws --pairs sequential",
+        &["sequential", "exhaustive", "sequential:20"],
+    );
     wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "hard or auto"]);
     wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
-    wrong("reconstruct {} -o {}/ws --intrinsics 1,2,3", &["--intrinsics has 3 numbers", "fx,fy,cx,cy"]);
+    wrong(
+        "reconstruct {} -o {}/ws --intrinsics 1,2,3",
+        &["--intrinsics has 3 numbers", "fx,fy,cx,cy"],
+    );
     wrong("reconstruct {} -o {}/ws --intrinsics 0,2,3,4", &["--intrinsics", "fx"]);
     wrong("reconstruct {} -o {}/ws --intrinsics 9,9,3,3 --focal-prior 4", &["cannot be used with"]);
     wrong("reconstruct {} -o {}/ws --focal-prior -4", &["-4"]);
@@ -162,11 +177,17 @@ fn hostile_problems_of_bundle_adjustment() {
         (&good[..40], "the file ends where a camera's rotation should be"),
         (&good.replacen("500", "NaN", 1), "is NaN"),
         (&good.replacen("-6", "1e400", 1), "line 9: a point is inf"),
-        (&good.replacen("1 1 7 8", "2 1 7 8", 1), "line 5: camera 2 sees point 1, but there are 2 cameras"),
+        (
+            &good.replacen("1 1 7 8", "2 1 7 8", 1),
+            "line 5: camera 2 sees point 1, but there are 2 cameras",
+        ),
         (&good.replacen("1 1 7 8", "-1 1 7 8", 1), "line 5: a camera's index is `-1`"),
         ("4000000000 4000000000 1\n0 0 1 2\n0 0 0\n", "line 4: the file ends"),
         ("2 2 99999999999999\n0 0 1 2\n", "line 3: the file ends"),
-        ("2 2 99999999999999999999999\n", "line 1: the number of observations is `99999999999999999999999`"),
+        (
+            "2 2 99999999999999999999999\n",
+            "line 1: the number of observations is `99999999999999999999999`",
+        ),
         (&(good.clone() + "7.5\n"), "line 10: `7.5` follows the last of 2 points"),
         (&good.replacen("-6", "-6 8", 1), "line 9: `8` follows the last of 2 points"),
         ("\0\u{1}\u{fffd}\n", "line 1: the number of cameras"),
@@ -177,7 +198,11 @@ fn hostile_problems_of_bundle_adjustment() {
     for nothing in ["0 0 0\n", "1 1 0\n0 0 0 0 0 0 500 0 0\n0 0 -5\n"] {
         fs::write(dir.path().join("bal.txt"), nothing).unwrap();
         let report = tiepoint_in(dir.path(), "adjust {}/bal.txt --json").done().json();
-        assert_eq!((&report["final_cost"], &report["iterations"]), (&0.0.into(), &0.into()), "{report}");
+        assert_eq!(
+            (&report["final_cost"], &report["iterations"]),
+            (&0.0.into(), &0.into()),
+            "{report}"
+        );
     }
 }
 
@@ -188,7 +213,8 @@ fn models_that_are_none() {
     tiepoint_in(dir.path(), "adjust {}/none.txt").failed(1, &["none.txt", "No such file"]);
     fs::write(dir.path().join("bal.txt"), "2 2\n").unwrap();
     tiepoint_in(dir.path(), "adjust {}/bal.txt").failed(1, &["bal.txt", "line 1"]);
-    tiepoint_in(dir.path(), "evaluate poses {} --truth kitti:{}/p").failed(1, &["holds no COLMAP model"]);
+    tiepoint_in(dir.path(), "evaluate poses {} --truth kitti:{}/p")
+        .failed(1, &["holds no COLMAP model"]);
     tiepoint_in(dir.path(), "export {} --to ply -o {}/x.ply").failed(1, &["holds no COLMAP model"]);
 }
 
@@ -209,7 +235,10 @@ fn a_rolling_shutter_that_makes_no_sense() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 4, 0);
     let with = |readout: &str| {
-        tiepoint_in(dir.path(), &format!("reconstruct {{}}/photos -o {{}}/ws --rolling-shutter {readout}"))
+        tiepoint_in(
+            dir.path(),
+            &format!("reconstruct {{}}/photos -o {{}}/ws --rolling-shutter {readout}"),
+        )
     };
     for wrong in ["16", "fast", "3s", "nanms"] {
         with(wrong).failed(2, &["estimate", "16ms"]);

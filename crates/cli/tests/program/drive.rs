@@ -12,15 +12,17 @@ use crate::tiepoint_in;
 const FRAMES: usize = 24;
 /// Ideal pinholes, 0.6 image widths.
 const FOCAL_PX: f64 = 0.6 * 320.0;
-/// Half a loop in images of a quarter of the demo's pixels, two metres from one to the next: 0.12 m were measured. A focal length or a start
-/// that is wrong costs metres.
+/// Half a loop in images of a quarter of the demo's pixels, two metres from one to the next: 0.12 m
+/// were measured. A focal length or a start that is wrong costs metres.
 const MAX_ATE_M: f64 = 0.3;
-/// Of the median distance of the cameras at images of one moment, as a share of what it truly is. Without a term and with `auto`, seeds 2 to 5
-/// and 7 end within 0.016; the paper's term takes images of one moment for images of one instant, and ends within 0.049.
+/// Of the median distance of the cameras at images of one moment, as a share of what it truly is.
+/// Without a term and with `auto`, seeds 2 to 5 and 7 end within 0.016; the paper's term takes
+/// images of one moment for images of one instant, and ends within 0.049.
 const MAX_BASELINE_ERROR: f64 = 0.05;
 const MAX_BASELINE_ERROR_PAPER: f64 = 0.1;
-/// Median distance of points to the surface that their pixels show, over that of points of exactly known cameras: at this size the
-/// keypoints alone leave decimetres, and cameras known to centimetres add little.
+/// Median distance of points to the surface that their pixels show, over that of points of exactly
+/// known cameras: at this size the keypoints alone leave decimetres, and cameras known to
+/// centimetres add little.
 const MAX_OVER_FLOOR: f64 = 4.0;
 /// Of the focal length, which is set 1.2 / 0.6 times too long at first: 0.3 % were measured.
 const MAX_FOCAL_ERROR: f64 = 0.03;
@@ -29,8 +31,8 @@ const MAX_FOCAL_ERROR: f64 = 0.03;
 fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let line =
-        "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects photometry --scan --json";
+    let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects \
+    photometry --scan --json";
     let run = tiepoint_in(dir, line).done();
     let (rendered, events) = (run.json(), run.events());
     assert_eq!(events.len(), 6);
@@ -51,15 +53,19 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
         assert_eq!(trajectory.lines().count(), 3);
     }
     // The scan lies on itself and is of the size of the street: 200 m around the block.
-    let scan = "evaluate cloud {}/deep/drive/truth/scan.ply {}/deep/drive/truth/scan.ply --align none --json";
+    let scan = "evaluate cloud {}/deep/drive/truth/scan.ply {}/deep/drive/truth/scan.ply --align \
+    none --json";
     let scan = tiepoint_in(dir, scan).done().json();
     assert!(scan["points"].as_u64().unwrap() > 100_000 && scan["distance"]["max"] == 0.0, "{scan}");
     // The truth is true of itself.
     let truth = rendered["truth"].as_str().unwrap();
-    let evaluation = tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
+    let evaluation =
+        tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
     let evaluation = evaluation.done().json();
     assert_eq!(evaluation["registered"], 6);
-    assert!((evaluation["focal_lengths"][1]["truth_px"].as_f64().unwrap() - 0.6 * 64.0).abs() < 1e-9);
+    assert!(
+        (evaluation["focal_lengths"][1]["truth_px"].as_f64().unwrap() - 0.6 * 64.0).abs() < 1e-9
+    );
 
     let image = || fs::read(drive.join("left/000001.jpg")).unwrap();
     let before = image();
@@ -69,7 +75,8 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
     tiepoint_in(dir, line).done();
     assert!(image() == before, "the same bytes");
     assert_eq!(fs::read(drive.join("left/000002.jpg")).unwrap(), b"of another's");
-    tiepoint_in(dir, "synth -o {}/deep/drive --frames 3 --size 64x48").failed(1, &["other options", "-o"]);
+    tiepoint_in(dir, "synth -o {}/deep/drive --frames 3 --size 64x48")
+        .failed(1, &["other options", "-o"]);
     assert!(image() == before, "left alone");
 }
 
@@ -100,8 +107,8 @@ fn drives_that_cannot_be() {
     assert!(!dir.path().join("drive").exists(), "nothing was begun");
 }
 
-/// How far apart the cameras were at images of one moment, which is not one instant: the clocks disagree by a part of an interval, in which
-/// the vehicle drives on.
+/// How far apart the cameras were at images of one moment, which is not one instant: the clocks
+/// disagree by a part of an interval, in which the vehicle drives on.
 fn true_baseline_m(drive: &Path) -> f64 {
     let mut truth = read_model(&drive.join("truth/model")).unwrap();
     let stamps = fs::read_to_string(drive.join("timestamps.csv")).unwrap();
@@ -138,7 +145,10 @@ fn the_demo_reconstructs_what_it_rendered() {
         assert_eq!(model["registered"], 2 * FRAMES, "{model}");
         assert_eq!(model["rig"]["mode"], run["rig"]);
         // The clocks disagree by less than an image.
-        assert!(model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1, "{model}");
+        assert!(
+            model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1,
+            "{model}"
+        );
         let surface = |which: &str| run["surface"][which]["median"].as_f64().unwrap();
         assert!(surface("near") < MAX_OVER_FLOOR * surface("near_floor"), "{}", run["surface"]);
     }
@@ -167,7 +177,8 @@ fn the_demo_reconstructs_what_it_rendered() {
     // The commands that it names are the same work.
     let synth = text.lines().find_map(|line| line.trim().strip_prefix("tiepoint synth")).unwrap();
     tiepoint_in(dir, &format!("synth{synth}")).done();
-    let evaluate = text.lines().find_map(|line| line.trim().strip_prefix("tiepoint evaluate")).unwrap();
+    let evaluate =
+        text.lines().find_map(|line| line.trim().strip_prefix("tiepoint evaluate")).unwrap();
     let alone = tiepoint_in(dir, &format!("evaluate{evaluate} --json")).done().json();
     assert_eq!(&alone, evaluation);
 }

@@ -43,7 +43,9 @@ fn a_result_that_cannot_be_written_is_an_error() {
     assert_eq!(run.code(), 1);
     let events = run.events();
     assert_eq!(events.last().unwrap()["event"], "error", "{events:?}");
-    assert!(events.last().unwrap()["message"].as_str().unwrap().contains("cannot write the result"));
+    assert!(
+        events.last().unwrap()["message"].as_str().unwrap().contains("cannot write the result")
+    );
 }
 
 #[test]
@@ -51,8 +53,11 @@ fn a_reader_that_has_read_enough_is_no_error() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("bal.txt"), "0 0 0\n").unwrap();
     for line in ["adjust bal.txt", "adjust bal.txt --json", "--help"] {
-        let mut child =
-            program(dir.path(), line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = program(dir.path(), line)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         drop(child.stdout.take());
         let run = Run(child.wait_with_output().unwrap()).done();
         assert!(!run.stderr().contains("tiepoint:"), "{}", run.stderr());
@@ -197,16 +202,22 @@ fn a_stage_that_was_to_be_redone_and_has_not_begun_is_still_to_be_redone() {
     drop(command);
     thread::sleep(Duration::from_secs(1));
     assert!(child.try_wait().unwrap().is_none(), "its first event waits for the reader");
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(
+        Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success()
+    );
     let mut told = String::new();
     reader.read_to_string(&mut told).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(told.contains(SAYS) && !told.contains("without --redo"), "{}", told.trim_start());
-    assert!(fs::read(dir.path().join("ws/database.db")).unwrap() == database, "nothing was cleared");
+    assert!(
+        fs::read(dir.path().join("ws/database.db")).unwrap() == database,
+        "nothing was cleared"
+    );
 }
 
 #[test]
 fn control_characters_do_not_reach_the_terminal() {
-    let run = tiepoint(["match", "no\u{1b}[31m\nworkspace"]).failed(1, &[r"no\u{1b}[31m\nworkspace"]);
+    let run =
+        tiepoint(["match", "no\u{1b}[31m\nworkspace"]).failed(1, &[r"no\u{1b}[31m\nworkspace"]);
     assert_eq!(run.stderr().lines().count(), 1);
 }

@@ -6,9 +6,11 @@ use std::time::SystemTime;
 
 use crate::tiepoint_in;
 
-/// Small enough for seconds: six moments less than a metre apart, so that neighbours share most of what they see.
+/// Small enough for seconds: six moments less than a metre apart, so that neighbours share most of
+/// what they see.
 const SMALL: &str = "--frames 6 --rate 10 --size 160x120 --effects clocks --rig off,soft";
-/// Thirty runs (seeds 2 to 16, with and without the term) end at 0.003 to 0.076 m, half of them below 0.01 m. A wrong pose costs decimetres.
+/// Thirty runs (seeds 2 to 16, with and without the term) end at 0.003 to 0.076 m, half of them
+/// below 0.01 m. A wrong pose costs decimetres.
 const MAX_ATE_M: f64 = 0.1;
 /// Moments four times as far apart: neighbours share too little for one or two of the 12 images.
 const SPARSE: &str = "--frames 6 --size 160x120 --effects clocks --rig off";
@@ -25,7 +27,8 @@ fn two_cameras_with_and_without_a_constraint() {
     for (cell, rig) in cells.iter().zip(["off", "soft"]) {
         assert_eq!((&cell["rig"], &cell["images"]), (&rig.into(), &12.into()), "{cell}");
         let result = &cell["result"];
-        let number = |what: &str| result[what].as_f64().unwrap_or_else(|| panic!("no {what} in {cell}"));
+        let number =
+            |what: &str| result[what].as_f64().unwrap_or_else(|| panic!("no {what} in {cell}"));
         assert_eq!(cell["result"]["registered"], 12, "{cell}");
         assert!(number("ate_m") < MAX_ATE_M, "{cell}");
         // The parts make the whole.
@@ -38,11 +41,13 @@ fn two_cameras_with_and_without_a_constraint() {
     for part in ["Table 4", "Constrained (soft)", "truth_above"] {
         assert!(page.contains(part), "no {part}");
     }
-    let written = |file: &str| -> SystemTime { fs::metadata(dir.join(file)).unwrap().modified().unwrap() };
+    let written =
+        |file: &str| -> SystemTime { fs::metadata(dir.join(file)).unwrap().modified().unwrap() };
     let files = ["e/baseline/drive/right/000000.png", "e/baseline/soft/sparse/0/images.bin"];
     let before = files.map(written);
 
-    // Again nothing is rendered or reconstructed, and the text has the same numbers in the paper's layout.
+    // Again nothing is rendered or reconstructed, and the text has the same numbers in the paper's
+    // layout.
     let text = tiepoint_in(dir, &line).done().stdout();
     assert_eq!(files.map(written), before);
     let mean = format!("{:.3}", cells[0]["result"]["cloud"]["mean_m"].as_f64().unwrap());
@@ -57,15 +62,21 @@ fn two_cameras_with_and_without_a_constraint() {
     tiepoint_in(dir, &line.replace("--frames 6", "--frames 7")).failed(1, &["other options", "-o"]);
 }
 
-/// Of images that are left over a second model begins and falls apart, which is not the end of the first.
+/// Of images that are left over a second model begins and falls apart, which is not the end of the
+/// first.
 #[test]
 fn images_that_are_left_over_end_no_experiment() {
     let dir = tempfile::tempdir().unwrap();
     let outcome =
-        tiepoint_in(dir.path(), &format!("experiment baseline -o {{}}/e {SPARSE} --json")).done().json();
+        tiepoint_in(dir.path(), &format!("experiment baseline -o {{}}/e {SPARSE} --json"))
+            .done()
+            .json();
     let cell = &outcome["cells"][0];
     assert_eq!(cell["images"], 12, "{cell}");
-    assert!(REGISTERED_OF_SPARSE.contains(&cell["result"]["registered"].as_u64().unwrap()), "{cell}");
+    assert!(
+        REGISTERED_OF_SPARSE.contains(&cell["result"]["registered"].as_u64().unwrap()),
+        "{cell}"
+    );
 }
 
 #[test]
@@ -81,7 +92,8 @@ fn experiments_that_cannot_be() {
         ("baseline", "--rate 0", ["rate_hz = 0", "0.01"]),
         ("drift", "", ["drift", "subcommand"]),
     ] {
-        tiepoint_in(dir.path(), &format!("experiment {which} -o {{}}/e {options}")).failed(2, &parts);
+        tiepoint_in(dir.path(), &format!("experiment {which} -o {{}}/e {options}"))
+            .failed(2, &parts);
     }
     assert!(!dir.path().join("e").exists(), "nothing was begun");
     fs::create_dir(dir.path().join("e")).unwrap();
@@ -89,5 +101,6 @@ fn experiments_that_cannot_be() {
     tiepoint_in(dir.path(), "experiment mounting -o {}/e").failed(1, &["e/mounting"]);
     fs::create_dir(dir.path().join("e/baseline")).unwrap();
     fs::write(dir.path().join("e/baseline/mine.txt"), "mine").unwrap();
-    tiepoint_in(dir.path(), "experiment baseline -o {}/e").failed(1, &["baseline is not empty", "-o"]);
+    tiepoint_in(dir.path(), "experiment baseline -o {}/e")
+        .failed(1, &["baseline is not empty", "-o"]);
 }

@@ -1,6 +1,7 @@
-//! Kills, full disks and failing writes at chosen changes of the file system: nothing of the user is lost, what a workspace
-//! says of itself is true, and the same command goes on to the same result. With `TIEPOINT_ALL_FAULTS` every change is taken; `bench/durability.py`
-//! does that, and kills the program from outside.
+//! Kills, full disks and failing writes at chosen changes of the file system: nothing of the user
+//! is lost, what a workspace says of itself is true, and the same command goes on to the same
+//! result. With `TIEPOINT_ALL_FAULTS` every change is taken; `bench/durability.py` does that, and
+//! kills the program from outside.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,8 +18,8 @@ use tiepoint_io::disk::faults::{Faults, Kind};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
 use tiepoint_pipeline::{
-    Calibration, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions, Options, Stage, adjust,
-    export, reconstruct, view,
+    Calibration, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions, Options, Stage,
+    adjust, export, reconstruct, view,
 };
 
 use crate::photos;
@@ -28,13 +29,15 @@ const COUNT: usize = 4;
 const SIZE: (u32, u32) = (144, 108);
 /// Writes of each of the ten commands that are drawn.
 const DRAWN_WRITES: usize = 2;
-/// Renames, commits and syncs of each command that are drawn: all of a small export, a tenth of those of the longest run.
+/// Renames, commits and syncs of each command that are drawn: all of a small export, a tenth of
+/// those of the longest run.
 const DRAWN_DECISIVE: usize = 12;
 /// With this variable in the environment, every change is taken.
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
 const MAX_TRIES: usize = 100;
 const BETWEEN_TRIES: Duration = Duration::from_millis(20);
-/// The folder of new results before and after the rename that decides (`pipeline/output_folder.rs`).
+/// The folder of new results before and after the rename that decides
+/// (`pipeline/output_folder.rs`).
 const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 /// Of the draws.
@@ -87,7 +90,9 @@ impl Command {
         let ws = dir.join("ws");
         let watch = &mut |_: &tiepoint_pipeline::Event| ControlFlow::Continue(());
         match self {
-            Self::Export(format, name) => export(&ws, format, &dir.join("out").join(name)).map(drop),
+            Self::Export(format, name) => {
+                export(&ws, format, &dir.join("out").join(name)).map(drop)
+            }
             Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
             Self::View => view(&ws).map(drop),
             _ => {
@@ -139,7 +144,8 @@ fn results(dir: &Path) -> BTreeMap<String, Vec<u8>> {
 
 fn leftovers(dir: &Path) -> Vec<String> {
     let is_left = |name: &str| {
-        let hidden = name.contains(".tiepoint-") || name.ends_with("-wal") || name.ends_with("-shm");
+        let hidden =
+            name.contains(".tiepoint-") || name.ends_with("-wal") || name.ends_with("-shm");
         hidden || name.ends_with("-journal")
     };
     files(dir, &is_left).into_keys().collect()
@@ -167,7 +173,11 @@ fn check_record(dir: &Path, case: &str) {
         let row = |stage: &str| rows.iter().find(|row| row.stage == stage);
         let features = row("features").unwrap_or_else(|| panic!("{case}: no record of features"));
         let model = database.read_cameras().unwrap()[0].intrinsics.kind().name();
-        assert!(features.recipe.contains(&format!("\"{model}\"")), "{case}: {} {model}", features.recipe);
+        assert!(
+            features.recipe.contains(&format!("\"{model}\"")),
+            "{case}: {} {model}",
+            features.recipe
+        );
         let pairs = database.matched_pairs().unwrap().len();
         match row("match") {
             None => assert_eq!(pairs, 0, "{case}"),
@@ -193,7 +203,13 @@ fn folder() -> tempfile::TempDir {
 }
 
 /// One fault, and the way on from it.
-fn strike(command: Command, base: &Path, expected: &BTreeMap<String, Vec<u8>>, at: usize, kind: Kind) {
+fn strike(
+    command: Command,
+    base: &Path,
+    expected: &BTreeMap<String, Vec<u8>>,
+    at: usize,
+    kind: Kind,
+) {
     let case = format!("{command:?}, {kind:?} at change {at}");
     let dir = folder();
     let dir = dir.path().canonicalize().unwrap();
@@ -216,7 +232,8 @@ fn strike(command: Command, base: &Path, expected: &BTreeMap<String, Vec<u8>>, a
         let mut tries = 0;
         loop {
             match command.run(&dir, redo) {
-                // Programs that other tests start hold this process's locks for the moment until they are programs.
+                // Programs that other tests start hold this process's locks for the moment until
+                // they are programs.
                 Err(Error::InUse { .. }) if tries < MAX_TRIES => tries += 1,
                 ended => return ended,
             }
@@ -276,7 +293,8 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
         drop(faults);
         check_order(&log, &format!("{command:?}"));
         let expected = results(&dir);
-        let mut writes: Vec<usize> = (0..log.len()).filter(|at| log[*at].0 == Operation::Write).collect();
+        let mut writes: Vec<usize> =
+            (0..log.len()).filter(|at| log[*at].0 == Operation::Write).collect();
         let mut rng = Rng::stream(SEED, &[log.len() as u64]);
         let is_whole = std::env::var_os(WHOLE).is_some();
         let mut draw = |changes: &mut Vec<usize>, count: usize| {
@@ -285,8 +303,9 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
             }
         };
         draw(&mut writes, DRAWN_WRITES);
-        let decides =
-            |at: &usize| matches!(log[*at].0, Operation::Rename | Operation::Commit | Operation::Sync);
+        let decides = |at: &usize| {
+            matches!(log[*at].0, Operation::Rename | Operation::Commit | Operation::Sync)
+        };
         let mut decisive: Vec<usize> = (0..log.len()).filter(decides).collect();
         draw(&mut decisive, DRAWN_DECISIVE);
         let mut cases: Vec<(usize, Kind)> = Vec::new();
@@ -316,8 +335,9 @@ fn check_order(log: &[(Operation, PathBuf)], case: &str) {
                 let is_commit = path.file_name().is_some_and(|name| name == COMMITTED);
                 let name = path.file_name().unwrap().to_string_lossy();
                 let own = path.with_file_name(format!(".{name}.tiepoint-part"));
-                let waiting =
-                    unsynced.iter().find(|other| ***other == own || is_commit && other.starts_with(&staged));
+                let waiting = unsynced
+                    .iter()
+                    .find(|other| ***other == own || is_commit && other.starts_with(&staged));
                 renames_checked += 1;
                 assert!(
                     waiting.is_none(),

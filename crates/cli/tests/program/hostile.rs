@@ -59,7 +59,10 @@ fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     fs::write(&path, tiff).unwrap();
     let run = tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     let said = run.stderr();
-    assert!(said.contains("more than 256 million: if it is a photo, give --max-megapixels 289"), "{said}");
+    assert!(
+        said.contains("more than 256 million: if it is a photo, give --max-megapixels 289"),
+        "{said}"
+    );
     photos::write(&dir.path().join("small"), 4, 0);
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small").done();
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small --max-megapixels 289")
@@ -72,8 +75,11 @@ fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     tiepoint_in(dir.path(), "features {}/photos -o {}/other")
         .failed(1, &["0 usable photos of 2", "2 skipped", "give --max-megapixels 289"]);
     for wrong in ["0", "1001", "many"] {
-        tiepoint_in(dir.path(), &format!("features {{}}/photos -o {{}}/ws --max-megapixels {wrong}"))
-            .failed(2, &["--max-megapixels"]);
+        tiepoint_in(
+            dir.path(),
+            &format!("features {{}}/photos -o {{}}/ws --max-megapixels {wrong}"),
+        )
+        .failed(2, &["--max-megapixels"]);
     }
 }
 
@@ -92,7 +98,8 @@ fn focal_lengths_that_no_camera_has_are_named_and_not_believed() {
     let folder = dir.path().join("photos");
     fs::create_dir(&folder).unwrap();
     for index in 0..4 {
-        fs::write(folder.join(format!("{index}.jpg")), with_focal_length(&jpeg(index), 65_535)).unwrap();
+        fs::write(folder.join(format!("{index}.jpg")), with_focal_length(&jpeg(index), 65_535))
+            .unwrap();
     }
     let run = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
     let said = run.stderr();
@@ -139,13 +146,19 @@ fn names_command_no_terminal_on_stdout_either() {
     let arguments = |json: bool| {
         let path = |path: &Path| path.to_str().unwrap().to_owned();
         let json = json.then(|| "--json".to_owned());
-        ["features".to_owned(), path(&photos), "-o".to_owned(), path(&workspace)].into_iter().chain(json)
+        ["features".to_owned(), path(&photos), "-o".to_owned(), path(&workspace)]
+            .into_iter()
+            .chain(json)
     };
     let plain = tiepoint(arguments(false)).done().stdout();
     assert!(plain.contains(r"ws\u{1b}[2J\u{9b}5n\u{202e}\n"), "{plain}");
     let commands = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
     assert!(!plain.contains(commands), "{plain:?}");
     let run = tiepoint(arguments(true)).done();
-    assert!(!run.stdout().contains(commands) && !run.stderr().contains(commands), "{:?}", run.stdout());
+    assert!(
+        !run.stdout().contains(commands) && !run.stderr().contains(commands),
+        "{:?}",
+        run.stdout()
+    );
     run.json();
 }

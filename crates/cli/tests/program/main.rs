@@ -25,8 +25,10 @@ use serde_json::Value;
 
 /// Runs the program with these arguments.
 fn tiepoint<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Run {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_tiepoint")).args(arguments).output().expect("the program starts");
+    let output = Command::new(env!("CARGO_BIN_EXE_tiepoint"))
+        .args(arguments)
+        .output()
+        .expect("the program starts");
     Run(output)
 }
 
@@ -71,7 +73,8 @@ impl Run {
             .collect()
     }
 
-    /// It failed with this code, and the last line on stderr, one sentence, has these parts; nothing is on stdout.
+    /// It failed with this code, and the last line on stderr, one sentence, has these parts;
+    /// nothing is on stdout.
     fn failed(self, code: i32, parts: &[&str]) -> Self {
         let stderr = self.stderr();
         assert_eq!(self.code(), code, "{stderr}");

@@ -26,7 +26,9 @@ fn files_that_are_none_and_names_that_no_model_holds_are_skipped() {
     let _socket = UnixListener::bind(folder.join("socket.jpg")).unwrap();
     symlink("/dev/null", folder.join("device.jpg")).unwrap();
     symlink("nowhere.jpg", folder.join("link.jpg")).unwrap();
-    for name in ["line\nbreak.png", "colour\u{1b}[31m.png", " before.png", "behind.png ", "in between.png"] {
+    for name in
+        ["line\nbreak.png", "colour\u{1b}[31m.png", " before.png", "behind.png ", "in between.png"]
+    {
         fs::write(folder.join(name), &photo).unwrap();
     }
     // Folders of one camera may lie deeper, so that this is no folder beside images.
@@ -63,8 +65,12 @@ fn files_that_are_none_and_names_that_no_model_holds_are_skipped() {
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let features = &report["stages"]["features"];
     assert_eq!(features["images"], 5, "`in between.png` is as good as any other");
-    let mut names: Vec<&str> =
-        features["skipped"].as_array().unwrap().iter().map(|s| s["image"].as_str().unwrap()).collect();
+    let mut names: Vec<&str> = features["skipped"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|s| s["image"].as_str().unwrap())
+        .collect();
     names.sort_unstable();
     expected.sort_unstable();
     assert_eq!(names, expected.iter().map(|(name, _)| *name).collect::<Vec<_>>());

@@ -43,7 +43,8 @@ fn photos_stay_where_an_export_would_put_its_images() {
     assert!(dir.join("proj/transforms.json").is_file());
     // The same command once more replaces what it wrote, and takes nothing of that for a photo.
     tiepoint_in(dir, "export {}/ws --to nerfstudio -o {}/proj").done();
-    tiepoint_in(dir, "export {}/ws --to openmvs -o {}/proj").failed(1, &["images/0.png", "another place"]);
+    tiepoint_in(dir, "export {}/ws --to openmvs -o {}/proj")
+        .failed(1, &["images/0.png", "another place"]);
     assert!(photos(files(&dir.join("proj"))) == before);
     assert!(!dir.join("proj/scene.mvs").exists());
 
@@ -51,8 +52,10 @@ fn photos_stay_where_an_export_would_put_its_images() {
     fs::create_dir_all(dir.join("linked/images")).unwrap();
     fs::hard_link(dir.join("proj/images/0.png"), dir.join("linked/images/0.png")).unwrap();
     #[cfg(unix)]
-    std::os::unix::fs::symlink(dir.join("proj/images/1.png"), dir.join("linked/images/1.png")).unwrap();
-    tiepoint_in(dir, "export {}/ws --to openmvs -o {}/linked").failed(1, &["images/", "another place"]);
+    std::os::unix::fs::symlink(dir.join("proj/images/1.png"), dir.join("linked/images/1.png"))
+        .unwrap();
+    tiepoint_in(dir, "export {}/ws --to openmvs -o {}/linked")
+        .failed(1, &["images/", "another place"]);
     tiepoint_in(dir, "export {}/ws --to nerfstudio -o {}/linked").done();
     assert!(photos(files(&dir.join("proj"))) == before);
     #[cfg(unix)]
@@ -74,8 +77,14 @@ fn files_of_others_keep_a_folder_from_becoming_a_workspace() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     photos::write(&dir.join("photos"), 2, 0);
-    for name in ["timestamps.csv", "points.ply", "rig.json", "report.json", "report.html", "frames/mine.jpg"]
-    {
+    for name in [
+        "timestamps.csv",
+        "points.ply",
+        "rig.json",
+        "report.json",
+        "report.html",
+        "frames/mine.jpg",
+    ] {
         let path = dir.join("proj").join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, "image,seconds\nother.png,3\n").unwrap();
@@ -129,7 +138,8 @@ fn files_of_others_in_a_workspace_are_refused_by_name() {
 
 #[test]
 fn the_workspace_may_lie_anywhere_beside_the_photos() {
-    for (photos, workspace) in [("proj", "proj"), ("proj", "proj/ws"), ("ws/photos", "ws"), ("link", "proj")]
+    for (photos, workspace) in
+        [("proj", "proj"), ("proj", "proj/ws"), ("ws/photos", "ws"), ("link", "proj")]
     {
         let dir = tempfile::tempdir().unwrap();
         let dir = dir.path();
@@ -176,11 +186,13 @@ fn an_input_is_never_an_output() {
         "export {}/ws --to colmap -o {}/ws/sparse/0",
         "export {}/ws --to ply -o {}/ws/sparse/0/images.bin",
     ] {
-        tiepoint_in(dir, line).failed(1, &["sparse/0/", "is read by this command", "another place"]);
+        tiepoint_in(dir, line)
+            .failed(1, &["sparse/0/", "is read by this command", "another place"]);
     }
     tiepoint_in(dir, "export {}/ws --to colmap-text -o {}/text").done();
     tiepoint_in(dir, "export {}/ws --to bal -o {}/bal.txt").done();
-    tiepoint_in(dir, "adjust {}/bal.txt -o {}/bal.txt").failed(1, &["bal.txt", "is read by this command"]);
+    tiepoint_in(dir, "adjust {}/bal.txt -o {}/bal.txt")
+        .failed(1, &["bal.txt", "is read by this command"]);
     let now = files(dir);
     // Hidden files are the program's own.
     let changed = before.iter().find(|(path, bytes)| now.get(*path) != Some(bytes));
@@ -209,7 +221,8 @@ fn a_result_that_somebody_made_is_refused_and_ones_own_replaced() {
     }
     assert_eq!(fs::read(dir.join("model/cameras.txt")).unwrap(), b"mine");
     fs::write(dir.join("report.html"), "mine").unwrap();
-    tiepoint_in(dir, "demo -o {} --frames 2 --size 64x48").failed(1, &["report.html", "did not make it"]);
+    tiepoint_in(dir, "demo -o {} --frames 2 --size 64x48")
+        .failed(1, &["report.html", "did not make it"]);
     assert_eq!(fs::read(dir.join("report.html")).unwrap(), b"mine");
     assert!(!dir.join("drive").exists(), "nothing was begun");
 }

@@ -1,4 +1,5 @@
-//! Photos of a corner of a room, made on the fly: three textured planes, ray by ray, with true poses.
+//! Photos of a corner of a room, made on the fly: three textured planes, ray by ray, with true
+//! poses.
 
 use std::fs;
 use std::path::Path;
@@ -24,7 +25,8 @@ pub(crate) fn cam_from_world(index: usize) -> Rigid3 {
     let forward = (Vector3::new(0.6, 0.4, 4.0) - centre).normalize();
     let right = Vector3::y().cross(&forward).normalize();
     let down = forward.cross(&right);
-    let world_from_cam = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+    let world_from_cam =
+        Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
     Rigid3::new(UnitQuaternion::from_rotation_matrix(&world_from_cam), centre).inverse()
 }
 
@@ -32,8 +34,10 @@ pub(crate) fn cam_from_world(index: usize) -> Rigid3 {
 pub(crate) fn photo(index: usize, room: u64) -> GrayImage {
     let world_from_cam = cam_from_world(index).inverse();
     GrayImage::from_fn(WIDTH, HEIGHT, |x, y| {
-        let pixel =
-            [f64::from(x) + 0.5 - f64::from(WIDTH) / 2.0, f64::from(y) + 0.5 - f64::from(HEIGHT) / 2.0];
+        let pixel = [
+            f64::from(x) + 0.5 - f64::from(WIDTH) / 2.0,
+            f64::from(y) + 0.5 - f64::from(HEIGHT) / 2.0,
+        ];
         let ray = world_from_cam.rotation * Vector3::new(pixel[0], pixel[1], FOCAL_PX);
         let centre = world_from_cam.translation;
         // The nearest wall in front of the camera.
@@ -95,7 +99,8 @@ pub(crate) fn write_truth(dir: &Path, count: usize) {
         let row = |i: usize| format!("{} {} {}\n", r[(i, 0)], r[(i, 1)], r[(i, 2)]);
         let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
         let text = format!(
-            "{FOCAL_PX} 0 {cx}\n0 {FOCAL_PX} {cy}\n0 0 1\n0 0 0\n{}{}{}{} {} {}\n{WIDTH} {HEIGHT}\n",
+            "{FOCAL_PX} 0 {cx}\n0 {FOCAL_PX} {cy}\n0 0 1\n0 0 0\n{}{}{}{} {} {}\n{WIDTH} \
+            {HEIGHT}\n",
             row(0),
             row(1),
             row(2),

@@ -19,7 +19,8 @@ fn pairs(dir: &Path) -> usize {
     Database::open(&dir.join("ws/database.db")).unwrap().matched_pairs().unwrap().len()
 }
 
-/// The state that a kill leaves after the database has begun anew and before `stages.json` is written.
+/// The state that a kill leaves after the database has begun anew and before `stages.json` is
+/// written.
 fn with_earlier_record(dir: &Path, begin: impl FnOnce(&mut Database)) {
     let mut database = Database::open(&dir.join("ws/database.db")).unwrap();
     begin(&mut database);
@@ -50,7 +51,8 @@ fn where_record_and_database_differ_the_database_is_right() {
         tiepoint_in(dir, line).failed(1, &["ws were made before", "tiepoint map", "sparse/0"]);
     }
     tiepoint_in(dir, "export {}/ws/sparse/0 --to ply -o {}/a.ply").done();
-    tiepoint_in(dir, "match {}/ws").failed(1, &["--pairs sequential:1 and not exhaustive", "--redo match"]);
+    tiepoint_in(dir, "match {}/ws")
+        .failed(1, &["--pairs sequential:1 and not exhaustive", "--redo match"]);
     assert_eq!(
         stages(dir)["stages"]["match"]["options"]["match.pairs"],
         "sequential:1",
@@ -94,8 +96,10 @@ const LEGACY_OPTIONS: [(&str, &[(&str, &str)]); 3] = [
             ("camera-model", "SIMPLE_RADIAL"),
             (
                 "detector",
-                "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: 0.0066666664, edge_threshold: 10.0, \
-                 max_features: 8192, limit: WholeLevels, max_orientations: 2, orientation: Dominant, \
+                "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: 0.0066666664, \
+                edge_threshold: 10.0, \
+                 max_features: 8192, limit: WholeLevels, max_orientations: 2, orientation: \
+                 Dominant, \
                  normalization: RootL1, domain_sizes: None }",
             ),
         ],
@@ -105,14 +109,16 @@ const LEGACY_OPTIONS: [(&str, &[(&str, &str)]); 3] = [
         &[
             (
                 "matching",
-                "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: BruteForce, \
+                "Options { max_ratio: Some(0.8), max_angle_rad: Some(0.7), mutual: true, method: \
+                BruteForce, \
                  preempt: None }",
             ),
             ("pairs", "exhaustive"),
             ("seed", "0"),
             (
                 "verification",
-                "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, \
+                "VerifyOptions { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: \
+                0.95, \
                  max_homography_share: 0.8 }",
             ),
         ],
@@ -121,12 +127,15 @@ const LEGACY_OPTIONS: [(&str, &[(&str, &str)]); 3] = [
         "map",
         &[(
             "mapper",
-            "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: true, distortion: true }, \
+            "MapperOptions { refine: RefineIntrinsics { focal: true, principal_point: true, \
+            distortion: true }, \
              tracks: TrackOptions { max_create_error_px: 12.0, max_merge_error_px: 4.0, \
              min_angle_rad: 0.026179938779914945, two_view: false, max_transitivity: 5 }, \
              filter: FilterOptions { max_error_px: 4.0, min_angle_rad: 0.026179938779914945 }, \
-             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }, \
-             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, global_growth: 1.1, \
+             register: RegisterOptions { max_error_px: 12.0, min_num_inliers: 30, \
+             min_inlier_share: 0.25 }, \
+             min_initial_inliers: 30, min_model_size: 3, loss: SoftL1(4.0), local_images: 6, \
+             global_growth: 1.1, \
              rig: Auto, readout: None, seed: 0 }",
         )],
     ),
@@ -149,7 +158,8 @@ fn legacy_recipes(photos: &str) -> Vec<(&'static str, Value)> {
     LEGACY_OPTIONS.iter().map(recipe).collect()
 }
 
-/// Version 1 kept no list of its files and no record in the database; version 2 kept options as texts of Rust's structs there.
+/// Version 1 kept no list of its files and no record in the database; version 2 kept options as
+/// texts of Rust's structs there.
 #[test]
 fn a_workspace_of_a_version_before_goes_on() {
     let dir = tempfile::tempdir().unwrap();
@@ -173,8 +183,8 @@ fn a_workspace_of_a_version_before_goes_on() {
             // It is not there where the last command only read.
             let _ = fs::remove_file(dir.join("ws/.tiepoint.json"));
         } else {
-            let columns =
-                "stage TEXT PRIMARY KEY NOT NULL, is_complete INTEGER NOT NULL, recipe TEXT NOT NULL";
+            let columns = "stage TEXT PRIMARY KEY NOT NULL, is_complete INTEGER NOT NULL, recipe \
+            TEXT NOT NULL";
             connection.execute_batch(&format!("CREATE TABLE tiepoint_stages ({columns})")).unwrap();
             for (stage, recipe) in &recipes[..2] {
                 let row = (stage, recipe.to_string());

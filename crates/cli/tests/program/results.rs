@@ -13,7 +13,8 @@ use crate::{photos, tiepoint_in};
 const COUNT: usize = 5;
 /// PLY files hold single precision; the scene is some metres large.
 const MAX_ROUNDING: f64 = 1e-4;
-/// The cameras are 0.35 m apart and see walls 4 m away; 240 lines resolve a tenth of a pixel at best.
+/// The cameras are 0.35 m apart and see walls 4 m away; 240 lines resolve a tenth of a pixel at
+/// best.
 const MAX_CENTRE_ERROR_M: f64 = 0.02;
 /// Of the focal length, which five views of a corner determine.
 const MAX_FOCAL_ERROR: f64 = 0.02;
@@ -45,24 +46,34 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     let (report, events) = (run.json(), run.events());
     let model = &report["models"][0];
     assert_eq!(model["registered"], COUNT, "{report}");
-    assert!(model["mean_reprojection_error_px"].as_f64().unwrap() < MAX_REPROJECTION_ERROR_PX, "{report}");
+    assert!(
+        model["mean_reprojection_error_px"].as_f64().unwrap() < MAX_REPROJECTION_ERROR_PX,
+        "{report}"
+    );
     assert_eq!(count(&events, "stage_began"), 3);
     assert_eq!(count(&events, "stage_done"), 3);
     assert_eq!(count(&events, "image_done"), COUNT);
     assert_eq!(count(&events, "pair_done"), COUNT * (COUNT - 1) / 2);
     assert_eq!(
-        fs::read(dir.join("ws/report.json")).map(|b| serde_json::from_slice::<Value>(&b).unwrap()).unwrap(),
+        fs::read(dir.join("ws/report.json"))
+            .map(|b| serde_json::from_slice::<Value>(&b).unwrap())
+            .unwrap(),
         report
     );
     for name in ["database.db-wal", "database.db-shm", ".sparse.new", ".sparse.old"] {
         assert!(!dir.join("ws").join(name).exists(), "{name} is left over");
     }
 
-    let evaluation = tiepoint_in(dir, "evaluate poses {}/ws --truth strecha:{}/truth --json").done().json();
+    let evaluation =
+        tiepoint_in(dir, "evaluate poses {}/ws --truth strecha:{}/truth --json").done().json();
     assert_eq!(evaluation["registered"], COUNT);
-    assert!(evaluation["centre_error"]["max"].as_f64().unwrap() < MAX_CENTRE_ERROR_M, "{evaluation}");
+    assert!(
+        evaluation["centre_error"]["max"].as_f64().unwrap() < MAX_CENTRE_ERROR_M,
+        "{evaluation}"
+    );
     let focal = &evaluation["focal_lengths"][0];
-    let focal_error = focal["model_px"].as_f64().unwrap() / focal["truth_px"].as_f64().unwrap() - 1.0;
+    let focal_error =
+        focal["model_px"].as_f64().unwrap() / focal["truth_px"].as_f64().unwrap() - 1.0;
     assert!(focal_error.abs() < MAX_FOCAL_ERROR, "{evaluation}");
 
     let before = models(&dir.join("ws"));
@@ -72,7 +83,8 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     // Touching a photo changes nothing, since its bytes count.
     photos::photo(0, 0).save(dir.join("photos/0.png")).unwrap();
     assert_eq!(count(&tiepoint_in(dir, line).done().events(), "stage_kept"), 3);
-    // Another option is not mixed in, but named; and the stage is made anew on request, with the same result.
+    // Another option is not mixed in, but named; and the stage is made anew on request, with the
+    // same result.
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --pairs sequential:4")
         .failed(1, &["matches", "pairs exhaustive and not sequential:4", "--redo match"]);
     photos::photo(0, 7).save(dir.join("photos/9.png")).unwrap();
@@ -91,7 +103,8 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         tiepoint_in(dir, &format!("export {{}}/ws --to {format} -o {{}}/{format}")).done();
         assert!(dir.join(format).join(file).is_file());
         for k in 0..COUNT {
-            let size = image::image_dimensions(dir.join(format!("{format}/images/{k}.png"))).unwrap();
+            let size =
+                image::image_dimensions(dir.join(format!("{format}/images/{k}.png"))).unwrap();
             assert_eq!(size, image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap());
         }
         tiepoint_in(dir, &format!("export {{}}/ws/sparse/0 --to {format} -o {{}}/{format}"))
@@ -104,28 +117,40 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid")
         .failed(1, &["no two cameras", "leave out --rigid"]);
     let unscaled = tiepoint_in(dir, "map {}/ws --baseline 1m --redo map").done().stdout();
-    assert!(unscaled.contains("scale     nothing was scaled, since there is only one camera"), "{unscaled}");
+    assert!(
+        unscaled.contains("scale     nothing was scaled, since there is only one camera"),
+        "{unscaled}"
+    );
     tiepoint_in(dir, "map {}/ws --redo map").done();
     // A cloud lies on itself, wherever it was put; its cameras say so too.
     let cloud = |options: &str| {
-        tiepoint_in(dir, &format!("evaluate cloud {{}}/ws {{}}/a.ply {options} --json")).done().json()
+        tiepoint_in(dir, &format!("evaluate cloud {{}}/ws {{}}/a.ply {options} --json"))
+            .done()
+            .json()
     };
     for options in ["--align none", "--align rigid", "", "--truth colmap:{}/ws"] {
         let found = cloud(options);
         assert_eq!(found["points"], model["points"], "{options}");
         assert!(found["distance"]["max"].as_f64().unwrap() < MAX_ROUNDING, "{options}: {found}");
-        assert!((found["scale"].as_f64().unwrap() - 1.0).abs() < MAX_ROUNDING, "{options}: {found}");
+        assert!(
+            (found["scale"].as_f64().unwrap() - 1.0).abs() < MAX_ROUNDING,
+            "{options}: {found}"
+        );
     }
     tiepoint_in(dir, "evaluate cloud {}/a.ply {}/none.ply").failed(1, &["none.ply"]);
     tiepoint_in(dir, "evaluate cloud {}/a.ply {}/a.ply --align free")
         .failed(2, &["similarity, rigid or none"]);
-    tiepoint_in(dir, "export {}/ws --to tum -o {}/t.txt").failed(1, &["has a time", "--timestamps"]);
+    tiepoint_in(dir, "export {}/ws --to tum -o {}/t.txt")
+        .failed(1, &["has a time", "--timestamps"]);
     let text = tiepoint_in(dir, "evaluate poses {}/text --truth colmap:{}/ws --json").done().json();
     assert!(text["centre_error"]["max"].as_f64().unwrap() < 1e-9, "{text}");
     let adjusted = tiepoint_in(dir, "adjust {}/ws -o {}/adjusted --json").done().json();
-    let cost = |which: &str| adjusted[which].as_f64().unwrap_or_else(|| panic!("no {which}: {adjusted}"));
+    let cost =
+        |which: &str| adjusted[which].as_f64().unwrap_or_else(|| panic!("no {which}: {adjusted}"));
     assert!(cost("final_cost") > 0.0 && cost("final_cost") <= cost("initial_cost"), "{adjusted}");
-    assert!(adjusted["seconds"].as_f64().unwrap() > 0.0 && adjusted["iterations"].as_u64().is_some());
+    assert!(
+        adjusted["seconds"].as_f64().unwrap() > 0.0 && adjusted["iterations"].as_u64().is_some()
+    );
     assert!(dir.join("adjusted/images.bin").is_file());
 }
 
@@ -149,8 +174,13 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         .failed(1, &["--baseline 0.7m and not 0.8m", "--redo map"]);
     tiepoint_in(dir, "map {}/ws --baseline 7ft").failed(2, &["--baseline", "m, cm or mm"]);
     // Soft results have no frames on disk, rigid ones have nothing else.
-    let rigid = tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();
-    assert_eq!((&rigid["rigid"]["frames"], &rigid["rigid"]["images"]), (&3.into(), &6.into()), "{rigid}");
+    let rigid =
+        tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();
+    assert_eq!(
+        (&rigid["rigid"]["frames"], &rigid["rigid"]["images"]),
+        (&3.into(), &6.into()),
+        "{rigid}"
+    );
     // The path bends a little: two positions on it are no rig, and what that costs is said.
     let error = |which: &str| rigid["rigid"][which].as_f64().unwrap();
     assert!(
@@ -166,9 +196,12 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         let pose = |k: usize| *model.image(frame.images[k]).cam_from_world().unwrap();
         let given = right * frame.rig_from_world;
         assert!((given.translation - pose(1).translation).norm() < 1e-9);
-        assert!(given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0));
+        assert!(
+            given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0)
+        );
     }
-    // Adjusted it stays rigid, and is not refused by its own writer; lenses stay where that is asked for.
+    // Adjusted it stays rigid, and is not refused by its own writer; lenses stay where that is
+    // asked for.
     for (options, are_fixed) in [("", false), ("--fix-intrinsics", true)] {
         let adjusted = format!("adjusted{options}");
         tiepoint_in(dir, &format!("adjust {{}}/rigid -o {{}}/{adjusted} {options}")).done();
@@ -176,7 +209,8 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         adjusted.validate().unwrap();
         assert_eq!((adjusted.frames.len(), adjusted.rigs.len()), (3, 1));
         assert_ne!(adjusted.frames, model.frames, "something moves");
-        let params = |model: &Reconstruction| model.cameras().map(|(_, c)| c.intrinsics).collect::<Vec<_>>();
+        let params =
+            |model: &Reconstruction| model.cameras().map(|(_, c)| c.intrinsics).collect::<Vec<_>>();
         assert_eq!(params(&adjusted) == params(&model), are_fixed);
     }
     tiepoint_in(dir, "export {}/ws --to kalibr --rigid -o {}/c.yaml")
@@ -195,20 +229,26 @@ fn the_same_bytes_stage_by_stage_and_on_any_number_of_threads() {
     tiepoint_in(dir, "map {}/three --threads 3").done();
     assert!(models(&dir.join("one")) == models(&dir.join("three")));
     // Known intrinsics stay as they were given, also when the stages run one by one.
-    let report: Value = serde_json::from_slice(&fs::read(dir.join("three/report.json")).unwrap()).unwrap();
+    let report: Value =
+        serde_json::from_slice(&fs::read(dir.join("three/report.json")).unwrap()).unwrap();
     let camera = &report["models"][0]["cameras"][0];
     assert_eq!(camera["model"], "PINHOLE");
-    assert_eq!(camera["params"], serde_json::json!([photos::FOCAL_PX, photos::FOCAL_PX, 160.0, 120.0]));
+    assert_eq!(
+        camera["params"],
+        serde_json::json!([photos::FOCAL_PX, photos::FOCAL_PX, 160.0, 120.0])
+    );
 }
 
-/// Two cameras look at a grid of nine points that are seen where they project, but for one that is off: the optimum is known to be
-/// near zero once everything may move.
+/// Two cameras look at a grid of nine points that are seen where they project, but for one that is
+/// off: the optimum is known to be near zero once everything may move.
 #[test]
 fn a_bal_problem_is_adjusted_and_written_in_its_format() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     let (mut observations, mut points) = (String::new(), String::new());
-    for (index, (x, y)) in (0..9).map(|i| (f64::from(i % 3) - 1.0, f64::from(i / 3) - 1.0)).enumerate() {
+    for (index, (x, y)) in
+        (0..9).map(|i| (f64::from(i % 3) - 1.0, f64::from(i / 3) - 1.0)).enumerate()
+    {
         let z = -5.0 - 0.3 * x * y;
         for (camera, offset) in [(0, 0.0), (1, -0.5)] {
             let (u, v) = (500.0 * (x + offset) / -z, 500.0 * y / -z);
@@ -223,9 +263,13 @@ fn a_bal_problem_is_adjusted_and_written_in_its_format() {
     // The misplaced point is 10 px off in both images.
     assert!((report["initial_cost"].as_f64().unwrap() - 100.0).abs() < 1.0, "{report}");
     assert!(report["final_cost"].as_f64().unwrap() < 1e-6, "{report}");
-    assert_eq!(report["steps"].as_array().unwrap().len() as u64, report["iterations"].as_u64().unwrap());
+    assert_eq!(
+        report["steps"].as_array().unwrap().len() as u64,
+        report["iterations"].as_u64().unwrap()
+    );
     let again = tiepoint_in(dir, "adjust {}/out.txt --json").done().json();
-    let (was, is) = (report["final_cost"].as_f64().unwrap(), again["initial_cost"].as_f64().unwrap());
+    let (was, is) =
+        (report["final_cost"].as_f64().unwrap(), again["initial_cost"].as_f64().unwrap());
     assert!((was - is).abs() <= 1e-9 + 1e-6 * was, "{was} {is}");
 }
 
@@ -239,7 +283,11 @@ fn folders_are_cameras_and_times_and_masks_are_read() {
     let mut times = "image,seconds\n".to_owned();
     for index in 0..3 {
         photos::photo(index + 2, 0).save(dir.join(format!("photos/right/{index}.png"))).unwrap();
-        times += &format!("left/{index}.png,{}\nright/{index}.png,{}\n", 10 + index, 10.1 + index as f64);
+        times += &format!(
+            "left/{index}.png,{}\nright/{index}.png,{}\n",
+            10 + index,
+            10.1 + index as f64
+        );
     }
     // Everything but the upper half is masked out in one image.
     let mask = image::GrayImage::from_fn(photos::WIDTH, photos::HEIGHT, |_, y| {
@@ -249,7 +297,8 @@ fn folders_are_cameras_and_times_and_masks_are_read() {
     fs::write(dir.join("times.csv"), &times).unwrap();
     let run = tiepoint_in(
         dir,
-        "reconstruct {}/photos -o {}/ws --timestamps {}/times.csv --masks {}/masks --pairs sequential:2 --json",
+        "reconstruct {}/photos -o {}/ws --timestamps {}/times.csv --masks {}/masks --pairs \
+        sequential:2 --json",
     )
     .done();
     let report = run.json();
@@ -257,19 +306,29 @@ fn folders_are_cameras_and_times_and_masks_are_read() {
     assert_eq!(report["models"][0]["cameras"].as_array().unwrap().len(), 2);
     let keypoints = |image: &str| {
         let events = run.events();
-        let event = events.iter().find(|event| event["event"] == "image_done" && event["image"] == image);
+        let event =
+            events.iter().find(|event| event["event"] == "image_done" && event["image"] == image);
         event.unwrap()["keypoints"].as_f64().unwrap()
     };
-    assert!(keypoints("left/0.png") < 0.75 * keypoints("left/1.png"), "the mask keeps keypoints away");
+    assert!(
+        keypoints("left/0.png") < 0.75 * keypoints("left/1.png"),
+        "the mask keeps keypoints away"
+    );
     let written = fs::read_to_string(dir.join("ws/timestamps.csv")).unwrap();
-    let (mut a, mut b): (Vec<&str>, Vec<&str>) = (written.lines().collect(), times.lines().collect());
+    let (mut a, mut b): (Vec<&str>, Vec<&str>) =
+        (written.lines().collect(), times.lines().collect());
     a.sort();
     b.sort();
     assert_eq!(a, b);
     tiepoint_in(dir, "export {}/ws --to tum -o {}/t.txt").done();
     let tum = fs::read_to_string(dir.join("t.txt")).unwrap();
-    assert_eq!(tum.lines().filter(|line| !line.starts_with('#')).count(), 3, "the left camera: {tum}");
-    let evaluation = tiepoint_in(dir, "evaluate poses {}/ws --truth tum:{}/t.txt --json").done().json();
+    assert_eq!(
+        tum.lines().filter(|line| !line.starts_with('#')).count(),
+        3,
+        "the left camera: {tum}"
+    );
+    let evaluation =
+        tiepoint_in(dir, "evaluate poses {}/ws --truth tum:{}/t.txt --json").done().json();
     assert!(evaluation["centre_error"]["max"].as_f64().unwrap() < 1e-9, "{evaluation}");
     a_baseline_gives_the_size_and_an_export_is_rigid(dir);
     fs::write(dir.join("times.csv"), "image,seconds\nother.png,3\n").unwrap();

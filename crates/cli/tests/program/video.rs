@@ -13,7 +13,8 @@ const RATE_HZ: usize = 10;
 /// A time base of milliseconds is the coarsest in use.
 const TIME_TOLERANCE_S: f64 = 1e-3;
 
-/// Whether the program ffmpeg is installed; without it, the test that asks is one that was left out.
+/// Whether the program ffmpeg is installed; without it, the test that asks is one that was left
+/// out.
 fn has_ffmpeg() -> bool {
     let there = Command::new("ffmpeg").arg("-version").output().is_ok();
     if !there {
@@ -22,12 +23,15 @@ fn has_ffmpeg() -> bool {
     there
 }
 
-/// The corner of a room as a video, the camera standing still on the last photo for as long as it moved before.
+/// The corner of a room as a video, the camera standing still on the last photo for as long as it
+/// moved before.
 fn film(dir: &Path, name: &str, photos: usize) {
     let frames = dir.join("frames-of-film");
     fs::create_dir(&frames).unwrap();
     for index in 0..2 * photos {
-        photos::photo(index.min(photos - 1), 3).save(frames.join(format!("{index:03}.png"))).unwrap();
+        photos::photo(index.min(photos - 1), 3)
+            .save(frames.join(format!("{index:03}.png")))
+            .unwrap();
     }
     let made = Command::new("ffmpeg")
         .args(["-v", "error", "-framerate", &RATE_HZ.to_string(), "-i"])
@@ -55,7 +59,8 @@ fn a_video_is_a_camera_whose_frames_have_times() {
     }
     let dir = tempfile::tempdir().unwrap();
     film(dir.path(), "front.mov", 5);
-    let run = || -> Run { tiepoint_in(dir.path(), "reconstruct {}/front.mov -o {}/ws --every 1 --json") };
+    let run =
+        || -> Run { tiepoint_in(dir.path(), "reconstruct {}/front.mov -o {}/ws --every 1 --json") };
     let report = run().done().json();
     assert_eq!(report["stages"]["features"]["images"], 5, "the stop gave no frames: {report}");
     assert_eq!(report["models"][0]["registered"], 5, "{report}");
@@ -71,7 +76,8 @@ fn a_video_is_a_camera_whose_frames_have_times() {
     tiepoint_in(dir.path(), "reconstruct {}/front.mov -o {}/ws --every 2")
         .failed(1, &["frames", "--redo features"]);
     let again =
-        tiepoint_in(dir.path(), "features {}/front.mov -o {}/ws --every 2 --redo features --json").done();
+        tiepoint_in(dir.path(), "features {}/front.mov -o {}/ws --every 2 --redo features --json")
+            .done();
     assert_eq!(again.json()["stages"]["features"]["images"], 3);
 }
 
@@ -92,10 +98,15 @@ fn pixels_that_are_not_square_are_made_so() {
             .arg(dir.path().join(name))
             .status();
         assert!(made.unwrap().success());
-        tiepoint_in(dir.path(), &format!("features {{}}/{name} -o {{}}/{name}.ws --every 1")).done();
+        tiepoint_in(dir.path(), &format!("features {{}}/{name} -o {{}}/{name}.ws --every 1"))
+            .done();
         let stem = name.split('.').next().unwrap();
         let frame = dir.path().join(format!("{name}.ws/frames/{stem}/000000.jpg"));
-        assert_eq!(image::image_dimensions(frame).unwrap(), (photos::WIDTH, photos::HEIGHT), "{name}");
+        assert_eq!(
+            image::image_dimensions(frame).unwrap(),
+            (photos::WIDTH, photos::HEIGHT),
+            "{name}"
+        );
     }
 }
 
@@ -107,9 +118,12 @@ fn knocks(path: &Path, from_s: f64) {
     let value = |k: u32| {
         let time_s = from_s + f64::from(k) / f64::from(RATE);
         let since = at_s.iter().map(|at_s| time_s - at_s).filter(|since_s| *since_s >= 0.0);
-        let knock: f64 = since.map(|since_s| (-since_s / 0.02).exp() * (3000.0 * since_s).sin()).sum();
+        let knock: f64 =
+            since.map(|since_s| (-since_s / 0.02).exp() * (3000.0 * since_s).sin()).sum();
         // Hiss of its own.
-        let hiss = f64::from(k.wrapping_mul(0x9E37_79B9) ^ (from_s * 1e3) as u32) / f64::from(u32::MAX) - 0.5;
+        let hiss = f64::from(k.wrapping_mul(0x9E37_79B9) ^ (from_s * 1e3) as u32)
+            / f64::from(u32::MAX)
+            - 0.5;
         (20_000.0 * knock + 200.0 * hiss) as i16
     };
     let samples: Vec<u8> = (0..RATE * SECONDS).flat_map(|k| value(k).to_le_bytes()).collect();
@@ -160,7 +174,9 @@ fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
     let dir = tempfile::tempdir().unwrap();
     with_sound(dir.path(), "left.mov", 0.0);
     with_sound(dir.path(), "right.mov", LATER_S);
-    let run = tiepoint_in(dir.path(), "features {}/left.mov {}/right.mov -o {}/ws --every 1 --json").done();
+    let run =
+        tiepoint_in(dir.path(), "features {}/left.mov {}/right.mov -o {}/ws --every 1 --json")
+            .done();
     let heard = run.events().into_iter().find(|event| event["event"] == "sound_heard").unwrap();
     assert_eq!((&heard["reference"], &heard["recording"]), (&"left".into(), &"right".into()));
     assert!((heard["after_s"].as_f64().unwrap() - LATER_S).abs() < SOUND_TOLERANCE_S, "{heard}");
@@ -204,10 +220,23 @@ fn a_name_is_neither_a_protocol_nor_an_option() {
         fs::copy(dir.path().join("plain.mov"), dir.path().join(name)).unwrap();
     }
     let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));
-    command.args(["features", "-o", "ws", "--every", "1", "--json", "--", "12:30.mov", "-x.mov", "a\nb.mov"]);
+    command.args([
+        "features",
+        "-o",
+        "ws",
+        "--every",
+        "1",
+        "--json",
+        "--",
+        "12:30.mov",
+        "-x.mov",
+        "a\nb.mov",
+    ]);
     let run = Run(command.current_dir(dir.path()).output().unwrap()).done();
-    let heard: Vec<_> = run.events().into_iter().filter(|event| event["event"] == "sound_heard").collect();
-    let recordings: Vec<&str> = heard.iter().map(|heard| heard["recording"].as_str().unwrap()).collect();
+    let heard: Vec<_> =
+        run.events().into_iter().filter(|event| event["event"] == "sound_heard").collect();
+    let recordings: Vec<&str> =
+        heard.iter().map(|heard| heard["recording"].as_str().unwrap()).collect();
     assert_eq!(recordings, ["-x", "a_b"], "their sound is read too");
     for folder in ["12:30", "-x", "a_b"] {
         assert!(dir.path().join("ws/frames").join(folder).join("000000.jpg").is_file(), "{folder}");
@@ -243,7 +272,8 @@ fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
     command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     // They get their places when all are there.
-    let frames = || fs::read_dir(dir.path().join("ws/frames/.tiepoint-new/a")).map_or(0, Iterator::count);
+    let frames =
+        || fs::read_dir(dir.path().join("ws/frames/.tiepoint-new/a")).map_or(0, Iterator::count);
     while frames() < 2 {
         assert!(child.try_wait().unwrap().is_none(), "it ended before there were frames");
         std::thread::sleep(Duration::from_millis(5));
@@ -261,7 +291,8 @@ fn what_is_no_video_is_told() {
     fs::write(dir.path().join("words.mp4"), "these are words").unwrap();
     let reason = if has_ffmpeg() { "no video could be read" } else { "needs the program ffmpeg" };
     tiepoint_in(dir.path(), "features {}/words.mp4 -o {}/ws").failed(1, &["words.mp4", reason]);
-    tiepoint_in(dir.path(), "features {}/none.mp4 -o {}/ws").failed(1, &["none.mp4", "No such file"]);
+    tiepoint_in(dir.path(), "features {}/none.mp4 -o {}/ws")
+        .failed(1, &["none.mp4", "No such file"]);
 }
 
 #[test]

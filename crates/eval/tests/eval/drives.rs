@@ -44,11 +44,20 @@ fn an_error_is_the_median_over_what_stands_still() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 64,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
-    /// Rays that meet do so at their common point, whatever lies behind it; and no point near by is nearer to rays that miss.
+    /// Rays that meet do so at their common point, whatever lies behind it; and no point near by is
+    /// nearer to rays that miss.
     #[test]
-    fn true_rays_meet_at_the_least_angle(seed: u64, count in 2..6usize, noise in prop::sample::select(vec![0.0, 0.05])) {
+    fn true_rays_meet_at_the_least_angle(
+        seed: u64,
+        count in 2..6usize,
+        noise in prop::sample::select(vec![0.0, 0.05]),
+    ) {
         let mut rng = Rng::stream(seed, &[]);
         let point = vector(&mut rng, 5.0);
         let sightings: Vec<Sighting> = (0..count)
@@ -108,7 +117,8 @@ proptest! {
 #[test]
 fn drift_is_what_a_straight_line_changes_by() {
     const COUNT: usize = 11;
-    // The baseline grows from 1 to 2, and the right camera turns from −0.1 to 0.1 rad; times are uneven.
+    // The baseline grows from 1 to 2, and the right camera turns from −0.1 to 0.1 rad; times are
+    // uneven.
     let pair = |k: usize| {
         let part = k as f64 / (COUNT - 1) as f64;
         let turn = Vector3::new(0.0, 0.2 * part - 0.1, 0.0);

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use proptest::prelude::*;
 use tiepoint_eval::{
-    Alignment, Cloud, IcpOptions, Statistics, associate, auc, compare_poses, consecutive_pairs_by_path,
-    focal_error, pairs_by_frames, pairs_by_path, relative_motion_errors, relative_pose_errors_rad,
+    Alignment, Cloud, IcpOptions, Statistics, associate, auc, compare_poses,
+    consecutive_pairs_by_path, focal_error, pairs_by_frames, pairs_by_path, relative_motion_errors,
+    relative_pose_errors_rad,
 };
 use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, Sim3};
@@ -32,7 +33,11 @@ fn similarity(rng: &mut Rng) -> Sim3 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 64,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     /// A model moved by any similarity is as good as before; its own transform is found.
     #[test]
@@ -50,13 +55,16 @@ proptest! {
         }
         prop_assert!((found.truth_from_model.scale * moved.scale - 1.0).abs() < TOLERANCE);
 
-        // A rigid alignment leaves the scale: the errors are what the scale moves the centres from their mean.
+        // A rigid alignment leaves the scale: the errors are what the scale moves the centres from
+        // their mean.
         let scaled = Sim3 { scale: 2.0, ..Sim3::identity() };
         let model: Vec<_> = truth.iter().map(|pose| Some(scaled.transform_pose(pose))).collect();
         let found = compare_poses(&model, &truth, Alignment::Rigid).unwrap();
         let mean = truth.iter().map(Rigid3::origin_in_a).sum::<Vector3<f64>>() / count as f64;
         for (error, pose) in found.centre_errors.iter().zip(&truth) {
-            prop_assert!((error.unwrap() - (pose.origin_in_a() - mean).norm()).abs() < TOLERANCE * 100.0);
+            prop_assert!(
+                (error.unwrap() - (pose.origin_in_a() - mean).norm()).abs() < TOLERANCE * 100.0
+            );
         }
     }
 
@@ -70,7 +78,8 @@ proptest! {
         let errors = relative_pose_errors_rad(&model, &truth, 0.0);
         prop_assert_eq!(errors.len(), count * (count - 1));
         prop_assert!(errors.iter().all(|error| *error < ANGLE_TOLERANCE_RAD));
-        // A camera turned on the spot spoils the pairs that it is in, by its angle at most (twice, through the direction).
+        // A camera turned on the spot spoils the pairs that it is in, by its angle at most (twice,
+        // through the direction).
         let mut model = model;
         let turn = Rigid3::from_axis_angle(Vector3::new(0.0, 0.0, 0.1), Vector3::zeros());
         model[0] = model[0].map(|pose| turn * pose);
@@ -81,7 +90,10 @@ proptest! {
 
     /// Against adding up thin slices under the curve.
     #[test]
-    fn area_under_the_curve(errors in prop::collection::vec(0.0..10.0, 1..20), threshold in 1.0..12.0) {
+    fn area_under_the_curve(
+        errors in prop::collection::vec(0.0..10.0, 1..20),
+        threshold in 1.0..12.0,
+    ) {
         let mut sorted = errors.clone();
         sorted.sort_by(f64::total_cmp);
         let curve = |x: f64| {
@@ -89,7 +101,9 @@ proptest! {
             let recall = |index: usize| index as f64 / sorted.len() as f64;
             let left = if below == 0 { 0.0 } else { sorted[below - 1] };
             match sorted.get(below).filter(|next| **next <= threshold) {
-                Some(next) => recall(below) + (recall(below + 1) - recall(below)) * (x - left) / (next - left),
+                Some(next) => {
+                    recall(below) + (recall(below + 1) - recall(below)) * (x - left) / (next - left)
+                }
                 None => recall(below),
             }
         };
@@ -106,11 +120,17 @@ proptest! {
         // Scans of flat walls and rounded coordinates have many equal ones.
         let mut point = |_| {
             let point = vector(&mut rng, 1.0);
-            if flat { Vector3::new((4.0 * point.x).round(), 1.0, (4.0 * point.z).round()) } else { point }
+            if flat {
+                Vector3::new((4.0 * point.x).round(), 1.0, (4.0 * point.z).round())
+            } else {
+                point
+            }
         };
         let reference: Vec<_> = (0..count).map(&mut point).collect();
         let cloud: Vec<_> = (0..50).map(&mut point).collect();
-        let expected = cloud.iter().map(|p| reference.iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min));
+        let expected = cloud
+            .iter()
+            .map(|p| reference.iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min));
         let found = Cloud::new(reference.clone()).unwrap().distances_of(&cloud);
         for (found, expected) in found.iter().zip(expected) {
             prop_assert!((found - expected).abs() < 1e-12);
@@ -129,7 +149,8 @@ proptest! {
         let (short, long) = if na > nb { (&b, &a) } else { (&a, &b) };
         let mut expected = Vec::new();
         for (i, x) in short.iter().enumerate() {
-            let nearest = (0..long.len()).min_by(|&j, &k| (long[j] - x).abs().total_cmp(&(long[k] - x).abs()));
+            let nearest = (0..long.len())
+                .min_by(|&j, &k| (long[j] - x).abs().total_cmp(&(long[k] - x).abs()));
             if let Some(j) = nearest.filter(|j| (long[*j] - x).abs() <= 0.2) {
                 expected.push(if na > nb { (j, i) } else { (i, j) });
             }
@@ -141,32 +162,51 @@ proptest! {
 #[test]
 fn statistics_by_hand() {
     let found = Statistics::of(&[3.0, 1.0, 2.0, 6.0]).unwrap();
-    assert_eq!((found.count, found.mean, found.median, found.min, found.max), (4, 3.0, 2.5, 1.0, 6.0));
-    assert!((found.rmse - 12.5f64.sqrt()).abs() < 1e-15 && (found.std - 3.5f64.sqrt()).abs() < 1e-15);
+    assert_eq!(
+        (found.count, found.mean, found.median, found.min, found.max),
+        (4, 3.0, 2.5, 1.0, 6.0)
+    );
+    assert!(
+        (found.rmse - 12.5f64.sqrt()).abs() < 1e-15 && (found.std - 3.5f64.sqrt()).abs() < 1e-15
+    );
     assert_eq!(Statistics::of(&[]), None);
 }
 
 #[test]
 fn what_is_not_determined_is_none() {
-    let line: Vec<Rigid3> =
-        (0..5).map(|k| Rigid3::new(UnitQuaternion::identity(), Vector3::x() * f64::from(k))).collect();
+    let line: Vec<Rigid3> = (0..5)
+        .map(|k| Rigid3::new(UnitQuaternion::identity(), Vector3::x() * f64::from(k)))
+        .collect();
     let model: Vec<_> = line.iter().copied().map(Some).collect();
     assert_eq!(compare_poses(&model, &line, Alignment::Similarity), None);
     assert!(compare_poses(&model, &line, Alignment::None).is_some());
     assert_eq!(compare_poses(&[None; 5], &line, Alignment::Rigid), None);
-    assert!(Cloud::new(vec![]).is_none() && Cloud::new(vec![Vector3::new(0.0, f64::NAN, 0.0)]).is_none());
+    assert!(
+        Cloud::new(vec![]).is_none()
+            && Cloud::new(vec![Vector3::new(0.0, f64::NAN, 0.0)]).is_none()
+    );
     assert_eq!(auc(&[f64::INFINITY; 3], 1.0), 0.0);
     assert_eq!(auc(&[0.0; 3], 1.0), 1.0);
     let cloud = Cloud::new(vec![Vector3::zeros()]).unwrap();
-    assert_eq!(cloud.distances_of(&[Vector3::new(f64::NAN, 0.0, 0.0), Vector3::x()]), [f64::INFINITY, 1.0]);
+    assert_eq!(
+        cloud.distances_of(&[Vector3::new(f64::NAN, 0.0, 0.0), Vector3::x()]),
+        [f64::INFINITY, 1.0]
+    );
 }
 
 #[test]
 fn coincident_cameras_have_no_direction() {
-    let truth = [Rigid3::identity(), Rigid3::from_axis_angle(Vector3::y() * 0.3, Vector3::x() * 1e-3)];
-    let model =
-        [Some(Rigid3::identity()), Some(Rigid3::from_axis_angle(Vector3::y() * 0.3, -Vector3::x() * 1e-3))];
-    assert!(relative_pose_errors_rad(&model, &truth, 0.01).iter().all(|error| *error < ANGLE_TOLERANCE_RAD));
+    let truth =
+        [Rigid3::identity(), Rigid3::from_axis_angle(Vector3::y() * 0.3, Vector3::x() * 1e-3)];
+    let model = [
+        Some(Rigid3::identity()),
+        Some(Rigid3::from_axis_angle(Vector3::y() * 0.3, -Vector3::x() * 1e-3)),
+    ];
+    assert!(
+        relative_pose_errors_rad(&model, &truth, 0.01)
+            .iter()
+            .all(|error| *error < ANGLE_TOLERANCE_RAD)
+    );
     assert!(relative_pose_errors_rad(&model, &truth, 0.0)[0] > 3.0);
     let collapsed = [Some(Rigid3::identity()); 2];
     assert_eq!(relative_pose_errors_rad(&collapsed, &truth, 0.0)[0], std::f64::consts::PI);
@@ -199,7 +239,8 @@ fn icp_finds_a_small_motion() {
     let cloud_from_reference =
         Rigid3::from_axis_angle(Vector3::new(0.02, -0.03, 0.04), Vector3::new(0.05, -0.05, 0.03));
     // 2000 points of the surface at half the size, and 200 of something that the reference lacks.
-    let mut cloud: Vec<_> = reference.iter().step_by(10).map(|p| (cloud_from_reference * *p) * 0.5).collect();
+    let mut cloud: Vec<_> =
+        reference.iter().step_by(10).map(|p| (cloud_from_reference * *p) * 0.5).collect();
     cloud.extend((0..200).map(|_| surface(&mut rng) * 0.5 + Vector3::new(0.0, 0.0, 5.0)));
     let initial = Sim3 { scale: 2.0, ..Sim3::identity() };
     let tree = Cloud::new(reference.clone()).unwrap();
@@ -209,7 +250,8 @@ fn icp_finds_a_small_motion() {
         .zip(reference.iter().step_by(10))
         .map(|(p, q)| (found.reference_from_cloud * *p - q).norm())
         .collect();
-    let before = cloud.iter().zip(reference.iter().step_by(10)).map(|(p, q)| (initial * *p - q).norm());
+    let before =
+        cloud.iter().zip(reference.iter().step_by(10)).map(|(p, q)| (initial * *p - q).norm());
     assert!(before.fold(0.0, f64::max) > 0.1);
     // Point to point closes in slowly; the spacing of the reference is 0.03.
     assert!(Statistics::of(&distances).unwrap().max < 0.01, "{found:?}");
@@ -220,18 +262,21 @@ fn kitti(path: PathBuf) -> Vec<Rigid3> {
     let pose = |line: &str| {
         let v: Vec<f64> = line.split_whitespace().map(|word| word.parse().unwrap()).collect();
         let matrix = Matrix3::new(v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10]);
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
         Rigid3::new(rotation, Vector3::new(v[3], v[7], v[11])).inverse()
     };
     std::fs::read_to_string(path).unwrap().lines().map(pose).collect()
 }
 
-/// evo's own results, from its repository (test/data/res_files): APE after a rigid alignment, RPE over consecutive stretches of
-/// 10 m of the estimate. Since then evo counts the first stretch too: the two means of each are of evo 1.38.
+/// evo's own results, from its repository (test/data/res_files): APE after a rigid alignment, RPE
+/// over consecutive stretches of 10 m of the estimate. Since then evo counts the first stretch too:
+/// the two means of each are of evo 1.38.
 #[test]
 fn numbers_of_evo_on_kitti_00() {
     let Some(data) = skipped::data() else { return };
-    // Files hold rotations of seven digits, used as they are by evo and made orthogonal here, up to 500 m from the origin.
+    // Files hold rotations of seven digits, used as they are by evo and made orthogonal here, up to
+    // 500 m from the origin.
     const EVO_TOLERANCE: f64 = 1e-4;
     let read = |name: &str| kitti(data.join("trajectories").join(name));
     let truth = read("KITTI_00_gt.txt");
@@ -282,14 +327,22 @@ fn numbers_of_evo_on_kitti_00() {
         let comparison = compare_poses(&poses, &truth, Alignment::Rigid).unwrap();
         let errors: Vec<f64> = comparison.centre_errors.into_iter().flatten().collect();
         for (found, expected) in numbers(&errors).into_iter().zip(ape) {
-            assert!((found - expected).abs() < EVO_TOLERANCE, "{name}: APE {found} is not {expected}");
+            assert!(
+                (found - expected).abs() < EVO_TOLERANCE,
+                "{name}: APE {found} is not {expected}"
+            );
         }
         let centres: Vec<_> = model.iter().map(Rigid3::origin_in_a).collect();
         let pairs = consecutive_pairs_by_path(&centres, 10.0);
-        let errors: Vec<f64> =
-            relative_motion_errors(&model, &truth, &pairs).iter().map(|error| error.translation).collect();
+        let errors: Vec<f64> = relative_motion_errors(&model, &truth, &pairs)
+            .iter()
+            .map(|error| error.translation)
+            .collect();
         for (found, expected) in numbers(&errors[1..]).into_iter().zip(rpe) {
-            assert!((found - expected).abs() < EVO_TOLERANCE, "{name}: RPE {found} is not {expected}");
+            assert!(
+                (found - expected).abs() < EVO_TOLERANCE,
+                "{name}: RPE {found} is not {expected}"
+            );
         }
         assert!((numbers(&errors)[1] - rpe_with_first_mean).abs() < EVO_TOLERANCE, "{name}");
     }

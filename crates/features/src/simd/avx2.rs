@@ -13,8 +13,9 @@ pub(super) fn enter<T: Task>(task: T) -> T::Output {
     task.run::<Avx2>()
 }
 
-// SAFETY of every block below: these methods are only inlined into `enter`, whose callers have checked the machine;
-// pointers are the caller's promise, and none of the loads and stores needs alignment.
+// SAFETY of every block below: these methods are only inlined into `enter`, whose callers have
+// checked the machine; pointers are the caller's promise, and none of the loads and stores needs
+// alignment.
 impl Simd for Avx2 {
     type F = [__m256; 2];
     const BESIDE: usize = 1;
@@ -35,7 +36,10 @@ impl Simd for Avx2 {
         unsafe {
             let bytes = _mm_loadu_si128(p.cast());
             let upper = _mm_unpackhi_epi64(bytes, bytes);
-            [_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes)), _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(upper))]
+            [
+                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes)),
+                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(upper)),
+            ]
         }
     }
     #[inline(always)]

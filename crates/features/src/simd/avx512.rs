@@ -13,8 +13,9 @@ pub(super) fn enter<T: Task>(task: T) -> T::Output {
     task.run::<Avx512>()
 }
 
-// SAFETY of every block below: these methods are only inlined into `enter`, whose callers have checked the machine;
-// pointers are the caller's promise, and none of the loads and stores needs alignment.
+// SAFETY of every block below: these methods are only inlined into `enter`, whose callers have
+// checked the machine; pointers are the caller's promise, and none of the loads and stores needs
+// alignment.
 impl Simd for Avx512 {
     type F = __m512;
     const BESIDE: usize = 2;

@@ -3,8 +3,8 @@
 /// Lanes in a vector, on every instruction set.
 pub(crate) const LANES: usize = 16;
 
-/// Work that is written once for all instruction sets. `run` must be `#[inline(always)]`, and so must everything
-/// hot that it calls.
+/// Work that is written once for all instruction sets. `run` must be `#[inline(always)]`, and so
+/// must everything hot that it calls.
 pub(crate) trait Task {
     /// What comes out.
     type Output;
@@ -12,9 +12,9 @@ pub(crate) trait Task {
     fn run<S: Simd>(self) -> Self::Output;
 }
 
-/// Operations on a vector of sixteen `f32`. Methods without a pointer are safe although their instructions may not exist on the
-/// machine: each implementation is private to its file, and other code gets it from that file's `enter` alone, as the type
-/// parameter of a [`Task`].
+/// Operations on a vector of sixteen `f32`. Methods without a pointer are safe although their
+/// instructions may not exist on the machine: each implementation is private to its file, and other
+/// code gets it from that file's `enter` alone, as the type parameter of a [`Task`].
 pub(crate) trait Simd: Copy {
     /// The vector.
     type F: Copy;
@@ -38,7 +38,8 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     /// `p` must be valid for writing sixteen `f32`.
     unsafe fn store(p: *mut f32, v: Self::F);
-    /// Writes sixteen values past the caches where the machine can; to be followed by [`fence`](Self::fence).
+    /// Writes sixteen values past the caches where the machine can; to be followed by
+    /// [`fence`](Self::fence).
     ///
     /// # Safety
     /// As [`store`](Self::store), and `p` must be a multiple of 64 bytes.
@@ -50,11 +51,16 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     /// `p` must be valid for writing sixteen `i32`, the values within their range.
     unsafe fn store_int(p: *mut i32, v: Self::F);
-    /// Reads sixteen values at `p`, which lie `OFFSET` values into those of `low` and `high` one after the other.
+    /// Reads sixteen values at `p`, which lie `OFFSET` values into those of `low` and `high` one
+    /// after the other.
     ///
     /// # Safety
     /// As [`load`](Self::load); the values at `p` are those in the registers.
-    unsafe fn load_between<const OFFSET: i32>(p: *const f32, low: Self::F, high: Self::F) -> Self::F;
+    unsafe fn load_between<const OFFSET: i32>(
+        p: *const f32,
+        low: Self::F,
+        high: Self::F,
+    ) -> Self::F;
     /// Asks for the cache line at `p`, which may be any address.
     fn prefetch(p: *const f32);
     /// a + b

@@ -1,4 +1,5 @@
-//! Plain Rust: what runs where nothing better is there, and the twin with which the tests compare the rest.
+//! Plain Rust: what runs where nothing better is there, and the twin with which the tests compare
+//! the rest.
 
 use super::lanes::{LANES, Simd, Task};
 

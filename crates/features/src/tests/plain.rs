@@ -1,4 +1,5 @@
-//! SIFT as its definition reads: direct convolution of whole images, loops over all samples, double precision.
+//! SIFT as its definition reads: direct convolution of whole images, loops over all samples, double
+//! precision.
 
 use crate::GrayView;
 use crate::scale_space::{kernel_from_image, kernels_between_levels};
@@ -19,7 +20,8 @@ impl Plane {
     }
 
     pub(crate) fn from_fn(width: usize, height: usize, f: impl Fn(isize, isize) -> f64) -> Plane {
-        let data = (0..width * height).map(|i| f((i % width) as isize, (i / width) as isize)).collect();
+        let data =
+            (0..width * height).map(|i| f((i % width) as isize, (i / width) as isize)).collect();
         Plane { width, height, data }
     }
 
@@ -30,7 +32,8 @@ impl Plane {
             let mut sum = 0.0;
             for dy in -radius..=radius {
                 for dx in -radius..=radius {
-                    let weight = f64::from(kernel[dx.unsigned_abs()]) * f64::from(kernel[dy.unsigned_abs()]);
+                    let weight =
+                        f64::from(kernel[dx.unsigned_abs()]) * f64::from(kernel[dy.unsigned_abs()]);
                     sum += weight * self.at(x + dx, y + dy);
                 }
             }
@@ -77,8 +80,9 @@ pub(crate) fn plain_extrema(planes: &[Plane], least: f64) -> Vec<(usize, usize, 
 
 /// The image, or the image doubled, as VLFeat doubles it.
 pub(crate) fn plain_source(view: &GrayView<'_>, octave: i32) -> Plane {
-    let image =
-        Plane::from_fn(view.width, view.height, |x, y| f64::from(view.row(y as usize)[x as usize]) / 255.0);
+    let image = Plane::from_fn(view.width, view.height, |x, y| {
+        f64::from(view.row(y as usize)[x as usize]) / 255.0
+    });
     if octave >= 0 {
         return image;
     }
@@ -89,7 +93,8 @@ pub(crate) fn plain_source(view: &GrayView<'_>, octave: i32) -> Plane {
     })
 }
 
-/// Refinement as the module header of `extrema` states it, by Cramer's rule: sample, position and value, if it passes.
+/// Refinement as the module header of `extrema` states it, by Cramer's rule: sample, position and
+/// value, if it passes.
 pub(crate) fn plain_refined(
     planes: &[Plane],
     (i, x, y): (usize, usize, usize),
@@ -105,7 +110,8 @@ pub(crate) fn plain_refined(
     loop {
         let at = |dx: isize, dy: isize, j: isize| difference(j, x + dx, y + dy);
         let first = |d: [isize; 3]| (at(d[0], d[1], d[2]) - at(-d[0], -d[1], -d[2])) / 2.0;
-        let second = |d: [isize; 3]| at(d[0], d[1], d[2]) + at(-d[0], -d[1], -d[2]) - 2.0 * at(0, 0, 0);
+        let second =
+            |d: [isize; 3]| at(d[0], d[1], d[2]) + at(-d[0], -d[1], -d[2]) - 2.0 * at(0, 0, 0);
         let axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
         let mixed = |a: usize, b: usize| {
             let plus = [0, 1, 2].map(|k| axes[a][k] + axes[b][k]);
@@ -113,7 +119,8 @@ pub(crate) fn plain_refined(
             (second(plus) - second(minus)) / 4.0
         };
         let g = axes.map(first);
-        let h = [0, 1, 2].map(|a| [0, 1, 2].map(|b| if a == b { second(axes[a]) } else { mixed(a, b) }));
+        let h = [0, 1, 2]
+            .map(|a| [0, 1, 2].map(|b| if a == b { second(axes[a]) } else { mixed(a, b) }));
         let det = |m: [[f64; 3]; 3]| {
             m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
                 - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
@@ -164,7 +171,8 @@ pub(crate) fn plain_directions(level: &Plane, (x, y): (f64, f64), sigma: f64) ->
     for iy in 1..level.height - 1 {
         for ix in 1..level.width - 1 {
             let (dx, dy) = (ix as f64 - x, iy as f64 - y);
-            let inside = (ix as f64 - x.round()).abs() <= radius && (iy as f64 - y.round()).abs() <= radius;
+            let inside =
+                (ix as f64 - x.round()).abs() <= radius && (iy as f64 - y.round()).abs() <= radius;
             let r2 = dx * dx + dy * dy;
             if !inside || r2 >= radius * radius + 0.6 {
                 continue;
@@ -230,7 +238,8 @@ fn plain_unit_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f
     clamped.map(|v| v / n)
 }
 
-/// The descriptor before rounding, times 512, as RootSIFT: the mean of those in windows of these sizes.
+/// The descriptor before rounding, times 512, as RootSIFT: the mean of those in windows of these
+/// sizes.
 pub(crate) fn plain_descriptor(
     level: &Plane,
     at: (f64, f64),
@@ -240,7 +249,8 @@ pub(crate) fn plain_descriptor(
 ) -> [f64; 128] {
     let mut pooled = [0.0; 128];
     for size in sizes {
-        for (sum, v) in pooled.iter_mut().zip(plain_unit_descriptor(level, at, size * sigma, angle)) {
+        for (sum, v) in pooled.iter_mut().zip(plain_unit_descriptor(level, at, size * sigma, angle))
+        {
             *sum += v;
         }
     }

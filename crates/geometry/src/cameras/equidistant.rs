@@ -1,11 +1,13 @@
-//! The equidistant point w = θ (x, y)/r of the plane on which fisheye lenses distort, with θ the angle from the optical axis and
-//! r = √(x² + y²): smooth on the axis, and defined behind the camera too.
+//! The equidistant point w = θ (x, y)/r of the plane on which fisheye lenses distort, with θ the
+//! angle from the optical axis and r = √(x² + y²): smooth on the axis, and defined behind the
+//! camera too.
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use super::model::MIN_DEPTH;
 
-/// Below this squared tangent of θ its functions are replaced by their series, which neglect terms of order tan⁴ θ ≤ 1e-16.
+/// Below this squared tangent of θ its functions are replaced by their series, which neglect terms
+/// of order tan⁴ θ ≤ 1e-16.
 const SMALL_TAN2: f64 = 1e-8;
 
 /// θ/r, so that w = (x, y) · θ/r; `None` at the centre of the camera and on the axis behind it.
@@ -41,6 +43,7 @@ pub(super) fn ray(w: &Vector2<f64>) -> Option<Vector3<f64>> {
         return None;
     }
     // sin θ / θ, by its series near the axis.
-    let sinc = if angle * angle < SMALL_TAN2 { 1.0 - angle * angle / 6.0 } else { angle.sin() / angle };
+    let sinc =
+        if angle * angle < SMALL_TAN2 { 1.0 - angle * angle / 6.0 } else { angle.sin() / angle };
     Some((w * sinc).push(angle.cos()))
 }

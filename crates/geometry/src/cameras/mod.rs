@@ -1,8 +1,8 @@
 //! Camera models: from a point in the camera's frame to a pixel, and back to a bearing.
 //!
-//! Names, parameter orders and numbers are COLMAP's. To add a model: write `cameras/<name>.rs` with a unit struct that
-//! implements [`CameraModel`], and add one line to the `camera_models!` list below. Text names, dispatch, files and the laws in
-//! the tests follow from the list.
+//! Names, parameter orders and numbers are COLMAP's. To add a model: write `cameras/<name>.rs` with
+//! a unit struct that implements [`CameraModel`], and add one line to the `camera_models!` list
+//! below. Text names, dispatch, files and the laws in the tests follow from the list.
 
 mod equidistant;
 mod model;
@@ -37,17 +37,25 @@ macro_rules! camera_models {
             /// Every model, in COLMAP's order.
             pub const ALL: &'static [CameraModelKind] = &[$(CameraModelKind::$model),*];
             /// COLMAP's name.
-            pub fn name(self) -> &'static str { match self { $(Self::$model => <$model as CameraModel>::NAME),* } }
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$model => <$model as CameraModel>::NAME),* }
+            }
             /// COLMAP's number.
-            pub fn colmap_id(self) -> i32 { match self { $(Self::$model => <$model as CameraModel>::COLMAP_ID),* } }
+            pub fn colmap_id(self) -> i32 {
+                match self { $(Self::$model => <$model as CameraModel>::COLMAP_ID),* }
+            }
             /// Names of the parameters, in order.
             pub fn param_names(self) -> &'static [&'static str] {
                 match self { $(Self::$model => <$model as CameraModel>::PARAM_NAMES),* }
             }
             /// Indices of the focal lengths.
-            pub fn focal_indices(self) -> &'static [usize] { match self { $(Self::$model => <$model as CameraModel>::FOCAL),* } }
+            pub fn focal_indices(self) -> &'static [usize] {
+                match self { $(Self::$model => <$model as CameraModel>::FOCAL),* }
+            }
             /// Indices of distortion that a turn of the camera does as well.
-            pub fn turn_indices(self) -> &'static [usize] { match self { $(Self::$model => <$model as CameraModel>::TURN),* } }
+            pub fn turn_indices(self) -> &'static [usize] {
+                match self { $(Self::$model => <$model as CameraModel>::TURN),* }
+            }
             /// Indices of the principal point.
             pub fn principal_point_indices(self) -> [usize; 2] {
                 match self { $(Self::$model => <$model as CameraModel>::PRINCIPAL_POINT),* }
@@ -63,14 +71,22 @@ macro_rules! camera_models {
 
         impl Intrinsics {
             /// Which model.
-            pub fn kind(&self) -> CameraModelKind { match self { $(Self::$model(_) => CameraModelKind::$model),* } }
+            pub fn kind(&self) -> CameraModelKind {
+                match self { $(Self::$model(_) => CameraModelKind::$model),* }
+            }
             /// The parameters.
             pub fn params(&self) -> &[f64] { match self { $(Self::$model(p) => p.as_slice()),* } }
             /// The parameters, to change.
-            pub fn params_mut(&mut self) -> &mut [f64] { match self { $(Self::$model(p) => p.as_mut_slice()),* } }
+            pub fn params_mut(&mut self) -> &mut [f64] {
+                match self { $(Self::$model(p) => p.as_mut_slice()),* }
+            }
             /// All parameters zero: to be filled through [`Intrinsics::params_mut`].
             fn zeroed(kind: CameraModelKind) -> Self {
-                match kind { $(CameraModelKind::$model => Self::$model(nalgebra::SVector::<f64, $dof>::zeros())),* }
+                match kind {
+                    $(CameraModelKind::$model => {
+                        Self::$model(nalgebra::SVector::<f64, $dof>::zeros())
+                    })*
+                }
             }
             /// The pixel of a point in the camera's frame; `None` where the model does not see it.
             pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
@@ -82,13 +98,17 @@ macro_rules! camera_models {
             }
         }
 
-        /// Runs generic code for the model of an [`Intrinsics`]: `with_camera_model!(intrinsics, M, params => expression)`
-        /// binds the type `M: CameraModel` and `params: &M::Params`.
+        /// Runs generic code for the model of an [`Intrinsics`]:
+        /// `with_camera_model!(intrinsics, M, params => expression)` binds the type
+        /// `M: CameraModel` and `params: &M::Params`.
         #[macro_export]
         macro_rules! with_camera_model {
             ($d intrinsics:expr, $d M:ident, $d params:ident => $d body:expr) => {
                 match $d intrinsics { $(
-                    $crate::Intrinsics::$model($d params) => { type $d M = $crate::cameras::$model; $d body }
+                    $crate::Intrinsics::$model($d params) => {
+                        type $d M = $crate::cameras::$model;
+                        $d body
+                    }
                 ),* }
             };
         }
@@ -109,9 +129,11 @@ camera_models! { $;
 impl CameraModelKind {
     /// The model of that name (COLMAP's, in upper case).
     pub fn from_name(name: &str) -> Result<Self, Error> {
-        Self::ALL.iter().copied().find(|kind| kind.name() == name).ok_or_else(|| Error::UnknownCameraModel {
-            name: name.to_owned(),
-            known: Self::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", "),
+        Self::ALL.iter().copied().find(|kind| kind.name() == name).ok_or_else(|| {
+            Error::UnknownCameraModel {
+                name: name.to_owned(),
+                known: Self::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", "),
+            }
         })
     }
 
@@ -162,7 +184,8 @@ impl Intrinsics {
         Self::new(CameraModelKind::from_name(name)?, params)
     }
 
-    /// No distortion, the principal point in the middle of a `width` × `height` image, focal length `focal_px`.
+    /// No distortion, the principal point in the middle of a `width` × `height` image, focal length
+    /// `focal_px`.
     pub fn centred(kind: CameraModelKind, focal_px: f64, width: u32, height: u32) -> Self {
         let mut intrinsics = Self::zeroed(kind);
         for &index in kind.focal_indices() {

@@ -1,6 +1,6 @@
-//! OpenCV's perspective camera with two radial and two tangential coefficients (Brown 1966): with (u, v) = (x/z, y/z),
-//! r² = u² + v² and g = 1 + k₁ r² + k₂ r⁴,
-//! u' = g u + 2 p₁ u v + p₂ (r² + 2u²), v' = g v + 2 p₂ u v + p₁ (r² + 2v²), pixel = (fx u' + cx, fy v' + cy).
+//! OpenCV's perspective camera with two radial and two tangential coefficients (Brown 1966): with
+//! (u, v) = (x/z, y/z), r² = u² + v² and g = 1 + k₁ r² + k₂ r⁴, u' = g u + 2 p₁ u v + p₂ (r² +
+//! 2u²), v' = g v + 2 p₂ u v + p₁ (r² + 2v²), pixel = (fx u' + cx, fy v' + cy).
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -18,7 +18,10 @@ fn distort(params: &SVector<f64, 8>, uv: &Vector2<f64>) -> Vector2<f64> {
     let r2 = u * u + v * v;
     let g = 1.0 + r2 * (k1 + r2 * k2);
     let cross = 2.0 * u * v;
-    Vector2::new(g * u + p1 * cross + p2 * (r2 + 2.0 * u * u), g * v + p2 * cross + p1 * (r2 + 2.0 * v * v))
+    Vector2::new(
+        g * u + p1 * cross + p2 * (r2 + 2.0 * u * u),
+        g * v + p2 * cross + p1 * (r2 + 2.0 * v * v),
+    )
 }
 
 /// The derivative of [`distort`]; symmetric.
@@ -53,7 +56,10 @@ impl CameraModel for Opencv {
         Some(Vector2::new(params[0] * distorted.x + params[2], params[1] * distorted.y + params[3]))
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         if point_in_cam.z < MIN_DEPTH {
             return None;
         }
@@ -67,8 +73,10 @@ impl CameraModel for Opencv {
         let cross = 2.0 * u * v;
         #[rustfmt::skip]
         let d_params = SMatrix::<f64, 2, 8>::from_row_slice(&[
-            distorted.x, 0.0, 1.0, 0.0, fx * u * r2, fx * u * r2 * r2, fx * cross, fx * (r2 + 2.0 * u * u),
-            0.0, distorted.y, 0.0, 1.0, fy * v * r2, fy * v * r2 * r2, fy * (r2 + 2.0 * v * v), fy * cross,
+            distorted.x, 0.0, 1.0, 0.0, fx * u * r2, fx * u * r2 * r2,
+            fx * cross, fx * (r2 + 2.0 * u * u),
+            0.0, distorted.y, 0.0, 1.0, fy * v * r2, fy * v * r2 * r2,
+            fy * (r2 + 2.0 * v * v), fy * cross,
         ]);
         Some(Projection {
             pixel: Vector2::new(fx * distorted.x + cx, fy * distorted.y + cy),
@@ -78,7 +86,8 @@ impl CameraModel for Opencv {
     }
 
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        let distorted = Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
+        let distorted =
+            Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
         let uv = undistort(distorted, |uv| (distort(params, uv), d_distort(params, uv)))?;
         Some(uv.push(1.0).normalize())
     }

@@ -1,8 +1,10 @@
-//! OpenCV's fisheye camera (Kannala and Brandt 2006): with θ the angle from the optical axis and r = √(x² + y²),
-//! θ_d = θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸), pixel = (fx θ_d x/r + cx, fy θ_d y/r + cy).
+//! OpenCV's fisheye camera (Kannala and Brandt 2006): with θ the angle from the optical axis and r
+//! = √(x² + y²), θ_d = θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸), pixel = (fx θ_d x/r + cx, fy θ_d y/r
+//! + cy).
 //!
-//! Written as two steps that are smooth on the axis: the equidistant point w = θ (x, y)/r, then a radial polynomial of w.
-//! Unlike OpenCV and COLMAP, points with z ≤ 0 are seen too, as far as θ_d still grows there.
+//! Written as two steps that are smooth on the axis: the equidistant point w = θ (x, y)/r, then a
+//! radial polynomial of w. Unlike OpenCV and COLMAP, points with z ≤ 0 are seen too, as far as θ_d
+//! still grows there.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -35,7 +37,10 @@ fn distort(params: &SVector<f64, 8>, w: &Vector2<f64>) -> (Vector2<f64>, Matrix2
 }
 
 /// The equidistant point w and θ/r, where the model sees the point.
-fn equidistant(params: &SVector<f64, 8>, point_in_cam: &Vector3<f64>) -> Option<(Vector2<f64>, f64)> {
+fn equidistant(
+    params: &SVector<f64, 8>,
+    point_in_cam: &Vector3<f64>,
+) -> Option<(Vector2<f64>, f64)> {
     let scale = angle_over_radius(point_in_cam)?;
     let w = point_in_cam.xy() * scale;
     (point_in_cam.z > 0.0 || d_angle(params, w.norm_squared()) > 0.0).then_some((w, scale))
@@ -55,7 +60,10 @@ impl CameraModel for OpencvFisheye {
         Some(Vector2::new(params[0] * distorted.x + params[2], params[1] * distorted.y + params[3]))
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         let (w, scale) = equidistant(params, point_in_cam)?;
         let [fx, fy, cx, cy] = [params[0], params[1], params[2], params[3]];
         let (distorted, d_w) = distort(params, &w);
@@ -78,7 +86,8 @@ impl CameraModel for OpencvFisheye {
     }
 
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        let distorted = Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
+        let distorted =
+            Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
         ray(&undistort(distorted, |w| distort(params, w))?)
     }
 }

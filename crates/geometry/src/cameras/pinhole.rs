@@ -21,10 +21,16 @@ impl CameraModel for SimplePinhole {
     const PRINCIPAL_POINT: [usize; 2] = [1, 2];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
-        Pinhole::project(&SVector::<f64, 4>::new(params[0], params[0], params[1], params[2]), point_in_cam)
+        Pinhole::project(
+            &SVector::<f64, 4>::new(params[0], params[0], params[1], params[2]),
+            point_in_cam,
+        )
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         let pinhole = SVector::<f64, 4>::new(params[0], params[0], params[1], params[2]);
         let Projection { pixel, d_point, d_params: d } =
             Pinhole::project_with_jacobian(&pinhole, point_in_cam)?;
@@ -33,7 +39,10 @@ impl CameraModel for SimplePinhole {
     }
 
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        Pinhole::unproject(&SVector::<f64, 4>::new(params[0], params[0], params[1], params[2]), pixel)
+        Pinhole::unproject(
+            &SVector::<f64, 4>::new(params[0], params[0], params[1], params[2]),
+            pixel,
+        )
     }
 }
 
@@ -53,14 +62,18 @@ impl CameraModel for Pinhole {
         Some(Vector2::new(params[0] * u + params[2], params[1] * v + params[3]))
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         if point_in_cam.z < MIN_DEPTH {
             return None;
         }
         let [fx, fy, cx, cy] = [params[0], params[1], params[2], params[3]];
         let inv_z = 1.0 / point_in_cam.z;
         let (u, v) = (point_in_cam.x * inv_z, point_in_cam.y * inv_z);
-        let d_point = Matrix2x3::new(fx * inv_z, 0.0, -fx * u * inv_z, 0.0, fy * inv_z, -fy * v * inv_z);
+        let d_point =
+            Matrix2x3::new(fx * inv_z, 0.0, -fx * u * inv_z, 0.0, fy * inv_z, -fy * v * inv_z);
         let d_params = Matrix2x4::new(u, 0.0, 1.0, 0.0, 0.0, v, 0.0, 1.0);
         Some(Projection { pixel: Vector2::new(fx * u + cx, fy * v + cy), d_point, d_params })
     }

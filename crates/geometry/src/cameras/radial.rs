@@ -1,5 +1,5 @@
-//! Perspective cameras with one focal length and radial distortion: with (u, v) = (x/z, y/z) and r² = u² + v²,
-//! pixel = f · (1 + k₁ r² + k₂ r⁴) · (u, v) + c.
+//! Perspective cameras with one focal length and radial distortion: with (u, v) = (x/z, y/z) and r²
+//! = u² + v², pixel = f · (1 + k₁ r² + k₂ r⁴) · (u, v) + c.
 
 use nalgebra::{Matrix2, Matrix2x4, Matrix2x5, SVector, Vector2, Vector3};
 
@@ -31,7 +31,10 @@ impl CameraModel for SimpleRadial {
         Radial::project(&as_radial(params), point_in_cam)
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         let Projection { pixel, d_point, d_params } =
             Radial::project_with_jacobian(&as_radial(params), point_in_cam)?;
         let d_params: Matrix2x4<f64> = d_params.fixed_columns::<4>(0).into_owned();
@@ -70,7 +73,10 @@ impl CameraModel for Radial {
         Some(Vector2::new(scale * uv.x + params[1], scale * uv.y + params[2]))
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         if point_in_cam.z < MIN_DEPTH {
             return None;
         }
@@ -80,8 +86,18 @@ impl CameraModel for Radial {
         let (f, r2) = (params[0], uv.norm_squared());
         let d_k1 = uv * (f * r2);
         let d_k2 = d_k1 * r2;
-        let d_params =
-            Matrix2x5::new(distorted.x, 1.0, 0.0, d_k1.x, d_k2.x, distorted.y, 0.0, 1.0, d_k1.y, d_k2.y);
+        let d_params = Matrix2x5::new(
+            distorted.x,
+            1.0,
+            0.0,
+            d_k1.x,
+            d_k2.x,
+            distorted.y,
+            0.0,
+            1.0,
+            d_k1.y,
+            d_k2.y,
+        );
         Some(Projection {
             pixel: Vector2::new(f * distorted.x + params[1], f * distorted.y + params[2]),
             d_point: perspective_chain(&(d_uv * f), &uv, inv_z),

@@ -1,10 +1,12 @@
-//! COLMAP's fisheye camera with decentring and a thin prism (Weng, Cohen and Herniou 1992), the richest that it has for action
-//! cameras and, since θ is small there, for any other lens: with w = (u, v) the equidistant point, ρ² = u² + v² = θ² and
-//! g = 1 + k₁ ρ² + k₂ ρ⁴ + k₃ ρ⁶ + k₄ ρ⁸,
-//! u' = g u + 2 p₁ u v + p₂ (ρ² + 2u²) + s₁ ρ², v' = g v + 2 p₂ u v + p₁ (ρ² + 2v²) + s₂ ρ², pixel = (fx u' + cx, fy v' + cy).
+//! COLMAP's fisheye camera with decentring and a thin prism (Weng, Cohen and Herniou 1992), the
+//! richest that it has for action cameras and, since θ is small there, for any other lens: with w =
+//! (u, v) the equidistant point, ρ² = u² + v² = θ² and g = 1 + k₁ ρ² + k₂ ρ⁴ + k₃ ρ⁶ + k₄ ρ⁸, u' =
+//! g u + 2 p₁ u v + p₂ (ρ² + 2u²) + s₁ ρ², v' = g v + 2 p₂ u v + p₁ (ρ² + 2v²) + s₂ ρ², pixel = (fx
+//! u' + cx, fy v' + cy).
 //!
-//! Where poses are unknown, images hardly tell the prism. A turn by ε moves v by ε (1 − u²/3) and u by ε uv/3, up to the fourth order of ρ: with the
-//! lens, a shift of cy by fy ε together with p₁ = ε (1/6 + k₁) and s₂ = −ε/2. Likewise the other way.
+//! Where poses are unknown, images hardly tell the prism. A turn by ε moves v by ε (1 − u²/3) and u
+//! by ε uv/3, up to the fourth order of ρ: with the lens, a shift of cy by fy ε together with p₁ =
+//! ε (1/6 + k₁) and s₂ = −ε/2. Likewise the other way.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -12,7 +14,8 @@ use super::equidistant::{angle_over_radius, d_equidistant, ray};
 use super::model::{CameraModel, Projection};
 use super::undistort::undistort;
 
-/// Two focal lengths, a polynomial of the angle, decentring and a thin prism: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1.
+/// Two focal lengths, a polynomial of the angle, decentring and a thin prism: fx, fy, cx, cy, k1,
+/// k2, p1, p2, k3, k4, sx1, sy1.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ThinPrismFisheye;
 
@@ -76,7 +79,10 @@ impl CameraModel for ThinPrismFisheye {
         Some(Vector2::new(params[0] * distorted.x + params[2], params[1] * distorted.y + params[3]))
     }
 
-    fn project_with_jacobian(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Projection<Self>> {
+    fn project_with_jacobian(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+    ) -> Option<Projection<Self>> {
         let (w, scale) = equidistant(params, point_in_cam)?;
         let [fx, fy, cx, cy] = [params[0], params[1], params[2], params[3]];
         let distorted = distort(params, &w);
@@ -88,11 +94,14 @@ impl CameraModel for ThinPrismFisheye {
         let d_k2 = d_k1 * rho2;
         let d_k3 = d_k2 * rho2;
         let d_k4 = d_k3 * rho2;
-        let (d_p1, d_p2) = ((fx * cross, fy * (rho2 + 2.0 * v * v)), (fx * (rho2 + 2.0 * u * u), fy * cross));
+        let (d_p1, d_p2) =
+            ((fx * cross, fy * (rho2 + 2.0 * v * v)), (fx * (rho2 + 2.0 * u * u), fy * cross));
         #[rustfmt::skip]
         let d_params = SMatrix::<f64, 2, 12>::from_row_slice(&[
-            distorted.x, 0.0, 1.0, 0.0, d_k1.x, d_k2.x, d_p1.0, d_p2.0, d_k3.x, d_k4.x, fx * rho2, 0.0,
-            0.0, distorted.y, 0.0, 1.0, d_k1.y, d_k2.y, d_p1.1, d_p2.1, d_k3.y, d_k4.y, 0.0, fy * rho2,
+            distorted.x, 0.0, 1.0, 0.0, d_k1.x, d_k2.x, d_p1.0, d_p2.0, d_k3.x,
+            d_k4.x, fx * rho2, 0.0,
+            0.0, distorted.y, 0.0, 1.0, d_k1.y, d_k2.y, d_p1.1, d_p2.1, d_k3.y,
+            d_k4.y, 0.0, fy * rho2,
         ]);
         Some(Projection {
             pixel: Vector2::new(fx * distorted.x + cx, fy * distorted.y + cy),
@@ -102,7 +111,8 @@ impl CameraModel for ThinPrismFisheye {
     }
 
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
-        let distorted = Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
+        let distorted =
+            Vector2::new((pixel.x - params[2]) / params[0], (pixel.y - params[3]) / params[1]);
         ray(&undistort(distorted, |w| (distort(params, w), d_distort(params, w)))?)
     }
 }
@@ -115,7 +125,8 @@ mod tests {
 
     /// In radians: small enough that its square does not count.
     const TURN_RAD: f64 = 1e-6;
-    /// Of what is left of a turn, as a share of it, at ρ = 1; it goes with ρ⁴. Of that order are 5 k₂ and terms of hundredths.
+    /// Of what is left of a turn, as a share of it, at ρ = 1; it goes with ρ⁴. Of that order are 5
+    /// k₂ and terms of hundredths.
     const MAX_LEFT: f64 = 0.3;
     const K: [f64; 2] = [0.03, -0.05];
 
@@ -129,15 +140,18 @@ mod tests {
                 500.0, 500.0, shifted.x, shifted.y, K[0], K[1], p1, p2, 0.0, 0.0, prism.x, prism.y,
             ])
         };
-        for (axis, shift) in [(Vector3::x(), Vector2::new(0.0, -1.0)), (Vector3::y(), Vector2::new(1.0, 0.0))]
+        for (axis, shift) in
+            [(Vector3::x(), Vector2::new(0.0, -1.0)), (Vector3::y(), Vector2::new(1.0, 0.0))]
         {
-            for (rho, azimuth) in
-                [0.05, 0.1, 0.3].into_iter().flat_map(|rho| (0..8).map(move |k| (rho, f64::from(k))))
+            for (rho, azimuth) in [0.05, 0.1, 0.3]
+                .into_iter()
+                .flat_map(|rho| (0..8).map(move |k| (rho, f64::from(k))))
             {
                 let w = Vector2::new(azimuth.cos(), azimuth.sin()) * rho;
                 let turned = Rotation3::from_scaled_axis(axis * TURN_RAD) * ray(&w).unwrap();
                 let by_turn = ThinPrismFisheye::project(&lens(Vector2::zeros()), &turned).unwrap();
-                let by_lens = ThinPrismFisheye::project(&lens(shift * TURN_RAD), &ray(&w).unwrap()).unwrap();
+                let by_lens =
+                    ThinPrismFisheye::project(&lens(shift * TURN_RAD), &ray(&w).unwrap()).unwrap();
                 let left = (by_turn - by_lens).norm() / (500.0 * TURN_RAD);
                 assert!(left < MAX_LEFT * rho.powi(4) + 1e-5, "{left} at {w}, about {axis}");
             }

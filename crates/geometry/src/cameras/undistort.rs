@@ -1,8 +1,11 @@
-//! The inverse of a distortion of the plane, by Newton's method that stays on the branch through the centre.
+//! The inverse of a distortion of the plane, by Newton's method that stays on the branch through
+//! the centre.
 //!
-//! Polynomial distortions fold back: beyond some radius a growing angle gives a shrinking pixel distance, and a pixel has
-//! further, meaningless pre-images. All distortions here have a derivative that is symmetric (but for a thin prism, a little) and
-//! positive definite from the centre up to the fold, where it loses that, so steps are shortened until they stay where it holds.
+//! Polynomial distortions fold back: beyond some radius a growing angle gives a shrinking pixel
+//! distance, and a pixel has further, meaningless pre-images. All distortions here have a
+//! derivative that is symmetric (but for a thin prism, a little) and positive definite from the
+//! centre up to the fold, where it loses that, so steps are shortened until they stay where it
+//! holds.
 
 use nalgebra::{Matrix2, Vector2};
 

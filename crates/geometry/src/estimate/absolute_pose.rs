@@ -9,8 +9,9 @@ use crate::simd::{LANES, Lanes, blocks_of, pack, store};
 use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, so3, solvers};
 
-/// `cam_from_world` of a camera that sees `points_in_world[i]` at `pixels[i]`; P3P on samples, then least reprojection error of
-/// the inliers. Errors are in pixels; points behind the camera are outliers.
+/// `cam_from_world` of a camera that sees `points_in_world[i]` at `pixels[i]`; P3P on samples, then
+/// least reprojection error of the inliers. Errors are in pixels; points behind the camera are
+/// outliers.
 pub fn absolute_pose(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
@@ -20,7 +21,8 @@ pub fn absolute_pose(
     ransac(&AbsolutePose::new(pixels, points_in_world, intrinsics), options)
 }
 
-/// The pose of least robust reprojection error near `initial`. Points that `initial` has behind the camera are left out.
+/// The pose of least robust reprojection error near `initial`. Points that `initial` has behind the
+/// camera are left out.
 pub fn refine_absolute_pose(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
@@ -185,12 +187,14 @@ mod tests {
 
     #[test]
     fn the_derivative_by_the_pose_is_that_of_its_tangent() {
-        let pose = Rigid3::from_axis_angle(Vector3::new(0.2, -0.4, 1.0), Vector3::new(30.0, -2.0, 5.0));
+        let pose =
+            Rigid3::from_axis_angle(Vector3::new(0.2, -0.4, 1.0), Vector3::new(30.0, -2.0, 5.0));
         let point = pose.inverse() * Vector3::new(0.7, -0.4, 3.0);
         let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 1.0, 2, 2);
         let analytic = with_camera_model!(&intrinsics, M, params => {
             let in_cam = pose * point;
-            let projection = M::project_with_jacobian(params, &in_cam).expect("in front of the camera");
+            let projection = M::project_with_jacobian(params, &in_cam).expect("in front of the \
+            camera");
             d_pose(&projection.d_point, &in_cam)
         });
         let pixel = |pose: &Rigid3| intrinsics.project(&(*pose * point));

@@ -9,16 +9,18 @@ use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, solvers};
 
-/// Focal lengths that [`absolute_pose_focal`] tries, as factors of the given one: a geometric series that covers fields of view
-/// from a third to three times as wide.
+/// Focal lengths that [`absolute_pose_focal`] tries, as factors of the given one: a geometric
+/// series that covers fields of view from a third to three times as wide.
 const FOCAL_FACTORS: [f64; 17] = [
-    0.300, 0.349, 0.406, 0.472, 0.548, 0.637, 0.741, 0.862, 1.0, 1.16, 1.35, 1.57, 1.83, 2.12, 2.47, 2.87,
-    3.33,
+    0.300, 0.349, 0.406, 0.472, 0.548, 0.637, 0.741, 0.862, 1.0, 1.16, 1.35, 1.57, 1.83, 2.12,
+    2.47, 2.87, 3.33,
 ];
 
-/// Like [`absolute_pose`](super::absolute_pose()), for a camera whose focal lengths are known but for a common factor: each sample of four is solved by
-/// P3P at a series of focal lengths, from 0.3 to 3.3 times the given ones, that of the least error at the fourth point being
-/// kept; refinement moves the focal length with the pose. The model's intrinsics differ from the given ones in that factor.
+/// Like [`absolute_pose`](super::absolute_pose()), for a camera whose focal lengths are known but
+/// for a common factor: each sample of four is solved by P3P at a series of focal lengths, from 0.3
+/// to 3.3 times the given ones, that of the least error at the fourth point being kept; refinement
+/// moves the focal length with the pose. The model's intrinsics differ from the given ones in that
+/// factor.
 pub fn absolute_pose_focal(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
@@ -65,7 +67,8 @@ impl Estimator for AbsolutePoseFocal<'_> {
     }
 
     fn models(&self, sample: &[usize], models: &mut Vec<Self::Model>) {
-        let points: [Vector3<f64>; 3] = std::array::from_fn(|i| self.data.points_in_world[sample[i]]);
+        let points: [Vector3<f64>; 3] =
+            std::array::from_fn(|i| self.data.points_in_world[sample[i]]);
         let (pixel, point) = (self.data.pixels[sample[3]], self.data.points_in_world[sample[3]]);
         let mut best: Option<(f64, Self::Model)> = None;
         for AbsolutePoseRays { factor, camera, rays } in &self.cameras {
@@ -84,7 +87,12 @@ impl Estimator for AbsolutePoseFocal<'_> {
         }
     }
 
-    fn squared_residuals(&self, (pose, log_factor): &Self::Model, range: Range<usize>, squared: &mut [f64]) {
+    fn squared_residuals(
+        &self,
+        (pose, log_factor): &Self::Model,
+        range: Range<usize>,
+        squared: &mut [f64],
+    ) {
         let camera = with_focal_factor(self.data.intrinsics, log_factor.exp());
         self.data.squared_errors(&camera, pose, range, squared);
     }
@@ -118,10 +126,12 @@ impl Problem<7> for ReprojectionFocal<'_> {
                     normal.refuse();
                     continue;
                 };
-                // Every model is c + f · (something), so that the offset from c is the derivative by ln f.
+                // Every model is c + f · (something), so that the offset from c is the derivative
+                // by ln f.
                 let d_log_factor = projection.pixel - centre;
                 let mut jacobian = SMatrix::<f64, 2, 7>::zeros();
-                jacobian.fixed_columns_mut::<6>(0).copy_from(&d_pose(&projection.d_point, &point_in_cam));
+                let by_pose = d_pose(&projection.d_point, &point_in_cam);
+                jacobian.fixed_columns_mut::<6>(0).copy_from(&by_pose);
                 jacobian.set_column(6, &d_log_factor);
                 normal.add(&(projection.pixel - self.data.pixels[i]), &jacobian);
             }

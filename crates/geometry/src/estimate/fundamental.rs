@@ -10,8 +10,8 @@ use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, so3, solvers};
 
-/// The fundamental matrix, of norm 1, of pixels that show the same points: seven-point solver on samples, then least Sampson
-/// error of the inliers. Errors are Sampson errors in pixels.
+/// The fundamental matrix, of norm 1, of pixels that show the same points: seven-point solver on
+/// samples, then least Sampson error of the inliers. Errors are Sampson errors in pixels.
 pub fn fundamental(
     points1: &[Vector2<f64>],
     points2: &[Vector2<f64>],
@@ -19,7 +19,8 @@ pub fn fundamental(
 ) -> Option<Report<Matrix3<f64>>> {
     let count = points1.len().min(points2.len());
     let (points1, points2) = (&points1[..count], &points2[..count]);
-    // One scale for both images, so that the error is that in pixels but for the scale; each its own centre.
+    // One scale for both images, so that the error is that in pixels but for the scale; each its
+    // own centre.
     let (mut to_unit1, mut to_unit2) = (normalisation(points1)?, normalisation(points2)?);
     let scale = to_unit1.m11.min(to_unit2.m11);
     to_unit1 = (to_unit1 * (scale / to_unit1.m11)).with_unit_corner();
@@ -68,13 +69,14 @@ impl Estimator for Fundamental {
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
         let start = Factors::of(model)?;
-        let problem = SampsonFundamental { pairs: self.pairs.choose(data), px_per_unit: self.px_per_unit };
+        let problem =
+            SampsonFundamental { pairs: self.pairs.choose(data), px_per_unit: self.px_per_unit };
         Some(minimize(&problem, &start, loss, MAX_LM_ITERATIONS).matrix())
     }
 }
 
-/// F = U diag(1, σ, 0) Vᵀ: seven numbers that keep the rank at two (Bartoli and Sturm 2004, "Nonlinear estimation of the
-/// fundamental matrix with minimal parameters").
+/// F = U diag(1, σ, 0) Vᵀ: seven numbers that keep the rank at two (Bartoli and Sturm 2004,
+/// "Nonlinear estimation of the fundamental matrix with minimal parameters").
 #[derive(Clone)]
 struct Factors {
     u: UnitQuaternion<f64>,
@@ -104,7 +106,9 @@ impl Factors {
 
     fn matrix(&self) -> Matrix3<f64> {
         let diagonal = Matrix3::from_diagonal(&Vector3::new(1.0, self.sigma, 0.0));
-        self.u.to_rotation_matrix().matrix() * diagonal * self.v.to_rotation_matrix().matrix().transpose()
+        self.u.to_rotation_matrix().matrix()
+            * diagonal
+            * self.v.to_rotation_matrix().matrix().transpose()
     }
 }
 
@@ -129,8 +133,15 @@ impl Problem<7> for SampsonFundamental {
         let f = value.matrix();
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| so3::hat(&axis));
         let d_sigma = (value.u * Vector3::y()) * (value.v * Vector3::y()).transpose();
-        let directions: [Matrix3<f64>; 7] =
-            [axes[0] * f, axes[1] * f, axes[2] * f, -f * axes[0], -f * axes[1], -f * axes[2], d_sigma];
+        let directions: [Matrix3<f64>; 7] = [
+            axes[0] * f,
+            axes[1] * f,
+            axes[2] * f,
+            -f * axes[0],
+            -f * axes[1],
+            -f * axes[2],
+            d_sigma,
+        ];
         self.pairs.linearize(&f, self.px_per_unit, &directions, normal);
     }
 }

@@ -11,21 +11,24 @@ use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, solvers};
 
-/// The homography, of norm 1, that takes `points1[i]` to `points2[i]`: four-point solver on samples, then least transfer error of
-/// the inliers. Errors are distances in image 2.
+/// The homography, of norm 1, that takes `points1[i]` to `points2[i]`: four-point solver on
+/// samples, then least transfer error of the inliers. Errors are distances in image 2.
 pub fn homography(
     points1: &[Vector2<f64>],
     points2: &[Vector2<f64>],
     options: &RansacOptions,
 ) -> Option<Report<Matrix3<f64>>> {
     let count = points1.len().min(points2.len());
-    let (to_unit1, to_unit2) = (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
+    let (to_unit1, to_unit2) =
+        (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
     let apply = |m: &Matrix3<f64>, points: &[Vector2<f64>]| -> Vec<Vector2<f64>> {
         points[..count].iter().map(|p| (m * p.push(1.0)).xy()).collect()
     };
     let (points1, points2) = (apply(&to_unit1, points1), apply(&to_unit2, points2));
-    let pairs: Vec<[f64; 4]> = points1.iter().zip(&points2).map(|(p, q)| [p.x, p.y, q.x, q.y]).collect();
-    let estimator = Homography { blocks: pack(&pairs, |pair| *pair), pairs, px_per_unit: 1.0 / to_unit2.m11 };
+    let pairs: Vec<[f64; 4]> =
+        points1.iter().zip(&points2).map(|(p, q)| [p.x, p.y, q.x, q.y]).collect();
+    let estimator =
+        Homography { blocks: pack(&pairs, |pair| *pair), pairs, px_per_unit: 1.0 / to_unit2.m11 };
     let px_from_unit2 = to_unit2.try_inverse()?;
     let report = ransac(&estimator, options)?;
     Some(report.map(|h| (px_from_unit2 * h * to_unit1).normalize()))
@@ -49,7 +52,8 @@ impl Estimator for Homography {
 
     fn models(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
         let pairs: [[f64; 4]; 4] = std::array::from_fn(|i| self.pairs[sample[i]]);
-        let [points1, points2] = [0, 2].map(|at| pairs.map(|pair| Vector2::new(pair[at], pair[at + 1])));
+        let [points1, points2] =
+            [0, 2].map(|at| pairs.map(|pair| Vector2::new(pair[at], pair[at + 1])));
         models.extend(solvers::homography_4pt(&points1, &points2));
     }
 
@@ -58,7 +62,8 @@ impl Estimator for Homography {
     }
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
-        // The corner is the depth at the centre of the points; it is zero only if the centre is on the horizon.
+        // The corner is the depth at the centre of the points; it is zero only if the centre is on
+        // the horizon.
         let start = model / model.m33;
         if model.m33 <= 0.0 || !start.iter().all(|v| v.is_finite()) {
             return None;
@@ -95,7 +100,8 @@ impl Problem<8> for Transfer {
             lanes.map(|lanes| lanes.iter().sum::<f64>());
         let [aa @ .., b0, b1, b2, c0, c1, c2, d0, d1, d2, e0, e1, e2, f0, f1, f2] = products;
         let [a0, a1, a2, a3, a4, a5] = aa;
-        // The rows of u and of v have the same derivative by their own three entries, and nothing in common.
+        // The rows of u and of v have the same derivative by their own three entries, and nothing
+        // in common.
         #[rustfmt::skip]
         let hessian = SMatrix::<f64, 8, 8>::from_row_slice(&[
             a0, a1, a3, 0., 0., 0., b0, c0,
@@ -138,9 +144,9 @@ dispatch! {
 }
 
 dispatch! {
-    /// Sums over pairs: half of ρ, products of derivatives (among the entries of one row; of a row with the last row's first two,
-    /// for u by both and for v by both; among the last row's), and of residuals with derivatives. A pair behind the camera makes
-    /// the cost infinite.
+    /// Sums over pairs: half of ρ, products of derivatives (among the entries of one row; of a row
+    /// with the last row's first two, for u by both and for v by both; among the last row's), and
+    /// of residuals with derivatives. A pair behind the camera makes the cost infinite.
     fn sum_up(
         blocks: &[[Lanes; 4]],
         len: usize,
@@ -230,7 +236,11 @@ mod tests {
     }
 
     /// One residual with its derivative by the first eight entries, row by row: the slow twin.
-    fn residual(pair: &[f64; 4], h: &Matrix3<f64>, px_per_unit: f64) -> (Vector2<f64>, SMatrix<f64, 2, 8>) {
+    fn residual(
+        pair: &[f64; 4],
+        h: &Matrix3<f64>,
+        px_per_unit: f64,
+    ) -> (Vector2<f64>, SMatrix<f64, 2, 8>) {
         let [x, y, ..] = *pair;
         let image = h * Vector2::new(x, y).push(1.0);
         let (u, v) = (image.x / image.z, image.y / image.z);
@@ -284,7 +294,8 @@ mod tests {
         for (squared, pair) in squared.iter().zip(&estimator.pairs) {
             assert_eq!(*squared == f64::INFINITY, pair[0] <= -0.5);
         }
-        let transfer = Transfer { blocks: estimator.blocks.clone(), len: PAIRS, px_per_unit: 300.0 };
+        let transfer =
+            Transfer { blocks: estimator.blocks.clone(), len: PAIRS, px_per_unit: 300.0 };
         let mut normal = Normal::new(Loss::Truncated(4.0));
         transfer.linearize(&h, &mut normal);
         assert!(normal.is_refused());

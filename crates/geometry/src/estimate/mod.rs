@@ -1,5 +1,5 @@
-//! Robust estimation of poses, two-view geometry and points: estimators for [`ransac`](crate::ransac()), with the local
-//! refinement of each.
+//! Robust estimation of poses, two-view geometry and points: estimators for
+//! [`ransac`](crate::ransac()), with the local refinement of each.
 
 mod absolute_pose;
 mod absolute_pose_focal;

@@ -10,9 +10,9 @@ use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
 use crate::{Intrinsics, Loss, Rigid3, so3, solvers};
 
-/// `cam2_from_cam1`, its translation of length one, from pixels that show the same points: five-point solver and cheirality on
-/// samples, then least Sampson error of the inliers. Errors are Sampson errors in pixels; pairs of rays that meet behind a camera
-/// are outliers.
+/// `cam2_from_cam1`, its translation of length one, from pixels that show the same points:
+/// five-point solver and cheirality on samples, then least Sampson error of the inliers. Errors are
+/// Sampson errors in pixels; pairs of rays that meet behind a camera are outliers.
 pub fn relative_pose(
     pixels1: &[Vector2<f64>],
     pixels2: &[Vector2<f64>],
@@ -68,8 +68,9 @@ impl Estimator for RelativePose {
         let rays1: [Vector3<f64>; 5] = std::array::from_fn(|i| self.pairs[sample[i]].y1);
         let rays2: [Vector3<f64>; 5] = std::array::from_fn(|i| self.pairs[sample[i]].y2);
         for essential in solvers::essential_5pt(&rays1, &rays2) {
-            let is_possible =
-                |pose: &Rigid3| rays1.iter().zip(&rays2).all(|(a, b)| rays_meet_in_front(a, b, pose));
+            let is_possible = |pose: &Rigid3| {
+                rays1.iter().zip(&rays2).all(|(a, b)| rays_meet_in_front(a, b, pose))
+            };
             models.extend(poses_of_exact_essential(&essential).into_iter().find(is_possible));
         }
     }
@@ -100,7 +101,10 @@ impl Problem<5> for SampsonPose {
     fn plus(&self, value: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
         let [a, b] = tangents(&value.translation);
         let rotation = so3::exp(&delta.fixed_rows::<3>(0).into_owned()) * value.rotation;
-        Rigid3 { rotation, translation: (value.translation + a * delta[3] + b * delta[4]).normalize() }
+        Rigid3 {
+            rotation,
+            translation: (value.translation + a * delta[3] + b * delta[4]).normalize(),
+        }
     }
 
     fn linearize(&self, value: &Rigid3, normal: &mut Normal<5>) {

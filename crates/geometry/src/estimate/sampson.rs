@@ -1,7 +1,9 @@
-//! The Sampson error of an epipolar constraint in pixels, for any camera model, and its derivative by the matrix.
+//! The Sampson error of an epipolar constraint in pixels, for any camera model, and its derivative
+//! by the matrix.
 //!
-//! C = y₂ᵀ M y₁ over its gradient by the pixels: r = C / √(|J₂ᵀ M y₁|² + |J₁ᵀ Mᵀ y₂|²), where Jᵢ = d yᵢ / d pixelᵢ. For fundamental
-//! matrices y = (x, y, 1) and J = (I, 0), which is the usual Sampson error; for essential matrices y is a unit ray.
+//! C = y₂ᵀ M y₁ over its gradient by the pixels: r = C / √(|J₂ᵀ M y₁|² + |J₁ᵀ Mᵀ y₂|²), where Jᵢ =
+//! d yᵢ / d pixelᵢ. For fundamental matrices y = (x, y, 1) and J = (I, 0), which is the usual
+//! Sampson error; for essential matrices y is a unit ray.
 
 use std::ops::{Index, Range};
 
@@ -45,8 +47,8 @@ impl Pairs {
         squared_errors(&self.blocks, m, factor, range, squared);
     }
 
-    /// The same under the essential matrix of a pose, infinite where the rays meet behind a camera, unless they are parallel to
-    /// within an angle of which `parallel_sin2` is the squared sine.
+    /// The same under the essential matrix of a pose, infinite where the rays meet behind a camera,
+    /// unless they are parallel to within an angle of which `parallel_sin2` is the squared sine.
     pub(super) fn squared_errors_in_front(
         &self,
         pose: &Rigid3,
@@ -70,8 +72,8 @@ const SUMS: usize = 9 + 45 + 1;
 impl Chosen {
     /// Adds the errors under `m`, times `factor`, with their derivatives along `directions` of `m`.
     ///
-    /// The errors' derivatives by the nine entries are summed up first, JᵀJ and Jᵀr, eight pairs at a time; the directions are
-    /// the same for all pairs and come in at the end.
+    /// The errors' derivatives by the nine entries are summed up first, JᵀJ and Jᵀr, eight pairs at
+    /// a time; the directions are the same for all pairs and come in at the end.
     pub(super) fn linearize<const N: usize>(
         &self,
         m: &Matrix3<f64>,
@@ -98,8 +100,9 @@ impl Chosen {
 }
 
 dispatch! {
-    /// Sums over pairs of [`Pair::error_with_derivative`]: weighted derivative times error, the products of the weighted derivative
-    /// with itself (lower triangle by rows), and half of ρ. Pairs without a derivative count nothing.
+    /// Sums over pairs of [`Pair::error_with_derivative`]: weighted derivative times error, the
+    /// products of the weighted derivative with itself (lower triangle by rows), and half of ρ.
+    /// Pairs without a derivative count nothing.
     fn sum_up(
         blocks: &[[Lanes; 18]],
         len: usize,
@@ -121,7 +124,8 @@ dispatch! {
                 let norm2 = (a * a + b * b) + (c * c + d * d);
                 let inverse = factor / norm2.sqrt();
                 let ratio = product / norm2;
-                // The derivative of half the squared norm by the lines, times product / norm²; then by the entries.
+                // The derivative of half the squared norm by the lines, times product / norm²; then
+                // by the entries.
                 let by_line1 = [
                     (j1[0][l] * a + j1[3][l] * b) * ratio,
                     (j1[1][l] * a + j1[4][l] * b) * ratio,
@@ -204,7 +208,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// [`Pair::squared_error`] and [`rays_meet_in_front`](crate::epipolar::rays_meet_in_front), eight at a time.
+    /// [`Pair::squared_error`] and [`rays_meet_in_front`](crate::epipolar::rays_meet_in_front),
+    /// eight at a time.
     fn squared_errors_in_front(
         blocks: &[[Lanes; 18]],
         pose: &Matrix3x4<f64>,
@@ -212,7 +217,8 @@ dispatch! {
         range: Range<usize>,
         squared: &mut [f64],
     ) {
-        let (rotation, t) = (pose.fixed_columns::<3>(0).into_owned(), [pose.m14, pose.m24, pose.m34]);
+        let rotation = pose.fixed_columns::<3>(0).into_owned();
+        let t = [pose.m14, pose.m24, pose.m34];
         for index in blocks_of(&range) {
             let [y1x, y1y, y1z, y2x, y2y, y2z, j1 @ .., _, _, _, _, _, _] = &blocks[index];
             let [_, _, _, _, _, _, _, _, _, _, _, _, j2 @ ..] = &blocks[index];
@@ -298,7 +304,8 @@ impl Pair {
     fn squared_error(&self, m: &Matrix3<f64>) -> f64 {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
         let product = self.y2.dot(&line2);
-        product * product / (self.d2.tr_mul(&line2).norm_squared() + self.d1.tr_mul(&line1).norm_squared())
+        product * product
+            / (self.d2.tr_mul(&line2).norm_squared() + self.d1.tr_mul(&line1).norm_squared())
     }
 
     /// y₁, y₂, J₁, J₂.
@@ -312,7 +319,8 @@ impl Pair {
         numbers
     }
 
-    /// The error, with sign, and its derivative by the entries of `m`: the slow twin of [`Chosen::linearize`].
+    /// The error, with sign, and its derivative by the entries of `m`: the slow twin of
+    /// [`Chosen::linearize`].
     #[cfg(test)]
     fn error_with_derivative(&self, m: &Matrix3<f64>) -> Option<(f64, Matrix3<f64>)> {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
@@ -329,15 +337,16 @@ impl Pair {
     }
 }
 
-/// The unit ray of a pixel and its derivative by the pixel: the pseudo-inverse of the derivative of the projection, whose null
-/// space is the ray itself.
+/// The unit ray of a pixel and its derivative by the pixel: the pseudo-inverse of the derivative of
+/// the projection, whose null space is the ray itself.
 fn ray_with_jacobian(
     pixel: &Vector2<f64>,
     intrinsics: &Intrinsics,
 ) -> Option<(Vector3<f64>, Matrix3x2<f64>)> {
     let ray = intrinsics.unproject(pixel)?;
-    let d_point =
-        with_camera_model!(intrinsics, M, params => M::project_with_jacobian(params, &ray)?.d_point);
+    let d_point = with_camera_model!(intrinsics, M, params => {
+        M::project_with_jacobian(params, &ray)?.d_point
+    });
     let d_ray = d_point.transpose() * (d_point * d_point.transpose()).try_inverse()?;
     Some((ray, d_ray))
 }
@@ -388,7 +397,8 @@ mod tests {
                 packed.choose(&chosen).linearize(&m, 2.0, &directions, &mut fast);
                 for &i in &chosen {
                     let (error, derivative) = pairs[i].error_with_derivative(&m).unwrap();
-                    let jacobian = SMatrix::<f64, 1, 4>::from_fn(|_, k| 2.0 * derivative.dot(&directions[k]));
+                    let jacobian =
+                        SMatrix::<f64, 1, 4>::from_fn(|_, k| 2.0 * derivative.dot(&directions[k]));
                     slow.add(&SVector::<f64, 1>::new(2.0 * error), &jacobian);
                 }
                 assert!(fast.relative_difference(&slow) < ROUNDING);
@@ -399,14 +409,20 @@ mod tests {
     #[test]
     fn in_front_eight_at_a_time_is_one_at_a_time() {
         let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
-        let pose = Rigid3::from_axis_angle(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.6, 0.0, 0.8));
+        let pose =
+            Rigid3::from_axis_angle(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.6, 0.0, 0.8));
         let packed = Pairs::new(pairs.clone());
         let mut behind = 0;
         // Wide enough that some of the pairs are parallel.
         let parallel = 0.2_f64;
         for range in RANGES {
             let mut squared = vec![f64::NAN; range.len()];
-            packed.squared_errors_in_front(&pose, parallel.sin().powi(2), range.clone(), &mut squared);
+            packed.squared_errors_in_front(
+                &pose,
+                parallel.sin().powi(2),
+                range.clone(),
+                &mut squared,
+            );
             for (squared, pair) in squared.iter().zip(&pairs[range]) {
                 let is_parallel = (pose.rotation * pair.y1).angle(&pair.y2) < parallel;
                 if is_parallel || rays_meet_in_front(&pair.y1, &pair.y2, &pose) {

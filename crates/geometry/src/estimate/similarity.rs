@@ -7,7 +7,8 @@ use nalgebra::Vector3;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::{Loss, Sim3, solvers};
 
-/// The similarity (of scale one unless `with_scale`) that takes `from[i]` to `to[i]`. Errors are distances in the unit of `to`.
+/// The similarity (of scale one unless `with_scale`) that takes `from[i]` to `to[i]`. Errors are
+/// distances in the unit of `to`.
 pub fn similarity(
     from: &[Vector3<f64>],
     to: &[Vector3<f64>],

@@ -51,8 +51,8 @@ impl Default for TriangulationOptions {
     }
 }
 
-/// The world point that most observations agree on: in front of its inliers' cameras, and seen by some two of them under the least
-/// angle.
+/// The world point that most observations agree on: in front of its inliers' cameras, and seen by
+/// some two of them under the least angle.
 pub fn triangulation(
     observations: &[Observation<'_>],
     options: &TriangulationOptions,
@@ -76,7 +76,8 @@ impl Triangulation<'_> {
     fn is_well_seen(&self, point: &Vector3<f64>, indices: &[usize]) -> bool {
         indices.iter().enumerate().any(|(k, &i)| {
             indices[..k].iter().any(|&j| {
-                triangulation_angle(&self.centres[i], &self.centres[j], point) >= self.options.min_angle_rad
+                triangulation_angle(&self.centres[i], &self.centres[j], point)
+                    >= self.options.min_angle_rad
             })
         })
     }
@@ -94,7 +95,8 @@ impl Estimator for Triangulation<'_> {
         let (Some(ray1), Some(ray2)) = (self.rays[sample[0]], self.rays[sample[1]]) else { return };
         let world_from_cam1 = self.observations[sample[0]].cam_from_world.inverse();
         let cam2_from_cam1 = *self.observations[sample[1]].cam_from_world * world_from_cam1;
-        let point = triangulate_two_view(&ray1, &ray2, &cam2_from_cam1).map(|point| world_from_cam1 * point);
+        let point = triangulate_two_view(&ray1, &ray2, &cam2_from_cam1)
+            .map(|point| world_from_cam1 * point);
         models.extend(point.filter(|point| self.is_well_seen(point, sample)));
     }
 
@@ -103,8 +105,9 @@ impl Estimator for Triangulation<'_> {
             let observation = &self.observations[i];
             let point_in_cam = *observation.cam_from_world * *point;
             let error2 = match self.options.residual {
-                TriangulationResidual::Angle => self.rays[i]
-                    .map(|ray| ray.cross(&point_in_cam).norm().atan2(ray.dot(&point_in_cam)).powi(2)),
+                TriangulationResidual::Angle => self.rays[i].map(|ray| {
+                    ray.cross(&point_in_cam).norm().atan2(ray.dot(&point_in_cam)).powi(2)
+                }),
                 TriangulationResidual::Pixel => {
                     let projected = observation.intrinsics.project(&point_in_cam);
                     projected.map(|projected| (projected - observation.pixel).norm_squared())
@@ -120,7 +123,8 @@ impl Estimator for Triangulation<'_> {
     }
 }
 
-/// Refinement is by pixels for both residuals, since the noise is in pixels; angles are pixels over the focal length.
+/// Refinement is by pixels for both residuals, since the noise is in pixels; angles are pixels over
+/// the focal length.
 struct PointReprojection<'a> {
     data: &'a Triangulation<'a>,
     inliers: &'a [usize],

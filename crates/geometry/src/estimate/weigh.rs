@@ -5,7 +5,13 @@ use crate::simd::{LANES, Lanes};
 
 /// ρ and ρ′ of some squared residuals; ρ is zero beyond the first `counted`, which are padding.
 #[inline(always)]
-pub(super) fn weigh(loss: Loss, squared: &Lanes, counted: usize, rho: &mut Lanes, weight: &mut Lanes) {
+pub(super) fn weigh(
+    loss: Loss,
+    squared: &Lanes,
+    counted: usize,
+    rho: &mut Lanes,
+    weight: &mut Lanes,
+) {
     match loss {
         Loss::Trivial => {
             *rho = *squared;

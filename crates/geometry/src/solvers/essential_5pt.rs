@@ -1,8 +1,10 @@
-//! Essential matrices from five correspondences (Nistér 2004, "An efficient solution to the five-point relative pose problem").
+//! Essential matrices from five correspondences (Nistér 2004, "An efficient solution to the
+//! five-point relative pose problem").
 //!
-//! Five epipolar constraints leave E = xX + yY + zZ + W. The cubic constraints det E = 0 and 2EEᵀE − tr(EEᵀ)E = 0 are ten
-//! polynomials in twenty monomials, ordered so that elimination of the first ten leaves, for the differences of suitable
-//! rows (Nistér's ⟨k⟩, ⟨l⟩, ⟨m⟩), a 3×3 matrix B(z) with B(z) (x, y, 1)ᵀ = 0; det B is of degree ten in z.
+//! Five epipolar constraints leave E = xX + yY + zZ + W. The cubic constraints det E = 0 and 2EEᵀE
+//! − tr(EEᵀ)E = 0 are ten polynomials in twenty monomials, ordered so that elimination of the first
+//! ten leaves, for the differences of suitable rows (Nistér's ⟨k⟩, ⟨l⟩, ⟨m⟩), a 3×3 matrix B(z)
+//! with B(z) (x, y, 1)ᵀ = 0; det B is of degree ten in z.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -18,7 +20,10 @@ type Quadratic = [f64; 10];
 type Cubic = [f64; 20];
 
 /// Essential matrices, of norm √2, for which `rays2[i]ᵀ E rays1[i] = 0`.
-pub fn essential_5pt(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> ArrayVec<Matrix3<f64>, 10> {
+pub fn essential_5pt(
+    rays1: &[Vector3<f64>; 5],
+    rays2: &[Vector3<f64>; 5],
+) -> ArrayVec<Matrix3<f64>, 10> {
     let mut rows = SMatrix::<f64, 9, 5>::zeros();
     for i in 0..5 {
         rows.set_column(i, &epipolar_row(&rays1[i], &rays2[i]));
@@ -26,7 +31,8 @@ pub fn essential_5pt(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Ar
     let basis = null_space::<5, 4>(rows);
     let Some(reduced) = eliminate(constraints(&basis)) else { return ArrayVec::new() };
 
-    // Rows: ⟨k⟩ = ⟨x²z⟩ − z⟨x²⟩, ⟨l⟩ = ⟨y²z⟩ − z⟨y²⟩, ⟨m⟩ = ⟨xyz⟩ − z⟨xy⟩; columns: coefficients of x, y and 1 as polynomials in z.
+    // Rows: ⟨k⟩ = ⟨x²z⟩ − z⟨x²⟩, ⟨l⟩ = ⟨y²z⟩ − z⟨y²⟩, ⟨m⟩ = ⟨xyz⟩ − z⟨xy⟩; columns: coefficients of
+    // x, y and 1 as polynomials in z.
     let b: [([f64; 4], [f64; 4], [f64; 5]); 3] = [0, 2, 4].map(|row| {
         let (e, f) = (&reduced[row], &reduced[row + 1]);
         (
@@ -59,23 +65,27 @@ pub fn essential_5pt(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Ar
         };
         let rows = [row(0), row(1), row(2)];
         // (x, y, 1) is orthogonal to all three rows: the best determined cross product of two.
-        let solution = [(0, 1), (1, 2), (2, 0)]
-            .map(|(i, j)| rows[i].cross(&rows[j]))
-            .into_iter()
-            .fold(Vector3::zeros(), |best: Vector3<f64>, v| if v.z.abs() > best.z.abs() { v } else { best });
-        let coefficients = SVector::<f64, 4>::new(solution.x / solution.z, solution.y / solution.z, z, 1.0);
+        let solution =
+            [(0, 1), (1, 2), (2, 0)].map(|(i, j)| rows[i].cross(&rows[j])).into_iter().fold(
+                Vector3::zeros(),
+                |best: Vector3<f64>, v| if v.z.abs() > best.z.abs() { v } else { best },
+            );
+        let coefficients =
+            SVector::<f64, 4>::new(solution.x / solution.z, solution.y / solution.z, z, 1.0);
         essentials.extend(polish(&basis, coefficients));
     }
     essentials
 }
 
-/// Gauss-Newton steps on the cubic constraints, for solutions that elimination and root left inexact.
+/// Gauss-Newton steps on the cubic constraints, for solutions that elimination and root left
+/// inexact.
 const MAX_POLISH_STEPS: usize = 4;
 
 /// Error of the cubic constraints that is rounding, for E of norm √2.
 const EXACT: f64 = 1e-14;
 
-/// The exact essential matrix, of norm √2, near the combination of the basis with these coefficients.
+/// The exact essential matrix, of norm √2, near the combination of the basis with these
+/// coefficients.
 fn polish(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<Matrix3<f64>> {
     let coefficients = coefficients.normalize();
     // The largest coefficient stays; the others move.
@@ -91,8 +101,9 @@ fn polish(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<M
         }
         // d(2EEᵀE − tr(EEᵀ)E), and with it det E, whose vanishing it implies.
         let e_t_e = e.tr_mul(&e);
-        let derivatives = directions
-            .map(|d| (d * e_t_e + e * d.tr_mul(&e) + square * d) * 2.0 - e * (2.0 * e.dot(&d)) - d * trace);
+        let derivatives = directions.map(|d| {
+            (d * e_t_e + e * d.tr_mul(&e) + square * d) * 2.0 - e * (2.0 * e.dot(&d)) - d * trace
+        });
         let hessian = Matrix3::from_fn(|i, j| derivatives[i].dot(&derivatives[j]));
         let gradient = Vector3::from_fn(|i, _| derivatives[i].dot(&residual));
         let Some(step) = hessian.try_inverse().map(|inverse| inverse * gradient) else { break };
@@ -105,8 +116,8 @@ fn polish(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<M
 /// Where the product of two variables (x, y, z, 1) stands in a [`Quadratic`].
 const QUADRATIC: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]];
 
-/// Where the product of a quadratic monomial and a variable stands in a [`Cubic`]: x³, y³, x²y, xy², x²z, x², y²z, y², xyz, xy,
-/// then xz², xz, x, yz², yz, y, z³, z², z, 1.
+/// Where the product of a quadratic monomial and a variable stands in a [`Cubic`]: x³, y³, x²y,
+/// xy², x²z, x², y²z, y², xyz, xy, then xz², xz, x, yz², yz, y, z³, z², z, 1.
 const CUBIC: [[usize; 4]; 10] = [
     [0, 2, 4, 5],
     [2, 3, 8, 9],
@@ -139,8 +150,9 @@ fn multiply_add(a: &Quadratic, b: &Linear, sum: &mut Cubic) {
 /// The ten cubic constraints.
 #[allow(clippy::needless_range_loop)] // Indices as in the formulas.
 fn constraints(basis: &SMatrix<f64, 9, 4>) -> [Cubic; 10] {
-    let e: [[Linear; 3]; 3] =
-        std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|k| basis[(3 * i + j, k)])));
+    let e: [[Linear; 3]; 3] = std::array::from_fn(|i| {
+        std::array::from_fn(|j| std::array::from_fn(|k| basis[(3 * i + j, k)]))
+    });
     let mut cubics = [[0.0; 20]; 10];
 
     for j in 0..3 {
@@ -177,8 +189,8 @@ fn constraints(basis: &SMatrix<f64, 9, 4>) -> [Cubic; 10] {
     cubics
 }
 
-/// Gauss-Jordan elimination of the first ten monomials, with row pivots; the right halves of the rows of x²z, x², y²z, y², xyz
-/// and xy, of which only these are wanted.
+/// Gauss-Jordan elimination of the first ten monomials, with row pivots; the right halves of the
+/// rows of x²z, x², y²z, y², xyz and xy, of which only these are wanted.
 fn eliminate(mut rows: [Cubic; 10]) -> Option<[[f64; 10]; 6]> {
     for column in 0..10 {
         let pivot = (column..10).fold(column, |best, row| {

@@ -1,7 +1,8 @@
 //! Fundamental matrices from seven correspondences, and from eight or more.
 //!
-//! Seven: Hartley and Zisserman 2004, section 11.1.2: F = λ F₁ + (1 − λ) F₂ of the null space, with det F = 0 a cubic in λ.
-//! Eight or more: the normalised 8-point algorithm (Hartley 1997, "In defense of the eight-point algorithm").
+//! Seven: Hartley and Zisserman 2004, section 11.1.2: F = λ F₁ + (1 − λ) F₂ of the null space, with
+//! det F = 0 a cubic in λ. Eight or more: the normalised 8-point algorithm (Hartley 1997, "In
+//! defense of the eight-point algorithm").
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
@@ -9,7 +10,8 @@ use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 use super::null_space::{as_matrix, epipolar_row, least_squares_null_vector, null_space};
 use super::polynomial::cubic_roots;
 
-/// Fundamental matrices, of norm 1, for which `points2[i]ᵀ F points1[i] = 0`. Points of a size around 1 are best.
+/// Fundamental matrices, of norm 1, for which `points2[i]ᵀ F points1[i] = 0`. Points of a size
+/// around 1 are best.
 pub fn fundamental_7pt(
     points1: &[Vector2<f64>; 7],
     points2: &[Vector2<f64>; 7],
@@ -42,7 +44,8 @@ pub fn fundamental_8pt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Op
     if count < 8 {
         return None;
     }
-    let (to_unit1, to_unit2) = (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
+    let (to_unit1, to_unit2) =
+        (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
     let rows = points1[..count]
         .iter()
         .zip(&points2[..count])
@@ -57,7 +60,8 @@ pub fn fundamental_8pt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Op
     f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
-/// The similarity that takes points to mean zero and mean distance √2 from it; `None` where they coincide.
+/// The similarity that takes points to mean zero and mean distance √2 from it; `None` where they
+/// coincide.
 pub(crate) fn normalisation(points: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let count = points.len() as f64;
     let centre = points.iter().sum::<Vector2<f64>>() / count;

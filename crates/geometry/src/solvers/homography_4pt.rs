@@ -1,31 +1,38 @@
-//! The homography of four correspondences, through the projective frame of each four (Hartley and Zisserman 2004, section 2.3;
-//! Heckbert 1989), and of more by the normalised direct linear transformation (Hartley and Zisserman 2004, algorithm 4.2).
+//! The homography of four correspondences, through the projective frame of each four (Hartley and
+//! Zisserman 2004, section 2.3; Heckbert 1989), and of more by the normalised direct linear
+//! transformation (Hartley and Zisserman 2004, algorithm 4.2).
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::fundamental_7pt::normalisation;
 use super::null_space::{Vector9, as_matrix, least_squares_null_vector};
 
-/// The homography, of norm 1, that takes `points1[i]` to `points2[i]`; `None` where three points of an image are on a line, or
-/// where it would tear the four points apart (some before and some behind the camera).
-pub fn homography_4pt(points1: &[Vector2<f64>; 4], points2: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
+/// The homography, of norm 1, that takes `points1[i]` to `points2[i]`; `None` where three points of
+/// an image are on a line, or where it would tear the four points apart (some before and some
+/// behind the camera).
+pub fn homography_4pt(
+    points1: &[Vector2<f64>; 4],
+    points2: &[Vector2<f64>; 4],
+) -> Option<Matrix3<f64>> {
     let (frame1, weights1) = projective_frame(points1)?;
     let (frame2, weights2) = projective_frame(points2)?;
-    // frame · diag(weights) takes the unit vectors and their sum to the four points. Depth changes its sign between points
-    // unless the ratios of the weights all have the same.
+    // frame · diag(weights) takes the unit vectors and their sum to the four points. Depth changes
+    // its sign between points unless the ratios of the weights all have the same.
     let ratios = weights2.component_div(&weights1);
     if !(ratios.min() > 0.0 || ratios.max() < 0.0) {
         return None;
     }
     let h = (frame2 * Matrix3::from_diagonal(&ratios) * frame1.try_inverse()?).normalize();
-    // Up to here the depth of the fourth point is positive, like that of the others, if the ratios are.
+    // Up to here the depth of the fourth point is positive, like that of the others, if the ratios
+    // are.
     let h = if ratios.x < 0.0 { -h } else { h };
     h.iter().all(|v| v.is_finite()).then_some(h)
 }
 
 /// The first three points as columns, and the weights with which they sum to the fourth.
 fn projective_frame(points: &[Vector2<f64>; 4]) -> Option<(Matrix3<f64>, Vector3<f64>)> {
-    let frame = Matrix3::from_columns(&[points[0].push(1.0), points[1].push(1.0), points[2].push(1.0)]);
+    let frame =
+        Matrix3::from_columns(&[points[0].push(1.0), points[1].push(1.0), points[2].push(1.0)]);
     let weights = frame.try_inverse()? * points[3].push(1.0);
     Some((frame, weights)).filter(|_| weights.iter().all(|w| *w != 0.0 && w.is_finite()))
 }
@@ -36,7 +43,8 @@ pub fn homography_dlt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Opt
     if count < 4 {
         return None;
     }
-    let (to_unit1, to_unit2) = (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
+    let (to_unit1, to_unit2) =
+        (normalisation(&points1[..count])?, normalisation(&points2[..count])?);
     let rows = points1[..count].iter().zip(&points2[..count]).flat_map(|(x1, x2)| {
         let (x, y) = (to_unit1 * x1.push(1.0), to_unit2 * x2.push(1.0));
         // y × Hx = 0, two rows of it.

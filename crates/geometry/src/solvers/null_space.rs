@@ -5,9 +5,11 @@ use nalgebra::{SMatrix, SVector};
 /// Nine numbers, an epipolar matrix row by row.
 pub(crate) type Vector9 = SVector<f64, 9>;
 
-/// An orthonormal basis, one vector per column, of what is orthogonal to the `N` columns of `rows`; `N + K = 9`. Where the
-/// columns are dependent, some such basis.
-pub(crate) fn null_space<const N: usize, const K: usize>(mut rows: SMatrix<f64, 9, N>) -> SMatrix<f64, 9, K> {
+/// An orthonormal basis, one vector per column, of what is orthogonal to the `N` columns of `rows`;
+/// `N + K = 9`. Where the columns are dependent, some such basis.
+pub(crate) fn null_space<const N: usize, const K: usize>(
+    mut rows: SMatrix<f64, 9, N>,
+) -> SMatrix<f64, 9, K> {
     const { assert!(N + K == 9) };
     let mut reflectors = [[0.0; 9]; N];
     for (k, reflector) in reflectors.iter_mut().enumerate() {
@@ -59,9 +61,11 @@ pub(crate) fn as_matrix(v: &Vector9) -> nalgebra::Matrix3<f64> {
     nalgebra::Matrix3::from_row_slice(v.as_slice())
 }
 
-/// The unit vector v of least Σ (row·v)²: rows are rotated one by one into a triangle (Givens), whose singular vectors are those
-/// of all rows without the squared condition of normal equations.
-pub(crate) fn least_squares_null_vector(rows: impl IntoIterator<Item = Vector9>) -> Option<Vector9> {
+/// The unit vector v of least Σ (row·v)²: rows are rotated one by one into a triangle (Givens),
+/// whose singular vectors are those of all rows without the squared condition of normal equations.
+pub(crate) fn least_squares_null_vector(
+    rows: impl IntoIterator<Item = Vector9>,
+) -> Option<Vector9> {
     let mut triangle = SMatrix::<f64, 9, 9>::zeros();
     for mut row in rows {
         for k in 0..9 {

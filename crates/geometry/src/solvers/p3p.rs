@@ -1,13 +1,15 @@
-//! Absolute pose from three rays (Ding, Yang, Larsson, Olsson, Åström 2023, "Revisiting the P3P problem", CVPR).
+//! Absolute pose from three rays (Ding, Yang, Larsson, Olsson, Åström 2023, "Revisiting the P3P
+//! problem", CVPR).
 //!
-//! With unit rays bᵢ, depths dᵢ and aᵢⱼ = |Xᵢ − Xⱼ|², the law of cosines gives dᵢ² + dⱼ² − 2 mᵢⱼ dᵢdⱼ = aᵢⱼ, mᵢⱼ = bᵢ·bⱼ. Two
-//! ratios of these are conics in (d₀ : d₁ : d₂):
+//! With unit rays bᵢ, depths dᵢ and aᵢⱼ = |Xᵢ − Xⱼ|², the law of cosines gives dᵢ² + dⱼ² − 2 mᵢⱼ
+//! dᵢdⱼ = aᵢⱼ, mᵢⱼ = bᵢ·bⱼ. Two ratios of these are conics in (d₀ : d₁ : d₂):
 //!
 //! - C₁: d₀² + d₁² − 2 m₀₁ d₀d₁ = α (d₁² + d₂² − 2 m₁₂ d₁d₂), α = a₀₁/a₁₂,
 //! - C₂: d₀² + d₂² − 2 m₀₂ d₀d₂ = β (d₁² + d₂² − 2 m₁₂ d₁d₂), β = a₀₂/a₁₂.
 //!
-//! A real root s of the cubic det(C₁ + s C₂) = 0 gives a pair of lines through the common points of both; on each line a
-//! quadratic leaves at most two. Depths are then polished by Newton's method on the three laws of cosines.
+//! A real root s of the cubic det(C₁ + s C₂) = 0 gives a pair of lines through the common points of
+//! both; on each line a quadratic leaves at most two. Depths are then polished by Newton's method
+//! on the three laws of cosines.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -18,10 +20,15 @@ use crate::{Rigid3, so3};
 /// Newton steps on the depths.
 const POLISH_STEPS: usize = 2;
 
-/// The poses `cam_from_world` from which `points_in_world` are seen along the unit `rays_in_cam`, in front of the camera.
-pub fn p3p(rays_in_cam: &[Vector3<f64>; 3], points_in_world: &[Vector3<f64>; 3]) -> ArrayVec<Rigid3, 4> {
+/// The poses `cam_from_world` from which `points_in_world` are seen along the unit `rays_in_cam`,
+/// in front of the camera.
+pub fn p3p(
+    rays_in_cam: &[Vector3<f64>; 3],
+    points_in_world: &[Vector3<f64>; 3],
+) -> ArrayVec<Rigid3, 4> {
     let squared = |i: usize, j: usize| (points_in_world[i] - points_in_world[j]).norm_squared();
-    // The side that divides the others is the longest: number the corners so that it lies between 1 and 2.
+    // The side that divides the others is the longest: number the corners so that it lies between 1
+    // and 2.
     let sides = [squared(1, 2), squared(0, 2), squared(0, 1)];
     let first = (0..3).fold(0, |best, i| if sides[i] > sides[best] { i } else { best });
     let order = [first, (first + 1) % 3, (first + 2) % 3];
@@ -31,7 +38,8 @@ pub fn p3p(rays_in_cam: &[Vector3<f64>; 3], points_in_world: &[Vector3<f64>; 3])
     let (m01, m02, m12) = (b[0].dot(&b[1]), b[0].dot(&b[2]), b[1].dot(&b[2]));
     let (alpha, beta) = (a01 / a12, a02 / a12);
 
-    let edges = Matrix3::from_columns(&[x[1] - x[0], x[2] - x[0], (x[1] - x[0]).cross(&(x[2] - x[0]))]);
+    let edges =
+        Matrix3::from_columns(&[x[1] - x[0], x[2] - x[0], (x[1] - x[0]).cross(&(x[2] - x[0]))]);
     let Some(inverse_edges) = edges.try_inverse() else { return ArrayVec::new() };
 
     let c1 = Matrix3::new(1.0, -m01, 0.0, -m01, 1.0 - alpha, alpha * m12, 0.0, alpha * m12, -alpha);
@@ -51,14 +59,16 @@ pub fn p3p(rays_in_cam: &[Vector3<f64>; 3], points_in_world: &[Vector3<f64>; 3])
             let y = [b[0] * depths[0], b[1] * depths[1], b[2] * depths[2]];
             let (e1, e2) = (y[1] - y[0], y[2] - y[0]);
             let matrix = Matrix3::from_columns(&[e1, e2, e1.cross(&e2)]) * inverse_edges;
-            let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+            let rotation =
+                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
             poses.push(Rigid3 { rotation, translation: y[0] - rotation * x[0] });
         }
     }
     poses
 }
 
-/// A pair of lines through the common points of both conics, and one of the conics, which does not contain these lines.
+/// A pair of lines through the common points of both conics, and one of the conics, which does not
+/// contain these lines.
 fn degenerate_conic(c1: &Matrix3<f64>, c2: &Matrix3<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
     let (a1, a2) = (adjugate(c1), adjugate(c2));
     // det(c1 + s c2) = det c1 + s tr(adj(c1) c2) + s² tr(adj(c2) c1) + s³ det c2
@@ -86,18 +96,22 @@ fn adjugate(m: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
-/// The two lines of a conic of rank two (Richter-Gebert 2011, "Perspectives on projective geometry", chapter 11); none where
-/// they are not real.
+/// The two lines of a conic of rank two (Richter-Gebert 2011, "Perspectives on projective
+/// geometry", chapter 11); none where they are not real.
 fn split(conic: &Matrix3<f64>) -> Option<[Vector3<f64>; 2]> {
-    // The adjugate of p qᵀ + q pᵀ is −(p × q)(p × q)ᵀ; adding the cross-product matrix of p × q leaves 2 p qᵀ or its transpose.
+    // The adjugate of p qᵀ + q pᵀ is −(p × q)(p × q)ᵀ; adding the cross-product matrix of p × q
+    // leaves 2 p qᵀ or its transpose.
     let adjugate = adjugate(conic);
     let diagonal = adjugate.diagonal();
     let i = diagonal.imin();
     if diagonal[i] > 0.0 {
         return None;
     }
-    let cross: Vector3<f64> =
-        if diagonal[i] < 0.0 { adjugate.column(i) / -(-diagonal[i]).sqrt() } else { Vector3::zeros() };
+    let cross: Vector3<f64> = if diagonal[i] < 0.0 {
+        adjugate.column(i) / -(-diagonal[i]).sqrt()
+    } else {
+        Vector3::zeros()
+    };
     let product = conic + so3::hat(&cross);
     let (row, column) = product.abs().iamax_full();
     Some([product.column(column).into_owned(), product.row(row).transpose()])
@@ -117,7 +131,11 @@ fn intersect(line: &Vector3<f64>, conic: &Matrix3<f64>) -> ArrayVec<[f64; 3], 2>
 }
 
 /// Newton's method on the laws of cosines: m and a of the sides 01, 02, 12.
-fn polish(mut d: Vector3<f64>, [m01, m02, m12]: [f64; 3], [a01, a02, a12]: [f64; 3]) -> Vector3<f64> {
+fn polish(
+    mut d: Vector3<f64>,
+    [m01, m02, m12]: [f64; 3],
+    [a01, a02, a12]: [f64; 3],
+) -> Vector3<f64> {
     for _ in 0..POLISH_STEPS {
         let error = Vector3::new(
             d[0] * d[0] + d[1] * d[1] - 2.0 * m01 * d[0] * d[1] - a01,

@@ -2,17 +2,19 @@
 
 use arrayvec::ArrayVec;
 
-/// Newton steps on a cubic; from the starts chosen below, convergence is monotone and takes about six.
+/// Newton steps on a cubic; from the starts chosen below, convergence is monotone and takes about
+/// six.
 const MAX_CUBIC_STEPS: usize = 50;
 
-/// One real root of x³ + c₂x² + c₁x + c₀, as in Persson and Nordberg 2018 ("Lambda Twist"): Newton's method from a point
-/// beyond the stationary points, on the side of the root.
+/// One real root of x³ + c₂x² + c₁x + c₀, as in Persson and Nordberg 2018 ("Lambda Twist"):
+/// Newton's method from a point beyond the stationary points, on the side of the root.
 pub(crate) fn cubic_root([c0, c1, c2]: [f64; 3]) -> f64 {
     let value = |x: f64| ((x + c2) * x + c1) * x + c0;
     let slope = |x: f64| (3.0 * x + 2.0 * c2) * x + c1;
     let discriminant = c2 * c2 - 3.0 * c1;
     let mut x = if discriminant > 0.0 {
-        // Near a stationary point t the cubic is value(t) + (3t + c₂)(x − t)²: start at the root of that parabola.
+        // Near a stationary point t the cubic is value(t) + (3t + c₂)(x − t)²: start at the root of
+        // that parabola.
         let root = discriminant.sqrt();
         let maximum = (-c2 - root) / 3.0;
         let at_maximum = value(maximum);
@@ -23,7 +25,8 @@ pub(crate) fn cubic_root([c0, c1, c2]: [f64; 3]) -> f64 {
             minimum + (-value(minimum) / root).max(0.0).sqrt()
         }
     } else {
-        // Monotone: around the inflection t³ + pt + q with p ≥ 0, whose root is no farther out than |q|/p and ∛|q|.
+        // Monotone: around the inflection t³ + pt + q with p ≥ 0, whose root is no farther out than
+        // |q|/p and ∛|q|.
         let inflection = -c2 / 3.0;
         let (p, q) = (discriminant.abs() / 3.0, value(inflection));
         inflection - q.abs().cbrt().min(q.abs() / p).copysign(q)
@@ -88,7 +91,10 @@ mod tests {
             }
             let roots = cubic_roots([-a * b * c, a * b + a * c + b * c, -a - b - c, 1.0]);
             for expected in [a, b, c] {
-                assert!(roots.iter().any(|x| (x - expected).abs() < 1e-9 * scale), "{roots:?} {expected}");
+                assert!(
+                    roots.iter().any(|x| (x - expected).abs() < 1e-9 * scale),
+                    "{roots:?} {expected}"
+                );
             }
         }
         assert_eq!(cubic_roots([-8.0, 0.0, 0.0, 1.0]).as_slice(), &[2.0]);

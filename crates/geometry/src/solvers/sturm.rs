@@ -1,9 +1,11 @@
-//! The real roots of a polynomial of degree ten, isolated by Sturm's theorem and polished by Newton's method.
+//! The real roots of a polynomial of degree ten, isolated by Sturm's theorem and polished by
+//! Newton's method.
 //!
-//! The chain p, p', then each negative remainder of the two before it, loses as many signs between a and b as p has distinct
-//! roots there. Remainders are kept as the linear quotients that lead back from the last of them (Hook and McAree 1990,
-//! "Using Sturm sequences to bracket real roots of polynomial equations", Graphics Gems). The line is searched as
-//! x = s/(1 − |s|) with s in (−1, 1), so that roots of any size are a few halvings away.
+//! The chain p, p', then each negative remainder of the two before it, loses as many signs between
+//! a and b as p has distinct roots there. Remainders are kept as the linear quotients that lead
+//! back from the last of them (Hook and McAree 1990, "Using Sturm sequences to bracket real roots
+//! of polynomial equations", Graphics Gems). The line is searched as x = s/(1 − |s|) with s in (−1,
+//! 1), so that roots of any size are a few halvings away.
 
 use arrayvec::ArrayVec;
 
@@ -56,7 +58,8 @@ fn x_of(s: f64) -> f64 {
 struct Chain {
     /// Monic.
     p: Polynomial,
-    /// Element i of the chain is (offset + slope x) · element i+1 + weight · element i+2, all up to positive factors.
+    /// Element i of the chain is (offset + slope x) · element i+1 + weight · element i+2, all up to
+    /// positive factors.
     offset: [f64; DEGREE - 1],
     slope: [f64; DEGREE - 1],
     weight: [f64; DEGREE - 1],
@@ -70,8 +73,9 @@ impl Chain {
         let inverse = 1.0 / coefficients[DEGREE];
         let p = coefficients.map(|c| c * inverse);
         let mut first = p;
-        let mut second: Polynomial =
-            std::array::from_fn(|i| p.get(i + 1).map_or(0.0, |c| c * (i + 1) as f64 / DEGREE as f64));
+        let mut second: Polynomial = std::array::from_fn(|i| {
+            p.get(i + 1).map_or(0.0, |c| c * (i + 1) as f64 / DEGREE as f64)
+        });
         let mut chain = Self {
             p,
             offset: [0.0; DEGREE - 1],
@@ -127,12 +131,13 @@ fn evaluate(p: &Polynomial, x: f64) -> [f64; 2] {
         let top = pairs([c[8], c[9]]) + c[10] * x2;
         low + (high + top * x4) * x4
     };
-    let derivative = std::array::from_fn(|i| if i < DEGREE { p[i + 1] * (i + 1) as f64 } else { 0.0 });
+    let derivative =
+        std::array::from_fn(|i| if i < DEGREE { p[i + 1] * (i + 1) as f64 } else { 0.0 });
     [estrin(*p), estrin(derivative)]
 }
 
-/// The root between x(low) and x(high): Newton's method, halving the bracket in s where a step leaves it; none where p does not
-/// change its sign.
+/// The root between x(low) and x(high): Newton's method, halving the bracket in s where a step
+/// leaves it; none where p does not change its sign.
 fn bracketed_root(p: &Polynomial, mut low: f64, mut high: f64) -> Option<f64> {
     let falls = evaluate(p, x_of(low))[0] > 0.0;
     if (evaluate(p, x_of(high))[0] > 0.0) == falls {
@@ -149,7 +154,8 @@ fn bracketed_root(p: &Polynomial, mut low: f64, mut high: f64) -> Option<f64> {
             (high, x_high) = (s, x);
         }
         let newton = x - value / slope;
-        let next = if newton > x_low && newton < x_high { newton } else { x_of(0.5 * (low + high)) };
+        let next =
+            if newton > x_low && newton < x_high { newton } else { x_of(0.5 * (low + high)) };
         if (next - x).abs() <= 4.0 * f64::EPSILON * x.abs() {
             return Some(next);
         }

@@ -1,13 +1,14 @@
-//! The slow twin: the roots of the derivative split the line into monotone pieces, which have at most one root each, and so on
-//! down (Yuksel 2022, "High-performance polynomial root finding for graphics").
+//! The slow twin: the roots of the derivative split the line into monotone pieces, which have at
+//! most one root each, and so on down (Yuksel 2022, "High-performance polynomial root finding for
+//! graphics").
 
 use super::*;
 use crate::Rng;
 
 const TERMS: usize = DEGREE + 1;
 
-/// Roots in [−1, 1] come from the polynomial itself, those outside from its reverse, so that powers stay bounded.
-/// Double roots, which do not change the sign, are not found.
+/// Roots in [−1, 1] come from the polynomial itself, those outside from its reverse, so that powers
+/// stay bounded. Double roots, which do not change the sign, are not found.
 fn twin_roots(coefficients: &Polynomial) -> ArrayVec<f64, DEGREE> {
     let mut roots = roots_in_unit_interval(coefficients);
     let mut reversed = *coefficients;
@@ -55,9 +56,16 @@ fn horner(coefficients: &[f64], x: f64) -> f64 {
 /// Newton steps and halvings: a bracket of length 2 is halved down to rounding in 53.
 const MAX_BRACKET_STEPS: usize = 60;
 
-/// The root of `p` between `low` and `high`, where it rises (or else falls) through zero; Newton's method, halving the bracket
-/// where a step leaves it. The derivative of `p` is `factor · dp`.
-fn monotone_root(p: &[f64], dp: &[f64], factor: f64, mut low: f64, mut high: f64, rises: bool) -> f64 {
+/// The root of `p` between `low` and `high`, where it rises (or else falls) through zero; Newton's
+/// method, halving the bracket where a step leaves it. The derivative of `p` is `factor · dp`.
+fn monotone_root(
+    p: &[f64],
+    dp: &[f64],
+    factor: f64,
+    mut low: f64,
+    mut high: f64,
+    rises: bool,
+) -> f64 {
     let mut x = 0.5 * (low + high);
     for _ in 0..MAX_BRACKET_STEPS {
         let value = horner(p, x);
@@ -76,12 +84,14 @@ fn monotone_root(p: &[f64], dp: &[f64], factor: f64, mut low: f64, mut high: f64
     x
 }
 
-/// Polynomials made from known roots; the roots are well apart, so that their coefficients determine them well.
+/// Polynomials made from known roots; the roots are well apart, so that their coefficients
+/// determine them well.
 #[test]
 fn finds_the_roots_that_were_put_in() {
     let mut rng = Rng::stream(1, &[]);
     for _ in 0..2000 {
-        let mut expected: Vec<f64> = (0..2 * rng.below(4)).map(|_| (rng.normal() * 1.5).sinh()).collect();
+        let mut expected: Vec<f64> =
+            (0..2 * rng.below(4)).map(|_| (rng.normal() * 1.5).sinh()).collect();
         expected.sort_by(f64::total_cmp);
         if expected.windows(2).any(|pair| pair[1] - pair[0] < 0.1 * (1.0 + pair[0].abs())) {
             continue;
@@ -104,7 +114,10 @@ fn finds_the_roots_that_were_put_in() {
         found.sort_by(f64::total_cmp);
         assert_eq!(found.len(), expected.len(), "{expected:?} {found:?}");
         for (found, expected) in found.iter().zip(&expected) {
-            assert!((found - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{expected:?} {found:?}");
+            assert!(
+                (found - expected).abs() < 1e-6 * (1.0 + expected.abs()),
+                "{expected:?} {found:?}"
+            );
         }
     }
 }
@@ -120,8 +133,10 @@ fn agrees_with_the_twin() {
         found.sort_by(f64::total_cmp);
         expected.sort_by(f64::total_cmp);
         let near = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-6 * (1.0 + a.abs());
-        different += usize::from(found.len() != expected.len() || !found.iter().zip(&expected).all(near));
+        different +=
+            usize::from(found.len() != expected.len() || !found.iter().zip(&expected).all(near));
     }
-    // Nearly double roots are seen by one and not by the other, and rounding costs Sturm chains a few roots.
+    // Nearly double roots are seen by one and not by the other, and rounding costs Sturm chains a
+    // few roots.
     assert!(different <= 20, "{different} of 20000");
 }

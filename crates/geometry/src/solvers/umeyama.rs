@@ -1,4 +1,5 @@
-//! The similarity between two point sets (Umeyama 1991, "Least-squares estimation of transformation parameters").
+//! The similarity between two point sets (Umeyama 1991, "Least-squares estimation of transformation
+//! parameters").
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -7,8 +8,8 @@ use crate::Sim3;
 /// Singular values below this part of the largest count as zero.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// The similarity of least squared error that takes `from` to `to`, of scale one unless `with_scale`; `None` for fewer than
-/// three points, or points on a line.
+/// The similarity of least squared error that takes `from` to `to`, of scale one unless
+/// `with_scale`; `None` for fewer than three points, or points on a line.
 pub fn umeyama(from: &[Vector3<f64>], to: &[Vector3<f64>], with_scale: bool) -> Option<Sim3> {
     let count = from.len().min(to.len());
     if count < 3 {

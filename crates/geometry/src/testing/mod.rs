@@ -1,5 +1,5 @@
-//! Laws that every manifold, camera model, loss and Jacobian obeys, as plain functions of values: `Err` says what is broken.
-//! Tests feed them with random values; a new type costs one line there.
+//! Laws that every manifold, camera model, loss and Jacobian obeys, as plain functions of values:
+//! `Err` says what is broken. Tests feed them with random values; a new type costs one line there.
 
 mod solver_laws;
 
@@ -8,18 +8,20 @@ use nalgebra::{SVector, Vector3};
 use crate::{Block, CameraModel, Intrinsics, Loss, Manifold};
 pub use solver_laws::{SolverProblem, SolverTrial, solver_problem};
 
-/// Step of numeric differentiation in the tangent space, relative to the size of the value; with the five-point rule the error is
-/// h⁴ of the fifth derivative plus ε/h: about 1e-12 for functions of unit size.
+/// Step of numeric differentiation in the tangent space, relative to the size of the value; with
+/// the five-point rule the error is h⁴ of the fifth derivative plus ε/h: about 1e-12 for functions
+/// of unit size.
 const STEP: f64 = 1e-3;
 
-/// Accepted difference of analytic and numeric derivatives, relative to the largest entry of the column.
+/// Accepted difference of analytic and numeric derivatives, relative to the largest entry of the
+/// column.
 const DERIVATIVE_TOLERANCE: f64 = 1e-7;
 
 /// Accepted rounding error of a round trip, relative to numbers of unit size.
 const ROUND_TRIP_TOLERANCE: f64 = 1e-9;
 
-/// d residual / d x at `x`, by the five-point rule with `step` in every tangent direction. `None` where the residual is
-/// undefined nearby.
+/// d residual / d x at `x`, by the five-point rule with `step` in every tangent direction. `None`
+/// where the residual is undefined nearby.
 pub fn numeric_jacobian<V: Manifold, const R: usize>(
     x: &V,
     step: f64,
@@ -34,13 +36,14 @@ pub fn numeric_jacobian<V: Manifold, const R: usize>(
         };
         let derivative =
             ((at(step)? - at(-step)?) * 8.0 - (at(2.0 * step)? - at(-2.0 * step)?)) / (12.0 * step);
-        jacobian.as_mut_slice()[column * R..(column + 1) * R].copy_from_slice(derivative.as_slice());
+        jacobian.as_mut_slice()[column * R..(column + 1) * R]
+            .copy_from_slice(derivative.as_slice());
     }
     Some(jacobian)
 }
 
-/// The analytic Jacobian is the derivative of `residual` with respect to `plus` at zero. Where the residual is undefined
-/// nearby, there is nothing to check.
+/// The analytic Jacobian is the derivative of `residual` with respect to `plus` at zero. Where the
+/// residual is undefined nearby, there is nothing to check.
 pub fn jacobian_law<V: Manifold, const R: usize>(
     x: &V,
     analytic: &V::Jacobian<R>,
@@ -48,17 +51,22 @@ pub fn jacobian_law<V: Manifold, const R: usize>(
     residual: impl Fn(&V) -> Option<SVector<f64, R>>,
 ) -> Result<(), String> {
     let Some(numeric) = numeric_jacobian(x, step, residual) else { return Ok(()) };
-    for (column, (a, n)) in analytic.as_slice().chunks(R).zip(numeric.as_slice().chunks(R)).enumerate() {
+    for (column, (a, n)) in
+        analytic.as_slice().chunks(R).zip(numeric.as_slice().chunks(R)).enumerate()
+    {
         let size = a.iter().chain(n).fold(1.0, |size: f64, value| size.max(value.abs()));
         let same = a.iter().zip(n).all(|(a, n)| (a - n).abs() <= DERIVATIVE_TOLERANCE * size);
         if !same {
-            return Err(format!("Jacobian column {column} at {x:?}: analytic {a:?}, numeric {n:?}"));
+            return Err(format!(
+                "Jacobian column {column} at {x:?}: analytic {a:?}, numeric {n:?}"
+            ));
         }
     }
     Ok(())
 }
 
-/// Laws of a manifold at `x` and `y`, and for a tangent vector `delta` that is shorter than the injectivity radius.
+/// Laws of a manifold at `x` and `y`, and for a tangent vector `delta` that is shorter than the
+/// injectivity radius.
 pub fn manifold_laws<V: Manifold>(x: &V, y: &V, delta: &V::Tangent) -> Result<(), String> {
     let near = |a: V::Tangent, b: V::Tangent| {
         a.as_slice()
@@ -86,21 +94,33 @@ pub fn camera_laws(intrinsics: &Intrinsics, point_in_cam: &Vector3<f64>) -> Resu
     with_camera_model!(intrinsics, M, params => camera_model_laws::<M>(params, point_in_cam))
 }
 
-fn camera_model_laws<M: CameraModel>(params: &M::Params, point_in_cam: &Vector3<f64>) -> Result<(), String> {
+fn camera_model_laws<M: CameraModel>(
+    params: &M::Params,
+    point_in_cam: &Vector3<f64>,
+) -> Result<(), String> {
     let context = || format!("{} {:?} at {point_in_cam:?}", M::NAME, params.as_slice());
-    let pixel = M::project(params, point_in_cam).ok_or_else(|| format!("{}: not seen", context()))?;
+    let pixel =
+        M::project(params, point_in_cam).ok_or_else(|| format!("{}: not seen", context()))?;
     let projection = M::project_with_jacobian(params, point_in_cam)
         .ok_or_else(|| format!("{}: not seen with Jacobian", context()))?;
     if (pixel - projection.pixel).norm() > ROUND_TRIP_TOLERANCE * (1.0 + pixel.norm()) {
-        return Err(format!("{}: {pixel:?} without Jacobian, {:?} with", context(), projection.pixel));
+        return Err(format!(
+            "{}: {pixel:?} without Jacobian, {:?} with",
+            context(),
+            projection.pixel
+        ));
     }
-    // Steps in proportion to the depth; pixels are thousands of units, so that their rounding is felt less with long steps.
-    jacobian_law(point_in_cam, &projection.d_point, STEP * point_in_cam.norm(), |p| M::project(params, p))
-        .map_err(|error| format!("{}: point: {error}", context()))?;
+    // Steps in proportion to the depth; pixels are thousands of units, so that their rounding is
+    // felt less with long steps.
+    jacobian_law(point_in_cam, &projection.d_point, STEP * point_in_cam.norm(), |p| {
+        M::project(params, p)
+    })
+    .map_err(|error| format!("{}: point: {error}", context()))?;
     jacobian_law(params, &projection.d_params, STEP, |p| M::project(p, point_in_cam))
         .map_err(|error| format!("{}: parameters: {error}", context()))?;
 
-    let ray = M::unproject(params, &pixel).ok_or_else(|| format!("{}: {pixel:?} has no ray", context()))?;
+    let ray = M::unproject(params, &pixel)
+        .ok_or_else(|| format!("{}: {pixel:?} has no ray", context()))?;
     if (ray.norm() - 1.0).abs() > ROUND_TRIP_TOLERANCE {
         return Err(format!("{}: ray of norm {}", context(), ray.norm()));
     }

@@ -11,7 +11,8 @@ use crate::{Rigid3, Rng, Sim3, epipolar};
 pub struct SolverTrial {
     /// How many solutions.
     pub solutions: usize,
-    /// The largest residual of any solution, in units of the data, which are around 1; zero without solutions.
+    /// The largest residual of any solution, in units of the data, which are around 1; zero without
+    /// solutions.
     pub residual: f64,
     /// The distance of the nearest solution from the truth; infinite without solutions.
     pub distance: f64,
@@ -64,7 +65,8 @@ struct TwoViews {
 }
 
 impl TwoViews {
-    /// Points in the first camera's 90-degree field of view, 1 to 10 deep; a second camera that sees them too.
+    /// Points in the first camera's 90-degree field of view, 1 to 10 deep; a second camera that
+    /// sees them too.
     fn random(count: usize, rng: &mut Rng) -> Self {
         loop {
             let points: Vec<_> = (0..count)
@@ -73,7 +75,8 @@ impl TwoViews {
                     Vector3::new(uniform(rng) * depth, uniform(rng) * depth, depth)
                 })
                 .collect();
-            let cam2_from_cam1 = Rigid3::from_axis_angle(direction(rng) * rng.uniform(), direction(rng));
+            let cam2_from_cam1 =
+                Rigid3::from_axis_angle(direction(rng) * rng.uniform(), direction(rng));
             if points.iter().all(|p| (cam2_from_cam1 * *p).z > 0.1) {
                 return Self { cam2_from_cam1, points };
             }
@@ -84,14 +87,15 @@ impl TwoViews {
     fn random_plane(count: usize, rng: &mut Rng) -> (Self, Matrix3<f64>) {
         loop {
             let mut views = Self::random(count, rng);
-            let normal =
-                Vector3::new(uniform(rng), uniform(rng), 1.0).normalize() / (1.0 + 4.0 * rng.uniform());
+            let normal = Vector3::new(uniform(rng), uniform(rng), 1.0).normalize()
+                / (1.0 + 4.0 * rng.uniform());
             for point in &mut views.points {
                 *point /= normal.dot(point);
             }
             if views.points.iter().all(|p| p.z > 0.1 && (views.cam2_from_cam1 * *p).z > 0.1) {
                 let pose = &views.cam2_from_cam1;
-                let h = pose.rotation.to_rotation_matrix().matrix() + pose.translation * normal.transpose();
+                let h = pose.rotation.to_rotation_matrix().matrix()
+                    + pose.translation * normal.transpose();
                 return (views, h.normalize());
             }
         }
@@ -148,7 +152,8 @@ pub fn solver_problem(info: &SolverInfo, rng: &mut Rng) -> Option<SolverProblem>
                 (0..3).map(|i| error(i).norm()).fold(0.0, f64::max)
             };
             let distance = move |pose: &Rigid3| {
-                pose.rotation.angle_to(&truth.rotation) + (pose.translation - truth.translation).norm()
+                pose.rotation.angle_to(&truth.rotation)
+                    + (pose.translation - truth.translation).norm()
             };
             SolverProblem::new(move || solvers::p3p(&rays, &points), residual, distance)
         }
@@ -192,16 +197,20 @@ pub fn solver_problem(info: &SolverInfo, rng: &mut Rng) -> Option<SolverProblem>
         }
         "umeyama" => {
             let scale = rng.normal().exp();
-            let pose = Rigid3::from_axis_angle(direction(rng) * 3.1 * rng.uniform(), direction(rng));
+            let pose =
+                Rigid3::from_axis_angle(direction(rng) * 3.1 * rng.uniform(), direction(rng));
             let truth = Sim3 { scale, rotation: pose.rotation, translation: pose.translation };
             let from: [Vector3<f64>; 3] = std::array::from_fn(|_| direction(rng) * rng.uniform());
             let to = from.map(|p| truth * p);
             let residual = move |s: &Sim3| {
-                from.iter().zip(&to).map(|(from, to)| (*s * *from - to).norm()).fold(0.0, f64::max) / s.scale
+                from.iter().zip(&to).map(|(from, to)| (*s * *from - to).norm()).fold(0.0, f64::max)
+                    / s.scale
             };
             let distance = move |s: &Sim3| {
                 let rotation = s.rotation.angle_to(&truth.rotation);
-                rotation + (s.translation - truth.translation).norm() + (s.scale / truth.scale).ln().abs()
+                rotation
+                    + (s.translation - truth.translation).norm()
+                    + (s.scale / truth.scale).ln().abs()
             };
             SolverProblem::new(move || list(solvers::umeyama(&from, &to, true)), residual, distance)
         }

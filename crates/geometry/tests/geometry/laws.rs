@@ -12,12 +12,14 @@ fn vector<const N: usize>(size: f64) -> impl Strategy<Value = SVector<f64, N>> {
 /// All rotations, those near zero and near π too.
 fn rotation() -> impl Strategy<Value = UnitQuaternion<f64>> {
     let angle = prop_oneof![0.0..3.1, 0.0..1e-3, 3.1..std::f64::consts::PI, Just(0.0)];
-    (vector::<3>(1.0), angle)
-        .prop_filter_map("no axis", |(axis, angle)| Some(so3::exp(&(axis.try_normalize(1e-3)? * angle))))
+    (vector::<3>(1.0), angle).prop_filter_map("no axis", |(axis, angle)| {
+        Some(so3::exp(&(axis.try_normalize(1e-3)? * angle)))
+    })
 }
 
 fn rigid() -> impl Strategy<Value = Rigid3> {
-    (rotation(), vector::<3>(10.0)).prop_map(|(rotation, translation)| Rigid3 { rotation, translation })
+    (rotation(), vector::<3>(10.0))
+        .prop_map(|(rotation, translation)| Rigid3 { rotation, translation })
 }
 
 fn similarity() -> impl Strategy<Value = Sim3> {
@@ -46,8 +48,14 @@ manifolds! {
 proptest! {
     /// However far from the world's origin it is, and moves along its own axes.
     #[test]
-    fn a_camera_turns_about_its_own_centre(pose in rigid(), turn in vector::<3>(3.0), shift in vector::<3>(10.0)) {
-        let tangent = |shift: Vector3<f64>| SVector::<f64, 6>::from_fn(|i, _| if i < 3 { turn[i] } else { shift[i - 3] });
+    fn a_camera_turns_about_its_own_centre(
+        pose in rigid(),
+        turn in vector::<3>(3.0),
+        shift in vector::<3>(10.0),
+    ) {
+        let tangent = |shift: Vector3<f64>| {
+            SVector::<f64, 6>::from_fn(|i, _| if i < 3 { turn[i] } else { shift[i - 3] })
+        };
         let turned = pose.plus(&tangent(Vector3::zeros()));
         prop_assert!((turned.origin_in_a() - pose.origin_in_a()).norm() < 1e-13);
         let moved = pose.plus(&tangent(shift));
@@ -57,7 +65,8 @@ proptest! {
     }
 }
 
-/// Lenses as one meets them: coefficients small enough that the field of view below is seen without a fold.
+/// Lenses as one meets them: coefficients small enough that the field of view below is seen without
+/// a fold.
 fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
     let ranges: Vec<_> = kind
         .param_names()
@@ -73,12 +82,13 @@ fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
     ranges.prop_map(move |params| Intrinsics::new(kind, &params).expect("in range"))
 }
 
-/// Largest angle from the axis: 45 degrees for a perspective lens (r = 1, where |k1| + |k2| ≤ 0.1 cannot fold), 115 for a
-/// fisheye with coefficients scaled down accordingly.
+/// Largest angle from the axis: 45 degrees for a perspective lens (r = 1, where |k1| + |k2| ≤ 0.1
+/// cannot fold), 115 for a fisheye with coefficients scaled down accordingly.
 fn point_in_cam(max_angle: f64) -> impl Strategy<Value = Vector3<f64>> {
     let angle = prop_oneof![0.0..max_angle, 0.0..1e-3, Just(0.0)];
     (angle, 0.0..std::f64::consts::TAU, 0.01..100.0).prop_map(|(angle, azimuth, distance)| {
-        Vector3::new(angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()) * distance
+        Vector3::new(angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos())
+            * distance
     })
 }
 
@@ -100,7 +110,8 @@ perspective_cameras! {
 }
 
 proptest! {
-    /// Beyond the hemisphere; a coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d still grows at 2 rad.
+    /// Beyond the hemisphere; a coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d still grows at
+    /// 2 rad.
     #[test]
     fn opencv_fisheye_beyond_the_hemisphere(
         camera in camera(CameraModelKind::OpencvFisheye), point in point_in_cam(2.0),
@@ -120,14 +131,23 @@ proptest! {
         pixel in vector::<2>(2000.0),
     ) {
         let mut camera = Intrinsics::centred(kind, 800.0, 1000, 1000);
-        let lens = 1 + kind.focal_indices().iter().chain(&kind.principal_point_indices()).max().expect("a focal length");
+        let lens = 1 + kind
+            .focal_indices()
+            .iter()
+            .chain(&kind.principal_point_indices())
+            .max()
+            .expect("a focal length");
         for (param, value) in camera.params_mut()[lens..].iter_mut().zip(distortion) {
             *param = value;
         }
         let pixel: Vector2<f64> = pixel;
         if let Some(ray) = camera.unproject(&pixel) {
             let back = camera.project(&ray).expect("a ray that is seen");
-            prop_assert!((back - pixel).norm() < 1e-6 * (1.0 + pixel.norm()), "{camera:?}: {pixel:?} came back as {back:?}");
+            prop_assert!(
+                (back - pixel).norm() < 1e-6 * (1.0 + pixel.norm()),
+                "{camera:?}: \
+                {pixel:?} came back as {back:?}"
+            );
         }
     }
 
@@ -135,18 +155,25 @@ proptest! {
     #[test]
     fn losses(scale in 0.1..10.0, ratio in prop_oneof![0.01..0.99, 1.01..100.0]) {
         for loss in [
-            Loss::Trivial, Loss::Huber(scale), Loss::SoftL1(scale), Loss::Cauchy(scale), Loss::GemanMcClure(scale),
-            Loss::Tukey(scale), Loss::Truncated(scale),
+            Loss::Trivial,
+            Loss::Huber(scale),
+            Loss::SoftL1(scale),
+            Loss::Cauchy(scale),
+            Loss::GemanMcClure(scale),
+            Loss::Tukey(scale),
+            Loss::Truncated(scale),
         ] {
             prop_assert_eq!(loss_laws(&loss, ratio * scale * scale), Ok(()));
         }
     }
 }
 
-/// A pixel beyond the fold of a barrel lens has no ray: r (1 − 0.3 r²) is at most 0.7027 (at r = 1/√0.9).
+/// A pixel beyond the fold of a barrel lens has no ray: r (1 − 0.3 r²) is at most 0.7027 (at r =
+/// 1/√0.9).
 #[test]
 fn no_ray_beyond_the_fold() {
-    let camera = Intrinsics::from_name("SIMPLE_RADIAL", &[300.0, 500.0, 400.0, -0.3]).expect("valid");
+    let camera =
+        Intrinsics::from_name("SIMPLE_RADIAL", &[300.0, 500.0, 400.0, -0.3]).expect("valid");
     assert!(camera.unproject(&Vector2::new(500.0 + 300.0 * 0.702, 400.0)).is_some());
     assert_eq!(camera.unproject(&Vector2::new(500.0 + 300.0 * 0.703, 400.0)), None);
 }
@@ -158,7 +185,8 @@ fn points_behind_are_not_seen() {
         assert_eq!(camera.project(&Vector3::new(0.0, 0.0, -1.0)), None, "{kind:?}");
         assert_eq!(camera.project(&Vector3::zeros()), None, "{kind:?}");
         let behind = camera.project(&Vector3::new(0.1, 0.0, -1.0));
-        let is_fisheye = [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye].contains(&kind);
+        let is_fisheye =
+            [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye].contains(&kind);
         assert_eq!(behind.is_some(), is_fisheye, "{kind:?}");
     }
 }

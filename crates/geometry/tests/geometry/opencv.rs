@@ -1,4 +1,5 @@
-//! Pixel-centre, axis and matrix conventions against numbers computed by OpenCV and COLMAP (`data/make_opencv.py`).
+//! Pixel-centre, axis and matrix conventions against numbers computed by OpenCV and COLMAP
+//! (`data/make_opencv.py`).
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, epipolar, triangulate};
@@ -39,9 +40,15 @@ fn projection() {
                 (pose(row), vector3(&row[6..9]), Vector2::new(row[9], row[10]));
             let point_in_cam = cam_from_world * point;
             let projected = camera.project(&point_in_cam).expect("seen");
-            assert!((projected - pixel).norm() < ROUNDING * pixel.norm(), "{kind:?}: {projected} {pixel}");
+            assert!(
+                (projected - pixel).norm() < ROUNDING * pixel.norm(),
+                "{kind:?}: {projected} {pixel}"
+            );
             let ray = camera.unproject(&pixel).expect("a ray");
-            assert!((ray - point_in_cam.normalize()).norm() < ROUNDING, "{kind:?}: {ray} {point_in_cam}");
+            assert!(
+                (ray - point_in_cam.normalize()).norm() < ROUNDING,
+                "{kind:?}: {ray} {point_in_cam}"
+            );
         }
     }
 }
@@ -63,7 +70,8 @@ fn two_views() {
         assert!(epipolar::squared_sampson_error(&essential, &x1, &x2) < ROUNDING * ROUNDING);
         let (ray1, ray2) = (x1.push(1.0), x2.push(1.0));
         assert!(epipolar::rays_meet_in_front(&ray1, &ray2, &cam2_from_cam1));
-        let two_view = triangulate::triangulate_two_view(&ray1, &ray2, &cam2_from_cam1).expect("a point");
+        let two_view =
+            triangulate::triangulate_two_view(&ray1, &ray2, &cam2_from_cam1).expect("a point");
         assert!((two_view - point).norm() < 1e-8 * point.norm(), "{two_view} {point}");
         let cameras = [Rigid3::identity(), cam2_from_cam1];
         let linear = triangulate::triangulate(&cameras, &[ray1, ray2]).expect("a point");

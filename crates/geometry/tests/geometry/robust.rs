@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use proptest::prelude::*;
 use tiepoint_geometry::{
-    CameraModelKind, Estimator, Intrinsics, Loss, RansacOptions, Rigid3, Rng, Sim3, epipolar, estimate,
-    ransac,
+    CameraModelKind, Estimator, Intrinsics, Loss, RansacOptions, Rigid3, Rng, Sim3, epipolar,
+    estimate, ransac,
 };
 
 const NOISE_PX: f64 = 0.5;
@@ -21,13 +21,14 @@ const OPTIONS: RansacOptions = RansacOptions {
     seed: 7,
 };
 
-/// With 266 inliers of 0.5 px noise at a focal length of 800 px, the standard deviation of a rotation is about
-/// 0.5 / 800 / √266 = 4e-5 rad; a baseline of one before a scene of depth 8 has ten times that, more when it points forward.
-/// Generous factors cover bad draws.
+/// With 266 inliers of 0.5 px noise at a focal length of 800 px, the standard deviation of a
+/// rotation is about 0.5 / 800 / √266 = 4e-5 rad; a baseline of one before a scene of depth 8 has
+/// ten times that, more when it points forward. Generous factors cover bad draws.
 const MAX_ROTATION_RAD: f64 = 2e-3;
 const MAX_DIRECTION_RAD: f64 = 6e-2;
 
-/// Score over that of the truth. It should be below one; local optima of 2000 random problems stay below 1.005.
+/// Score over that of the truth. It should be below one; local optima of 2000 random problems stay
+/// below 1.005.
 const MAX_EXCESS: f64 = 1.01;
 
 fn camera(kind: CameraModelKind) -> Intrinsics {
@@ -38,7 +39,9 @@ fn camera(kind: CameraModelKind) -> Intrinsics {
         CameraModelKind::Radial => &[-0.1, 0.02],
         CameraModelKind::Opencv => &[-0.1, 0.02, 0.001, -0.002],
         CameraModelKind::OpencvFisheye => &[0.02, -0.01, 0.005, -0.001],
-        CameraModelKind::ThinPrismFisheye => &[0.02, -0.01, 0.001, -0.002, 0.005, -0.001, 0.001, -0.001],
+        CameraModelKind::ThinPrismFisheye => {
+            &[0.02, -0.01, 0.001, -0.002, 0.005, -0.001, 0.001, -0.001]
+        }
     };
     let first = camera.params().len() - distortion.len();
     camera.params_mut()[first..].copy_from_slice(distortion);
@@ -106,19 +109,41 @@ proptest! {
         let (points, truth, camera) = (cloud(&mut rng), motion(&mut rng), camera(kind));
         let [_, pixels] = correspondences(&points, &truth, &camera, &mut rng);
         let report = estimate::absolute_pose(&pixels, &points, &camera, &OPTIONS).expect("a pose");
-        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100, "{} inliers", report.num_inliers);
-        prop_assert!(report.model.rotation.angle_to(&truth.rotation) < MAX_ROTATION_RAD, "{:?} {truth:?}", report.model);
-        prop_assert!((report.model.translation - truth.translation).norm() < 0.02, "{:?} {truth:?}", report.model);
+        prop_assert!(
+            report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100,
+            "{} inliers",
+            report.num_inliers
+        );
+        prop_assert!(
+            report.model.rotation.angle_to(&truth.rotation) < MAX_ROTATION_RAD,
+            "{:?} {truth:?}",
+            report.model
+        );
+        prop_assert!(
+            (report.model.translation - truth.translation).norm() < 0.02,
+            "{:?} {truth:?}",
+            report.model
+        );
 
         let good: Vec<usize> = (OUTLIERS..POINTS).collect();
         let pixels: Vec<_> = good.iter().map(|&i| pixels[i]).collect();
         let points: Vec<_> = good.iter().map(|&i| points[i]).collect();
-        let refined = estimate::refine_absolute_pose(&pixels, &points, &camera, &report.model, Loss::Cauchy(1.0));
+        let refined = estimate::refine_absolute_pose(
+            &pixels,
+            &points,
+            &camera,
+            &report.model,
+            Loss::Cauchy(1.0),
+        );
         prop_assert!(refined.rotation.angle_to(&truth.rotation) < MAX_ROTATION_RAD);
     }
 
     #[test]
-    fn absolute_pose_focal(seed: u64, kind in prop::sample::select(CameraModelKind::ALL), factor in 0.4..2.5) {
+    fn absolute_pose_focal(
+        seed: u64,
+        kind in prop::sample::select(CameraModelKind::ALL),
+        factor in 0.4..2.5,
+    ) {
         let mut rng = Rng::stream(seed, &[]);
         let (points, truth, camera) = (cloud(&mut rng), motion(&mut rng), camera(kind));
         let [_, pixels] = correspondences(&points, &truth, &camera, &mut rng);
@@ -126,11 +151,22 @@ proptest! {
         for &index in kind.focal_indices() {
             guess.params_mut()[index] *= factor;
         }
-        let report = estimate::absolute_pose_focal(&pixels, &points, &guess, &OPTIONS).expect("a pose");
+        let report =
+            estimate::absolute_pose_focal(&pixels, &points, &guess, &OPTIONS).expect("a pose");
         let (pose, found) = report.model;
-        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100, "{} inliers", report.num_inliers);
-        prop_assert!((found.mean_focal_px() / camera.mean_focal_px() - 1.0).abs() < 0.01, "{found:?}");
-        prop_assert!(pose.rotation.angle_to(&truth.rotation) < 5.0 * MAX_ROTATION_RAD, "{pose:?} {truth:?}");
+        prop_assert!(
+            report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100,
+            "{} inliers",
+            report.num_inliers
+        );
+        prop_assert!(
+            (found.mean_focal_px() / camera.mean_focal_px() - 1.0).abs() < 0.01,
+            "{found:?}"
+        );
+        prop_assert!(
+            pose.rotation.angle_to(&truth.rotation) < 5.0 * MAX_ROTATION_RAD,
+            "{pose:?} {truth:?}"
+        );
     }
 
     #[test]
@@ -138,18 +174,33 @@ proptest! {
         let mut rng = Rng::stream(seed, &[]);
         let (points, truth, camera) = (cloud(&mut rng), motion(&mut rng), camera(kind));
         let [pixels1, pixels2] = correspondences(&points, &truth, &camera, &mut rng);
-        let report = estimate::relative_pose(&pixels1, &pixels2, &camera, &camera, &OPTIONS).expect("a pose");
-        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100, "{} inliers", report.num_inliers);
-        prop_assert!(report.model.rotation.angle_to(&truth.rotation) < 4.0 * MAX_ROTATION_RAD, "{:?} {truth:?}", report.model);
-        prop_assert!(angle_between(&report.model.translation, &truth.translation) < MAX_DIRECTION_RAD, "{:?} {truth:?}", report.model);
+        let report = estimate::relative_pose(&pixels1, &pixels2, &camera, &camera, &OPTIONS)
+            .expect("a pose");
+        prop_assert!(
+            report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100,
+            "{} inliers",
+            report.num_inliers
+        );
+        prop_assert!(
+            report.model.rotation.angle_to(&truth.rotation) < 4.0 * MAX_ROTATION_RAD,
+            "{:?} {truth:?}",
+            report.model
+        );
+        prop_assert!(
+            angle_between(&report.model.translation, &truth.translation) < MAX_DIRECTION_RAD,
+            "{:?} {truth:?}",
+            report.model
+        );
 
-        let again = estimate::essential(&pixels1, &pixels2, &camera, &camera, &OPTIONS).expect("a matrix");
+        let again =
+            estimate::essential(&pixels1, &pixels2, &camera, &camera, &OPTIONS).expect("a matrix");
         prop_assert_eq!(&again.inliers, &report.inliers);
         let rays = [&pixels1, &pixels2].map(|pixels| {
             let inliers = pixels.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier);
             inliers.map(|(pixel, _)| camera.unproject(pixel).expect("seen")).collect::<Vec<_>>()
         });
-        let (pose, votes) = epipolar::pose_from_essential(&again.model, &rays[0], &rays[1]).expect("a pose");
+        let (pose, votes) =
+            epipolar::pose_from_essential(&again.model, &rays[0], &rays[1]).expect("a pose");
         prop_assert!(votes >= report.num_inliers * 95 / 100);
         prop_assert!(pose.rotation.angle_to(&report.model.rotation) < 1e-9);
         prop_assert!(angle_between(&pose.translation, &report.model.translation) < 1e-9);
@@ -158,10 +209,15 @@ proptest! {
     #[test]
     fn fundamental(seed: u64) {
         let mut rng = Rng::stream(seed, &[]);
-        let (points, truth, camera) = (cloud(&mut rng), motion(&mut rng), camera(CameraModelKind::Pinhole));
+        let (points, truth, camera) =
+            (cloud(&mut rng), motion(&mut rng), camera(CameraModelKind::Pinhole));
         let [pixels1, pixels2] = correspondences(&points, &truth, &camera, &mut rng);
         let report = estimate::fundamental(&pixels1, &pixels2, &OPTIONS).expect("a matrix");
-        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100, "{} inliers", report.num_inliers);
+        prop_assert!(
+            report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100,
+            "{} inliers",
+            report.num_inliers
+        );
         // The true correspondences, without noise, fulfil it.
         let errors = points[OUTLIERS..].iter().map(|point| {
             let [x1, x2] = [*point, truth * *point].map(|p| camera.project(&p).expect("in front"));
@@ -169,15 +225,21 @@ proptest! {
         });
         let rms = (errors.sum::<f64>() / (POINTS - OUTLIERS) as f64).sqrt();
         prop_assert!(rms < 1.0, "{rms} px");
-        // The reported score is the sum of truncated squared errors in pixels, and better than that of the truth.
+        // The reported score is the sum of truncated squared errors in pixels, and better than that
+        // of the truth.
         let score = |f: &Matrix3<f64>| -> f64 {
             let error = |(x1, x2)| epipolar::squared_sampson_error(f, x1, x2);
             let truncated = |s| Loss::Truncated(OPTIONS.max_error).evaluate(s)[0];
             pixels1.iter().zip(&pixels2).map(error).map(truncated).sum()
         };
-        prop_assert!((score(&report.model) - report.score).abs() < 1e-6 * report.score, "{}", report.score);
+        prop_assert!(
+            (score(&report.model) - report.score).abs() < 1e-6 * report.score,
+            "{}",
+            report.score
+        );
         let k = camera.calibration_matrix();
-        let true_f = epipolar::fundamental_from_essential(&epipolar::essential_from_pose(&truth), &k, &k);
+        let true_f =
+            epipolar::fundamental_from_essential(&epipolar::essential_from_pose(&truth), &k, &k);
         let true_score = score(&true_f.expect("regular"));
         prop_assert!(report.score <= MAX_EXCESS * true_score, "{} {true_score}", report.score);
     }
@@ -185,12 +247,18 @@ proptest! {
     #[test]
     fn homography(seed: u64) {
         let mut rng = Rng::stream(seed, &[]);
-        let (mut points, truth, camera) = (cloud(&mut rng), motion(&mut rng), camera(CameraModelKind::Pinhole));
-        let normal = Vector3::new(0.3 * uniform(&mut rng), 0.3 * uniform(&mut rng), 1.0).normalize() / 6.0;
+        let (mut points, truth, camera) =
+            (cloud(&mut rng), motion(&mut rng), camera(CameraModelKind::Pinhole));
+        let normal =
+            Vector3::new(0.3 * uniform(&mut rng), 0.3 * uniform(&mut rng), 1.0).normalize() / 6.0;
         points.iter_mut().for_each(|point| *point /= normal.dot(point));
         let [pixels1, pixels2] = correspondences(&points, &truth, &camera, &mut rng);
         let report = estimate::homography(&pixels1, &pixels2, &OPTIONS).expect("a matrix");
-        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100, "{} inliers", report.num_inliers);
+        prop_assert!(
+            report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100,
+            "{} inliers",
+            report.num_inliers
+        );
         for point in &points[OUTLIERS..] {
             let [x1, x2] = [*point, truth * *point].map(|p| camera.project(&p).expect("in front"));
             let y = report.model * x1.push(1.0);
@@ -201,10 +269,15 @@ proptest! {
         let calibrated = k.try_inverse().expect("regular") * report.model * k;
         // The homography of the truth is among the decompositions, up to noise.
         let expected = truth.translation * normal.norm();
-        let nearest = epipolar::decompose_homography(&calibrated).into_iter().map(|motion| {
-            let error = motion.cam2_from_cam1.rotation.angle_to(&truth.rotation);
-            error + (motion.cam2_from_cam1.translation - expected).norm() + angle_between(&motion.normal_in_cam1, &normal)
-        }).fold(f64::INFINITY, f64::min);
+        let nearest = epipolar::decompose_homography(&calibrated)
+            .into_iter()
+            .map(|motion| {
+                let error = motion.cam2_from_cam1.rotation.angle_to(&truth.rotation);
+                error
+                    + (motion.cam2_from_cam1.translation - expected).norm()
+                    + angle_between(&motion.normal_in_cam1, &normal)
+            })
+            .fold(f64::INFINITY, f64::min);
         prop_assert!(nearest < 0.1, "{nearest}");
     }
 
@@ -232,12 +305,22 @@ proptest! {
         let camera = camera(CameraModelKind::Opencv);
         let truth = cloud(&mut rng)[0];
         let poses: Vec<Rigid3> = (0..views).map(|_| motion(&mut rng)).collect();
-        let observations: Vec<_> = poses.iter().enumerate().map(|(i, pose)| {
-            let pixel = camera.project(&(*pose * truth)).expect("in front");
-            let pixel = if i < wrong { pixel + Vector2::new(40.0 + 100.0 * rng.uniform(), 60.0) } else { noisy(pixel, &mut rng) };
-            estimate::Observation { cam_from_world: pose, intrinsics: &camera, pixel }
-        }).collect();
-        for residual in [estimate::TriangulationResidual::Pixel, estimate::TriangulationResidual::Angle] {
+        let observations: Vec<_> = poses
+            .iter()
+            .enumerate()
+            .map(|(i, pose)| {
+                let pixel = camera.project(&(*pose * truth)).expect("in front");
+                let pixel = if i < wrong {
+                    pixel + Vector2::new(40.0 + 100.0 * rng.uniform(), 60.0)
+                } else {
+                    noisy(pixel, &mut rng)
+                };
+                estimate::Observation { cam_from_world: pose, intrinsics: &camera, pixel }
+            })
+            .collect();
+        for residual in
+            [estimate::TriangulationResidual::Pixel, estimate::TriangulationResidual::Angle]
+        {
             let max_error = match residual {
                 estimate::TriangulationResidual::Pixel => 4.0,
                 estimate::TriangulationResidual::Angle => 4.0 / 800.0,
@@ -255,8 +338,15 @@ proptest! {
             if views - wrong < 5 {
                 continue;
             }
-            prop_assert!((report.model - truth).norm() < 0.05 * truth.norm(), "{:?} {truth:?}", report.model);
-            prop_assert!(report.inliers[wrong..].iter().filter(|inlier| **inlier).count() >= (views - wrong) * 9 / 10);
+            prop_assert!(
+                (report.model - truth).norm() < 0.05 * truth.norm(),
+                "{:?} {truth:?}",
+                report.model
+            );
+            prop_assert!(
+                report.inliers[wrong..].iter().filter(|inlier| **inlier).count()
+                    >= (views - wrong) * 9 / 10
+            );
         }
     }
 }
@@ -279,7 +369,12 @@ impl Estimator for Line {
             models.push([a, y0 - a * x0]);
         }
     }
-    fn squared_residuals(&self, [a, b]: &[f64; 2], range: std::ops::Range<usize>, squared: &mut [f64]) {
+    fn squared_residuals(
+        &self,
+        [a, b]: &[f64; 2],
+        range: std::ops::Range<usize>,
+        squared: &mut [f64],
+    ) {
         for (squared, [x, y]) in squared.iter_mut().zip(&self.0[range]) {
             *squared = (a * x + b - y).powi(2);
         }
@@ -295,8 +390,9 @@ impl Estimator for Line {
 
 fn line(inliers: usize, outliers: usize) -> Line {
     let mut rng = Rng::stream(1, &[]);
-    let good =
-        (0..inliers).map(|i| [i as f64, 2.0 * i as f64 + 1.0 + 0.01 * rng.normal()]).collect::<Vec<_>>();
+    let good = (0..inliers)
+        .map(|i| [i as f64, 2.0 * i as f64 + 1.0 + 0.01 * rng.normal()])
+        .collect::<Vec<_>>();
     Line(good.into_iter().chain((0..outliers).map(|i| [i as f64, 1e3 + (i * i) as f64])).collect())
 }
 

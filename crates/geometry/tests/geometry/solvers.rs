@@ -6,10 +6,12 @@ use tiepoint_geometry::{Rng, solvers, testing};
 const PROBLEMS: usize = 20_000;
 const SEED: u64 = 5;
 
-/// Largest residual, in units of the data, that is rounding: 99.9 % of the problems stay below (PoseLib's benchmark asks 1e-8).
+/// Largest residual, in units of the data, that is rounding: 99.9 % of the problems stay below
+/// (PoseLib's benchmark asks 1e-8).
 const RESIDUAL: f64 = 1e-8;
 
-/// Distance within which the truth counts as found: conditioning, not the solver, is the limit (PoseLib's benchmark: 1e-6).
+/// Distance within which the truth counts as found: conditioning, not the solver, is the limit
+/// (PoseLib's benchmark: 1e-6).
 const FOUND: f64 = 1e-6;
 
 #[test]
@@ -19,7 +21,8 @@ fn solvers_find_the_truth() {
         let (mut bad, mut missed) = (0, 0);
         let mut residuals = Vec::new();
         for _ in 0..PROBLEMS {
-            let problem = testing::solver_problem(info, &mut rng).expect("a generator for every row");
+            let problem =
+                testing::solver_problem(info, &mut rng).expect("a generator for every row");
             let trial = problem.judge();
             assert!(trial.solutions <= info.max_solutions);
             bad += usize::from(trial.residual > RESIDUAL);

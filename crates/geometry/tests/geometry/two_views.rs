@@ -32,32 +32,45 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn essential_matrices_hold_their_pose(motion in motion(), scale in prop_oneof![-9.0..-0.1, 0.1..9.0f64]) {
-        let poses = decompose_essential(&(essential_from_pose(&motion) * scale)).expect("of rank two");
+    fn essential_matrices_hold_their_pose(
+        motion in motion(),
+        scale in prop_oneof![-9.0..-0.1, 0.1..9.0f64],
+    ) {
+        let poses =
+            decompose_essential(&(essential_from_pose(&motion) * scale)).expect("of rank two");
         let same = |pose: &&Rigid3| {
-            pose.rotation.angle_to(&motion.rotation) < 1e-7 && (pose.translation - motion.translation).norm() < 1e-7
+            pose.rotation.angle_to(&motion.rotation) < 1e-7
+                && (pose.translation - motion.translation).norm() < 1e-7
         };
         prop_assert_eq!(poses.iter().filter(same).count(), 1, "{:?}", poses);
     }
 
     #[test]
-    fn points_vote_for_their_pose(motion in motion(), points in prop::collection::vec(point(), 5..20)) {
+    fn points_vote_for_their_pose(
+        motion in motion(),
+        points in prop::collection::vec(point(), 5..20),
+    ) {
         let seen: Vec<_> = points.iter().filter(|p| (motion * **p).z > 0.1).collect();
         prop_assume!(seen.len() >= 5);
         let rays1: Vec<_> = seen.iter().map(|p| p.normalize()).collect();
         let rays2: Vec<_> = seen.iter().map(|p| (motion * **p).normalize()).collect();
-        let (pose, votes) = pose_from_essential(&essential_from_pose(&motion), &rays1, &rays2).expect("of rank two");
+        let (pose, votes) = pose_from_essential(&essential_from_pose(&motion), &rays1, &rays2)
+            .expect("of rank two");
         prop_assert_eq!(votes, seen.len());
         prop_assert!(pose.rotation.angle_to(&motion.rotation) < 1e-7);
     }
 
     #[test]
     fn essential_and_fundamental(motion in motion(), x1 in vector(), x2 in vector()) {
-        let k1 = Intrinsics::centred(CameraModelKind::Pinhole, 700.0, 640, 480).calibration_matrix();
-        let k2 = Intrinsics::centred(CameraModelKind::Pinhole, 900.0, 1000, 800).calibration_matrix();
+        let k1 =
+            Intrinsics::centred(CameraModelKind::Pinhole, 700.0, 640, 480).calibration_matrix();
+        let k2 =
+            Intrinsics::centred(CameraModelKind::Pinhole, 900.0, 1000, 800).calibration_matrix();
         let essential = essential_from_pose(&motion);
         let fundamental = fundamental_from_essential(&essential, &k1, &k2).expect("regular");
-        prop_assert!((essential_from_fundamental(&fundamental, &k1, &k2) - essential).norm() < ROUNDING);
+        prop_assert!(
+            (essential_from_fundamental(&fundamental, &k1, &k2) - essential).norm() < ROUNDING
+        );
         let (y1, y2) = (x1.xy().push(1.0), x2.xy().push(1.0));
         let product = (k2 * y2).dot(&(fundamental * k1 * y1));
         prop_assert!((product - y2.dot(&(essential * y1))).abs() < ROUNDING);
@@ -65,7 +78,11 @@ proptest! {
 
     /// The Sampson error of a pair that was moved by a small step is at most the squared step.
     #[test]
-    fn sampson_errors_are_squared_distances(motion in motion(), point in point(), step in prop::array::uniform4(-1e-4..1e-4f64)) {
+    fn sampson_errors_are_squared_distances(
+        motion in motion(),
+        point in point(),
+        step in prop::array::uniform4(-1e-4..1e-4f64),
+    ) {
         let in_cam2 = motion * point;
         prop_assume!(in_cam2.z > 0.5);
         let x1 = point.xy() / point.z + Vector2::new(step[0], step[1]);
@@ -91,7 +108,11 @@ proptest! {
 
     /// The corrected rays of a noisy pair meet, and less of a correction would not do.
     #[test]
-    fn two_view_triangulation_is_optimal(motion in motion(), point in point(), noise in prop::array::uniform4(-1e-3..1e-3f64)) {
+    fn two_view_triangulation_is_optimal(
+        motion in motion(),
+        point in point(),
+        noise in prop::array::uniform4(-1e-3..1e-3f64),
+    ) {
         prop_assume!(triangulation_angle(&Vector3::zeros(), &motion.origin_in_a(), &point) > 0.05);
         let ray1 = point.normalize() + Vector3::new(noise[0], noise[1], 0.0);
         let ray2 = (motion * point).normalize() + Vector3::new(noise[2], noise[3], 0.0);
@@ -100,22 +121,32 @@ proptest! {
         let least = cost(found);
         for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
             for step in [-1e-3, 1e-3] {
-                prop_assert!(cost(found + axis * (step * found.norm())) >= least * (1.0 - 1e-3) - 1e-12);
+                prop_assert!(
+                    cost(found + axis * (step * found.norm())) >= least * (1.0 - 1e-3) - 1e-12
+                );
             }
         }
     }
 
     #[test]
-    fn homographies_hold_their_motion(motion in motion(), normal in vector(), distance in 1.0..10.0f64) {
+    fn homographies_hold_their_motion(
+        motion in motion(),
+        normal in vector(),
+        distance in 1.0..10.0f64,
+    ) {
         let normal = (normal * 0.4 + Vector3::z()).normalize();
-        let h = motion.rotation.to_rotation_matrix().matrix() + motion.translation * normal.transpose() / distance;
+        let h = motion.rotation.to_rotation_matrix().matrix()
+            + motion.translation * normal.transpose() / distance;
         // The camera stays on its side of the plane.
         prop_assume!(h.determinant() > 0.05);
-        let found = decompose_homography(&h).into_iter().map(|m| {
-            m.cam2_from_cam1.rotation.angle_to(&motion.rotation)
-                + (m.cam2_from_cam1.translation * distance - motion.translation).norm()
-                + (m.normal_in_cam1 - normal).norm()
-        }).fold(f64::INFINITY, f64::min);
+        let found = decompose_homography(&h)
+            .into_iter()
+            .map(|m| {
+                m.cam2_from_cam1.rotation.angle_to(&motion.rotation)
+                    + (m.cam2_from_cam1.translation * distance - motion.translation).norm()
+                    + (m.normal_in_cam1 - normal).norm()
+            })
+            .fold(f64::INFINITY, f64::min);
         prop_assert!(found < 1e-4, "{found}");
     }
 }

@@ -147,8 +147,8 @@ fn read_cameras<R: Read>(file: &mut Reader<R>) -> Result<Vec<(u32, Camera)>> {
     for _ in 0..count {
         let id = file.u32("a camera's id")?;
         let model = file.i32("a camera's model")?;
-        let kind =
-            CameraModelKind::from_colmap_id(model).map_err(|e| file.error(format!("camera {id}: {e}")))?;
+        let kind = CameraModelKind::from_colmap_id(model)
+            .map_err(|e| file.error(format!("camera {id}: {e}")))?;
         let mut side = |what: &str| -> Result<u32> {
             let pixels = file.u64(what)?;
             u32::try_from(pixels).map_err(|_| file.error(format!("{what} is {pixels} pixels")))
@@ -181,9 +181,12 @@ fn read_rigs<R: Read>(file: &mut Reader<R>) -> Result<Vec<RigRow>> {
         let sensors = u64::from(file.u32("a rig's number of sensors")?);
         let mut cameras = Vec::new();
         if sensors > 0 {
-            let others = file.check_count(sensors - 1, MIN_SENSOR_BYTES, "a rig's number of sensors")?;
+            let others =
+                file.check_count(sensors - 1, MIN_SENSOR_BYTES, "a rig's number of sensors")?;
             let reference = read_sensor(file)?.ok_or_else(|| {
-                file.error(format!("the reference sensor of rig {id} is no camera, which is not supported"))
+                file.error(format!(
+                    "the reference sensor of rig {id} is no camera, which is not supported"
+                ))
             })?;
             cameras.push((reference, None));
             for _ in 0..others {
@@ -213,8 +216,8 @@ fn read_frames<R: Read>(file: &mut Reader<R>) -> Result<Vec<FrameRow>> {
             let camera = read_sensor(file)?;
             let image = file.u64("a frame's image")?;
             if let Some(camera) = camera {
-                let image =
-                    u32::try_from(image).map_err(|_| file.error(format!("image {image} of frame {id}")))?;
+                let image = u32::try_from(image)
+                    .map_err(|_| file.error(format!("image {image} of frame {id}")))?;
                 images.push((camera, image));
             }
         }
@@ -253,7 +256,8 @@ fn read_points<R: Read>(file: &mut Reader<R>) -> Result<Vec<PointRow>> {
         let id = file.u64("a point's id")?;
         let xyz = file.vector3("a point's position")?;
         let color = file.bytes("a point's colour")?;
-        // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it has none.
+        // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it
+        // has none.
         file.raw_f64("a point's error")?;
         let observations = file.count(OBSERVATION_BYTES, "the length of a track")?;
         let mut track = Vec::with_capacity(observations);

@@ -68,7 +68,9 @@ impl Layout {
                 frames.push(FrameRow { id, rig, rig_from_world: frame.rig_from_world, images });
             }
         }
-        for (id, image, cam_from_world) in model.registered().filter(|(id, ..)| !in_frame[id.index()]) {
+        for (id, image, cam_from_world) in
+            model.registered().filter(|(id, ..)| !in_frame[id.index()])
+        {
             let camera = image.camera;
             let (rig, cam_from_rig) = match rig_of[camera.index()] {
                 None => (model.rigs.len() + camera.index(), Some(Rigid3::identity())),

@@ -1,14 +1,16 @@
-//! COLMAP's models: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and frames; binary or text.
+//! COLMAP's models: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and
+//! frames; binary or text.
 //!
-//! Ids on disk are ours plus one, so that images and cameras have the same ids as in `database.db`. Only registered
-//! images are written. What a model does not hold is lost on the way: keypoint scales (1 when read), image times, hold-out
-//! flags, and where a focal length came from.
+//! Ids on disk are ours plus one, so that images and cameras have the same ids as in `database.db`.
+//! Only registered images are written. What a model does not hold is lost on the way: keypoint
+//! scales (1 when read), image times, hold-out flags, and where a focal length came from.
 //!
-//! COLMAP wants every image in a frame and every camera on a rig. Frames and rigs of the [`Reconstruction`] are written as
-//! such; an image outside of them gets a frame of its own, and a camera outside of them a rig of its own. When read, rigs of
-//! one camera vanish again.
+//! COLMAP wants every image in a frame and every camera on a rig. Frames and rigs of the
+//! [`Reconstruction`] are written as such; an image outside of them gets a frame of its own, and a
+//! camera outside of them a rig of its own. When read, rigs of one camera vanish again.
 //!
-//! Format: <https://colmap.github.io/format.html>; the rig files as `src/colmap/scene/reconstruction_io*.cc` of COLMAP 4.2.
+//! Format: <https://colmap.github.io/format.html>; the rig files as
+//! `src/colmap/scene/reconstruction_io*.cc` of COLMAP 4.2.
 
 mod binary;
 mod layout;
@@ -57,14 +59,16 @@ impl Format {
     }
 }
 
-/// Writes a model into a folder, which is made if need be. A new folder appears with all of its files; in one that is there,
-/// the list of images goes first and comes last, so that nobody reads parts of two models.
+/// Writes a model into a folder, which is made if need be. A new folder appears with all of its
+/// files; in one that is there, the list of images goes first and comes last, so that nobody reads
+/// parts of two models.
 ///
 /// # Errors
 ///
-/// Where the model is not valid ([`Reconstruction::validate`]); where an image in no frame is of a camera that has no pose on its
-/// rig, since COLMAP wants every image in a frame; where the folder holds a model in the other format, since readers would choose for themselves,
-/// and where the system refuses.
+/// Where the model is not valid ([`Reconstruction::validate`]); where an image in no frame is of a
+/// camera that has no pose on its rig, since COLMAP wants every image in a frame; where the folder
+/// holds a model in the other format, since readers would choose for themselves, and where the
+/// system refuses.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
     let layout = Layout::new(dir, model)?;
@@ -74,7 +78,8 @@ pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result
     };
     let target = disk::end_of_links(dir).map_err(Error::io(dir))?;
     let is_new = target.file_name().is_some()
-        && fs::symlink_metadata(&target).is_err_and(|cause| cause.kind() == io::ErrorKind::NotFound);
+        && fs::symlink_metadata(&target)
+            .is_err_and(|cause| cause.kind() == io::ErrorKind::NotFound);
     if is_new {
         let part = disk::part_of(&target);
         let written = write_new_folder(&part, &target, format, write);
@@ -141,13 +146,14 @@ fn write_into_folder(
     files.into_iter().try_for_each(AtomicFile::commit)
 }
 
-/// Reads a model from a folder: the binary files where there are all of cameras, images and points3D, else the text files.
+/// Reads a model from a folder: the binary files where there are all of cameras, images and
+/// points3D, else the text files.
 ///
 /// Images, cameras and points get ids in the order of those in the files. The result is valid.
 pub fn read_model(dir: &Path) -> Result<Reconstruction> {
-    let format = Format::ALL
-        .into_iter()
-        .find(|format| REQUIRED.iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file()));
+    let format = Format::ALL.into_iter().find(|format| {
+        REQUIRED.iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file())
+    });
     let tables = match format {
         Some(Format::Binary) => binary::read(dir)?,
         Some(Format::Text) => text::read(dir)?,
@@ -156,7 +162,8 @@ pub fn read_model(dir: &Path) -> Result<Reconstruction> {
             fs::read_dir(dir).map_err(Error::io(dir))?;
             return Err(Error::content(
                 dir,
-                "holds no COLMAP model: cameras, images and points3D must be there, all as .bin or all as .txt",
+                "holds no COLMAP model: cameras, images and points3D must be there, all as .bin \
+                or all as .txt",
             ));
         }
     };

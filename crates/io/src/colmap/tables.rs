@@ -5,8 +5,8 @@ use std::path::Path;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
-    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor,
-    Track, is_same_pose,
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId,
+    RigSensor, Track, is_same_pose,
 };
 
 use super::layout::{FrameRow, RigRow};
@@ -79,12 +79,15 @@ impl Tables {
             model.add_camera(camera);
         }
         let images = sort(dir, "image", &mut self.images, |row| row.id)?;
-        // The points that the keypoints name, in the order of the images; emptied as the tracks claim them.
+        // The points that the keypoints name, in the order of the images; emptied as the tracks
+        // claim them.
         let mut claims = Vec::with_capacity(self.images.len());
         for row in self.images {
-            let camera =
-                find(dir, "camera", &cameras, row.camera, || format!("image {}", Excerpt(&row.name)))?;
-            let image = model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
+            let camera = find(dir, "camera", &cameras, row.camera, || {
+                format!("image {}", Excerpt(&row.name))
+            })?;
+            let image =
+                model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
             model.register(image, row.cam_from_world);
             claims.push(row.points);
         }
@@ -100,7 +103,8 @@ impl Tables {
                         return Err(Error::content(
                             dir,
                             format!(
-                                "point {} is seen by keypoint {keypoint} of image {image}, which names another point",
+                                "point {} is seen by keypoint {keypoint} of image {image}, which \
+                                names another point",
                                 row.id
                             ),
                         ));
@@ -109,7 +113,8 @@ impl Tables {
                         return Err(Error::content(
                             dir,
                             format!(
-                                "point {} is seen by keypoint {keypoint} of image {image}, which has {} keypoints",
+                                "point {} is seen by keypoint {keypoint} of image {image}, which \
+                                has {} keypoints",
                                 row.id,
                                 claims[index].len()
                             ),
@@ -125,7 +130,8 @@ impl Tables {
                 return Err(Error::content(
                     dir,
                     format!(
-                        "keypoint {keypoint} of image {id} names point {}, whose track does not hold it",
+                        "keypoint {keypoint} of image {id} names point {}, whose track does not \
+                        hold it",
                         claims[keypoint]
                     ),
                 ));
@@ -135,9 +141,9 @@ impl Tables {
     }
 }
 
-/// Puts the rigs of several cameras and their frames into the model. Where an image's pose is not the one that its frame gives
-/// it, the frame's is taken, as COLMAP does. Where the frame gives none, since the camera has no pose on the rig, the image keeps
-/// its own and is in no frame.
+/// Puts the rigs of several cameras and their frames into the model. Where an image's pose is not
+/// the one that its frame gives it, the frame's is taken, as COLMAP does. Where the frame gives
+/// none, since the camera has no pose on the rig, the image keeps its own and is in no frame.
 fn add_rigs(
     dir: &Path,
     model: &mut Reconstruction,
@@ -156,7 +162,10 @@ fn add_rigs(
         for (k, (camera, cam_from_rig)) in row.cameras.into_iter().enumerate() {
             let index = find(dir, "camera", cameras, camera, || format!("rig {}", row.id))?;
             if std::mem::replace(&mut on_rig[index], true) {
-                return Err(Error::content(dir, format!("camera {camera} is on two rigs, or twice on one")));
+                return Err(Error::content(
+                    dir,
+                    format!("camera {camera} is on two rigs, or twice on one"),
+                ));
             }
             let cam_from_rig = if k == 0 { Some(Rigid3::identity()) } else { cam_from_rig };
             sensors.push(RigSensor { camera: CameraId::from_index(index), cam_from_rig });
@@ -179,12 +188,16 @@ fn add_rigs(
         for (_, image) in row.images {
             let id = ImageId::from_index(find(dir, "image", images, image, by)?);
             let camera = model.image(id).camera;
-            let sensor = sensors.iter().find(|sensor| sensor.camera == camera).ok_or_else(|| {
-                Error::content(
-                    dir,
-                    format!("frame {} holds image {image} of a camera that is not on its rig", row.id),
-                )
-            })?;
+            let sensor =
+                sensors.iter().find(|sensor| sensor.camera == camera).ok_or_else(|| {
+                    Error::content(
+                        dir,
+                        format!(
+                            "frame {} holds image {image} of a camera that is not on its rig",
+                            row.id
+                        ),
+                    )
+                })?;
             if std::mem::replace(&mut in_frame[id.index()], true) {
                 return Err(Error::content(dir, format!("image {image} is in two frames")));
             }

@@ -123,7 +123,12 @@ fn write_points(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
     writeln!(out, "# Number of points: {count}, mean track length: {mean}")?;
     for (id, track) in model.tracks() {
         let (xyz, [r, g, b]) = (Numbers(track.xyz.as_slice()), track.color);
-        write!(out, "{} {xyz} {r} {g} {b} {}", u64::from(id.0) + 1, Number(model.track_error_px(track)))?;
+        write!(
+            out,
+            "{} {xyz} {r} {g} {b} {}",
+            u64::from(id.0) + 1,
+            Number(model.track_error_px(track))
+        )?;
         for observation in &track.observations {
             write!(out, " {} {}", file_id(observation.image.index()), observation.keypoint)?;
         }
@@ -171,7 +176,8 @@ fn read_camera(words: &mut Words<'_>) -> Result<(u32, Camera)> {
     while !words.is_empty() {
         params.push(words.f64("a parameter")?);
     }
-    let intrinsics = Intrinsics::from_name(name, &params).map_err(|cause| words.error(cause.to_string()))?;
+    let intrinsics =
+        Intrinsics::from_name(name, &params).map_err(|cause| words.error(cause.to_string()))?;
     Ok((id, Camera { intrinsics, width, height, has_focal_prior: false }))
 }
 
@@ -190,7 +196,9 @@ fn read_rig(words: &mut Words<'_>) -> Result<RigRow> {
         let camera = read_sensor(words)?;
         if k == 0 {
             let reference = camera.ok_or_else(|| {
-                words.error(format!("the reference sensor of rig {id} is no camera, which is not supported"))
+                words.error(format!(
+                    "the reference sensor of rig {id} is no camera, which is not supported"
+                ))
             })?;
             cameras.push((reference, None));
             continue;
@@ -199,9 +207,10 @@ fn read_rig(words: &mut Words<'_>) -> Result<RigRow> {
             "0" => None,
             "1" => Some(words.pose("the sensor's pose")?),
             other => {
-                return Err(
-                    words.error(format!("whether a sensor has a pose is `{}`, not 0 or 1", Excerpt(other)))
-                );
+                return Err(words.error(format!(
+                    "whether a sensor has a pose is `{}`, not 0 or 1",
+                    Excerpt(other)
+                )));
             }
         };
         cameras.extend(camera.map(|camera| (camera, cam_from_rig)));
@@ -245,9 +254,9 @@ fn read_images(mut lines: Lines) -> Result<Vec<ImageRow>> {
                 keypoints.push(Keypoint { pixel: Vector2::new(x, y), scale_px: UNKNOWN_SCALE_PX });
                 points.push(match words.word("a keypoint's point")? {
                     "-1" => NO_POINT,
-                    word => word
-                        .parse()
-                        .map_err(|_| words.error(format!("a keypoint's point is `{}`", Excerpt(word))))?,
+                    word => word.parse().map_err(|_| {
+                        words.error(format!("a keypoint's point is `{}`", Excerpt(word)))
+                    })?,
                 });
             }
         }
@@ -260,7 +269,8 @@ fn read_point(words: &mut Words<'_>) -> Result<PointRow> {
     let id = words.number("the point's id")?;
     let xyz = Vector3::from(words.f64s::<3>("the point's position")?);
     let color = [words.number("red")?, words.number("green")?, words.number("blue")?];
-    // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it has none.
+    // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it has
+    // none.
     words.word("the point's error")?;
     let mut track = Vec::new();
     while !words.is_empty() {

@@ -56,7 +56,8 @@ impl Database {
                 ));
             }
         }
-        this.cameras = this.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
+        this.cameras =
+            this.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
         this.index_images()?;
         Ok(this)
     }
@@ -93,7 +94,8 @@ impl Database {
     pub fn write_cameras(&mut self, cameras: &[Camera]) -> Result<()> {
         self.transaction(|db| {
             db.run("DELETE FROM cameras")?;
-            let sql = "INSERT INTO cameras(camera_id, model, width, height, params, prior_focal_length) \
+            let sql = "INSERT INTO cameras(camera_id, model, width, height, params, \
+            prior_focal_length) \
                        VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
             for (id, camera) in (1i64..).zip(cameras) {
                 let params = bytes(camera.intrinsics.params());
@@ -109,10 +111,11 @@ impl Database {
         Ok(())
     }
 
-    /// Writes all images, in order of their ids; those that are there are replaced, while keypoints and matches stay with the
-    /// ids. The cameras must be there.
+    /// Writes all images, in order of their ids; those that are there are replaced, while keypoints
+    /// and matches stay with the ids. The cameras must be there.
     pub fn write_images(&mut self, images: &[Image]) -> Result<()> {
-        if let Some(image) = images.iter().find(|image| image.camera.index() >= self.cameras.len()) {
+        if let Some(image) = images.iter().find(|image| image.camera.index() >= self.cameras.len())
+        {
             return Err(self.content(format!(
                 "image {} names camera {}, but there are {} cameras",
                 image.name,
@@ -136,15 +139,18 @@ impl Database {
 
     /// Reads all cameras, in order of their ids.
     pub fn read_cameras(&self) -> Result<Vec<Camera>> {
-        let sql = "SELECT camera_id, model, width, height, params, prior_focal_length FROM cameras ORDER BY camera_id";
+        let sql = "SELECT camera_id, model, width, height, params, prior_focal_length FROM \
+        cameras ORDER BY camera_id";
         self.try_rows(sql, |row| {
             let id: i64 = row.get(0).map_err(error(&self.path))?;
             let bad = |what: String| self.content(format!("camera {id}: {what}"));
             let get = |cause: rusqlite::Error| bad(cause.to_string());
-            let kind =
-                CameraModelKind::from_colmap_id(row.get(1).map_err(get)?).map_err(|e| bad(e.to_string()))?;
+            let kind = CameraModelKind::from_colmap_id(row.get(1).map_err(get)?)
+                .map_err(|e| bad(e.to_string()))?;
             let params = numbers(&row.get::<_, Vec<u8>>(4).map_err(get)?, kind.num_params())
-                .ok_or_else(|| bad(format!("the parameters are not {} numbers", kind.num_params())))?;
+                .ok_or_else(|| {
+                    bad(format!("the parameters are not {} numbers", kind.num_params()))
+                })?;
             Ok(Camera {
                 intrinsics: Intrinsics::new(kind, &params).map_err(|e| bad(e.to_string()))?,
                 width: row.get(2).map_err(get)?,
@@ -156,7 +162,8 @@ impl Database {
 
     /// Reads all images, in order of their ids, without keypoints.
     pub fn read_images(&self) -> Result<Vec<Image>> {
-        let names: Vec<String> = self.rows("SELECT name FROM images ORDER BY image_id", |row| row.get(0))?;
+        let names: Vec<String> =
+            self.rows("SELECT name FROM images ORDER BY image_id", |row| row.get(0))?;
         Ok(names
             .into_iter()
             .zip(&self.camera_of)
@@ -185,16 +192,19 @@ impl Database {
     /// The file's id of an image.
     pub(super) fn file_id(&self, image: ImageId) -> Result<i64> {
         self.images.get(image.index()).copied().ok_or_else(|| {
-            self.content(format!("there are {} images, and none of index {}", self.images.len(), image.0))
+            self.content(format!(
+                "there are {} images, and none of index {}",
+                self.images.len(),
+                image.0
+            ))
         })
     }
 
     /// Our id of an image of the file.
     pub(super) fn image_id(&self, file_id: i64, by: impl FnOnce() -> String) -> Result<ImageId> {
-        self.images
-            .binary_search(&file_id)
-            .map(ImageId::from_index)
-            .map_err(|_| self.content(format!("{} names image {file_id}, which there is not", by())))
+        self.images.binary_search(&file_id).map(ImageId::from_index).map_err(|_| {
+            self.content(format!("{} names image {file_id}, which there is not", by()))
+        })
     }
 
     pub(super) fn content(&self, what: String) -> Error {
@@ -253,8 +263,8 @@ impl Database {
     }
 }
 
-/// Opens `file` to read and write; the errors name `path`. SQLite takes names that begin with `file:` for addresses, and
-/// absolute paths do not.
+/// Opens `file` to read and write; the errors name `path`. SQLite takes names that begin with
+/// `file:` for addresses, and absolute paths do not.
 pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
     let file = std::path::absolute(file).map_err(Error::io(path))?;
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -290,7 +300,8 @@ pub(super) fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
 pub(super) fn numbers(bytes: &[u8], count: usize) -> Option<Vec<f64>> {
     let (chunks, rest) = bytes.as_chunks::<8>();
     let values: Vec<f64> = chunks.iter().map(|chunk| f64::from_le_bytes(*chunk)).collect();
-    (rest.is_empty() && values.len() == count && values.iter().all(|v| v.is_finite())).then_some(values)
+    (rest.is_empty() && values.len() == count && values.iter().all(|v| v.is_finite()))
+        .then_some(values)
 }
 
 pub(super) fn bytes(values: &[f64]) -> Vec<u8> {

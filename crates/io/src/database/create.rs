@@ -25,27 +25,31 @@ impl Database {
         Self::create_with(path, |_| Ok(()))
     }
 
-    /// Makes a new database: `fill` writes its first content, and only then does it take its name and replace the one that was
-    /// there. The folder must exist; symbolic links are followed. What a killed run left under the temporary name goes.
+    /// Makes a new database: `fill` writes its first content, and only then does it take its name
+    /// and replace the one that was there. The folder must exist; symbolic links are followed. What
+    /// a killed run left under the temporary name goes.
     ///
     /// # Errors
     ///
-    /// Where `fill` fails, where another run is making the database or has the old one open, and where the system refuses. The
-    /// old database is then as it was.
+    /// Where `fill` fails, where another run is making the database or has the old one open, and
+    /// where the system refuses. The old database is then as it was.
     pub fn create_with(path: &Path, fill: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         if path.file_name().is_none() {
             return Err(Error::content(path, "is not the name of a file"));
         }
         let target = disk::end_of_links(path).map_err(Error::io(path))?;
         let is_there = match fs::metadata(&target) {
-            Ok(found) if !found.is_file() => return Err(Error::content(path, "is there and is no file")),
+            Ok(found) if !found.is_file() => {
+                return Err(Error::content(path, "is there and is no file"));
+            }
             Ok(_) => true,
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => false,
             Err(cause) => return Err(Error::io(path)(cause)),
         };
         let part = Part::claim(path, disk::part_of(&target))?;
         let mut this = Self::with(connect(&part.path, path)?, path)?;
-        // A run that is killed throws the part away, so nothing of it need be kept in order on the disk before its end.
+        // A run that is killed throws the part away, so nothing of it need be kept in order on the
+        // disk before its end.
         this.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
         this.keep_rows_apart()?;
         this.transaction(|db| db.run(schema::CREATE))?;
@@ -64,7 +68,8 @@ impl Database {
     }
 }
 
-/// Brings what is in the log or journal of a database into its file; a file that is no database stays as it is.
+/// Brings what is in the log or journal of a database into its file; a file that is no database
+/// stays as it is.
 fn fold(file: &Path, path: &Path) -> Result<()> {
     if !BESIDE.iter().any(|suffix| beside(file, suffix).exists()) {
         return Ok(());
@@ -96,13 +101,15 @@ fn remove_if_there(path: &Path) -> io::Result<()> {
 /// A database under its temporary name; dropped, it goes.
 struct Part {
     path: PathBuf,
-    /// Is open until SQLite has closed the database: to close it ends all of the process's locks on it.
+    /// Is open until SQLite has closed the database: to close it ends all of the process's locks on
+    /// it.
     file: WrittenFile,
     has_name: bool,
 }
 
 impl Part {
-    /// Makes an empty file and locks it. One that is there and not locked was left by a run that was killed.
+    /// Makes an empty file and locks it. One that is there and not locked was left by a run that
+    /// was killed.
     fn claim(path: &Path, part: PathBuf) -> Result<Self> {
         let busy = || Error::content(path, "is being written by another run: wait for it to end");
         match fs::symlink_metadata(&part) {

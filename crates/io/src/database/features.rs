@@ -11,10 +11,12 @@ use crate::Result;
 const SIFT: i64 = 0;
 const DESCRIPTOR_BYTES: usize = std::mem::size_of::<Descriptor>();
 
-/// x, y and the affine shape that maps the unit circle to the keypoint: scale times the rotation by its orientation.
+/// x, y and the affine shape that maps the unit circle to the keypoint: scale times the rotation by
+/// its orientation.
 fn to_columns(keypoint: &Keypoint) -> [f32; 6] {
     let (sin, cos) = f64::from(keypoint.orientation).sin_cos();
-    let (sin, cos) = ((f64::from(keypoint.scale) * sin) as f32, (f64::from(keypoint.scale) * cos) as f32);
+    let (sin, cos) =
+        ((f64::from(keypoint.scale) * sin) as f32, (f64::from(keypoint.scale) * cos) as f32);
     [keypoint.x, keypoint.y, cos, -sin, sin, cos]
 }
 
@@ -39,7 +41,8 @@ fn from_columns(columns: &[f32]) -> Option<Keypoint> {
 impl Database {
     /// Writes the keypoints and descriptors of images; those that are there are replaced.
     ///
-    /// COLMAP's columns hold scale and orientation as an affine shape: read back, they may differ in the last digits.
+    /// COLMAP's columns hold scale and orientation as an affine shape: read back, they may differ
+    /// in the last digits.
     pub fn write_features<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImageId, &'a Features)>,
@@ -51,7 +54,8 @@ impl Database {
                 let data: Vec<u8> =
                     keypoints.iter().flat_map(to_columns).flat_map(f32::to_le_bytes).collect();
                 let sql =
-                    "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, 6, ?3)";
+                    "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, \
+                    6, ?3)";
                 db.execute(sql, params![id, keypoints.len() as i64, data])?;
                 let sql = "INSERT OR REPLACE INTO descriptors(image_id, type, rows, cols, data) \
                            VALUES (?1, ?2, ?3, ?4, ?5)";
@@ -70,8 +74,8 @@ impl Database {
     /// How many keypoints each image has; `None` where none were ever written.
     pub fn keypoint_counts(&self) -> Result<Vec<Option<usize>>> {
         let mut counts = vec![None; self.num_images()];
-        let rows: Vec<(i64, i64)> =
-            self.rows("SELECT image_id, rows FROM keypoints", |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let rows: Vec<(i64, i64)> = self
+            .rows("SELECT image_id, rows FROM keypoints", |row| Ok((row.get(0)?, row.get(1)?)))?;
         for (id, count) in rows {
             let image = self.image_id(id, || "a row of keypoints".to_owned())?;
             counts[image.index()] = usize::try_from(count).ok();
@@ -81,14 +85,21 @@ impl Database {
 
     /// Reads the keypoints of an image; none where none were written.
     pub fn read_keypoints(&self, image: ImageId) -> Result<Vec<Keypoint>> {
-        let Some((_, cols, data)) = self.table_of("keypoints", "0", image)? else { return Ok(Vec::new()) };
+        let Some((_, cols, data)) = self.table_of("keypoints", "0", image)? else {
+            return Ok(Vec::new());
+        };
         let values: Vec<f32> =
             data.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
         let keypoints: Option<Vec<_>> = match cols {
             2 | 4 | 6 => values.chunks_exact(cols).map(from_columns).collect(),
-            _ => return Err(self.content(format!("keypoints of image {} have {cols} columns", image.0))),
+            _ => {
+                return Err(
+                    self.content(format!("keypoints of image {} have {cols} columns", image.0))
+                );
+            }
         };
-        keypoints.ok_or_else(|| self.content(format!("a keypoint of image {} is not finite", image.0)))
+        keypoints
+            .ok_or_else(|| self.content(format!("a keypoint of image {} is not finite", image.0)))
     }
 
     /// Reads the keypoints and descriptors of an image; none where none were written.
@@ -120,22 +131,32 @@ impl Database {
     }
 
     /// Kind, columns and data of an image's row, once rows · columns fit the data.
-    fn table_of(&self, table: &str, kind: &str, image: ImageId) -> Result<Option<(i64, usize, Vec<u8>)>> {
+    fn table_of(
+        &self,
+        table: &str,
+        kind: &str,
+        image: ImageId,
+    ) -> Result<Option<(i64, usize, Vec<u8>)>> {
         let sql = format!("SELECT {kind}, rows, cols, data FROM {table} WHERE image_id = ?1");
         self.guard.begin();
         let mut statement = self.connection.prepare_cached(&sql).map_err(error(&self.path))?;
         let row: Option<(i64, i64, i64, Option<Vec<u8>>)> = statement
-            .query_row([self.file_id(image)?], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)))
+            .query_row([self.file_id(image)?], |row| {
+                Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?))
+            })
             .optional()
             .map_err(error(&self.path))?;
         let Some((kind, rows, cols, data)) = row else { return Ok(None) };
         let data = data.unwrap_or_default();
         let width = if table == "keypoints" { size_of::<f32>() as i64 } else { 1 };
-        if cols < 0 || rows.checked_mul(cols).and_then(|n| n.checked_mul(width)) != Some(data.len() as i64) {
+        if cols < 0
+            || rows.checked_mul(cols).and_then(|n| n.checked_mul(width)) != Some(data.len() as i64)
+        {
             let found = data.len();
-            return Err(
-                self.content(format!("{table} of image {}: {found} bytes for {rows} × {cols}", image.0))
-            );
+            return Err(self.content(format!(
+                "{table} of image {}: {found} bytes for {rows} × {cols}",
+                image.0
+            )));
         }
         Ok(Some((kind, cols as usize, data)))
     }

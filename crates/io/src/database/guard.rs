@@ -1,7 +1,9 @@
-//! Databases of strangers: SQLite executes what stands in their schema, and follows what stands in their pages.
+//! Databases of strangers: SQLite executes what stands in their schema, and follows what stands in
+//! their pages.
 //!
-//! Views, triggers and functions of the schema are switched off (<https://www.sqlite.org/security.html>). What is left, tables
-//! read from end to end, takes steps in proportion to the file; more than that means pages that lead in circles.
+//! Views, triggers and functions of the schema are switched off
+//! (<https://www.sqlite.org/security.html>). What is left, tables read from end to end, takes steps
+//! in proportion to the file; more than that means pages that lead in circles.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -12,10 +14,12 @@ use rusqlite::Connection;
 use rusqlite::config::DbConfig;
 
 /// What a statement says that was stopped.
-pub(super) const STOPPED: &str = "reading it takes more steps than a database of its length can need: it is damaged, or made to take for ever";
+pub(super) const STOPPED: &str = "reading it takes more steps than a database of its length can \
+need: it is damaged, or made to take for ever";
 /// Steps of SQLite's machine between two looks at the count: some ten milliseconds.
 const STEPS: u64 = 1 << 20;
-/// Steps that any statement may take, and as many for each byte of the file: a row has four bytes or more, and takes a dozen steps.
+/// Steps that any statement may take, and as many for each byte of the file: a row has four bytes
+/// or more, and takes a dozen steps.
 const FREE_STEPS: u64 = 16 << 20;
 const STEPS_PER_BYTE: u64 = 64;
 
@@ -44,7 +48,8 @@ impl Guard {
         let (counted, file) = (Arc::clone(&steps), connection.path().map(PathBuf::from));
         let is_too_much = move || {
             let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
-            let bytes = file.as_deref().map_or(0, |file| length(file) + length(&beside(file, "-wal")));
+            let bytes =
+                file.as_deref().map_or(0, |file| length(file) + length(&beside(file, "-wal")));
             let allowed = STEPS_PER_BYTE.saturating_mul(bytes).saturating_add(FREE_STEPS);
             counted.fetch_add(STEPS, Ordering::Relaxed) > allowed
         };

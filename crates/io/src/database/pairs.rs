@@ -34,13 +34,15 @@ fn matrix_bytes(matrix: Option<&Matrix3<f64>>) -> Option<Vec<u8>> {
 }
 
 impl Database {
-    /// Writes the matches of pairs; those that are there are replaced. The first column of COLMAP's table belongs to the image
-    /// with the smaller id, as in [`ImagePair`].
+    /// Writes the matches of pairs; those that are there are replaced. The first column of COLMAP's
+    /// table belongs to the image with the smaller id, as in [`ImagePair`].
     pub fn write_matches<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a [Match])>,
     ) -> Result<()> {
-        self.transaction(|db| batch.into_iter().try_for_each(|(pair, matches)| db.put_matches(pair, matches)))
+        self.transaction(|db| {
+            batch.into_iter().try_for_each(|(pair, matches)| db.put_matches(pair, matches))
+        })
     }
 
     /// Writes two-view geometries of pairs; those that are there are replaced.
@@ -48,11 +50,13 @@ impl Database {
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
     ) -> Result<()> {
-        self.transaction(|db| batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(pair, view)))
+        self.transaction(|db| {
+            batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(pair, view))
+        })
     }
 
-    /// Writes the matches and the two-view geometries of pairs in one transaction, so that no pair has one without the other;
-    /// those that are there are replaced.
+    /// Writes the matches and the two-view geometries of pairs in one transaction, so that no pair
+    /// has one without the other; those that are there are replaced.
     ///
     /// # Errors
     ///
@@ -70,8 +74,12 @@ impl Database {
     }
 
     fn put_matches(&self, pair: ImagePair, matches: &[Match]) -> Result<()> {
-        let sql = "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
-        self.execute(sql, params![self.pair_number(pair)?, matches.len() as i64, match_bytes(matches)])
+        let sql =
+            "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
+        self.execute(
+            sql,
+            params![self.pair_number(pair)?, matches.len() as i64, match_bytes(matches)],
+        )
     }
 
     fn put_two_view(&self, pair: ImagePair, view: &TwoView) -> Result<()> {
@@ -100,7 +108,8 @@ impl Database {
         self.transaction(Self::delete_matches)
     }
 
-    /// Forgets all matches and two-view geometries and replaces the rows on stages, in one transaction.
+    /// Forgets all matches and two-view geometries and replaces the rows on stages, in one
+    /// transaction.
     ///
     /// # Errors
     ///
@@ -123,7 +132,8 @@ impl Database {
 
     /// The pairs that have been matched, sorted.
     pub fn matched_pairs(&self) -> Result<Vec<ImagePair>> {
-        let numbers = self.rows("SELECT pair_id FROM matches ORDER BY pair_id", |row| row.get(0))?;
+        let numbers =
+            self.rows("SELECT pair_id FROM matches ORDER BY pair_id", |row| row.get(0))?;
         numbers.into_iter().map(|number| self.pair(number)).collect()
     }
 
@@ -132,14 +142,19 @@ impl Database {
         let counts = self.rows("SELECT pair_id, rows FROM matches ORDER BY pair_id", |row| {
             Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?))
         })?;
-        counts.into_iter().map(|(number, rows)| Ok((self.pair(number)?, rows.max(0) as usize))).collect()
+        counts
+            .into_iter()
+            .map(|(number, rows)| Ok((self.pair(number)?, rows.max(0) as usize)))
+            .collect()
     }
 
-    /// How many matches each two-view geometry has if it is a relation at all, else none; sorted by pair.
+    /// How many matches each two-view geometry has if it is a relation at all, else none; sorted by
+    /// pair.
     pub fn inlier_counts(&self) -> Result<Vec<(ImagePair, Option<usize>)>> {
         let sql = "SELECT pair_id, rows, config FROM two_view_geometries ORDER BY pair_id";
-        let counts =
-            self.rows(sql, |row| Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?, row.get::<_, i64>(2)?)))?;
+        let counts = self.rows(sql, |row| {
+            Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?, row.get::<_, i64>(2)?))
+        })?;
         let count = |(number, rows, kind): (i64, i64, i64)| {
             let two_view = TwoView { kind: self.kind(number, kind)?, ..TwoView::default() };
             Ok((self.pair(number)?, two_view.is_verified().then_some(rows.max(0) as usize)))
@@ -150,7 +165,9 @@ impl Database {
     /// Reads all matches, sorted by pair.
     pub fn read_matches(&self) -> Result<Vec<(ImagePair, Vec<Match>)>> {
         let sql = "SELECT pair_id, rows, cols, data FROM matches ORDER BY pair_id";
-        self.try_rows(sql, |row| Ok((self.pair(row.get(0).map_err(error(&self.path))?)?, self.matches(row)?)))
+        self.try_rows(sql, |row| {
+            Ok((self.pair(row.get(0).map_err(error(&self.path))?)?, self.matches(row)?))
+        })
     }
 
     /// Reads all two-view geometries, sorted by pair.
@@ -159,18 +176,23 @@ impl Database {
         let has_pose = self.columns("two_view_geometries")?.iter().any(|name| name == "qvec");
         let pose = if has_pose { "qvec, tvec" } else { "NULL, NULL" };
         let sql = format!(
-            "SELECT pair_id, rows, cols, data, config, F, E, H, {pose} FROM two_view_geometries ORDER BY pair_id"
+            "SELECT pair_id, rows, cols, data, config, F, E, H, {pose} FROM two_view_geometries \
+            ORDER BY pair_id"
         );
         self.try_rows(&sql, |row| {
             let number = row.get(0).map_err(error(&self.path))?;
-            let bad = |what: &str| self.content(format!("two-view geometry of pair {number}: {what}"));
+            let bad =
+                |what: &str| self.content(format!("two-view geometry of pair {number}: {what}"));
             let list = |column: usize, count: usize| -> Result<Option<Vec<f64>>> {
                 let blob: Option<Vec<u8>> = row.get(column).map_err(error(&self.path))?;
                 let blob = blob.filter(|blob| !blob.is_empty());
-                blob.map(|blob| numbers(&blob, count).ok_or_else(|| bad("a matrix or pose is broken")))
-                    .transpose()
+                blob.map(|blob| {
+                    numbers(&blob, count).ok_or_else(|| bad("a matrix or pose is broken"))
+                })
+                .transpose()
             };
-            let matrix = |column| Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)));
+            let matrix =
+                |column| Ok(list(column, 9)?.map(|values| Matrix3::from_row_slice(&values)));
             let cam2_from_cam1 = match (list(8, 4)?, list(9, 3)?) {
                 (Some(q), Some(t)) => {
                     let rotation = rotation::from_wxyz([q[0], q[1], q[2], q[3]]);
@@ -227,7 +249,8 @@ impl Database {
         let fits = (cols == 2 || rows == 0) && rows.checked_mul(8) == Some(data.len() as i64);
         if !fits {
             let found = data.len();
-            return Err(self.content(format!("matches of pair {number}: {found} bytes for {rows} × {cols}")));
+            return Err(self
+                .content(format!("matches of pair {number}: {found} bytes for {rows} × {cols}")));
         }
         Ok(words.as_chunks::<2>().0.iter().map(|&[a, b]| Match { a, b }).collect())
     }

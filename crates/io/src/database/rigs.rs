@@ -15,9 +15,9 @@ use crate::{Result, rotation};
 const SENSOR_CAMERA: i64 = 0;
 
 impl Database {
-    /// Writes the rigs and moments; those that are there are replaced. A camera on no rig gets one of its own, and an image in
-    /// no moment too, since COLMAP wants both: `write_rigs(&[], &[])` for cameras that do not ride together. Cameras and images
-    /// must be there.
+    /// Writes the rigs and moments; those that are there are replaced. A camera on no rig gets one
+    /// of its own, and an image in no moment too, since COLMAP wants both: `write_rigs(&[], &[])`
+    /// for cameras that do not ride together. Cameras and images must be there.
     pub fn write_rigs(&mut self, rigs: &[Rig], moments: &[Moment]) -> Result<()> {
         let mut rig_of: Vec<Option<usize>> = vec![None; self.num_cameras()];
         for (index, rig) in rigs.iter().enumerate() {
@@ -25,9 +25,15 @@ impl Database {
                 match rig_of.get_mut(sensor.camera.index()) {
                     Some(slot @ None) => *slot = Some(index),
                     Some(_) => {
-                        return Err(self.content(format!("camera {} is on two rigs", sensor.camera.0)));
+                        return Err(
+                            self.content(format!("camera {} is on two rigs", sensor.camera.0))
+                        );
                     }
-                    None => return Err(self.content(format!("rig {index} names camera {}", sensor.camera.0))),
+                    None => {
+                        return Err(
+                            self.content(format!("rig {index} names camera {}", sensor.camera.0))
+                        );
+                    }
                 }
             }
         }
@@ -36,9 +42,10 @@ impl Database {
             for image in &moment.images {
                 self.file_id(*image)?;
                 if rig_of[self.camera_of[image.index()].index()] != Some(moment.rig.index()) {
-                    return Err(
-                        self.content(format!("moment {index} holds image {} of another rig", image.0))
-                    );
+                    return Err(self.content(format!(
+                        "moment {index} holds image {} of another rig",
+                        image.0
+                    )));
                 }
                 if moment_of[image.index()].replace(index).is_some() {
                     return Err(self.content(format!("image {} is in two moments", image.0)));
@@ -46,10 +53,17 @@ impl Database {
             }
         }
         self.transaction(|db| {
-            db.run("DELETE FROM frame_data; DELETE FROM frames; DELETE FROM rig_sensors; DELETE FROM rigs;")?;
+            db.run(
+                "DELETE FROM frame_data; DELETE FROM frames; DELETE FROM rig_sensors; DELETE \
+            FROM rigs;",
+            )?;
             let new_rig = |index: usize, camera: CameraId| {
-                let sql = "INSERT INTO rigs(rig_id, ref_sensor_id, ref_sensor_type) VALUES (?1, ?2, ?3)";
-                db.execute(sql, params![index as i64 + 1, db.cameras[camera.index()], SENSOR_CAMERA])
+                let sql = "INSERT INTO rigs(rig_id, ref_sensor_id, ref_sensor_type) VALUES (?1, \
+                ?2, ?3)";
+                db.execute(
+                    sql,
+                    params![index as i64 + 1, db.cameras[camera.index()], SENSOR_CAMERA],
+                )
             };
             for (index, rig) in rigs.iter().enumerate() {
                 for (k, sensor) in rig.sensors.iter().enumerate() {
@@ -58,7 +72,8 @@ impl Database {
                         continue;
                     }
                     let pose = sensor.cam_from_rig.as_ref().map(|pose| bytes(&pose_numbers(pose)));
-                    let sql = "INSERT INTO rig_sensors(rig_id, sensor_id, sensor_type, sensor_from_rig) \
+                    let sql = "INSERT INTO rig_sensors(rig_id, sensor_id, sensor_type, \
+                    sensor_from_rig) \
                                VALUES (?1, ?2, ?3, ?4)";
                     let camera = db.cameras[sensor.camera.index()];
                     db.execute(sql, params![index as i64 + 1, camera, SENSOR_CAMERA, pose])?;
@@ -100,17 +115,22 @@ impl Database {
         }
         let camera = |file_id: i64| {
             let found = self.cameras.binary_search(&file_id).map(CameraId::from_index);
-            found.map_err(|_| self.content(format!("a rig names camera {file_id}, which there is not")))
+            found.map_err(|_| {
+                self.content(format!("a rig names camera {file_id}, which there is not"))
+            })
         };
-        // Two plain queries and no join: where a hostile file lists a rig twice, a join would multiply its sensors.
+        // Two plain queries and no join: where a hostile file lists a rig twice, a join would
+        // multiply its sensors.
         let references: BTreeMap<i64, i64> = self.pairs(&format!(
-            "SELECT rig_id, ref_sensor_id FROM rigs WHERE ref_sensor_type = {SENSOR_CAMERA} ORDER BY rig_id"
+            "SELECT rig_id, ref_sensor_id FROM rigs WHERE ref_sensor_type = {SENSOR_CAMERA} ORDER \
+            BY rig_id"
         ))?;
         // Rigs are listed by those sensors that are not the reference: a rig of one does not occur.
         type SensorRow = (i64, i64, Option<Vec<u8>>);
         let rows: Vec<SensorRow> = self.rows(
             &format!(
-                "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = {SENSOR_CAMERA} \
+                "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = \
+                {SENSOR_CAMERA} \
                  ORDER BY rig_id, sensor_id"
             ),
             |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
@@ -121,17 +141,22 @@ impl Database {
             let Some(reference) = references.get(&id) else { continue };
             if ids.last() != Some(&id) {
                 ids.push(id);
-                let reference =
-                    RigSensor { camera: camera(*reference)?, cam_from_rig: Some(Rigid3::identity()) };
+                let reference = RigSensor {
+                    camera: camera(*reference)?,
+                    cam_from_rig: Some(Rigid3::identity()),
+                };
                 rigs.push(Rig { sensors: vec![reference] });
             }
             let pose = pose.map(|pose| {
                 let values = numbers(&pose, 7)?;
-                let rotation = rotation::from_wxyz([values[0], values[1], values[2], values[3]]).ok()?;
+                let rotation =
+                    rotation::from_wxyz([values[0], values[1], values[2], values[3]]).ok()?;
                 Some(Rigid3::new(rotation, Vector3::from_column_slice(&values[4..])))
             });
             if pose == Some(None) {
-                return Err(self.content(format!("the pose of camera {sensor} on rig {id} is broken")));
+                return Err(
+                    self.content(format!("the pose of camera {sensor} on rig {id} is broken"))
+                );
             }
             let sensor = RigSensor { camera: camera(sensor)?, cam_from_rig: pose.flatten() };
             if let Some(rig) = rigs.last_mut() {
@@ -142,14 +167,17 @@ impl Database {
             self.pairs("SELECT frame_id, rig_id FROM frames ORDER BY frame_id")?;
         let rows: Vec<(i64, i64)> = self.rows(
             &format!(
-                "SELECT frame_id, data_id FROM frame_data WHERE sensor_type = {SENSOR_CAMERA} ORDER BY frame_id, data_id"
+                "SELECT frame_id, data_id FROM frame_data WHERE sensor_type = {SENSOR_CAMERA} \
+                ORDER BY frame_id, data_id"
             ),
             |row| Ok((row.get(0)?, row.get(1)?)),
         )?;
         let mut moments: Vec<Moment> = Vec::new();
         let mut last = None;
         for (frame, image) in rows {
-            let Some(Ok(rig)) = rig_of.get(&frame).map(|rig| ids.binary_search(rig)) else { continue };
+            let Some(Ok(rig)) = rig_of.get(&frame).map(|rig| ids.binary_search(rig)) else {
+                continue;
+            };
             let image = self.image_id(image, || format!("frame {frame}"))?;
             match moments.last_mut().filter(|_| last == Some(frame)) {
                 Some(moment) => moment.images.push(image),

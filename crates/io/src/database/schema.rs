@@ -7,22 +7,30 @@ pub(super) const REQUIRED: [&str; 6] =
     ["cameras", "images", "keypoints", "descriptors", "matches", "two_view_geometries"];
 
 /// What newer ones have, too; and our own.
-const OPTIONAL: [&str; 6] = ["rigs", "rig_sensors", "frames", "frame_data", "pose_priors", "tiepoint_stages"];
+const OPTIONAL: [&str; 6] =
+    ["rigs", "rig_sensors", "frames", "frame_data", "pose_priors", "tiepoint_stages"];
 
-/// Whether all that is read is plain tables: a view under such a name may be without end, a virtual table may be anything, a
-/// generated column computes, and a trigger would write what nobody asked for. If not, why.
+/// Whether all that is read is plain tables: a view under such a name may be without end, a virtual
+/// table may be anything, a generated column computes, and a trigger would write what nobody asked
+/// for. If not, why.
 pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), String>> {
-    let mut statement = connection.prepare("SELECT type, name, tbl_name, rootpage FROM sqlite_master")?;
+    let mut statement =
+        connection.prepare("SELECT type, name, tbl_name, rootpage FROM sqlite_master")?;
     let mut rows = statement.query([])?;
-    let known = |name: &str| REQUIRED.iter().chain(&OPTIONAL).any(|known| known.eq_ignore_ascii_case(name));
+    let known =
+        |name: &str| REQUIRED.iter().chain(&OPTIONAL).any(|known| known.eq_ignore_ascii_case(name));
     let mut tables = Vec::new();
     while let Some(row) = rows.next()? {
         let (kind, name, of): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
         let page: Option<i64> = row.get(3)?;
         match kind.as_str() {
-            "trigger" if known(&of) => return Ok(Err(format!("its table `{of}` has a trigger, `{name}`"))),
+            "trigger" if known(&of) => {
+                return Ok(Err(format!("its table `{of}` has a trigger, `{name}`")));
+            }
             "table" if known(&name) && page.is_none_or(|page| page == 0) => {
-                return Ok(Err(format!("its table `{name}` is a virtual one, whose rows are no data")));
+                return Ok(Err(format!(
+                    "its table `{name}` is a virtual one, whose rows are no data"
+                )));
             }
             "table" if known(&name) => tables.push(name),
             "view" if known(&name) => {
@@ -34,13 +42,16 @@ pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), Stri
     for table in tables {
         let sql = "SELECT count(*) FROM pragma_table_xinfo(?1) WHERE hidden <> 0";
         if connection.query_row(sql, [&table], |row| row.get::<_, i64>(0))? > 0 {
-            return Ok(Err(format!("its table `{table}` has generated columns, which are no data")));
+            return Ok(Err(format!(
+                "its table `{table}` has generated columns, which are no data"
+            )));
         }
     }
     Ok(Ok(()))
 }
 
-/// `user_version` is 1000000 · major + 10000 · minor + 100 · patch of the COLMAP version whose schema this is.
+/// `user_version` is 1000000 · major + 10000 · minor + 100 · patch of the COLMAP version whose
+/// schema this is.
 pub(super) const CREATE: &str = "
 CREATE TABLE rigs (
     rig_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
@@ -88,7 +99,8 @@ CREATE TABLE pose_priors (
     position_covariance BLOB,
     gravity BLOB,
     coordinate_system INTEGER NOT NULL);
-CREATE UNIQUE INDEX pose_prior_data_assignment ON pose_priors(corr_data_id, corr_sensor_id, corr_sensor_type);
+CREATE UNIQUE INDEX pose_prior_data_assignment ON pose_priors(corr_data_id, corr_sensor_id, \
+corr_sensor_type);
 CREATE TABLE keypoints (
     image_id INTEGER PRIMARY KEY NOT NULL,
     rows INTEGER NOT NULL,

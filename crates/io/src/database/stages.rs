@@ -13,8 +13,10 @@ use super::schema;
 use crate::{Error, Result, disk};
 
 const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \
-                      (stage TEXT PRIMARY KEY NOT NULL, is_complete INTEGER NOT NULL, recipe TEXT NOT NULL)";
-const FIND: &str = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'tiepoint_stages'";
+                      (stage TEXT PRIMARY KEY NOT NULL, is_complete INTEGER NOT NULL, recipe TEXT \
+                      NOT NULL)";
+const FIND: &str =
+    "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'tiepoint_stages'";
 const READ: &str = "SELECT stage, is_complete, recipe FROM tiepoint_stages ORDER BY rowid";
 /// Bytes 18 and 19 of a database tell how it is written and read: 2 with a write-ahead log.
 const VERSIONS: std::ops::Range<usize> = 18..20;
@@ -34,7 +36,8 @@ pub struct StageRow {
 }
 
 impl Database {
-    /// Reads the rows on stages, in the order in which they were written; `None` where nobody wrote any.
+    /// Reads the rows on stages, in the order in which they were written; `None` where nobody wrote
+    /// any.
     ///
     /// # Errors
     ///
@@ -65,8 +68,9 @@ impl Database {
     }
 }
 
-/// Reads the rows on stages of a database, in the order in which they were written; `None` where nobody wrote any. Neither the
-/// file nor its folder need be writable; files beside the database stay as they are, and none are added.
+/// Reads the rows on stages of a database, in the order in which they were written; `None` where
+/// nobody wrote any. Neither the file nor its folder need be writable; files beside the database
+/// stay as they are, and none are added.
 ///
 /// # Errors
 ///
@@ -75,7 +79,8 @@ pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     let file = std::path::absolute(disk::end_of_links(path).map_err(Error::io(path))?);
     let file = file.map_err(Error::io(path))?;
     let rows = open_to_read(&file, path)?.and_then(|mut connection| read_guarded(&mut connection));
-    let whole = |rows: std::result::Result<_, String>| rows.map_err(|what| Error::content(path, what));
+    let whole =
+        |rows: std::result::Result<_, String>| rows.map_err(|what| Error::content(path, what));
     match rows {
         // What a killed transaction of somebody else left must be rolled back, which is a change.
         Err(cause) if is_read_only(&cause) && beside(&file, "-journal").exists() => {
@@ -97,7 +102,8 @@ fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>
         let connection = if would_make_log {
             Connection::open_with_flags(unchanging(file), flags | OpenFlags::SQLITE_OPEN_URI)?
         } else if has_log && !has_index {
-            // Alone with the log, SQLite keeps the index in memory. Locks would need a file that can be written.
+            // Alone with the log, SQLite keeps the index in memory. Locks would need a file that
+            // can be written.
             let connection = Connection::open_with_flags_and_vfs(file, flags, LOCKLESS)?;
             connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
             connection
@@ -112,8 +118,8 @@ fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>
     Ok(open())
 }
 
-/// Whether a database is written with a log. Only for one that this process does not have open: to close a file ends all of
-/// the process's locks on it.
+/// Whether a database is written with a log. Only for one that this process does not have open: to
+/// close a file ends all of the process's locks on it.
 fn wants_log(file: &Path) -> std::io::Result<bool> {
     let mut header = [0; VERSIONS.end];
     match File::open(file)?.read_exact(&mut header) {
@@ -122,7 +128,8 @@ fn wants_log(file: &Path) -> std::io::Result<bool> {
     }
 }
 
-/// The same of a database that nobody has looked at; why not, where its tables are not what they seem.
+/// The same of a database that nobody has looked at; why not, where its tables are not what they
+/// seem.
 fn read_guarded(
     connection: &mut Connection,
 ) -> rusqlite::Result<std::result::Result<Option<Vec<StageRow>>, String>> {
@@ -155,6 +162,7 @@ fn unchanging(file: &Path) -> String {
     #[cfg(not(unix))]
     let bytes = format!("/{}", file.to_string_lossy().replace('\\', "/")).into_bytes();
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-".contains(&byte);
-    let escaped = |byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+    let escaped =
+        |byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
     format!("file://{}?immutable=1", bytes.into_iter().map(escaped).collect::<String>())
 }

@@ -1,4 +1,5 @@
-//! Faults of the file system, for tests: under a folder, one change can be made to fail, and all can be recorded.
+//! Faults of the file system, for tests: under a folder, one change can be made to fail, and all
+//! can be recorded.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -15,15 +16,18 @@ const FULL: i32 = if cfg!(windows) { 112 } else { 28 };
 /// How a change fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// As if the program was killed: this change and all later ones fail and do nothing, but that half of this write is done.
+    /// As if the program was killed: this change and all later ones fail and do nothing, but that
+    /// half of this write is done.
     Stop,
-    /// The disk is full from here on: nothing can be made or written, while names can be changed and removed.
+    /// The disk is full from here on: nothing can be made or written, while names can be changed
+    /// and removed.
     Full,
     /// This change alone fails.
     Fail,
 }
 
-/// Watches the changes under a folder until it is dropped. Tests that run at the same time have folders of their own.
+/// Watches the changes under a folder until it is dropped. Tests that run at the same time have
+/// folders of their own.
 #[derive(Debug)]
 pub struct Faults {
     id: u64,
@@ -95,7 +99,8 @@ pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
         let index = watch.log.len();
         watch.log.push((operation, path.clone()));
         let Some((n, kind)) = watch.at.filter(|(n, _)| *n <= index) else { return Ok(()) };
-        let grows = matches!(operation, Operation::Create | Operation::Write | Operation::CreateFolder);
+        let grows =
+            matches!(operation, Operation::Create | Operation::Write | Operation::CreateFolder);
         let failed = match kind {
             Kind::Stop => io::Error::other("stopped"),
             Kind::Full if grows => io::Error::from_raw_os_error(FULL),
@@ -112,7 +117,8 @@ pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
 /// How many bytes of a write that failed reach the file.
 pub(crate) fn torn(path: &Path, length: usize) -> usize {
     let path = resolved(path);
-    let was_half = watches().iter_mut().any(|watch| watch.half.take_if(|half| *half == path).is_some());
+    let was_half =
+        watches().iter_mut().any(|watch| watch.half.take_if(|half| *half == path).is_some());
     if was_half { length / 2 } else { 0 }
 }
 

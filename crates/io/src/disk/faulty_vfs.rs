@@ -1,5 +1,5 @@
-//! SQLite's way to the disk, with faults: the usual one behind [`before`], for databases, journals and logs. The index of a
-//! log is memory that processes share, and is passed through.
+//! SQLite's way to the disk, with faults: the usual one behind [`before`], for databases, journals
+//! and logs. The index of a log is memory that processes share, and is passed through.
 
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::io;
@@ -12,7 +12,8 @@ use rusqlite::ffi::{self, sqlite3_file, sqlite3_int64, sqlite3_io_methods, sqlit
 use super::{Operation, before, faults};
 
 const NAME: &CStr = c"tiepoint-faults";
-const WATCHED: c_int = ffi::SQLITE_OPEN_MAIN_DB | ffi::SQLITE_OPEN_MAIN_JOURNAL | ffi::SQLITE_OPEN_WAL;
+const WATCHED: c_int =
+    ffi::SQLITE_OPEN_MAIN_DB | ffi::SQLITE_OPEN_MAIN_JOURNAL | ffi::SQLITE_OPEN_WAL;
 /// Bytes before the usual file; a multiple of every alignment.
 const INNER: usize = size_of::<OuterFile>().next_multiple_of(16);
 
@@ -28,9 +29,10 @@ struct OuterFile {
 pub(crate) fn name() -> &'static CStr {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
-        // SAFETY: SQLite's own way to the disk lives as long as the program, and its description may be copied; the copy is
-        // leaked, so that it lives as long. The functions that are copied do not look at the description they are given; those
-        // that do are replaced and give the usual one.
+        // SAFETY: SQLite's own way to the disk lives as long as the program, and its description
+        // may be copied; the copy is leaked, so that it lives as long. The functions that are
+        // copied do not look at the description they are given; those that do are replaced and give
+        // the usual one.
         unsafe {
             let usual = ffi::sqlite3_vfs_find(ptr::null());
             if usual.is_null() {
@@ -64,7 +66,8 @@ unsafe fn path_of(name: *const c_char) -> Option<PathBuf> {
     // SAFETY: as said above.
     let name = unsafe { CStr::from_ptr(name) };
     #[cfg(unix)]
-    let path = Path::new(<std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(name.to_bytes()));
+    let path =
+        Path::new(<std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(name.to_bytes()));
     #[cfg(not(unix))]
     let path = Path::new(name.to_str().ok()?);
     Some(path.to_owned())
@@ -93,10 +96,14 @@ unsafe extern "C" fn open(
     flags: c_int,
     out_flags: *mut c_int,
 ) -> c_int {
-    // SAFETY: SQLite gives a description that is ours, a name or null, and room of the size that we told.
+    // SAFETY: SQLite gives a description that is ours, a name or null, and room of the size that we
+    // told.
     unsafe {
         let outer = file.cast::<OuterFile>();
-        ptr::write(outer, OuterFile { base: sqlite3_file { pMethods: ptr::null() }, path: ptr::null_mut() });
+        ptr::write(
+            outer,
+            OuterFile { base: sqlite3_file { pMethods: ptr::null() }, path: ptr::null_mut() },
+        );
         let path = path_of(name).filter(|_| flags & WATCHED != 0);
         if let Some(path) =
             path.as_ref().filter(|path| flags & ffi::SQLITE_OPEN_CREATE != 0 && !path.exists())
@@ -175,7 +182,9 @@ unsafe extern "C" fn truncate(file: *mut sqlite3_file, size: sqlite3_int64) -> c
             return code(&error, ffi::SQLITE_IOERR_TRUNCATE);
         }
         let usual = inner(file);
-        (*(*usual).pMethods).xTruncate.map_or(ffi::SQLITE_IOERR_TRUNCATE, |truncate| truncate(usual, size))
+        (*(*usual).pMethods)
+            .xTruncate
+            .map_or(ffi::SQLITE_IOERR_TRUNCATE, |truncate| truncate(usual, size))
     }
 }
 
@@ -199,7 +208,8 @@ macro_rules! pass_through {
             // SAFETY: the file is open, and the arguments are as the usual function wants them.
             unsafe {
                 let usual = inner(file);
-                (*(*usual).pMethods).$method.map_or(ffi::SQLITE_ERROR, |method| method(usual, $($argument),*))
+                let method = (*(*usual).pMethods).$method;
+                method.map_or(ffi::SQLITE_ERROR, |method| method(usual, $($argument),*))
             }
         }
     )*};

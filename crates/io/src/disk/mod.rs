@@ -1,6 +1,8 @@
-//! Every change of a file system that the workspace makes: the few functions through which all writers go.
+//! Every change of a file system that the workspace makes: the few functions through which all
+//! writers go.
 //!
-//! With the feature `faults`, each call is counted and can be made to fail (module `faults`); that is for tests only.
+//! With the feature `faults`, each call is counted and can be made to fail (module `faults`); that
+//! is for tests only.
 
 #[cfg(feature = "faults")]
 pub mod faults;
@@ -27,12 +29,13 @@ const MAX_NAME_BYTES: usize = 200;
 /// Links are followed so far, as Linux does.
 const MAX_LINKS: usize = 40;
 
-/// How long a change is tried again, and how long between: scanners of Windows have a new file open for so long.
+/// How long a change is tried again, and how long between: scanners of Windows have a new file open
+/// for so long.
 const PATIENCE: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// Makes a change that somebody may hold up who has the file, or one in the folder, open: on Windows such a file can be neither
-/// renamed nor removed, nor the folder that it is in.
+/// Makes a change that somebody may hold up who has the file, or one in the folder, open: on
+/// Windows such a file can be neither renamed nor removed, nor the folder that it is in.
 fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> io::Result<T> {
     let start = Instant::now();
     loop {
@@ -50,7 +53,10 @@ fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> 
 }
 
 /// Called before each change.
-#[cfg_attr(not(feature = "faults"), expect(clippy::unnecessary_wraps, reason = "only tests make it fail"))]
+#[cfg_attr(
+    not(feature = "faults"),
+    expect(clippy::unnecessary_wraps, reason = "only tests make it fail")
+)]
 #[inline]
 pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
     #[cfg(feature = "faults")]
@@ -140,7 +146,8 @@ pub fn copy_new(from: &Path, to: &Path) -> io::Result<()> {
     file.sync()
 }
 
-/// Gives a file or folder another name; a file of that name is replaced. Call [`sync_folder`] for it to last.
+/// Gives a file or folder another name; a file of that name is replaced. Call [`sync_folder`] for
+/// it to last.
 ///
 /// # Errors
 ///
@@ -171,15 +178,20 @@ pub fn remove_file(path: &Path) -> io::Result<()> {
 pub fn remove_empty_folder(path: &Path) -> io::Result<()> {
     before(Operation::Remove, path)?;
     match patiently(cfg!(windows), || fs::remove_dir(path)) {
-        Err(cause) if !matches!(cause.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
+        Err(cause)
+            if !matches!(
+                cause.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty
+            ) =>
+        {
             Err(cause)
         }
         _ => Ok(()),
     }
 }
 
-/// Removes a folder with all that is in it, if it is there; links are removed and not followed. Only for folders that this
-/// program made under a name of its own.
+/// Removes a folder with all that is in it, if it is there; links are removed and not followed.
+/// Only for folders that this program made under a name of its own.
 ///
 /// # Errors
 ///
@@ -222,8 +234,8 @@ pub fn create_folders(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Waits until the names in a folder are on the disk. Systems that cannot open folders as files keep names in order by
-/// themselves.
+/// Waits until the names in a folder are on the disk. Systems that cannot open folders as files
+/// keep names in order by themselves.
 ///
 /// # Errors
 ///
@@ -258,10 +270,13 @@ pub(crate) fn part_of(target: &Path) -> PathBuf {
     match name.to_str() {
         Some(text) if text.len() > MAX_NAME_BYTES => {
             // FNV-1a of the whole name keeps the parts of two long names apart.
-            let hash = text
-                .bytes()
-                .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-            let end = (0..=MAX_NAME_BYTES - 16).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
+            let hash = text.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
+                (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
+            });
+            let end = (0..=MAX_NAME_BYTES - 16)
+                .rev()
+                .find(|end| text.is_char_boundary(*end))
+                .unwrap_or(0);
             part.push(format!("{}{hash:016x}", &text[..end]));
         }
         _ => part.push(name),

@@ -1,8 +1,10 @@
-//! What the header of a LAS or LAZ file claims, held against the length of the file: the `las` and `laz` packages set memory
-//! aside for whatever a header says, and panic where parts of it contradict each other.
+//! What the header of a LAS or LAZ file claims, held against the length of the file: the `las` and
+//! `laz` packages set memory aside for whatever a header says, and panic where parts of it
+//! contradict each other.
 //!
-//! Offsets are those of the public header block of LAS 1.4 R15 (ASPRS 2019, table 3) and of the laszip record (Isenburg 2013,
-//! "LASzip: lossless compression of LiDAR data"; the layered chunks as in `laszip`'s lasreaditemcompressed_v3).
+//! Offsets are those of the public header block of LAS 1.4 R15 (ASPRS 2019, table 3) and of the
+//! laszip record (Isenburg 2013, "LASzip: lossless compression of LiDAR data"; the layered chunks
+//! as in `laszip`'s lasreaditemcompressed_v3).
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -15,21 +17,28 @@ const VLR_BYTES: u64 = 54;
 const EVLR_BYTES: u64 = 60;
 /// Bytes of a point of each format, without extra ones (LAS 1.4 R15, table 6).
 const POINT_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
-/// Whether points of each format have a time, colours, near infrared and a wave packet, which LAZ compresses one by one.
+/// Whether points of each format have a time, colours, near infrared and a wave packet, which LAZ
+/// compresses one by one.
 const HAS_TIME: [bool; 6] = [false, true, false, true, true, true];
-const HAS_COLOR: [bool; 11] = [false, false, true, true, false, true, false, true, true, false, true];
-const HAS_NIR: [bool; 11] = [false, false, false, false, false, false, false, false, true, false, true];
-const HAS_WAVE: [bool; 11] = [false, false, false, false, true, true, false, false, false, true, true];
+const HAS_COLOR: [bool; 11] =
+    [false, false, true, true, false, true, false, true, true, false, true];
+const HAS_NIR: [bool; 11] =
+    [false, false, false, false, false, false, false, false, true, false, true];
+const HAS_WAVE: [bool; 11] =
+    [false, false, false, false, true, true, false, false, false, true, true];
 /// The first format that LAZ compresses in layers.
 const FIRST_LAYERED: usize = 6;
-/// Bytes of a point beyond its format. Each costs the decompressor some kilobytes of models; scanners append a dozen.
+/// Bytes of a point beyond its format. Each costs the decompressor some kilobytes of models;
+/// scanners append a dozen.
 const MAX_EXTRA_BYTES: u16 = 256;
-/// Points in a byte of compressed data. Clouds of scanners take one byte to five a point; only points in a pattern take less.
+/// Points in a byte of compressed data. Clouds of scanners take one byte to five a point; only
+/// points in a pattern take less.
 const MAX_POINTS_PER_BYTE: u64 = 64;
 /// User and number of the record that says how a file is compressed.
 const LASZIP_USER: &[u8] = b"laszip encoded\0\0";
 const LASZIP_RECORD: u16 = 22_204;
-/// Layers of a point of format 6: place, height, class, flags, intensity, angle, user data, source, time.
+/// Layers of a point of format 6: place, height, class, flags, intensity, angle, user data, source,
+/// time.
 const POINT_LAYERS: u64 = 9;
 /// Kinds of items in the laszip record.
 const ITEM_BYTES: [u16; 2] = [0, 14];
@@ -71,22 +80,29 @@ impl<R: Read + Seek> Claims<R> {
     pub(super) fn check(mut self) -> Result<(u64, u64), String> {
         let header = self.header()?;
         let data_bytes = self.length.checked_sub(header.data_offset).ok_or_else(|| {
-            format!("its points begin at byte {}, but it has {} bytes", header.data_offset, self.length)
+            format!(
+                "its points begin at byte {}, but it has {} bytes",
+                header.data_offset, self.length
+            )
         })?;
         if header.is_compressed {
             let most = data_bytes.saturating_mul(MAX_POINTS_PER_BYTE);
             if header.points > most {
                 let points = header.points;
                 return Err(format!(
-                    "announces {points} points, but only {data_bytes} bytes of compressed data follow"
+                    "announces {points} points, but only {data_bytes} bytes of compressed data \
+                    follow"
                 ));
             }
             self.check_compression(&header)?;
-        } else if u64::from(header.record_bytes).checked_mul(header.points).is_none_or(|all| all > data_bytes)
+        } else if u64::from(header.record_bytes)
+            .checked_mul(header.points)
+            .is_none_or(|all| all > data_bytes)
         {
             let Header { points, record_bytes, .. } = header;
             return Err(format!(
-                "announces {points} points of {record_bytes} bytes, but only {data_bytes} bytes follow"
+                "announces {points} points of {record_bytes} bytes, but only {data_bytes} bytes \
+                follow"
             ));
         }
         Ok((header.points, u64::from(header.record_bytes)))
@@ -102,7 +118,8 @@ impl<R: Read + Seek> Claims<R> {
         }
         let byte = |at: usize| bytes[at];
         let short = |at: usize| u16::from_le_bytes([byte(at), byte(at + 1)]);
-        let word = |at: usize| u32::from_le_bytes([byte(at), byte(at + 1), byte(at + 2), byte(at + 3)]);
+        let word =
+            |at: usize| u32::from_le_bytes([byte(at), byte(at + 1), byte(at + 2), byte(at + 3)]);
         let is_1_4 = (byte(24), byte(25)) >= (1, 4);
         let mut points = u64::from(word(107));
         if is_1_4 {
@@ -117,11 +134,14 @@ impl<R: Read + Seek> Claims<R> {
         }
         // LAZ marks a format as compressed by either of the two high bits.
         let (format, is_compressed) = (usize::from(byte(104) & 0x3F), byte(104) & 0xC0 != 0);
-        let least =
-            *POINT_BYTES.get(format).ok_or_else(|| format!("has points of unknown format {format}"))?;
+        let least = *POINT_BYTES
+            .get(format)
+            .ok_or_else(|| format!("has points of unknown format {format}"))?;
         let record_bytes = short(105);
         if record_bytes < least {
-            return Err(format!("has points of {record_bytes} bytes, but format {format} takes {least}"));
+            return Err(format!(
+                "has points of {record_bytes} bytes, but format {format} takes {least}"
+            ));
         }
         Ok(Header {
             header_bytes: u64::from(short(94)),
@@ -138,7 +158,9 @@ impl<R: Read + Seek> Claims<R> {
     fn check_extended_records(&mut self, mut offset: u64, count: u32) -> Result<(), String> {
         for _ in 0..count {
             let length: [u8; 8] = self.bytes(offset.saturating_add(20))?;
-            let end = offset.checked_add(EVLR_BYTES).and_then(|o| o.checked_add(u64::from_le_bytes(length)));
+            let end = offset
+                .checked_add(EVLR_BYTES)
+                .and_then(|o| o.checked_add(u64::from_le_bytes(length)));
             offset = end.filter(|end| *end <= self.length).ok_or_else(|| {
                 format!(
                     "an extended record at byte {offset} is longer than the {} bytes of the file",
@@ -173,12 +195,14 @@ impl<R: Read + Seek> Claims<R> {
         let broken = || "the record on its compression is broken".to_owned();
         let (compressor, chunk_points) = short(0).zip(chunk_points()).ok_or_else(broken)?;
         let count = usize::from(short(32).ok_or_else(broken)?);
-        let items = (0..count).map(|k| Some((short(34 + 6 * k)?, short(36 + 6 * k)?, short(38 + 6 * k)?)));
+        let items =
+            (0..count).map(|k| Some((short(34 + 6 * k)?, short(36 + 6 * k)?, short(38 + 6 * k)?)));
         let items: Vec<(u16, u16, u16)> = items.collect::<Option<_>>().ok_or_else(broken)?;
         let extra = header.record_bytes - POINT_BYTES[header.format];
         if extra > MAX_EXTRA_BYTES {
             return Err(format!(
-                "its compressed points have {extra} extra bytes, and at most {MAX_EXTRA_BYTES} are read"
+                "its compressed points have {extra} extra bytes, and at most {MAX_EXTRA_BYTES} \
+                are read"
             ));
         }
         let is_layered = header.format >= FIRST_LAYERED;
@@ -194,7 +218,8 @@ impl<R: Read + Seek> Claims<R> {
         let is_variable = VARIABLE_CHUNKS.contains(&chunk_points);
         if compressor == POINT_WISE_CHUNKED && is_variable {
             return Err(
-                "its chunks are of several lengths, which is not supported for this format".to_owned()
+                "its chunks are of several lengths, which is not supported for this format"
+                    .to_owned(),
             );
         }
         let chunks = match compressor {
@@ -204,7 +229,8 @@ impl<R: Read + Seek> Claims<R> {
         if !is_layered {
             return Ok(());
         }
-        // The decompressor goes from chunk to chunk by the number of points that the table gives, or else by a fixed one.
+        // The decompressor goes from chunk to chunk by the number of points that the table gives,
+        // or else by a fixed one.
         let chunks = match (is_variable, chunks) {
             (false, _) => header.points.div_ceil(u64::from(chunk_points)),
             (true, Some(chunks)) => chunks,
@@ -232,7 +258,8 @@ impl<R: Read + Seek> Claims<R> {
         Ok(Some(u64::from(count)))
     }
 
-    /// A chunk in layers: its first point, how many points it has, the length of each layer, and the layers.
+    /// A chunk in layers: its first point, how many points it has, the length of each layer, and
+    /// the layers.
     fn check_layers(&mut self, header: &Header, extra: u16, chunks: u64) -> Result<(), String> {
         let format = header.format;
         let others = [HAS_COLOR[format], HAS_NIR[format], HAS_WAVE[format]];
@@ -248,7 +275,8 @@ impl<R: Read + Seek> Claims<R> {
             offset = sizes_at + 4 * layers + sum;
             if offset > self.length {
                 return Err(format!(
-                    "a chunk of points at byte {sizes_at} claims {sum} bytes, more than the {} of the file",
+                    "a chunk of points at byte {sizes_at} claims {sum} bytes, more than the {} of \
+                    the file",
                     self.length
                 ));
             }
@@ -263,7 +291,8 @@ impl<R: Read + Seek> Claims<R> {
     }
 
     fn fill(&mut self, offset: u64, bytes: &mut [u8]) -> Result<(), String> {
-        let read = self.file.seek(SeekFrom::Start(offset)).and_then(|_| self.file.read_exact(bytes));
+        let read =
+            self.file.seek(SeekFrom::Start(offset)).and_then(|_| self.file.read_exact(bytes));
         read.map_err(|_| format!("ends before byte {}", offset.saturating_add(bytes.len() as u64)))
     }
 }

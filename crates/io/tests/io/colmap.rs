@@ -26,7 +26,11 @@ fn round_trip(model: &Reconstruction, format: Format) -> Reconstruction {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 32,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     /// Bit by bit: all numbers are f64 on both sides, and text has the digits that identify them.
     #[test]
@@ -44,7 +48,10 @@ proptest! {
     fn truncated_binary_is_refused(seed: u64, file in 0..5usize, cut in 0.0..1.0) {
         let dir = tempfile::tempdir().unwrap();
         write_model(dir.path(), &random_model(seed, Riding::Together), Format::Binary).unwrap();
-        let path = dir.path().join(["cameras", "rigs", "frames", "images", "points3D"][file]).with_extension("bin");
+        let path = dir
+            .path()
+            .join(["cameras", "rigs", "frames", "images", "points3D"][file])
+            .with_extension("bin");
         let bytes = fs::read(&path).unwrap();
         fs::write(&path, &bytes[..(bytes.len() as f64 * cut) as usize]).unwrap();
         match read_model(dir.path()) {
@@ -55,11 +62,20 @@ proptest! {
 
     /// Any damage ends in a valid model or in an error.
     #[test]
-    fn damaged_files_never_panic(seed: u64, file in 0..5usize, place in 0.0..1.0, damage: [u8; 8], text: bool) {
+    fn damaged_files_never_panic(
+        seed: u64,
+        file in 0..5usize,
+        place in 0.0..1.0,
+        damage: [u8; 8],
+        text: bool,
+    ) {
         let dir = tempfile::tempdir().unwrap();
         let (format, suffix) = if text { (Format::Text, "txt") } else { (Format::Binary, "bin") };
         write_model(dir.path(), &random_model(seed, Riding::Together), format).unwrap();
-        let path = dir.path().join(["cameras", "rigs", "frames", "images", "points3D"][file]).with_extension(suffix);
+        let path = dir
+            .path()
+            .join(["cameras", "rigs", "frames", "images", "points3D"][file])
+            .with_extension(suffix);
         let mut bytes = fs::read(&path).unwrap();
         let start = (bytes.len() as f64 * place) as usize;
         for (byte, new) in bytes[start..].iter_mut().zip(damage) {
@@ -106,7 +122,10 @@ fn only_registered_images_are_written_and_ids_stay() {
     let dir = tempfile::tempdir().unwrap();
     write_model(dir.path(), &model_with_gaps(), Format::Text).unwrap();
     let images = fs::read_to_string(dir.path().join("images.txt")).unwrap();
-    assert!(images.contains("\n1 ") && !images.contains("b.png") && images.contains("\n3 "), "{images}");
+    assert!(
+        images.contains("\n1 ") && !images.contains("b.png") && images.contains("\n3 "),
+        "{images}"
+    );
     let points = fs::read_to_string(dir.path().join("points3D.txt")).unwrap();
     assert!(points.contains("\n2 0 0 1 128 128 128 "), "{points}");
     let frames = fs::read_to_string(dir.path().join("frames.txt")).unwrap();
@@ -130,13 +149,17 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
             RigSensor { camera: right, cam_from_rig: Some(cam_from_rig) },
         ],
     });
-    let [a, b, lone] =
-        [left, right, right].map(|camera| model.add_image(Image::new(format!("{camera:?}"), camera, vec![])));
+    let [a, b, lone] = [left, right, right]
+        .map(|camera| model.add_image(Image::new(format!("{camera:?}"), camera, vec![])));
     model.register(a, Rigid3::identity());
     model.register(b, cam_from_rig);
     let elsewhere = Rigid3::from_axis_angle(Vector3::z(), Vector3::z());
     model.register(lone, elsewhere);
-    model.frames.push(Frame { rig: RigId(0), rig_from_world: Rigid3::identity(), images: vec![a, b] });
+    model.frames.push(Frame {
+        rig: RigId(0),
+        rig_from_world: Rigid3::identity(),
+        images: vec![a, b],
+    });
     for format in FORMATS {
         let read = round_trip(&model, format);
         assert_eq!(read.rigs, model.rigs);
@@ -144,12 +167,14 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
         assert_eq!(read.frames[1].images, [lone]);
         let given = cam_from_rig * read.frames[1].rig_from_world;
         assert!((given.translation - elsewhere.translation).norm() < POSE_TOLERANCE);
-        assert!(given.rotation.angle_to(&elsewhere.rotation) < 1e-7); // acos near 1 loses half the digits
+        // acos near 1 loses half the digits.
+        assert!(given.rotation.angle_to(&elsewhere.rotation) < 1e-7);
     }
 
     // A pose that the frame does not give cannot be told to COLMAP.
     model.frames[0].rig_from_world = elsewhere;
-    let error = write_model(tempfile::tempdir().unwrap().path(), &model, Format::Binary).unwrap_err();
+    let error =
+        write_model(tempfile::tempdir().unwrap().path(), &model, Format::Binary).unwrap_err();
     assert!(error.to_string().contains("not the one that its frame and rig give it"), "{error}");
 }
 
@@ -158,14 +183,16 @@ fn an_image_whose_place_on_its_rig_is_not_known_keeps_its_pose_and_is_in_no_fram
     let dir = tempfile::tempdir().unwrap();
     let model = random_model(1, Riding::Together);
     write_model(dir.path(), &model, Format::Text).unwrap();
-    let others: String = (2..=model.rigs[0].sensors.len()).map(|id| format!(" CAMERA {id} 0")).collect();
+    let others: String =
+        (2..=model.rigs[0].sensors.len()).map(|id| format!(" CAMERA {id} 0")).collect();
     let rig = format!("1 {} CAMERA 1{others}", model.rigs[0].sensors.len());
     let path = dir.path().join("rigs.txt");
     let lines = fs::read_to_string(&path).unwrap();
     let lines = lines.lines().map(|line| if line.starts_with("1 ") { &rig } else { line });
     fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
     let read = read_model(dir.path()).unwrap();
-    let poses = |model: &Reconstruction| model.registered().map(|(.., pose)| *pose).collect::<Vec<_>>();
+    let poses =
+        |model: &Reconstruction| model.registered().map(|(.., pose)| *pose).collect::<Vec<_>>();
     assert_eq!(poses(&read), poses(&model));
     // What is left of the rig is one camera, which is none.
     assert_eq!((read.rigs.len(), read.frames.len()), (0, 0));
@@ -181,7 +208,10 @@ fn a_track_may_hold_two_keypoints_of_an_image() {
     model.add_observation(point, Observation { image: tiepoint_scene::ImageId(0), keypoint: 0 });
     for format in FORMATS {
         let read = round_trip(&model, format);
-        assert_eq!(read.tracks().map(|(_, track)| track.observations.len()).collect::<Vec<_>>(), [3]);
+        assert_eq!(
+            read.tracks().map(|(_, track)| track.observations.len()).collect::<Vec<_>>(),
+            [3]
+        );
     }
 }
 
@@ -199,10 +229,16 @@ fn each_fault_is_named() {
     let points = "1 0 0 1 9 9 9 0.5 1 0 2 0\n";
     for (files, expected) in [
         (vec![("cameras.txt", "1 NO_SUCH 640 480 1")], "line 1: unknown camera model `NO_SUCH`"),
-        (vec![("cameras.txt", "\n1 PINHOLE 640 480 500 500 320")], "line 2: camera model PINHOLE takes 4"),
+        (
+            vec![("cameras.txt", "\n1 PINHOLE 640 480 500 500 320")],
+            "line 2: camera model PINHOLE takes 4",
+        ),
         (vec![("cameras.txt", "1 PINHOLE 640 480 NaN 500 320 240")], "a parameter is NaN"),
         (vec![("cameras.txt", "")], "image a.png names camera 1, which there is not"),
-        (vec![("images.txt", "1 0 0 0 0 0 0 0 1 a.png\n\n")], "a quaternion of norm 0 is no rotation"),
+        (
+            vec![("images.txt", "1 0 0 0 0 0 0 0 1 a.png\n\n")],
+            "a quaternion of norm 0 is no rotation",
+        ),
         (vec![("images.txt", "1 1 0 0 0 0 0 0 1\n\n")], "line 1: the image has no name"),
         (vec![("points3D.txt", points)], "names another point"),
         (vec![("points3D.txt", "2 0 0 1 9 9 9 0.5 1 7\n")], "which has 2 keypoints"),
@@ -211,7 +247,10 @@ fn each_fault_is_named() {
         (vec![("rigs.txt", "1 1 IMU 1\n")], "is no camera, which is not supported"),
         (vec![("rigs.txt", "1 1 CAMERA 1\n2 1 CAMERA 1\n")], "camera 1 is on two rigs"),
         (vec![("frames.txt", "1 9 1 0 0 0 0 0 0 0\n")], "frame 1 names rig 9"),
-        (vec![("frames.txt", "1 1 1 0 0 0 0 0 0 4294967295\n")], "ends where a sensor's kind should be"),
+        (
+            vec![("frames.txt", "1 1 1 0 0 0 0 0 0 4294967295\n")],
+            "ends where a sensor's kind should be",
+        ),
     ] {
         let error = with_files(&files).expect_err(expected).to_string();
         assert!(error.contains(expected), "{error} for {files:?}");

@@ -4,8 +4,8 @@
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{
-    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor,
-    Track,
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId,
+    RigSensor, Track,
 };
 
 /// Whether the model has a rig of several cameras.
@@ -23,8 +23,8 @@ pub(crate) fn pose(rng: &mut Rng) -> Rigid3 {
     Rigid3::from_axis_angle(vector(rng, 1.0), vector(rng, 10.0))
 }
 
-/// A model whose keypoints see what its tracks say, at places that mean nothing. The poses of images on the rig are those that
-/// rig and frame give.
+/// A model whose keypoints see what its tracks say, at places that mean nothing. The poses of
+/// images on the rig are those that rig and frame give.
 pub(crate) fn random_model(seed: u64, riding: Riding) -> Reconstruction {
     let mut rng = Rng::stream(seed, &[]);
     let mut model = Reconstruction::default();
@@ -75,9 +75,13 @@ pub(crate) fn random_model(seed: u64, riding: Riding) -> Reconstruction {
     }
     let counts: Vec<usize> = model.images().map(|(_, image)| image.keypoints.len()).collect();
     for keypoint in 0..8 {
-        let seen = (0..counts.len()).filter(|index| counts[*index] > keypoint && rng.uniform() < 0.7);
+        let seen =
+            (0..counts.len()).filter(|index| counts[*index] > keypoint && rng.uniform() < 0.7);
         let observations: Vec<_> = seen
-            .map(|index| Observation { image: ImageId::from_index(index), keypoint: keypoint as u32 })
+            .map(|index| Observation {
+                image: ImageId::from_index(index),
+                keypoint: keypoint as u32,
+            })
             .collect();
         if !observations.is_empty() {
             let color = [rng.below(256) as u8, rng.below(256) as u8, 7];

@@ -62,17 +62,24 @@ fn random_two_view(rng: &mut Rng) -> TwoView {
     let mut some = |_| (rng.uniform() < 0.5).then(|| Matrix3::from_fn(|_, _| rng.normal()));
     let (fundamental, essential, homography) = (some(()), some(()), some(()));
     TwoView {
-        kind: [TwoViewKind::Calibrated, TwoViewKind::Watermark, TwoViewKind::Multiple][rng.below(3)],
+        kind: [TwoViewKind::Calibrated, TwoViewKind::Watermark, TwoViewKind::Multiple]
+            [rng.below(3)],
         fundamental,
         essential,
         homography,
         cam2_from_cam1: (rng.uniform() < 0.5).then(|| common::pose(rng)),
-        matches: (0..rng.below(5)).map(|k| Match { a: k as u32, b: rng.below(1000) as u32 }).collect(),
+        matches: (0..rng.below(5))
+            .map(|k| Match { a: k as u32, b: rng.below(1000) as u32 })
+            .collect(),
     }
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 16,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn database_is_read_as_written(seed: u64) {
@@ -80,15 +87,21 @@ proptest! {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("database.db");
         let mut db = filled(&path);
-        let features: Vec<Features> = (0..4).map(|count| random_features(&mut rng, 3 * count)).collect();
+        let features: Vec<Features> =
+            (0..4).map(|count| random_features(&mut rng, 3 * count)).collect();
         db.write_features((0..4).map(|k| (ImageId(k), &features[k as usize]))).unwrap();
-        let pairs: Vec<ImagePair> =
-            [(0, 1), (2, 1), (0, 3)].map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b)).unwrap()).into();
+        let pairs: Vec<ImagePair> = [(0, 1), (2, 1), (0, 3)]
+            .map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b)).unwrap())
+            .into();
         let views: Vec<TwoView> = pairs.iter().map(|_| random_two_view(&mut rng)).collect();
-        db.write_matches(pairs.iter().zip(&views).map(|(pair, view)| (*pair, &view.matches[..]))).unwrap();
+        db.write_matches(pairs.iter().zip(&views).map(|(pair, view)| (*pair, &view.matches[..])))
+            .unwrap();
         db.write_two_views(pairs.iter().copied().zip(&views)).unwrap();
         db.finish().unwrap();
-        let files: Vec<_> = std::fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        let files: Vec<_> = std::fs::read_dir(dir.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name())
+            .collect();
         prop_assert_eq!(files, ["database.db"]);
 
         let db = Database::open(&path).unwrap();
@@ -108,14 +121,21 @@ proptest! {
         // (0, 1), (0, 3), (1, 2)
         let order = [0, 2, 1];
         prop_assert_eq!(db.matched_pairs().unwrap(), order.map(|k| pairs[k]));
-        let counts: Vec<_> =
-            db.read_matches().unwrap().iter().map(|(pair, matches)| (*pair, matches.len())).collect();
+        let counts: Vec<_> = db
+            .read_matches()
+            .unwrap()
+            .iter()
+            .map(|(pair, matches)| (*pair, matches.len()))
+            .collect();
         prop_assert_eq!(db.match_counts().unwrap(), counts);
         let counts = db.read_two_views().unwrap().into_iter().map(|(pair, two_view)| {
             (pair, two_view.is_verified().then_some(two_view.matches.len()))
         });
         prop_assert_eq!(db.inlier_counts().unwrap(), counts.collect::<Vec<_>>());
-        prop_assert_eq!(db.read_matches().unwrap(), order.map(|k| (pairs[k], views[k].matches.clone())));
+        prop_assert_eq!(
+            db.read_matches().unwrap(),
+            order.map(|k| (pairs[k], views[k].matches.clone()))
+        );
         prop_assert_eq!(db.read_two_views().unwrap(), order.map(|k| (pairs[k], views[k].clone())));
     }
 
@@ -127,14 +147,24 @@ proptest! {
         let mut db = filled(&path);
         let mut rng = Rng::stream(1, &[]);
         db.write_features([(ImageId(0), &random_features(&mut rng, 5))]).unwrap();
-        db.write_two_views([(ImagePair::new(ImageId(0), ImageId(1)).unwrap(), &random_two_view(&mut rng))]).unwrap();
+        db.write_two_views([(
+            ImagePair::new(ImageId(0), ImageId(1)).unwrap(),
+            &random_two_view(&mut rng),
+        )])
+        .unwrap();
         db.finish().unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let start = ((bytes.len() - damage.len()) as f64 * place) as usize;
         bytes[start..start + damage.len()].copy_from_slice(&damage);
         std::fs::write(&path, bytes).unwrap();
         if let Ok(db) = Database::open(&path) {
-            let _ = (db.read_cameras(), db.read_images(), db.read_two_views(), db.read_matches(), db.read_rigs());
+            let _ = (
+                db.read_cameras(),
+                db.read_images(),
+                db.read_two_views(),
+                db.read_matches(),
+                db.read_rigs(),
+            );
             let _ = (db.match_counts(), db.inlier_counts());
             (0..db.num_images()).for_each(|k| drop(db.read_features(ImageId::from_index(k))));
         }
@@ -147,7 +177,8 @@ fn rigs_and_moments_are_read_as_written_and_the_rest_rides_alone() {
     let mut db = filled(&dir.path().join("database.db"));
     db.write_rigs(&[], &[]).unwrap();
     assert_eq!(db.read_rigs().unwrap(), (vec![], vec![]));
-    let cam_from_rig = Some(Rigid3::from_axis_angle([0.1, 0.2, 0.3].into(), [1.0, 2.0, 3.0].into()));
+    let cam_from_rig =
+        Some(Rigid3::from_axis_angle([0.1, 0.2, 0.3].into(), [1.0, 2.0, 3.0].into()));
     for cam_from_rig in [None, cam_from_rig] {
         let rig = Rig {
             sensors: vec![
@@ -169,10 +200,12 @@ fn layouts_of_other_versions_are_read() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     filled(&path).finish().unwrap();
-    // Ids with holes, keypoints of two and four columns, no rigs, no poses, no kinds of descriptors.
+    // Ids with holes, keypoints of two and four columns, no rigs, no poses, no kinds of
+    // descriptors.
     let sql = rusqlite::Connection::open(&path).unwrap();
     sql.execute_batch(
-        "PRAGMA foreign_keys = OFF; UPDATE images SET image_id = image_id * 10; DROP TABLE rig_sensors;",
+        "PRAGMA foreign_keys = OFF; UPDATE images SET image_id = image_id * 10; DROP TABLE \
+        rig_sensors;",
     )
     .unwrap();
     let blob = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -184,8 +217,10 @@ fn layouts_of_other_versions_are_read() {
     sql.execute_batch(
         "ALTER TABLE descriptors DROP COLUMN type;
          INSERT INTO descriptors VALUES (10, 1, 128, zeroblob(128));
-         ALTER TABLE two_view_geometries DROP COLUMN qvec; ALTER TABLE two_view_geometries DROP COLUMN tvec;
-         INSERT INTO two_view_geometries VALUES (2147483647 * 10 + 30, 0, 0, NULL, 9, NULL, NULL, NULL, NULL, NULL);",
+         ALTER TABLE two_view_geometries DROP COLUMN qvec; ALTER TABLE two_view_geometries DROP \
+         COLUMN tvec;
+         INSERT INTO two_view_geometries VALUES (2147483647 * 10 + 30, 0, 0, NULL, 9, NULL, NULL, \
+         NULL, NULL, NULL);",
     )
     .unwrap();
     drop(sql);
@@ -213,9 +248,11 @@ fn what_is_no_database_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     assert!(Database::open(&path).is_err());
-    for content in
-        ["", "this is no database, but it is longer than the header of one, which has a hundred bytes; or so"]
-    {
+    for content in [
+        "",
+        "this is no database, but it is longer than the header of one, which has a hundred bytes; \
+        or so",
+    ] {
         std::fs::write(&path, content).unwrap();
         let error = Database::open(&path).unwrap_err().to_string();
         assert!(error.contains("database"), "{error}");
@@ -338,7 +375,8 @@ fn rows_on_stages_go_with_what_they_are_of() {
     for (index, suffixes) in [&["", "-wal", "-shm"][..], &["", "-wal"]].into_iter().enumerate() {
         let copy = dir.path().join(index.to_string());
         std::fs::create_dir(&copy).unwrap();
-        let list: Vec<String> = suffixes.iter().map(|suffix| format!("database.db{suffix}")).collect();
+        let list: Vec<String> =
+            suffixes.iter().map(|suffix| format!("database.db{suffix}")).collect();
         for name in &list {
             std::fs::copy(dir.path().join(name), copy.join(name)).unwrap();
         }
@@ -354,7 +392,10 @@ fn rows_on_stages_go_with_what_they_are_of() {
             assert_eq!(std::fs::read(copy.join("database.db-wal")).unwrap(), log);
         }
         set_read_only(&copy, false);
-        assert_eq!(Database::open(&copy.join("database.db")).unwrap().stage_rows().unwrap(), expected);
+        assert_eq!(
+            Database::open(&copy.join("database.db")).unwrap().stage_rows().unwrap(),
+            expected
+        );
     }
     // Closed by others, a database may say that it has a log and have none.
     drop(db);
@@ -376,7 +417,9 @@ fn rows_on_stages_go_with_what_they_are_of() {
 }
 
 fn set_read_only(dir: &Path, is_read_only: bool) {
-    for path in std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).chain([dir.to_owned()]) {
+    for path in
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).chain([dir.to_owned()])
+    {
         let mut permissions = std::fs::metadata(&path).unwrap().permissions();
         permissions.set_readonly(is_read_only);
         std::fs::set_permissions(&path, permissions).unwrap();

@@ -1,4 +1,5 @@
-//! What other programs are given: read with readers of their own, each point must be seen where our cameras see it.
+//! What other programs are given: read with readers of their own, each point must be seen where our
+//! cameras see it.
 #![allow(clippy::unwrap_used)]
 
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector2, Vector3, Vector4};
@@ -9,7 +10,8 @@ use tiepoint_scene::{Camera, Image, Keypoint, Observation, Reconstruction, Track
 
 use crate::common::{Riding, random_model};
 
-/// A chain of a dozen products of numbers up to 1000, in pixels; points and their depth are f32 in OpenMVS.
+/// A chain of a dozen products of numbers up to 1000, in pixels; points and their depth are f32 in
+/// OpenMVS.
 const TOLERANCE_PX: f64 = 1e-6;
 
 /// The bytes of an OpenMVS scene, taken one by one as Interface.h of version 7 says.
@@ -47,7 +49,8 @@ impl Mvs<'_> {
 }
 
 /// K, R, C of a camera on its platform; R, C of the platform's poses.
-type Platform = (Vec<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)>, Vec<(Matrix3<f64>, Vector3<f64>)>);
+type Platform =
+    (Vec<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)>, Vec<(Matrix3<f64>, Vector3<f64>)>);
 
 #[test]
 fn openmvs_sees_the_points_where_we_do() {
@@ -104,7 +107,8 @@ fn openmvs_sees_the_points_where_we_do() {
             if let Some(pixel) = model.camera(image.camera).intrinsics.project(&ours) {
                 let theirs = k * theirs / theirs.z;
                 assert!(
-                    (theirs.xy() + Vector2::repeat(0.5) - pixel).norm() < TOLERANCE_PX * (1.0 + pixel.norm())
+                    (theirs.xy() + Vector2::repeat(0.5) - pixel).norm()
+                        < TOLERANCE_PX * (1.0 + pixel.norm())
                 );
                 compared += 1;
             }
@@ -129,7 +133,8 @@ fn openmvs_sees_the_points_where_we_do() {
 fn one_camera(kind: CameraModelKind, params: &[f64]) -> Reconstruction {
     let mut model = Reconstruction::default();
     let intrinsics = Intrinsics::new(kind, params).unwrap();
-    let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+    let camera =
+        model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
     for (index, axis_angle) in
         [Vector3::new(0.1, 0.2, 0.3), Vector3::new(-0.2, 0.1, 0.0)].into_iter().enumerate()
     {
@@ -139,12 +144,14 @@ fn one_camera(kind: CameraModelKind, params: &[f64]) -> Reconstruction {
         let image = model.add_image(Image::new(format!("{index}.jpg"), camera, vec![keypoint]));
         model.register(image, pose);
     }
-    let observations = model.registered().map(|(image, ..)| Observation { image, keypoint: 0 }).collect();
+    let observations =
+        model.registered().map(|(image, ..)| Observation { image, keypoint: 0 }).collect();
     model.add_track(Track::new(Vector3::new(0.3, 0.4, 0.5), observations));
     model
 }
 
-const RADIAL: (CameraModelKind, &[f64]) = (CameraModelKind::Radial, &[500.0, 320.5, 239.5, -0.1, 0.02]);
+const RADIAL: (CameraModelKind, &[f64]) =
+    (CameraModelKind::Radial, &[500.0, 320.5, 239.5, -0.1, 0.02]);
 
 #[test]
 fn openmvs_refuses_distortion() {
@@ -161,7 +168,11 @@ fn nerfstudio_sees_the_points_where_we_do() {
     let path = dir.path().join("transforms.json");
     for (kind, params, name) in [
         (RADIAL.0, RADIAL.1, "OPENCV"),
-        (CameraModelKind::Opencv, &[500.0, 510.0, 320.5, 239.5, -0.1, 0.02, 0.003, -0.004], "OPENCV"),
+        (
+            CameraModelKind::Opencv,
+            &[500.0, 510.0, 320.5, 239.5, -0.1, 0.02, 0.003, -0.004],
+            "OPENCV",
+        ),
         (CameraModelKind::SimpleRadial, &[500.0, 320.5, 239.5, -0.1], "OPENCV"),
         (
             CameraModelKind::OpencvFisheye,
@@ -171,7 +182,8 @@ fn nerfstudio_sees_the_points_where_we_do() {
     ] {
         let model = one_camera(kind, params);
         nerfstudio::write(&path, &model, "images", Some("points.ply")).unwrap();
-        let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let json: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
         assert_eq!(
             (json["camera_model"].as_str(), json["ply_file_path"].as_str()),
             (Some(name), Some("points.ply"))
@@ -187,8 +199,8 @@ fn nerfstudio_sees_the_points_where_we_do() {
                 .iter()
                 .flat_map(|row| row.as_array().unwrap().iter().map(|value| value.as_f64().unwrap()))
                 .collect();
-            let point =
-                Matrix4::from_row_slice(&values).try_inverse().unwrap() * Vector4::new(0.3, 0.4, 0.5, 1.0);
+            let point = Matrix4::from_row_slice(&values).try_inverse().unwrap()
+                * Vector4::new(0.3, 0.4, 0.5, 1.0);
             // It looks along −z, y up; OpenCV's formulas.
             let (x, y) = (point.x / -point.z, -point.y / -point.z);
             let (k1, k2, k3, k4) = (number("k1"), number("k2"), number("k3"), number("k4"));
@@ -203,7 +215,9 @@ fn nerfstudio_sees_the_points_where_we_do() {
             } else {
                 let theta = r2.sqrt().atan();
                 let t2 = theta * theta;
-                Vector2::new(x, y) * (theta / r2.sqrt()) * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+                Vector2::new(x, y)
+                    * (theta / r2.sqrt())
+                    * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
             };
             let pixel = Vector2::new(
                 number("fl_x") * distorted.x + number("cx"),
@@ -219,19 +233,25 @@ fn nerfstudio_sees_the_points_where_we_do() {
 fn undistorted_models_have_no_error() {
     let model = undistort_model(&one_camera(RADIAL.0, RADIAL.1));
     model.validate().unwrap();
-    assert!(model.cameras().all(|(_, camera)| camera.intrinsics.kind() == CameraModelKind::Pinhole));
+    assert!(
+        model.cameras().all(|(_, camera)| camera.intrinsics.kind() == CameraModelKind::Pinhole)
+    );
     assert_eq!(model.num_observations(), 2);
     assert!(model.mean_reprojection_error_px() < 1e-6);
 }
 
-/// A picture whose colour tells the ray: after undistortion each pixel has the colour of its own ray.
+/// A picture whose colour tells the ray: after undistortion each pixel has the colour of its own
+/// ray.
 #[test]
 fn undistorted_images_show_the_rays_of_their_camera() {
     let intrinsics = Intrinsics::new(RADIAL.0, &[50.0, 32.0, 24.0, -0.1, 0.02]).unwrap();
     let from = Camera { intrinsics, width: 64, height: 48, has_focal_prior: true };
     let to = pinhole_of(&from);
     let color = |camera: &Camera, x: u32, y: u32| {
-        let ray = camera.intrinsics.unproject(&Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).unwrap();
+        let ray = camera
+            .intrinsics
+            .unproject(&Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+            .unwrap();
         [128.0 + 100.0 * ray.x, 128.0 + 100.0 * ray.y, 200.0].map(|value: f64| value.round() as u8)
     };
     let data = (0..48).flat_map(|y| (0..64).flat_map(move |x| color(&from, x, y))).collect();

@@ -1,4 +1,5 @@
-//! What a kill, a full disk or a broken one leaves at any moment: the old or the new, never a mix, and nothing for good.
+//! What a kill, a full disk or a broken one leaves at any moment: the old or the new, never a mix,
+//! and nothing for good.
 #![cfg(all(feature = "database", feature = "faults"))]
 #![allow(clippy::unwrap_used)]
 
@@ -31,8 +32,8 @@ fn names(dir: &Path) -> Vec<String> {
     names
 }
 
-/// Runs `work` with a fault at each of its changes in turn, each time in a fresh folder that `prepare` fills, and then checks
-/// the folder; returns how many changes there are.
+/// Runs `work` with a fault at each of its changes in turn, each time in a fresh folder that
+/// `prepare` fills, and then checks the folder; returns how many changes there are.
 fn sweep(
     parent: &Path,
     prepare: impl Fn(&Path),
@@ -53,7 +54,10 @@ fn sweep(
             let faults = Faults::at(dir.path(), n, kind);
             let done = work(dir.path());
             // A disk may be full once all is written.
-            assert!(faults.hit() || (kind == Kind::Full && done.is_ok()), "{kind:?} at {n} of {count}");
+            assert!(
+                faults.hit() || (kind == Kind::Full && done.is_ok()),
+                "{kind:?} at {n} of {count}"
+            );
             if kind == Kind::Stop {
                 assert!(done.is_err(), "{kind:?} at {n} of {count}: {:?}", &faults.log()[n..]);
             }
@@ -75,7 +79,10 @@ fn images(prefix: &str) -> Vec<Image> {
 
 fn features() -> Features {
     let keypoint = |index| Keypoint { x: index as f32, y: 1.0, scale: 1.0, orientation: 0.0 };
-    Features { keypoints: (0..KEYPOINTS).map(keypoint).collect(), descriptors: vec![[7; 128]; KEYPOINTS] }
+    Features {
+        keypoints: (0..KEYPOINTS).map(keypoint).collect(),
+        descriptors: vec![[7; 128]; KEYPOINTS],
+    }
 }
 
 fn stage() -> StageRow {
@@ -128,7 +135,10 @@ fn progress(path: &Path, old: &str) -> Option<usize> {
     let with_features = counts.iter().take_while(|count| count.is_some()).count();
     assert!(counts[with_features..].iter().all(Option::is_none));
     for image in 0..with_features {
-        assert_eq!(db.read_features(ImageId(image as u32)).unwrap().descriptors, features().descriptors);
+        assert_eq!(
+            db.read_features(ImageId(image as u32)).unwrap().descriptors,
+            features().descriptors
+        );
     }
     if found == images(old) {
         assert_eq!((rows, with_features, of_views), (None, 1, vec![pairs()[0]]));
@@ -176,9 +186,15 @@ fn a_database_is_old_or_new() {
     // In memory where there is such a folder: thousands of files are brought to the disk.
     let memory = Path::new("/dev/shm");
     let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
-    let first = sweep(&parent, |_| {}, write_database, |dir, kind, is_done| check(dir, kind, is_done, true));
-    let again =
-        sweep(&parent, old_database, write_database, |dir, kind, is_done| check(dir, kind, is_done, false));
+    let first = sweep(
+        &parent,
+        |_| {},
+        write_database,
+        |dir, kind, is_done| check(dir, kind, is_done, true),
+    );
+    let again = sweep(&parent, old_database, write_database, |dir, kind, is_done| {
+        check(dir, kind, is_done, false)
+    });
     assert!(first > 30 && again > first, "{first} {again}");
 }
 
@@ -190,7 +206,8 @@ fn changes_of_a_database_are_seen() {
     let log = faults.log();
     let root = dir.path().canonicalize().unwrap();
     let (path, part) = (root.join("database.db"), root.join(".database.db.tiepoint-part"));
-    let place = |operation, path: &Path| log.iter().rposition(|seen| *seen == (operation, path.to_owned()));
+    let place =
+        |operation, path: &Path| log.iter().rposition(|seen| *seen == (operation, path.to_owned()));
     assert!(log.contains(&(Operation::Create, part.clone())));
     // The part is on the disk before it takes its name.
     let renamed = place(Operation::Rename, &path).unwrap();
@@ -198,17 +215,25 @@ fn changes_of_a_database_are_seen() {
     assert!(place(Operation::Sync, &part).unwrap() < renamed);
     assert_eq!(log[renamed + 1], (Operation::SyncFolder, root.clone()));
     // Then each transaction goes to the log, and the log into the file.
-    assert_eq!(log[renamed..].iter().filter(|(operation, _)| *operation == Operation::Commit).count(), 6);
+    assert_eq!(
+        log[renamed..].iter().filter(|(operation, _)| *operation == Operation::Commit).count(),
+        6
+    );
     let wal = root.join("database.db-wal");
     assert!(place(Operation::Create, &wal).unwrap() > renamed);
-    assert!(place(Operation::Write, &path).unwrap() > renamed && place(Operation::Remove, &wal).is_some());
+    assert!(
+        place(Operation::Write, &path).unwrap() > renamed
+            && place(Operation::Remove, &wal).is_some()
+    );
 }
 
 #[test]
 fn a_file_is_old_or_new() {
     // More than the buffer of a writer.
     let new = "new ".repeat(5000);
-    let write = |dir: &Path| AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()));
+    let write = |dir: &Path| {
+        AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()))
+    };
     for is_there in [false, true] {
         let prepare = |dir: &Path| {
             if is_there {
@@ -236,12 +261,16 @@ fn a_file_is_old_or_new() {
 
 /// Each renamed file was on the disk under its temporary name, and its new name gets there.
 fn assert_lasting(log: &[(Operation, PathBuf)], part_of: impl Fn(&Path) -> PathBuf) {
-    let renames: Vec<usize> = (0..log.len()).filter(|index| log[*index].0 == Operation::Rename).collect();
+    let renames: Vec<usize> =
+        (0..log.len()).filter(|index| log[*index].0 == Operation::Rename).collect();
     assert!(!renames.is_empty());
     for index in renames {
         let part = part_of(&log[index].1);
-        let of_part: Vec<Operation> =
-            log[..index].iter().filter(|(_, path)| *path == part).map(|(operation, _)| *operation).collect();
+        let of_part: Vec<Operation> = log[..index]
+            .iter()
+            .filter(|(_, path)| *path == part)
+            .map(|(operation, _)| *operation)
+            .collect();
         assert!(of_part.ends_with(&[Operation::Write, Operation::Sync]), "{of_part:?}");
         let folder = disk::folder_of(&log[index].1).to_owned();
         assert!(log[index..].contains(&(Operation::SyncFolder, folder)));
@@ -259,8 +288,11 @@ fn a_model_is_old_or_new() {
                 Ok(found) => assert!(found == new || (found == old && is_there && !is_done)),
                 Err(error) if !is_done => {
                     let error = error.to_string();
-                    let is_missing =
-                        if is_there { error.contains("holds no COLMAP model") } else { !model.exists() };
+                    let is_missing = if is_there {
+                        error.contains("holds no COLMAP model")
+                    } else {
+                        !model.exists()
+                    };
                     assert!(is_missing, "{error}");
                 }
                 Err(error) => panic!("{error}"),
@@ -286,7 +318,8 @@ fn a_model_is_old_or_new() {
 #[test]
 fn a_model_is_not_written_beside_one_in_the_other_format() {
     let dir = tempfile::tempdir().unwrap();
-    let (old, new): (Reconstruction, _) = (random_model(1, Riding::Alone), random_model(2, Riding::Alone));
+    let (old, new): (Reconstruction, _) =
+        (random_model(1, Riding::Alone), random_model(2, Riding::Alone));
     write_model(dir.path(), &old, Format::Binary).unwrap();
     let error = write_model(dir.path(), &new, Format::Text).unwrap_err().to_string();
     assert!(error.contains("cameras.bin: holds a model as .bin too"), "{error}");

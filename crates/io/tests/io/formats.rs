@@ -1,4 +1,5 @@
-//! Trajectories, ground truth, PLY and BAL: what is written is read back, what others wrote is understood.
+//! Trajectories, ground truth, PLY and BAL: what is written is read back, what others wrote is
+//! understood.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -65,18 +66,28 @@ fn random_bal(rng: &mut Rng) -> Bal {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 32,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn trajectories_are_read_as_written(seed: u64, count in 0..10usize) {
         let mut rng = Rng::stream(seed, &[]);
         let poses: Vec<TimedPose> = (0..count)
-            .map(|k| TimedPose { time_s: 1.4e9 + k as f64 + rng.uniform(), cam_from_world: pose(&mut rng) })
+            .map(|k| TimedPose {
+                time_s: 1.4e9 + k as f64 + rng.uniform(),
+                cam_from_world: pose(&mut rng),
+            })
             .collect();
-        let tum = round_trip(|path| write_tum(path, &poses).unwrap(), |path| read_tum(path).unwrap());
-        let euroc = round_trip(|path| write_euroc(path, &poses).unwrap(), |path| read_euroc(path).unwrap());
+        let tum =
+            round_trip(|path| write_tum(path, &poses).unwrap(), |path| read_tum(path).unwrap());
+        let euroc =
+            round_trip(|path| write_euroc(path, &poses).unwrap(), |path| read_euroc(path).unwrap());
         let bare: Vec<Rigid3> = poses.iter().map(|pose| pose.cam_from_world).collect();
-        let kitti = round_trip(|path| write_kitti(path, &bare).unwrap(), |path| read_kitti(path).unwrap());
+        let kitti =
+            round_trip(|path| write_kitti(path, &bare).unwrap(), |path| read_kitti(path).unwrap());
         prop_assert_eq!((tum.len(), euroc.len(), kitti.len()), (count, count, count));
         for k in 0..count {
             prop_assert!(tum[k].time_s == poses[k].time_s && euroc[k].time_s == poses[k].time_s);
@@ -91,16 +102,25 @@ proptest! {
     fn ply_is_read_as_written(seed: u64, count in 0..20usize) {
         let mut rng = Rng::stream(seed, &[]);
         let vertices: Vec<Vertex> = (0..count)
-            .map(|k| Vertex { xyz: vector(&mut rng, 5.0).map(|v| f64::from(v as f32)), color: [k as u8, 255, 0] })
+            .map(|k| Vertex {
+                xyz: vector(&mut rng, 5.0).map(|v| f64::from(v as f32)),
+                color: [k as u8, 255, 0],
+            })
             .collect();
-        let read = round_trip(|path| ply::write(path, &vertices).unwrap(), |path| ply::read(path).unwrap());
+        let read = round_trip(
+            |path| ply::write(path, &vertices).unwrap(),
+            |path| ply::read(path).unwrap(),
+        );
         prop_assert_eq!(read, vertices);
     }
 
     #[test]
     fn bal_is_read_as_written(seed: u64) {
         let bal = random_bal(&mut Rng::stream(seed, &[]));
-        prop_assert_eq!(&round_trip(|path| bal.write(path).unwrap(), |path| Bal::read(path).unwrap()), &bal);
+        prop_assert_eq!(
+            &round_trip(|path| bal.write(path).unwrap(), |path| Bal::read(path).unwrap()),
+            &bal
+        );
     }
 
     /// The same pixels from the formula of the format and from our cameras; and back again.
@@ -119,23 +139,43 @@ proptest! {
             let ours = track.observations.iter().find(|o| o.image == image).unwrap();
             // Behind a camera we see nothing.
             if let Some(error) = model.error_of_px(ours, point) {
-                prop_assert!((error - residual).abs() < 1e-9 * (1.0 + residual), "{} {}", error, residual);
+                prop_assert!(
+                    (error - residual).abs() < 1e-9 * (1.0 + residual),
+                    "{} {}",
+                    error,
+                    residual
+                );
             }
         }
         let back = Bal::from_reconstruction(&model).unwrap();
         prop_assert_eq!(back.points, bal.points);
         for (a, b) in back.cameras.iter().zip(&bal.cameras) {
-            prop_assert!((a.axis_angle_rad - b.axis_angle_rad).norm() < POSE_TOLERANCE || b.axis_angle_rad.norm() > 3.0);
-            prop_assert_eq!((a.translation, a.focal_px, a.k1, a.k2), (b.translation, b.focal_px, b.k1, b.k2));
+            prop_assert!(
+                (a.axis_angle_rad - b.axis_angle_rad).norm() < POSE_TOLERANCE
+                    || b.axis_angle_rad.norm() > 3.0
+            );
+            prop_assert_eq!(
+                (a.translation, a.focal_px, a.k1, a.k2),
+                (b.translation, b.focal_px, b.k1, b.k2)
+            );
         }
         for (a, b) in back.observations.iter().zip(&bal.observations) {
-            prop_assert!((a.camera, a.point) == (b.camera, b.point) && (a.pixel - b.pixel).norm() < POSE_TOLERANCE * 100.0);
+            prop_assert!(
+                (a.camera, a.point) == (b.camera, b.point)
+                    && (a.pixel - b.pixel).norm() < POSE_TOLERANCE * 100.0
+            );
         }
     }
 
     /// Text and binary with any bytes overwritten or cut end in values or in an error.
     #[test]
-    fn damaged_files_never_panic(seed: u64, which in 0..6usize, place in 0.0..1.0, damage: [u8; 6], cut: bool) {
+    fn damaged_files_never_panic(
+        seed: u64,
+        which in 0..6usize,
+        place in 0.0..1.0,
+        damage: [u8; 6],
+        cut: bool,
+    ) {
         let mut rng = Rng::stream(seed, &[]);
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("file");
@@ -144,7 +184,8 @@ proptest! {
             0 => write_tum(&path, &poses).unwrap(),
             1 => write_euroc(&path, &poses).unwrap(),
             2 => write_kitti(&path, &poses.map(|pose| pose.cam_from_world)).unwrap(),
-            3 => ply::write(&path, &[Vertex { xyz: vector(&mut rng, 1.0), color: [1, 2, 3] }; 4]).unwrap(),
+            3 => ply::write(&path, &[Vertex { xyz: vector(&mut rng, 1.0), color: [1, 2, 3] }; 4])
+                .unwrap(),
             4 => fs::write(&path, ASCII_PLY).unwrap(),
             _ => random_bal(&mut rng).write(&path).unwrap(),
         }
@@ -166,7 +207,8 @@ proptest! {
     }
 }
 
-const ASCII_PLY: &str = "ply\r\nformat ascii 1.0\r\ncomment made by hand\nelement face 2\nproperty list uchar int vertex_indices\n\
+const ASCII_PLY: &str = "ply\r\nformat ascii 1.0\r\ncomment made by hand\nelement face \
+2\nproperty list uchar int vertex_indices\n\
     element vertex 3\nproperty double z\nproperty float nx\nproperty float y\nproperty float x\n\
     property uint8 blue\nproperty uint8 green\nproperty uint8 red\nend_header\n\
     3 0 1 2\n2 0 1\n1.5 0 2 -3e2 1 2 3\n 4 5 6 7 8 9 10\nnan 0 0 0 0 0 0\n";
@@ -180,7 +222,8 @@ fn ply_of_others() {
     ];
     assert_eq!(vertices, expected);
 
-    let mut big = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float x\nproperty int16 y\nproperty double z\n\
+    let mut big = b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float \
+    x\nproperty int16 y\nproperty double z\n\
         property float red\nproperty list uint8 ushort tail\nend_header\n"
         .to_vec();
     big.extend(1.5f32.to_be_bytes());
@@ -199,13 +242,15 @@ fn ply_of_others() {
         (format!("{header} -1\nend_header\n"), "the header says `element vertex -1`"),
         (format!("{header} 1\nproperty float128 x\n"), "the header says `property float128 x`"),
         (
-            "ply\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+            "ply\nelement vertex 0\nproperty float x\nproperty float y\nproperty float \
+            z\nend_header\n"
                 .to_owned(),
             "names no format",
         ),
         (
             format!(
-                "{header} 4000000000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
+                "{header} 4000000000000\nproperty float x\nproperty float y\nproperty float \
+                z\nend_header\n1 2 3\n"
             ),
             "4000000000000 × vertex are announced, but 6 bytes follow",
         ),
@@ -227,13 +272,18 @@ fn points_and_cameras_of_a_model() {
 
 #[test]
 fn conventions_of_trajectories() {
-    // A camera at (1, 2, 3) that looks along +x: its z axis is the world's x, its x axis the world's −y.
+    // A camera at (1, 2, 3) that looks along +x: its z axis is the world's x, its x axis the
+    // world's −y.
     let rows = "0 0 1 1 -1 0 0 2 0 -1 0 3\n";
     let pose = in_file(rows, |path| read_kitti(path).unwrap()[0]);
     assert!((pose.origin_in_a() - Vector3::new(1.0, 2.0, 3.0)).norm() < POSE_TOLERANCE);
-    assert!((pose * Vector3::new(6.0, 2.0, 3.0) - Vector3::new(0.0, 0.0, 5.0)).norm() < POSE_TOLERANCE);
-    // The same in the two others: the quaternion of that matrix is (w, x, y, z) = (1, −1, 1, −1) / 2.
-    let tum = in_file("# comment\n1.5 1 2 3 -0.5 0.5 -0.5 0.5\n", |path| read_tum(path).unwrap()[0]);
+    assert!(
+        (pose * Vector3::new(6.0, 2.0, 3.0) - Vector3::new(0.0, 0.0, 5.0)).norm() < POSE_TOLERANCE
+    );
+    // The same in the two others: the quaternion of that matrix is (w, x, y, z) = (1, −1, 1, −1) /
+    // 2.
+    let tum =
+        in_file("# comment\n1.5 1 2 3 -0.5 0.5 -0.5 0.5\n", |path| read_tum(path).unwrap()[0]);
     let euroc = in_file("#timestamp\n1500000000, 1,2,3, 0.5,-0.5,0.5,-0.5, 9,9\n", |path| {
         read_euroc(path).unwrap()[0]
     });
@@ -250,7 +300,8 @@ fn conventions_of_trajectories() {
         let error = in_file(content, |path| read_tum(path).unwrap_err().to_string());
         assert!(error.contains(expected), "{error}");
     }
-    let error = in_file("2 0 0 0 0 1 0 0 0 0 1 0", |path| read_kitti(path).unwrap_err().to_string());
+    let error =
+        in_file("2 0 0 0 0 1 0 0 0 0 1 0", |path| read_kitti(path).unwrap_err().to_string());
     assert!(error.contains("the matrix is no rotation"), "{error}");
 }
 
@@ -265,14 +316,19 @@ fn bal_faults_are_named() {
         let error = in_file(content, |path| Bal::read(path).unwrap_err().to_string());
         assert!(error.contains(expected), "{error}");
     }
-    let mut model =
-        Bal { cameras: vec![BalCamera { focal_px: 1.0, ..Default::default() }], ..Default::default() }
-            .to_reconstruction()
-            .unwrap();
+    let mut model = Bal {
+        cameras: vec![BalCamera { focal_px: 1.0, ..Default::default() }],
+        ..Default::default()
+    }
+    .to_reconstruction()
+    .unwrap();
     let camera = tiepoint_scene::CameraId(0);
     model.camera_mut(camera).intrinsics =
         Intrinsics::new(CameraModelKind::Pinhole, &[1.0, 2.0, 0.0, 0.0]).unwrap();
-    assert_eq!(Bal::from_reconstruction(&model), Err(BalError::NotRadial { camera, model: "PINHOLE" }));
+    assert_eq!(
+        Bal::from_reconstruction(&model),
+        Err(BalError::NotRadial { camera, model: "PINHOLE" })
+    );
 }
 
 #[test]
@@ -280,14 +336,18 @@ fn strecha_truth_sees_its_own_scene() {
     let Some(data) = skipped::data() else { return };
     let cameras = strecha::read(&data.join("fountain-P11/cameras")).unwrap();
     assert_eq!(cameras.len(), 11);
-    assert_eq!((cameras[0].name.as_str(), cameras[0].width, cameras[0].height), ("0000.jpg", 3072, 2048));
+    assert_eq!(
+        (cameras[0].name.as_str(), cameras[0].width, cameras[0].height),
+        ("0000.jpg", 3072, 2048)
+    );
     let first = cameras[0].cam_from_world;
     assert!((first.origin_in_a() - Vector3::new(-7.28137, -7.57667, 0.204446)).norm() < 1e-12);
     assert_eq!(
         cameras[0].calibration,
         Matrix3::new(2759.48, 0.0, 1520.69, 0.0, 2764.16, 1006.81, 0.0, 0.0, 1.0)
     );
-    // All look at the fountain: the point where their axes come closest is before each of them, within 15 m.
+    // All look at the fountain: the point where their axes come closest is before each of them,
+    // within 15 m.
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
     for camera in &cameras {
         let axis = camera.cam_from_world.rotation.inverse() * Vector3::z();
@@ -301,7 +361,10 @@ fn strecha_truth_sees_its_own_scene() {
         assert!((1.0..15.0).contains(&depth), "{} sees the fountain at {depth} m", camera.name);
     }
     assert!(
-        strecha::read(&data.join("fountain-P11")).unwrap_err().to_string().contains("holds no .camera files")
+        strecha::read(&data.join("fountain-P11"))
+            .unwrap_err()
+            .to_string()
+            .contains("holds no .camera files")
     );
 }
 
@@ -309,8 +372,14 @@ fn strecha_truth_sees_its_own_scene() {
 fn kitti_truth_of_a_stereo_pair() {
     let Some(data) = skipped::data() else { return };
     let calibration = kitti::read_calibration(&data.join("kitti04/calib.txt")).unwrap();
-    assert_eq!(calibration.cameras.iter().map(|camera| camera.number).collect::<Vec<_>>(), [0, 1, 2, 3]);
-    assert_eq!(calibration.cameras[0].intrinsics.params(), [707.0912, 707.0912, 602.3873, 183.6104]);
+    assert_eq!(
+        calibration.cameras.iter().map(|camera| camera.number).collect::<Vec<_>>(),
+        [0, 1, 2, 3]
+    );
+    assert_eq!(
+        calibration.cameras[0].intrinsics.params(),
+        [707.0912, 707.0912, 602.3873, 183.6104]
+    );
     assert_eq!(calibration.cameras[0].cam_from_cam0, Rigid3::identity());
     // The baseline of KITTI's grey cameras: 0.54 m to the right.
     let right = calibration.cameras[1].cam_from_cam0.origin_in_a();
@@ -322,7 +391,9 @@ fn kitti_truth_of_a_stereo_pair() {
     assert_eq!(poses.len(), 51);
     let travelled = (poses[50].origin_in_a() - poses[0].origin_in_a()).norm();
     assert!((travelled - 69.1).abs() < 0.5, "{travelled}"); // SOURCE.md: 69.1 m
-    assert!(ply::read(&data.join("kitti04/lidar_reference_voxel10cm.ply")).unwrap().len() > 1_000_000);
+    assert!(
+        ply::read(&data.join("kitti04/lidar_reference_voxel10cm.ply")).unwrap().len() > 1_000_000
+    );
 }
 
 #[test]
@@ -335,8 +406,8 @@ fn trajectories_of_others() {
     assert!(truth.len() > 1000 && (truth[0].time_s - 1_403_715_524.907_143).abs() < 1e-5);
 }
 
-/// BAL problems: the mean squared residual of the published start values, worked out with the formula of the format and with
-/// our cameras.
+/// BAL problems: the mean squared residual of the published start values, worked out with the
+/// formula of the format and with our cameras.
 #[test]
 fn bal_problems_of_others() {
     let Some(data) = skipped::data() else { return };
@@ -348,7 +419,8 @@ fn bal_problems_of_others() {
         .observations
         .iter()
         .map(|o| {
-            (bal.cameras[o.camera as usize].project(&bal.points[o.point as usize]).unwrap() - o.pixel)
+            (bal.cameras[o.camera as usize].project(&bal.points[o.point as usize]).unwrap()
+                - o.pixel)
                 .norm_squared()
         })
         .sum();

@@ -47,19 +47,23 @@ fn views_without_end_are_no_tables() {
         ("images", "x AS image_id, 'a' AS name, 1 AS camera_id"),
         ("frames", "x AS frame_id, 1 AS rig_id"),
     ] {
-        let sql = format!("DROP TABLE {table}; CREATE VIEW {table} AS {ENDLESS} SELECT {columns} FROM c;");
+        let sql = format!(
+            "DROP TABLE {table}; CREATE VIEW {table} AS {ENDLESS} SELECT {columns} FROM c;"
+        );
         refused(&sql, &format!("`{table}` is a view and no table"));
     }
 }
 
 #[test]
 fn triggers_generated_columns_and_virtual_tables_are_refused() {
-    let trigger = "CREATE TRIGGER t AFTER INSERT ON images BEGIN INSERT INTO images(name, camera_id) \
+    let trigger = "CREATE TRIGGER t AFTER INSERT ON images BEGIN INSERT INTO images(name, \
+    camera_id) \
          SELECT name || 'x', camera_id FROM images; END;";
     refused(trigger, "`images` has a trigger, `t`");
     let generated = "ALTER TABLE cameras ADD COLUMN more AS (hex(zeroblob(1000)))";
     refused(generated, "`cameras` has generated columns");
-    let found = "DROP TABLE images; CREATE VIRTUAL TABLE images USING fts5(image_id, name, camera_id);";
+    let found =
+        "DROP TABLE images; CREATE VIRTUAL TABLE images USING fts5(image_id, name, camera_id);";
     refused(found, "`images` is a virtual one");
 }
 
@@ -84,13 +88,15 @@ fn a_rig_that_is_listed_again_and_again_multiplies_nothing() {
     let path = dir.path().join("database.db");
     let rows = |what: &str| {
         format!(
-            "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c WHERE x < 30000) {what} FROM c;"
+            "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c WHERE x < 30000) \
+            {what} FROM c;"
         )
     };
     // 30,000 rigs of one number with 30,000 sensors each were 900 million rows.
     let sql = format!(
         "DROP TABLE rigs; CREATE TABLE rigs(rig_id, ref_sensor_id, ref_sensor_type); \
-         DROP TABLE rig_sensors; CREATE TABLE rig_sensors(rig_id, sensor_id, sensor_type, sensor_from_rig); {} {}",
+         DROP TABLE rig_sensors; CREATE TABLE rig_sensors(rig_id, sensor_id, sensor_type, \
+         sensor_from_rig); {} {}",
         rows("INSERT INTO rigs SELECT 1, 1, 0"),
         rows("INSERT INTO rig_sensors SELECT 1, 2, 0, NULL"),
     );
@@ -101,14 +107,17 @@ fn a_rig_that_is_listed_again_and_again_multiplies_nothing() {
     assert!(start.elapsed() < SOON);
 }
 
-/// A tree of pages, each of which names the next one as all of its children: fan-out to the power of depth.
+/// A tree of pages, each of which names the next one as all of its children: fan-out to the power
+/// of depth.
 #[test]
 fn pages_that_lead_in_circles_end() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     // Images enough for inner pages.
-    let sql = "PRAGMA page_size; WITH RECURSIVE c(x) AS (SELECT 3 UNION ALL SELECT x + 1 FROM c WHERE x < 60000) \
-               INSERT INTO images(image_id, name, camera_id) SELECT x, 'image number ' || x, 1 FROM c; \
+    let sql = "PRAGMA page_size; WITH RECURSIVE c(x) AS (SELECT 3 UNION ALL SELECT x + 1 FROM c \
+    WHERE x < 60000) \
+               INSERT INTO images(image_id, name, camera_id) SELECT x, 'image number ' || x, 1 \
+               FROM c; \
                PRAGMA wal_checkpoint(TRUNCATE); PRAGMA journal_mode = DELETE;";
     database(&path, "PRAGMA journal_mode = DELETE;");
     let connection = Connection::open(&path).unwrap();
@@ -118,14 +127,18 @@ fn pages_that_lead_in_circles_end() {
     drop(connection);
     let mut bytes = std::fs::read(&path).unwrap();
     let size = usize::from(u16::from_be_bytes([bytes[16], bytes[17]]));
-    // Interior pages of a table begin with 5; the root's cells all name one child, and that one's cells its first child, so
-    // that the same leaf is read thousands of times.
+    // Interior pages of a table begin with 5; the root's cells all name one child, and that one's
+    // cells its first child, so that the same leaf is read thousands of times.
     let point_all_to_first = |bytes: &mut [u8], page: usize| {
         let start = (page - 1) * size;
         assert_eq!(bytes[start], 5, "an inner page");
         let count = usize::from(u16::from_be_bytes([bytes[start + 3], bytes[start + 4]]));
         let cell = |bytes: &[u8], k: usize| {
-            start + usize::from(u16::from_be_bytes([bytes[start + 12 + 2 * k], bytes[start + 13 + 2 * k]]))
+            start
+                + usize::from(u16::from_be_bytes([
+                    bytes[start + 12 + 2 * k],
+                    bytes[start + 13 + 2 * k],
+                ]))
         };
         let first: [u8; 4] = bytes[cell(bytes, 0)..][..4].try_into().unwrap();
         for k in 0..count {

@@ -1,4 +1,5 @@
-//! Images that claim more than they hold, or more than anybody's photos have, are refused before memory is set aside.
+//! Images that claim more than they hold, or more than anybody's photos have, are refused before
+//! memory is set aside.
 
 use std::fs;
 use std::io::Cursor;
@@ -80,14 +81,23 @@ fn the_limit_can_be_raised_to_the_largest_cameras_and_no_farther() {
     // Larger than any camera of a shop, and as much as a TIFF file may claim in no bytes at all.
     let (_dir, folder) = folder("a.tif", &claiming_tiff(17_000));
     let error = folder.info(0).unwrap_err().to_string();
-    assert!(error.contains("more than 256 million: if it is a photo, give --max-megapixels 289"), "{error}");
+    assert!(
+        error.contains("more than 256 million: if it is a photo, give --max-megapixels 289"),
+        "{error}"
+    );
     assert_eq!(folder.clone().with_max_pixels(289_000_000).info(0).unwrap().width, 17_000);
     assert!(folder.with_max_pixels(288_999_999).info(0).is_err());
     let (_dir, all) = self::folder("a.tif", &claiming_tiff(40_000));
     let error = all.with_max_pixels(u64::MAX).info(0).unwrap_err().to_string();
     assert!(error.contains("more than 1000 million are never read"), "{error}");
     // Phase One's IQ4 and the largest sensors in telephones.
-    const { assert!(MAX_PIXELS > 14_204 * 10_652 && MAX_PIXELS > 16_320 * 12_240 && MAX_PIXELS < MOST_PIXELS) };
+    const {
+        assert!(
+            MAX_PIXELS > 14_204 * 10_652
+                && MAX_PIXELS > 16_320 * 12_240
+                && MAX_PIXELS < MOST_PIXELS
+        )
+    };
 }
 
 #[test]
@@ -97,9 +107,11 @@ fn real_files_are_far_from_what_their_length_can_hold() {
         let flat: DynamicImage = RgbImage::from_pixel(width, height, image::Rgb([90; 3])).into();
         let grey: DynamicImage = flat.to_luma8().into();
         for image in [flat, grey] {
-            for (name, format) in
-                [("a.jpg", ImageFormat::Jpeg), ("a.png", ImageFormat::Png), ("a.tif", ImageFormat::Tiff)]
-            {
+            for (name, format) in [
+                ("a.jpg", ImageFormat::Jpeg),
+                ("a.png", ImageFormat::Png),
+                ("a.tif", ImageFormat::Tiff),
+            ] {
                 let (_dir, folder) = folder(name, &encoded(&image, format));
                 let info = folder.info(0).unwrap_or_else(|error| panic!("{error}"));
                 assert_eq!((info.width, info.height), (width, height));
@@ -132,12 +144,19 @@ fn masks_and_photos_of_other_sizes_are_not_decoded() {
     };
     let photo = write("photos/a.jpg", &encoded(&noise(64, 48), ImageFormat::Jpeg));
     write("masks/a.png", &claiming_tiff(15_000));
-    let folder = ImageFolder::open(&[dir.path().join("photos")], Some(&dir.path().join("masks"))).unwrap();
+    let folder =
+        ImageFolder::open(&[dir.path().join("photos")], Some(&dir.path().join("masks"))).unwrap();
     let error = folder.mask(0).unwrap_err().to_string();
-    assert!(error.contains("the mask has 15000 × 15000 pixels, its image a.jpg has 64 × 48"), "{error}");
+    assert!(
+        error.contains("the mask has 15000 × 15000 pixels, its image a.jpg has 64 × 48"),
+        "{error}"
+    );
     assert!(Rgb::read_of_size(&photo, 64, 48).is_ok());
     let error = Rgb::read_of_size(&photo, 48, 64).unwrap_err().to_string();
-    assert!(error.contains("the photo has 64 × 48 pixels, the camera of its model has 48 × 64"), "{error}");
+    assert!(
+        error.contains("the photo has 64 × 48 pixels, the camera of its model has 48 × 64"),
+        "{error}"
+    );
     assert!(Luma::read(&photo).is_ok());
 }
 
@@ -145,15 +164,20 @@ fn masks_and_photos_of_other_sizes_are_not_decoded() {
 fn photos_of_telephones_are_named_with_what_to_do() {
     let dir = tempfile::tempdir().unwrap();
     let (jpeg, heic) = (encoded(&noise(8, 8), ImageFormat::Jpeg), b"\0\0\0\x18ftypheic".to_vec());
-    for (name, bytes) in
-        [("1.jpg", &jpeg), ("2.HEIC", &heic), ("3.heif", &heic), ("4.heic", &heic), ("4.jpg", &jpeg)]
-    {
+    for (name, bytes) in [
+        ("1.jpg", &jpeg),
+        ("2.HEIC", &heic),
+        ("3.heif", &heic),
+        ("4.heic", &heic),
+        ("4.jpg", &jpeg),
+    ] {
         fs::write(dir.path().join(name), bytes).unwrap();
     }
     let folder = ImageFolder::open(&[dir.path().to_owned()], None).unwrap();
     assert_eq!(folder.images().len(), 2);
     let [skipped] = folder.skipped() else { panic!("{:?}", folder.skipped()) };
-    let expected = "is a HEIC photo, as is 1 other file beside it, and these are not read: convert them to JPEG, as with \
+    let expected = "is a HEIC photo, as is 1 other file beside it, and these are not read: \
+    convert them to JPEG, as with \
                     `heif-convert 2.HEIC 2.jpg`";
     assert_eq!(skipped.name, "2.HEIC");
     assert!(skipped.why.ends_with(expected), "{}", skipped.why);

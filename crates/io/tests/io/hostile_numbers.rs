@@ -1,4 +1,5 @@
-//! Numbers that would become NaN, never come to an end or overflow are refused where they are read or written.
+//! Numbers that would become NaN, never come to an end or overflow are refused where they are read
+//! or written.
 
 use std::path::Path;
 
@@ -43,8 +44,10 @@ fn quaternions_that_are_no_rotations() {
         let euroc = format!("1,2,3,4,{}\n", zero.replace(' ', ","));
         in_file("t.csv", &euroc, |path| says(trajectory::read_euroc(path), "no rotation"));
         let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join("cameras.txt"), "1 PINHOLE 640 480 500 500 320 240\n").unwrap();
-        std::fs::write(dir.path().join("images.txt"), format!("1 {zero} 0 0 0 1 a.jpg\n\n")).unwrap();
+        std::fs::write(dir.path().join("cameras.txt"), "1 PINHOLE 640 480 500 500 320 240\n")
+            .unwrap();
+        std::fs::write(dir.path().join("images.txt"), format!("1 {zero} 0 0 0 1 a.jpg\n\n"))
+            .unwrap();
         std::fs::write(dir.path().join("points3D.txt"), "").unwrap();
         says(colmap::read_model(dir.path()), "no rotation");
     }
@@ -56,9 +59,14 @@ fn matrices_that_are_no_rotations() {
     for huge in ["1e300", "-1e200", "1e155", "3"] {
         let row = format!("{huge} {huge} 0 0 0 {huge} 1 0 {huge} 0 1 0\n");
         in_file("p.txt", &row, |path| says(trajectory::read_kitti(path), "no rotation"));
-        in_file("c.txt", &format!("Tr: {row}"), |path| says(kitti::read_calibration(path), "no rotation"));
-        let camera = format!("1 0 0\n0 1 0\n0 0 1\n0 0 0\n{huge} 0 0\n0 {huge} 1\n0 1 {huge}\n0 0 0\n4 3\n");
-        in_file("a.jpg.camera", &camera, |path| says(strecha::read(path.parent().unwrap()), "no rotation"));
+        in_file("c.txt", &format!("Tr: {row}"), |path| {
+            says(kitti::read_calibration(path), "no rotation")
+        });
+        let camera =
+            format!("1 0 0\n0 1 0\n0 0 1\n0 0 0\n{huge} 0 0\n0 {huge} 1\n0 1 {huge}\n0 0 0\n4 3\n");
+        in_file("a.jpg.camera", &camera, |path| {
+            says(strecha::read(path.parent().unwrap()), "no rotation")
+        });
     }
 }
 
@@ -66,6 +74,8 @@ fn matrices_that_are_no_rotations() {
 fn rotations_of_a_bal_problem_beyond_reason() {
     for angle in ["1e300", "-1e200", "1e9"] {
         let text = format!("1 1 0\n0 {angle} 0 0 0 0 500 0 0\n0 0 -5\n");
-        in_file("bal.txt", &text, |path| says(Bal::read(path), "rotation of camera 0 is out of range"));
+        in_file("bal.txt", &text, |path| {
+            says(Bal::read(path), "rotation of camera 0 is out of range")
+        });
     }
 }

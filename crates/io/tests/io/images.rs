@@ -79,10 +79,14 @@ fn cameras_are_folders_and_names_are_in_byte_order() {
     assert_eq!(names(&source), [("10.png", 0), ("9.png", 0), ("B.jpeg", 0), ("b.PNG", 0)]);
     assert_eq!(source.camera_names().len(), 1);
 
-    let files = ["right/1.png", "left/data/2.png", "left/data/1.png", "left/.hidden/1.png", ".git/1.png"];
+    let files =
+        ["right/1.png", "left/data/2.png", "left/data/1.png", "left/.hidden/1.png", ".git/1.png"];
     let rig = folder(&files.map(|name| (name, png())));
     let source = open(rig.path()).unwrap();
-    assert_eq!(names(&source), [("left/data/1.png", 0), ("left/data/2.png", 0), ("right/1.png", 1)]);
+    assert_eq!(
+        names(&source),
+        [("left/data/1.png", 0), ("left/data/2.png", 0), ("right/1.png", 1)]
+    );
     assert_eq!(source.camera_names(), ["left", "right"]);
 
     // Each folder given alone: the same names.
@@ -150,8 +154,11 @@ fn images_that_this_program_made_are_passed_over() {
 
 #[test]
 fn an_input_of_nothing_but_made_images_is_meant() {
-    let dir =
-        folder(&[(MANIFEST, manifest(&["a/1.png", "a/2.png"])), ("a/1.png", vec![]), ("a/2.png", vec![])]);
+    let dir = folder(&[
+        (MANIFEST, manifest(&["a/1.png", "a/2.png"])),
+        ("a/1.png", vec![]),
+        ("a/2.png", vec![]),
+    ]);
     assert_eq!(names(&open(dir.path()).unwrap()), [("a/1.png", 0), ("a/2.png", 0)]);
     // From above they are not.
     let above = folder(&[
@@ -165,14 +172,21 @@ fn an_input_of_nothing_but_made_images_is_meant() {
 #[test]
 #[cfg(unix)]
 fn what_is_skipped_has_a_name_and_a_reason() {
-    let dir =
-        folder(&[("l/1.png", vec![]), ("l/a\u{7f}.png", vec![]), (" r/1.png", vec![]), ("m /1.png", vec![])]);
+    let dir = folder(&[
+        ("l/1.png", vec![]),
+        ("l/a\u{7f}.png", vec![]),
+        (" r/1.png", vec![]),
+        ("m /1.png", vec![]),
+    ]);
     let source = open(dir.path()).unwrap();
     assert_eq!(names(&source), [("l/1.png", 0), ("m /1.png", 1)]);
     let skipped: Vec<&str> = source.skipped().iter().map(|file| file.name.as_str()).collect();
     assert_eq!(skipped, [" r", "l/a\\u{7f}.png"]);
     let why = &source.skipped()[0].why;
-    assert!(why.contains("/ r: its name begins with white space, with 1 image below it: rename"), "{why}");
+    assert!(
+        why.contains("/ r: its name begins with white space, with 1 image below it: rename"),
+        "{why}"
+    );
     // Behind the name of an input, a space is within.
     let inputs = [dir.path().join(" r"), dir.path().join("l")];
     let error = ImageFolder::open(&inputs, None).unwrap_err().to_string();
@@ -207,16 +221,23 @@ fn formats_agree_on_pixels() {
     ] {
         let dir = folder(&[(name, encoded(image, format))]);
         let source = open(dir.path()).unwrap();
-        let (luma, rgb, info) = (source.luma(0).unwrap(), source.rgb(0).unwrap(), source.info(0).unwrap());
+        let (luma, rgb, info) =
+            (source.luma(0).unwrap(), source.rgb(0).unwrap(), source.info(0).unwrap());
         assert_eq!((luma.width, luma.height, rgb.width, rgb.height), (24, 16, 24, 16), "{name}");
         assert_eq!((info.width, info.height), (24, 16), "{name}");
         let tolerance = if format == ImageFormat::Jpeg { JPEG_TOLERANCE } else { 0 };
         for (x, y) in [(0, 0), (23, 0), (5, 9), (23, 15)] {
             let found = f64::from(luma.data[(24 * y + x) as usize]);
-            assert!((found - expected(x, y)).abs() <= f64::from(tolerance) + 0.5, "{name} {x} {y}: {found}");
+            assert!(
+                (found - expected(x, y)).abs() <= f64::from(tolerance) + 0.5,
+                "{name} {x} {y}: {found}"
+            );
             for (found, expected) in rgb.pixel(x, y).into_iter().zip(gradient().get_pixel(x, y).0) {
                 // Blue of JPEG's chroma at half resolution is off by more.
-                assert!((i32::from(found) - i32::from(expected)).abs() <= 3 * tolerance, "{name} {x} {y}");
+                assert!(
+                    (i32::from(found) - i32::from(expected)).abs() <= 3 * tolerance,
+                    "{name} {x} {y}"
+                );
             }
         }
     }
@@ -292,7 +313,11 @@ fn images_of_any_kind_go_from_file_to_features() {
     });
     let grey = DynamicImage::from(spots);
     let (luma, expected) = extracted(encoded(&grey, ImageFormat::Png));
-    assert!(luma.data == grey.as_bytes() && expected.keypoints.len() >= 12, "{}", expected.keypoints.len());
+    assert!(
+        luma.data == grey.as_bytes() && expected.keypoints.len() >= 12,
+        "{}",
+        expected.keypoints.len()
+    );
     let kinds = [
         DynamicImage::from(grey.to_luma16()),
         DynamicImage::from(grey.to_luma_alpha8()),
@@ -312,7 +337,10 @@ fn images_of_any_kind_go_from_file_to_features() {
     for name in ["red_cmyk.jpg", "gradient_progressive.jpg"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name);
         let (luma, features) = extracted(fs::read(path).unwrap());
-        assert!(luma.width >= 8 && features.keypoints.len() == features.descriptors.len(), "{name}");
+        assert!(
+            luma.width >= 8 && features.keypoints.len() == features.descriptors.len(),
+            "{name}"
+        );
     }
 }
 
@@ -320,7 +348,8 @@ fn images_of_any_kind_go_from_file_to_features() {
 fn orientation_turns_pixels_and_sizes() {
     let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
     let stored = gradient();
-    // Where the stored pixel (x, y) is seen, from the definition of each value: which sides row 0 and column 0 are.
+    // Where the stored pixel (x, y) is seen, from the definition of each value: which sides row 0
+    // and column 0 are.
     type Seen = fn(u32, u32) -> (u32, u32);
     let seen: [Seen; 8] = [
         |x, y| (x, y),
@@ -336,7 +365,8 @@ fn orientation_turns_pixels_and_sizes() {
         let turned = with_exif(&jpeg, &[(Tag::Orientation, Value::Short(vec![orientation]))]);
         let dir = folder(&[("a.jpg", turned)]);
         let source = open(dir.path()).unwrap();
-        let (info, rgb, luma) = (source.info(0).unwrap(), source.rgb(0).unwrap(), source.luma(0).unwrap());
+        let (info, rgb, luma) =
+            (source.info(0).unwrap(), source.rgb(0).unwrap(), source.luma(0).unwrap());
         let size = if orientation < 5 { (24, 16) } else { (16, 24) };
         assert_eq!(
             ((info.width, info.height), (rgb.width, rgb.height), (luma.width, luma.height)),
@@ -369,7 +399,10 @@ fn exif_gives_focal_length_and_time() {
     ];
     let dir = folder(&[
         ("a.jpg", with_exif(&jpeg, &fields)),
-        ("b.jpg", with_exif(&jpeg, &[(Tag::FocalLength, rational(1, 0)), (Tag::Orientation, ascii("x"))])),
+        (
+            "b.jpg",
+            with_exif(&jpeg, &[(Tag::FocalLength, rational(1, 0)), (Tag::Orientation, ascii("x"))]),
+        ),
         ("1403636579763555584.jpg", with_exif(&jpeg, &fields)),
         ("c.jpg", jpeg.clone()),
     ]);
@@ -421,16 +454,19 @@ fn broken_images_are_named() {
 #[test]
 fn masks_go_by_name_and_must_fit() {
     let png = encoded(&gradient().into(), ImageFormat::Png);
-    let images = folder(&["l/1.png", "l/2.jpg", "l/3.jpg", "l/4.png"].map(|name| (name, png.clone())));
+    let images =
+        folder(&["l/1.png", "l/2.jpg", "l/3.jpg", "l/4.png"].map(|name| (name, png.clone())));
     let small = encoded(&DynamicImage::new_luma8(2, 2), ImageFormat::Png);
-    let masks = folder(&[("l/1.png.png", png.clone()), ("l/2.png", png.clone()), ("l/4.png", small)]);
+    let masks =
+        folder(&[("l/1.png.png", png.clone()), ("l/2.png", png.clone()), ("l/4.png", small)]);
     let source = ImageFolder::open(&[images.path().to_owned()], Some(masks.path())).unwrap();
     assert!(source.mask(0).unwrap().is_some() && source.mask(1).unwrap().is_some());
     assert_eq!(source.mask(2).unwrap(), None);
     let error = source.mask(3).unwrap_err().to_string();
     assert!(error.contains("the mask has 2 × 2 pixels, its image l/4.png has 24 × 16"), "{error}");
     let none = tempfile::tempdir().unwrap();
-    let error = ImageFolder::open(&[images.path().to_owned()], Some(none.path())).unwrap_err().to_string();
+    let error =
+        ImageFolder::open(&[images.path().to_owned()], Some(none.path())).unwrap_err().to_string();
     assert!(error.contains("holds no mask: for l/1.png, `l/1.png.png` was looked for"), "{error}");
 }
 
@@ -446,7 +482,10 @@ fn timestamps_are_read_as_written() {
     ];
     timestamps::write(&path, times).unwrap();
     let read = timestamps::read(&path).unwrap();
-    assert_eq!(read.iter().map(|(name, seconds)| (name.as_str(), *seconds)).collect::<Vec<_>>(), times);
+    assert_eq!(
+        read.iter().map(|(name, seconds)| (name.as_str(), *seconds)).collect::<Vec<_>>(),
+        times
+    );
     for (content, expected) in [
         ("", "line 1: must be `image,seconds`"),
         ("name,t\n", "line 1: must be `image,seconds`"),

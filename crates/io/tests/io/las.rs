@@ -23,7 +23,11 @@ fn cloud(seed: u64, count: usize) -> Vec<Vertex> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 8,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
     fn clouds_are_read_as_written(seed: u64, count in 0..2000usize) {

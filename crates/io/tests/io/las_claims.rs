@@ -98,7 +98,8 @@ fn more_points_than_bytes() {
 fn layers_longer_than_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let mut bytes = file(7, true, 0, 100);
-    // Behind the offset of the table of chunks, the first point and the number of points: ten layers.
+    // Behind the offset of the table of chunks, the first point and the number of points: ten
+    // layers.
     let sizes = data_offset(&bytes) + 8 + 36 + 4;
     (0..10).for_each(|layer| put(&mut bytes, sizes + 4 * layer, &u32::MAX.to_le_bytes()));
     refused(dir.path(), &bytes, "claims 42949672950 bytes");
@@ -134,7 +135,9 @@ fn a_record_on_compression_that_names_other_items() {
     let good = file(3, true, 1, 100);
     let at = good.windows(14).position(|w| w == b"laszip encoded").unwrap() - 2 + 54 + 34;
     // The second item becomes 65,535 bytes; all items vanish; the compressor is another.
-    for (place, value) in [(at + 6, [0, 0, 0xFF, 0xFF]), (at - 2, [0, 0, 0, 0]), (at - 34, [3, 0, 0, 0])] {
+    for (place, value) in
+        [(at + 6, [0, 0, 0xFF, 0xFF]), (at - 2, [0, 0, 0, 0]), (at - 34, [3, 0, 0, 0])]
+    {
         let mut bytes = good.clone();
         put(&mut bytes, place, &value);
         refused(dir.path(), &bytes, "compression");

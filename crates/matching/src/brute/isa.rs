@@ -48,7 +48,9 @@ impl Kind {
                     && is_x86_feature_detected!("avx512vnni")
             }
             #[cfg(target_arch = "x86_64")]
-            Kind::AvxVnni => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("avxvnni"),
+            Kind::AvxVnni => {
+                is_x86_feature_detected!("avx2") && is_x86_feature_detected!("avxvnni")
+            }
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => is_x86_feature_detected!("avx2"),
             Kind::Portable => true,
@@ -67,7 +69,8 @@ impl Isa {
         KINDS.iter().copied().filter(|kind| kind.is_supported()).map(Isa)
     }
 
-    /// Time that brute force takes for a pair of descriptors, both directions, as measured on one core of Zen 5.
+    /// Time that brute force takes for a pair of descriptors, both directions, as measured on one
+    /// core of Zen 5.
     pub(crate) fn pair_ns(self) -> f64 {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
@@ -84,13 +87,17 @@ impl Isa {
     pub(crate) fn squared_distance(self, a: &Descriptor, b: &Descriptor) -> u32 {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an `Isa` is made only where the processor has the features it stands for, and all of these have AVX2.
-            Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe { super::x86::squared_distance(a, b) },
+            // SAFETY: an `Isa` is made only where the processor has the features it stands for, and
+            // all of these have AVX2.
+            Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe {
+                super::x86::squared_distance(a, b)
+            },
             Kind::Portable => squared_distance(a, b),
         }
     }
 
-    /// Compares all with all: what each row has found goes to `finish_row`, in order; what the columns have found comes back.
+    /// Compares all with all: what each row has found goes to `finish_row`, in order; what the
+    /// columns have found comes back.
     pub(super) fn sweep<const G: usize>(
         self,
         a: &impl Vectors<G>,

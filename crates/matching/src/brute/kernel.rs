@@ -5,26 +5,29 @@
 //! - `row value    = 2 dot − (|b|² − 256 Σb) = |a|² − d²`, over all `b` for a fixed `a`,
 //! - `column value = 2 dot − |a|²            = |b|² − 256 Σb − d²`, over all `a` for a fixed `b`.
 //!
-//! Both lie within ±(2²³ − 32768) whatever the bytes are. So `256 value − index`, with an index of 8 bits, fits into 32:
-//! a key that carries its own index, the lower index the larger key. The two largest keys then take three operations,
-//! without a comparison mask or a second vector of indices: `second = max(second, min(key, first))`,
-//! `first = max(first, key)`. Rows count their column vectors and columns count their rows; after 256 of them the keys
-//! are unpacked and merged into the totals.
+//! Both lie within ±(2²³ − 32768) whatever the bytes are. So `256 value − index`, with an index of
+//! 8 bits, fits into 32: a key that carries its own index, the lower index the larger key. The two
+//! largest keys then take three operations, without a comparison mask or a second vector of
+//! indices: `second = max(second, min(key, first))`, `first = max(first, key)`. Rows count their
+//! column vectors and columns count their rows; after 256 of them the keys are unpacked and merged
+//! into the totals.
 //!
-//! Order of the loops: a block of rows (its operands and its keys fit into the first-level cache), then all column tiles,
-//! which stream from the second-level cache; a tile's operands stay in the first level while all rows pass by.
+//! Order of the loops: a block of rows (its operands and its keys fit into the first-level cache),
+//! then all column tiles, which stream from the second-level cache; a tile's operands stay in the
+//! first level while all rows pass by.
 
 use super::lanes::Lanes;
 use crate::matches::Nearest;
 use crate::packed::{PANEL, Packed, TILE, Vectors};
 
-/// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number fits into a key.
+/// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number
+/// fits into a key.
 const ROWS: usize = 192;
 /// Bits of a key that hold an index.
 const INDEX_BITS: u32 = 8;
 const INDICES: usize = 1 << INDEX_BITS;
-/// Stands in for 256 times the value's constant where rows or columns are only padding: their keys are lower than every
-/// real one and still above `i32::MIN`.
+/// Stands in for 256 times the value's constant where rows or columns are only padding: their keys
+/// are lower than every real one and still above `i32::MIN`.
 const PADDING: i32 = i32::MAX - (INDICES as i32 - 1);
 /// Below every real value, above that of padding.
 const LOWEST_VALUE: i32 = -(1 << 23) + 16_384;
@@ -61,7 +64,8 @@ impl Keys {
     }
 }
 
-/// The two largest values so far and the index of the largest, where the keys' own indices no longer suffice.
+/// The two largest values so far and the index of the largest, where the keys' own indices no
+/// longer suffice.
 pub(super) struct Totals {
     pub(super) first: Vec<i32>,
     pub(super) index: Vec<i32>,
@@ -77,7 +81,8 @@ pub(crate) struct RowLanes<'a> {
 }
 
 impl RowLanes<'_> {
-    /// For each lane its nearest column, with the squared distances of that and of the second nearest.
+    /// For each lane its nearest column, with the squared distances of that and of the second
+    /// nearest.
     pub(crate) fn nearest(&self) -> impl Iterator<Item = Nearest> {
         let lanes = (0..).zip(self.first).zip(self.index).zip(self.second);
         lanes.map(|(((lane, first), index), second)| Nearest {
@@ -103,8 +108,9 @@ impl Totals {
         Totals { first: vec![i32::MIN; len], index: vec![0; len], second: vec![i32::MIN; len] }
     }
 
-    /// Unpacks keys into the totals from `at` on and makes the keys empty again. What a key calls `i` is
-    /// `base + stride * i` here, above all that was merged before, so that earlier ones win among equals.
+    /// Unpacks keys into the totals from `at` on and makes the keys empty again. What a key calls
+    /// `i` is `base + stride * i` here, above all that was merged before, so that earlier ones win
+    /// among equals.
     #[inline(always)]
     fn merge(&mut self, at: usize, len: usize, keys: &mut Keys, base: usize, stride: usize) {
         let (base, stride) = (base as i32, stride as i32);
@@ -136,8 +142,8 @@ pub(super) fn distance_of(constant: i32, value: i32) -> u32 {
     if value < LOWEST_VALUE { u32::MAX } else { (constant - value) as u32 }
 }
 
-/// Both directions, in tiles of `R` rows by `C` vectors of columns. What each row has found goes to `finish_row`, in order; what the
-/// columns have found comes back.
+/// Both directions, in tiles of `R` rows by `C` vectors of columns. What each row has found goes to
+/// `finish_row`, in order; what the columns have found comes back.
 ///
 /// # Safety
 /// The processor has `L`'s instruction set.
@@ -148,7 +154,10 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
     mut finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Totals {
     const { assert!(ROWS.is_multiple_of(R) && ROWS <= INDICES && INDICES.is_multiple_of(C)) };
-    const { assert!((C * L::LANES).is_multiple_of(PANEL) && TILE.is_multiple_of(C * L::LANES / PANEL)) };
+    const {
+        assert!((C * L::LANES).is_multiple_of(PANEL));
+        assert!(TILE.is_multiple_of(C * L::LANES / PANEL));
+    }
     let tile = C * L::LANES;
     let tiles = b.len.div_ceil(tile);
     let steps = G * L::STEPS;
@@ -164,13 +173,19 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
         let rows = ROWS.min(a.len() - block);
         let groups = rows.div_ceil(R);
         let mut row_totals = Totals::new(ROWS * L::LANES);
-        // SAFETY: the processor has the instruction set; buffers have the sizes that the functions name.
+        // SAFETY: the processor has the instruction set; buffers have the sizes that the functions
+        // name.
         unsafe { pack_rows::<L, R, G>(a, block, groups, row_operands.words(), &mut row_constants) };
         // Column vectors since the row keys were last merged.
         let mut counted = 0;
         for t in 0..tiles {
             let panels = &b.panels[t * tile / PANEL..(t + 1) * tile / PANEL];
-            fill_column_constants::<L, G>(b, t * tile, counted, &mut column_constants.words()[..tile]);
+            fill_column_constants::<L, G>(
+                b,
+                t * tile,
+                counted,
+                &mut column_constants.words()[..tile],
+            );
             // SAFETY: as above.
             unsafe {
                 let columns = L::columns(panels, widened.words());
@@ -182,7 +197,8 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
                             .map(|k| k[group * R * L::LANES..].as_mut_ptr()),
                         columns,
                         column_constants.words().as_ptr(),
-                        [column_keys.first.words(), column_keys.second.words()].map(|k| k.as_mut_ptr()),
+                        [column_keys.first.words(), column_keys.second.words()]
+                            .map(|k| k.as_mut_ptr()),
                     );
                 }
             }
@@ -197,8 +213,12 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
         for row in 0..rows {
             let lanes = row * L::LANES..(row + 1) * L::LANES;
             let Totals { first, index, second } = &row_totals;
-            let (first, index, second) = (&first[lanes.clone()], &index[lanes.clone()], &second[lanes]);
-            finish_row(block + row, RowLanes { first, index, second, square: a.square(block + row) });
+            let (first, index, second) =
+                (&first[lanes.clone()], &index[lanes.clone()], &second[lanes]);
+            finish_row(
+                block + row,
+                RowLanes { first, index, second, square: a.square(block + row) },
+            );
         }
     }
     column_totals
@@ -216,8 +236,8 @@ pub(super) fn nearest_of_columns<const G: usize>(b: &Packed<G>, totals: &Totals)
         .collect()
 }
 
-/// Packs `groups` groups of `R` rows as `[group][step][row]`, and their constants: 256 |a|² plus the row's number, which
-/// is what columns take from the product.
+/// Packs `groups` groups of `R` rows as `[group][step][row]`, and their constants: 256 |a|² plus
+/// the row's number, which is what columns take from the product.
 #[inline(always)]
 unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
     a: &impl Vectors<G>,
@@ -230,8 +250,12 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
         let at = row / R * R * G * L::STEPS + row % R;
         let exists = block + row < a.len();
         for group in 0..G {
-            // SAFETY: the caller vouches for the instruction set.
-            let words = if exists { unsafe { L::row_words(a.word(block + row, group)) } } else { [0; 2] };
+            let words = if exists {
+                // SAFETY: the caller vouches for the instruction set.
+                unsafe { L::row_words(a.word(block + row, group)) }
+            } else {
+                [0; 2]
+            };
             for (part, word) in words.iter().take(L::STEPS).enumerate() {
                 operands[at + (group * L::STEPS + part) * R] = *word;
             }
@@ -241,8 +265,8 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
     }
 }
 
-/// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus the number of the
-/// column's vector.
+/// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus
+/// the number of the column's vector.
 #[inline(always)]
 fn fill_column_constants<L: Lanes, const G: usize>(
     b: &Packed<G>,
@@ -263,11 +287,13 @@ fn fill_column_constants<L: Lanes, const G: usize>(
     }
 }
 
-/// Multiplies one group of rows with one tile of columns and lets the products update the two largest keys of both.
+/// Multiplies one group of rows with one tile of columns and lets the products update the two
+/// largest keys of both.
 ///
 /// # Safety
-/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C` vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]`
-/// each, `column_constants` and `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
+/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C`
+/// vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]` each, `column_constants` and
+/// `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
 #[inline(always)]
 unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize, const G: usize>(
     rows: *const i32,

@@ -2,7 +2,8 @@
 
 use crate::packed::{PANEL, Panel};
 
-/// A row's half of the product: the bytes of descriptor `a` as `a − 128`, so that they fit into `i8`.
+/// A row's half of the product: the bytes of descriptor `a` as `a − 128`, so that they fit into
+/// `i8`.
 pub(super) const OFFSET: i32 = 128;
 
 /// An instruction set's vector of 32-bit integers.
@@ -17,18 +18,22 @@ pub(super) trait Lanes {
     /// Multiply-adds for a group of four bytes: one, or two where they take two 16-bit numbers.
     const STEPS: usize;
 
-    /// Row operands of the steps that one group of four bytes gives, of bytes taken as `byte − 128`; `STEPS` of
-    /// them are used.
+    /// Row operands of the steps that one group of four bytes gives, of bytes taken as
+    /// `byte − 128`; `STEPS` of them are used.
     unsafe fn row_words(word: u32) -> [i32; 2];
-    /// Column operands of some panels, `[panel][step][column]`: the panels themselves, or something made of them in
-    /// `buffer`, which has room for it.
+    /// Column operands of some panels, `[panel][step][column]`: the panels themselves, or something
+    /// made of them in `buffer`, which has room for it.
     unsafe fn columns<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32;
 
     unsafe fn load(from: *const i32) -> Self::Vector;
     unsafe fn store(to: *mut i32, v: Self::Vector);
     unsafe fn splat(x: i32) -> Self::Vector;
     /// `sum` plus the dot product, lane by lane, of one step's column and row operands.
-    unsafe fn multiply_add(sum: Self::Vector, column: Self::Vector, row: Self::Vector) -> Self::Vector;
+    unsafe fn multiply_add(
+        sum: Self::Vector,
+        column: Self::Vector,
+        row: Self::Vector,
+    ) -> Self::Vector;
     /// Wrapping difference.
     unsafe fn subtract(x: Self::Vector, y: Self::Vector) -> Self::Vector;
     unsafe fn shift_left<const BITS: u32>(x: Self::Vector) -> Self::Vector;
@@ -36,7 +41,8 @@ pub(super) trait Lanes {
     unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector;
 }
 
-/// Splits every group of four bytes into two words of two 16-bit numbers: those at even and those at odd places.
+/// Splits every group of four bytes into two words of two 16-bit numbers: those at even and those
+/// at odd places.
 #[inline(always)]
 pub(super) fn widen<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32 {
     let groups = panels.iter().flat_map(|panel| &panel.0);
@@ -99,7 +105,11 @@ impl Lanes for Portable {
         [x; LANES]
     }
     #[inline(always)]
-    unsafe fn multiply_add(sum: Self::Vector, column: Self::Vector, row: Self::Vector) -> Self::Vector {
+    unsafe fn multiply_add(
+        sum: Self::Vector,
+        column: Self::Vector,
+        row: Self::Vector,
+    ) -> Self::Vector {
         let low = |x: i32| i32::from(x as i16);
         let dot = zip(column, row, |c, r| low(c) * low(r) + (c >> 16) * (r >> 16));
         zip(sum, dot, i32::wrapping_add)

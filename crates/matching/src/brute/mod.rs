@@ -1,11 +1,13 @@
 //! Exact nearest and second nearest neighbours by brute force, in both directions at once.
 //!
-//! The squared distance is `|a|² + |b|² − 2 a·b`, so the work is a matrix product of 8-bit numbers. It is cut into
-//! tiles whose products stay in registers; while they are there, each updates the two largest values of its row and the
-//! two largest of its column, so that one product serves both directions and no N × N matrix is ever stored.
+//! The squared distance is `|a|² + |b|² − 2 a·b`, so the work is a matrix product of 8-bit numbers.
+//! It is cut into tiles whose products stay in registers; while they are there, each updates the
+//! two largest values of its row and the two largest of its column, so that one product serves both
+//! directions and no N × N matrix is ever stored.
 //!
 //! - `kernel` is the loop over tiles, written once over the trait [`Lanes`];
-//! - `lanes` is that trait with its portable implementation, `x86` the ones in AVX-512 VNNI, AVX-VNNI and AVX2;
+//! - `lanes` is that trait with its portable implementation, `x86` the ones in AVX-512 VNNI,
+//!   AVX-VNNI and AVX2;
 //! - `isa` picks one at run time. All give the same bits: the arithmetic is exact in integers.
 
 mod isa;
@@ -32,8 +34,8 @@ pub struct NearestBothWays {
     pub of_b: Vec<Nearest>,
 }
 
-/// The two nearest neighbours of every descriptor, in both directions, exact: by comparing all with all, on the fastest
-/// instruction set of this machine.
+/// The two nearest neighbours of every descriptor, in both directions, exact: by comparing all with
+/// all, on the fastest instruction set of this machine.
 pub fn nearest(a: &Prepared, b: &Prepared) -> NearestBothWays {
     nearest_on(Isa::best(), a, b)
 }
@@ -46,7 +48,8 @@ pub fn nearest_on(isa: Isa, a: &Prepared, b: &Prepared) -> NearestBothWays {
     NearestBothWays { of_a, of_b }
 }
 
-/// Compares all with all: what each row has found goes to `finish_row`, in order; the nearest neighbours of the columns come back.
+/// Compares all with all: what each row has found goes to `finish_row`, in order; the nearest
+/// neighbours of the columns come back.
 pub(crate) fn compare<const G: usize>(
     isa: Isa,
     a: &impl Vectors<G>,
@@ -65,7 +68,8 @@ mod tests {
     use crate::prepared::Prepared;
     use crate::random::SplitMix64;
 
-    /// Small enough for Miri and a sanitizer: two tiles, both with padding, and rows that fill no block.
+    /// Small enough for Miri and a sanitizer: two tiles, both with padding, and rows that fill no
+    /// block.
     #[test]
     fn a_few_descriptors_find_their_nearest() {
         let mut random = SplitMix64::new(3, 0);

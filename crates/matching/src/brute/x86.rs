@@ -1,11 +1,13 @@
 //! The kernel on x86-64: AVX-512 VNNI, AVX-VNNI and AVX2.
 //!
-//! VNNI multiplies unsigned by signed bytes, four at a time, into 32 bits without saturation, so rows enter as `a − 128`
-//! and nothing is lost. AVX2 has a like instruction, `vpmaddubsw`, but it saturates at 16 bits as soon as both operands
-//! use 8 bits; bytes widened to 16 bits and `vpmaddwd` do as many products per cycle where both multiply on two ports.
+//! VNNI multiplies unsigned by signed bytes, four at a time, into 32 bits without saturation, so
+//! rows enter as `a − 128` and nothing is lost. AVX2 has a like instruction, `vpmaddubsw`, but it
+//! saturates at 16 bits as soon as both operands use 8 bits; bytes widened to 16 bits and
+//! `vpmaddwd` do as many products per cycle where both multiply on two ports.
 //!
-//! Each wrapper carries the target features into which the generic kernel and the intrinsics are inlined. Tile sizes are
-//! the largest whose products, one row of columns and one spare still fit into the 32 or 16 registers.
+//! Each wrapper carries the target features into which the generic kernel and the intrinsics are
+//! inlined. Tile sizes are the largest whose products, one row of columns and one spare still fit
+//! into the 32 or 16 registers.
 
 use std::arch::x86_64::*;
 

@@ -1,7 +1,8 @@
-//! Growing trees, as FLANN does: shuffle the points; split at the mean of a dimension drawn among the five of highest
-//! variance, both estimated from the first hundred points of the node.
+//! Growing trees, as FLANN does: shuffle the points; split at the mean of a dimension drawn among
+//! the five of highest variance, both estimated from the first hundred points of the node.
 //!
-//! Entries are bytes, so a split is a byte: `x < split` goes left. Sums are integers, so a tree is the same everywhere.
+//! Entries are bytes, so a split is a byte: `x < split` goes left. Sums are integers, so a tree is
+//! the same everywhere.
 
 use rayon::prelude::*;
 use tiepoint_features::Descriptor;
@@ -12,8 +13,9 @@ use crate::random::SplitMix64;
 
 /// Points from which mean and variance are estimated; FLANN's SAMPLE_MEAN, counted as it does.
 const SAMPLE: usize = 101;
-/// Most points in a leaf. FLANN's leaves hold one, and going down to the next leaf costs several times as much as looking
-/// at a point: with eight, a check takes a quarter longer and finds far more (`bench/matching.py` has the curves).
+/// Most points in a leaf. FLANN's leaves hold one, and going down to the next leaf costs several
+/// times as much as looking at a point: with eight, a check takes a quarter longer and finds far
+/// more (`bench/matching.py` has the curves).
 const LEAF_POINTS: usize = 8;
 /// Dimensions of highest variance among which one is drawn; FLANN's RAND_DIM.
 const DIMENSIONS: usize = 5;
@@ -24,7 +26,8 @@ struct Tree {
 }
 
 impl Forest {
-    /// Grows the trees, in parallel; the result depends on the options only. At least one tree is grown.
+    /// Grows the trees, in parallel; the result depends on the options only. At least one tree is
+    /// grown.
     pub fn new(descriptors: &[Descriptor], options: &ForestOptions) -> Self {
         grow(descriptors.iter().map(|&d| Row(d)).collect(), options)
     }
@@ -35,7 +38,8 @@ fn grow(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
         .into_par_iter()
         .map(|tree| grow_tree(&descriptors, &mut SplitMix64::new(options.seed, u64::from(tree))))
         .collect();
-    let mut forest = Forest { descriptors, nodes: Vec::new(), roots: Vec::new(), points: Vec::new() };
+    let mut forest =
+        Forest { descriptors, nodes: Vec::new(), roots: Vec::new(), points: Vec::new() };
     for tree in trees {
         let (first_node, first_point) = (forest.nodes.len() as u32, forest.points.len() as u32);
         forest.roots.push(first_node);
@@ -52,8 +56,8 @@ fn grow_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
     let mut points: Vec<u32> = (0..descriptors.len() as u32).collect();
     random.shuffle(&mut points);
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * points.len() + 1);
-    // Ranges of points still to become nodes, and the parent of those that are right children. A list instead of
-    // recursion: how deep a tree gets is up to the data.
+    // Ranges of points still to become nodes, and the parent of those that are right children. A
+    // list instead of recursion: how deep a tree gets is up to the data.
     let mut pending = vec![(0..points.len(), None)];
     while let Some((range, parent)) = pending.pop() {
         let index = nodes.len();
@@ -63,20 +67,27 @@ fn grow_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
         }
         match choose_split(descriptors, &points[range.clone()], random) {
             Some((dimension, split)) => {
-                let left =
-                    partition(&mut points[range.clone()], |p| descriptors[p as usize].0[dimension] < split);
+                let left = partition(&mut points[range.clone()], |p| {
+                    descriptors[p as usize].0[dimension] < split
+                });
                 nodes.push(Node::inner(dimension, split));
                 pending.push((range.start + left..range.end, Some(index)));
                 pending.push((range.start..range.start + left, None));
             }
-            None => nodes.push(Node { link: range.start as u32, content: LEAF_MARK | range.len() as u32 }),
+            None => nodes
+                .push(Node { link: range.start as u32, content: LEAF_MARK | range.len() as u32 }),
         }
     }
     Tree { nodes, points }
 }
 
-/// A dimension and a byte that part the points in two, none empty; `None` if they fit into a leaf, or all are equal.
-fn choose_split(descriptors: &[Row], points: &[u32], random: &mut SplitMix64) -> Option<(usize, u8)> {
+/// A dimension and a byte that part the points in two, none empty; `None` if they fit into a leaf,
+/// or all are equal.
+fn choose_split(
+    descriptors: &[Row],
+    points: &[u32],
+    random: &mut SplitMix64,
+) -> Option<(usize, u8)> {
     if points.len() <= LEAF_POINTS {
         return None;
     }
@@ -84,7 +95,11 @@ fn choose_split(descriptors: &[Row], points: &[u32], random: &mut SplitMix64) ->
         .or_else(|| split_from_sample(descriptors, points, random))
 }
 
-fn split_from_sample(descriptors: &[Row], sample: &[u32], random: &mut SplitMix64) -> Option<(usize, u8)> {
+fn split_from_sample(
+    descriptors: &[Row],
+    sample: &[u32],
+    random: &mut SplitMix64,
+) -> Option<(usize, u8)> {
     let mut sums = [0u32; 128];
     let mut squares = [0u64; 128];
     // Squares of a hundred bytes fit into 32 bits; only samples of everything need the wider sums.
@@ -103,7 +118,8 @@ fn split_from_sample(descriptors: &[Row], sample: &[u32], random: &mut SplitMix6
         }
     }
     let count = sample.len() as u64;
-    // The dimensions of highest variance so far, descending; the variance times the square of the count.
+    // The dimensions of highest variance so far, descending; the variance times the square of the
+    // count.
     let mut widest = [(0u64, 0usize); DIMENSIONS];
     let mut filled = 0;
     for dimension in 0..128 {
@@ -123,7 +139,8 @@ fn split_from_sample(descriptors: &[Row], sample: &[u32], random: &mut SplitMix6
         return None;
     }
     let (_, dimension) = widest[random.below(filled)];
-    // x < mean and x < ⌈mean⌉ say the same of an integer. The sample varies, so that it has entries on both sides.
+    // x < mean and x < ⌈mean⌉ say the same of an integer. The sample varies, so that it has entries
+    // on both sides.
     Some((dimension, u64::from(sums[dimension]).div_ceil(count) as u8))
 }
 

@@ -1,12 +1,13 @@
 //! What a caller may choose of a forest.
 
-/// How many leaves a search looks at: the "checks" of FLANN, the "searches" of others. Every tree is searched once at
-/// least.
+/// How many leaves a search looks at: the "checks" of FLANN, the "searches" of others. Every tree
+/// is searched once at least.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Checks {
     /// Over all trees together, as FLANN counts.
     Total(u32),
-    /// For each tree; the trees still share one queue, so that those which promise more get more of the sum.
+    /// For each tree; the trees still share one queue, so that those which promise more get more of
+    /// the sum.
     PerTree(u32),
 }
 

@@ -1,9 +1,10 @@
 //! Searching all trees at once.
 //!
-//! A branch not taken waits in one queue for all trees, keyed by a bound on the distance of its points: the squared gaps
-//! between the query and the splits on the way (as in FLANN, a dimension that was split twice counts twice, so that the
-//! bound is an estimate). Each tree is descended once; then the best branches of all are taken, until enough leaves were
-//! looked at. A point that several trees offer is looked at once.
+//! A branch not taken waits in one queue for all trees, keyed by a bound on the distance of its
+//! points: the squared gaps between the query and the splits on the way (as in FLANN, a dimension
+//! that was split twice counts twice, so that the bound is an estimate). Each tree is descended
+//! once; then the best branches of all are taken, until enough leaves were looked at. A point that
+//! several trees offer is looked at once.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -15,8 +16,9 @@ use super::tree::{Forest, NodeKind, Row};
 use crate::brute::{Isa, Kind};
 use crate::matches::Nearest;
 
-/// Leaves that are fetched together. At a million points almost every leaf and every point is a wait for main memory, and
-/// four that overlap take half the time of one after the other; the order of the search hardly changes.
+/// Leaves that are fetched together. At a million points almost every leaf and every point is a
+/// wait for main memory, and four that overlap take half the time of one after the other; the order
+/// of the search hardly changes.
 const ROUND: usize = 4;
 
 /// Room for what one search needs, kept from query to query.
@@ -37,7 +39,8 @@ impl Forest {
         self.nearest_on(Isa::best(), queries, checks)
     }
 
-    /// As [`Self::nearest`], on a given instruction set: for tests and measurements. All give the same result.
+    /// As [`Self::nearest`], on a given instruction set: for tests and measurements. All give the
+    /// same result.
     pub fn nearest_on(&self, isa: Isa, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
         search(self, isa, queries.iter().map(|&query| Row(query)), checks)
     }
@@ -48,7 +51,12 @@ impl Forest {
     }
 }
 
-fn search(forest: &Forest, isa: Isa, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
+fn search(
+    forest: &Forest,
+    isa: Isa,
+    queries: impl Iterator<Item = Row>,
+    checks: Checks,
+) -> Vec<Nearest> {
     match isa.0 {
         // SAFETY: an `Isa` is made only where the processor has the features it stands for.
         #[cfg(target_arch = "x86_64")]
@@ -63,14 +71,22 @@ fn search(forest: &Forest, isa: Isa, queries: impl Iterator<Item = Row>, checks:
 /// The same source, compiled for wider vectors.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
-fn search_avx512(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
+fn search_avx512(
+    forest: &Forest,
+    queries: impl Iterator<Item = Row>,
+    checks: Checks,
+) -> Vec<Nearest> {
     search_all(forest, queries, checks)
 }
 
 /// As [`search_avx512`].
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn search_avx2(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
+fn search_avx2(
+    forest: &Forest,
+    queries: impl Iterator<Item = Row>,
+    checks: Checks,
+) -> Vec<Nearest> {
     search_all(forest, queries, checks)
 }
 
@@ -125,16 +141,27 @@ fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) 
     nearest
 }
 
-/// Goes down to a leaf on the query's side of every split, queues the other sides, and notes the leaf.
+/// Goes down to a leaf on the query's side of every split, queues the other sides, and notes the
+/// leaf.
 #[inline(always)]
-fn descend(forest: &Forest, query: &Row, bound: u32, mut at: u32, worst: u32, scratch: &mut Scratch) {
+fn descend(
+    forest: &Forest,
+    query: &Row,
+    bound: u32,
+    mut at: u32,
+    worst: u32,
+    scratch: &mut Scratch,
+) {
     loop {
         match forest.nodes[at as usize].kind() {
             NodeKind::Inner { dimension, split, right } => {
                 let (x, split) = (u32::from(query.0[dimension]), u32::from(split));
                 // The nearest byte on the other side is the split itself, or the one below it.
-                let (near, far, gap) =
-                    if x < split { (at + 1, right, split - x) } else { (right, at + 1, x + 1 - split) };
+                let (near, far, gap) = if x < split {
+                    (at + 1, right, split - x)
+                } else {
+                    (right, at + 1, x + 1 - split)
+                };
                 let far_bound = bound.saturating_add(gap * gap);
                 if far_bound <= worst {
                     scratch.queue.push(Reverse(u64::from(far_bound) << 32 | u64::from(far)));

@@ -10,7 +10,8 @@ use crate::prepared::Prepared;
 /// More leaves than any forest here has.
 const ALL: Checks = Checks::Total(1_000_000);
 
-/// Points around a few centres, as features of textures are: neighbours are much nearer than the rest.
+/// Points around a few centres, as features of textures are: neighbours are much nearer than the
+/// rest.
 fn clustered(count: usize, seed: u64) -> Vec<Descriptor> {
     let mut random = crate::random::SplitMix64::new(seed, 0);
     let mut centres = crate::random::SplitMix64::new(99, 0);
@@ -28,7 +29,8 @@ fn exact(queries: &[Descriptor], points: &[Descriptor]) -> Vec<Nearest> {
     nearest(&Prepared::new(queries), &Prepared::new(points)).of_a
 }
 
-/// Checks the tree at `at`: every point lies on its side of every split above it. Returns the end of its nodes.
+/// Checks the tree at `at`: every point lies on its side of every split above it. Returns the end
+/// of its nodes.
 fn check_tree(
     forest: &Forest,
     at: u32,
@@ -37,7 +39,8 @@ fn check_tree(
 ) -> u32 {
     match forest.nodes[at as usize].kind() {
         NodeKind::Inner { dimension, split, right } => {
-            let left_end = check_tree(forest, at + 1, &|d| is_inside(d) && d[dimension] < split, points);
+            let left_end =
+                check_tree(forest, at + 1, &|d| is_inside(d) && d[dimension] < split, points);
             assert_eq!(left_end, right);
             check_tree(forest, right, &|d| is_inside(d) && d[dimension] >= split, points)
         }
@@ -70,14 +73,17 @@ fn recall_grows_with_checks_and_with_trees() {
     let (queries, points) = (clustered(500, 2), clustered(4000, 3));
     let truth = exact(&queries, &points);
     let recall = |trees, checks| {
-        let found = Forest::new(&points, &ForestOptions { trees, seed: 1 }).nearest(&queries, checks);
-        found.iter().zip(&truth).filter(|(found, truth)| found.index == truth.index).count() as f64 / 500.0
+        let found =
+            Forest::new(&points, &ForestOptions { trees, seed: 1 }).nearest(&queries, checks);
+        found.iter().zip(&truth).filter(|(found, truth)| found.index == truth.index).count() as f64
+            / 500.0
     };
     let by_checks = [8, 32, 128, 512].map(|checks| recall(8, Checks::Total(checks)));
     assert!(by_checks.is_sorted(), "{by_checks:?}");
     assert!(recall(8, Checks::Total(32)) > recall(1, Checks::Total(32)));
     assert_eq!(recall(4, Checks::PerTree(16)), recall(4, Checks::Total(64)));
-    // Bounds are estimates, so that even a search without limit may miss a neighbour, but hardly ever.
+    // Bounds are estimates, so that even a search without limit may miss a neighbour, but hardly
+    // ever.
     assert!(recall(8, ALL) > 0.99, "{}", recall(8, ALL));
 }
 
@@ -109,8 +115,8 @@ fn same_on_every_instruction_set_and_number_of_threads() {
 fn equal_points_and_no_points() {
     // Far more than a leaf holds, and nothing to split them at.
     let equal = vec![[9; 128]; 1000];
-    let found =
-        Forest::new(&equal, &ForestOptions::default()).nearest(&[[9; 128], [0; 128]], Checks::Total(1));
+    let found = Forest::new(&equal, &ForestOptions::default())
+        .nearest(&[[9; 128], [0; 128]], Checks::Total(1));
     assert_eq!(found[0], Nearest { index: 0, distance: 0, second: 0 });
     assert_eq!(found[1], Nearest { index: 0, distance: 81 * 128, second: 81 * 128 });
     let none = Forest::new(&[], &ForestOptions { trees: 0, seed: 0 });
@@ -130,12 +136,19 @@ fn a_sample_of_equal_points_does_not_hide_the_others() {
     let mut points = vec![[50; 128]; 5000];
     points.extend(clustered(20, 6));
     let queries = clustered(20, 6);
-    let found = Forest::new(&points, &ForestOptions::default()).nearest(&queries, Checks::default());
-    assert!(found.iter().enumerate().all(|(i, found)| (found.index, found.distance) == (5000 + i as u32, 0)));
+    let found =
+        Forest::new(&points, &ForestOptions::default()).nearest(&queries, Checks::default());
+    assert!(
+        found
+            .iter()
+            .enumerate()
+            .all(|(i, found)| (found.index, found.distance) == (5000 + i as u32, 0))
+    );
 }
 
 proptest! {
-    /// Whatever the content: no panic, never nearer than the nearest, distances that are true of the index.
+    /// Whatever the content: no panic, never nearer than the nearest, distances that are true of
+    /// the index.
     #[test]
     fn any_content(
         points in prop::collection::vec(prop::collection::vec(0u8..=255, 4), 0..60),
@@ -144,15 +157,24 @@ proptest! {
         checks in 0u32..20,
     ) {
         // Few dimensions that differ, so that points coincide and splits run out.
-        let fill = |list: &[Vec<u8>]| list.iter().map(|d| std::array::from_fn(|k| if k < 4 { d[k] & 0x83 } else { 7 })).collect::<Vec<Descriptor>>();
+        let fill = |list: &[Vec<u8>]| {
+            list.iter()
+                .map(|d| std::array::from_fn(|k| if k < 4 { d[k] & 0x83 } else { 7 }))
+                .collect::<Vec<Descriptor>>()
+        };
         let (points, queries) = (fill(&points), fill(&queries));
-        let found = Forest::new(&points, &ForestOptions { trees, seed: 3 }).nearest(&queries, Checks::Total(checks));
+        let found = Forest::new(&points, &ForestOptions { trees, seed: 3 })
+            .nearest(&queries, Checks::Total(checks));
         for ((found, truth), query) in found.iter().zip(exact(&queries, &points)).zip(&queries) {
             prop_assert!(found.distance >= truth.distance && found.second >= truth.second);
             // Two points are always found where there are two.
             prop_assert_eq!(found.second == u32::MAX, points.len() < 2);
             if let Some(point) = points.get(found.index as usize) {
-                let distance: i32 = query.iter().zip(point).map(|(&x, &y)| (i32::from(x) - i32::from(y)).pow(2)).sum();
+                let distance: i32 = query
+                    .iter()
+                    .zip(point)
+                    .map(|(&x, &y)| (i32::from(x) - i32::from(y)).pow(2))
+                    .sum();
                 prop_assert_eq!(found.distance, distance as u32);
             }
         }

@@ -11,7 +11,8 @@ fn slow_twin(a: &Features, b: &Features, guide: &EpipolarGuide, options: &Option
             let (x, y) = (f64::from(b.keypoints[j].x), f64::from(b.keypoints[j].y));
             let product = line[0] * x + line[1] * y + line[2];
             let normal_squared = line[0] * line[0] + line[1] * line[1];
-            let normal_squared = normal_squared.min(normal_squared_in_a(&guide.fundamental, &b.keypoints[j]));
+            let normal_squared =
+                normal_squared.min(normal_squared_in_a(&guide.fundamental, &b.keypoints[j]));
             let allowed = guide.max_error_px * guide.max_error_px * normal_squared;
             if allowed > 0.0 && product * product <= allowed {
                 let distance = squared_distance(&a.descriptors[i], &b.descriptors[j]);
@@ -23,19 +24,21 @@ fn slow_twin(a: &Features, b: &Features, guide: &EpipolarGuide, options: &Option
     select(&NearestBothWays { of_a, of_b }, options)
 }
 
-/// Keypoints anywhere in a frame of 640 × 480; descriptors that differ in their first bytes only, so that many are
-/// equally far.
+/// Keypoints anywhere in a frame of 640 × 480; descriptors that differ in their first bytes only,
+/// so that many are equally far.
 fn features() -> impl Strategy<Value = Features> {
-    prop::collection::vec((0.0f32..640.0, 0.0f32..480.0, any::<[u8; 3]>()), 0..60).prop_map(|list| {
-        let mut features = Features::default();
-        for (x, y, bytes) in list {
-            features.keypoints.push(Keypoint { x, y, scale: 1.0, orientation: 0.0 });
-            let mut descriptor = [0; 128];
-            descriptor[..3].copy_from_slice(&bytes.map(|byte| byte & 7));
-            features.descriptors.push(descriptor);
-        }
-        features
-    })
+    prop::collection::vec((0.0f32..640.0, 0.0f32..480.0, any::<[u8; 3]>()), 0..60).prop_map(
+        |list| {
+            let mut features = Features::default();
+            for (x, y, bytes) in list {
+                features.keypoints.push(Keypoint { x, y, scale: 1.0, orientation: 0.0 });
+                let mut descriptor = [0; 128];
+                descriptor[..3].copy_from_slice(&bytes.map(|byte| byte & 7));
+                features.descriptors.push(descriptor);
+            }
+            features
+        },
+    )
 }
 
 proptest! {
@@ -44,16 +47,27 @@ proptest! {
         a in features(),
         b in features(),
         f in prop::array::uniform3(prop::array::uniform3(-1.0f64..1.0)),
-        // Powers of the frame's size, so that the terms of F are of like weight, or one of them rules.
+        // Powers of the frame's size, so that the terms of F are of like weight, or one of them
+        // rules.
         weight in prop::array::uniform3(0u8..2),
         max_error_px in 0.1f64..60.0,
     ) {
         let unit = [0, 1, 2].map(|k| if weight[k] == 0 { 1.0 } else { 1e-2 });
-        let fundamental = std::array::from_fn(|r| std::array::from_fn(|c| f[r][c] * unit[r] * unit[c]));
+        let fundamental =
+            std::array::from_fn(|r| std::array::from_fn(|c| f[r][c] * unit[r] * unit[c]));
         let guide = EpipolarGuide { fundamental, max_error_px };
         for mutual in [false, true] {
-            let options = Options { mutual, max_ratio: None, max_angle_rad: None, preempt: None, ..Options::default() };
-            prop_assert_eq!(match_guided(&a, &b, &guide, &options), slow_twin(&a, &b, &guide, &options));
+            let options = Options {
+                mutual,
+                max_ratio: None,
+                max_angle_rad: None,
+                preempt: None,
+                ..Options::default()
+            };
+            prop_assert_eq!(
+                match_guided(&a, &b, &guide, &options),
+                slow_twin(&a, &b, &guide, &options)
+            );
         }
     }
 }
@@ -69,7 +83,8 @@ fn tells_repeated_structure_apart() {
         keypoints: vec![at(10.0, 10.0), at(10.0, 50.0), at(10.0, 90.0)],
         descriptors: vec![[40; 128]; 3],
     };
-    let b = Features { keypoints: vec![at(30.0, 90.5), at(30.0, 9.5), at(30.0, 50.0)], ..a.clone() };
+    let b =
+        Features { keypoints: vec![at(30.0, 90.5), at(30.0, 9.5), at(30.0, 50.0)], ..a.clone() };
     let guide = EpipolarGuide { fundamental: SIDEWAYS, max_error_px: 2.0 };
     let matches = match_guided(&a, &b, &guide, &Options::default());
     assert_eq!(matches.iter().map(|m| (m.a, m.b)).collect::<Vec<_>>(), [(0, 1), (1, 2), (2, 0)]);

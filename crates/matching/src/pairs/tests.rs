@@ -63,7 +63,8 @@ fn sequential_within_one_camera() {
 fn sequential_across_cameras_by_position_against_the_definition() {
     let (frames, reach) = (7, 2);
     // Camera k owns the images 10k..10k+7.
-    let cameras: Vec<Sequence> = (0..3).map(|k| Sequence::new((10 * k..10 * k + frames).collect())).collect();
+    let cameras: Vec<Sequence> =
+        (0..3).map(|k| Sequence::new((10 * k..10 * k + frames).collect())).collect();
     let mut expected = Vec::new();
     for a in 0..30u32 {
         for b in a + 1..30 {
@@ -77,8 +78,8 @@ fn sequential_across_cameras_by_position_against_the_definition() {
 
 #[test]
 fn seed_paper_workload() {
-    // Two sequences of 2,000 frames, 20 neighbours each way in both: within a camera 2 × (2000·20 − 210) pairs, across
-    // cameras 2000 + 2 (2000·20 − 210).
+    // Two sequences of 2,000 frames, 20 neighbours each way in both: within a camera 2 × (2000·20 −
+    // 210) pairs, across cameras 2000 + 2 (2000·20 − 210).
     let cameras = [Sequence::new((0..2000).collect()), Sequence::new((2000..4000).collect())];
     assert_eq!(sequential(20).pairs(&cameras).len(), 4 * (2000 * 20 - 210) + 2000);
 }
@@ -88,7 +89,8 @@ fn sequential_across_cameras_by_time() {
     // B runs at half the rate and starts 1 s after A.
     let a = Sequence::with_times(vec![0, 1, 2, 3, 4], vec![0.0, 1.0, 2.0, 3.0, 4.0]).unwrap();
     let b = Sequence::with_times(vec![5, 6], vec![1.1, 3.1]).unwrap();
-    let across = |pairs: Vec<Pair>| pairs.into_iter().filter(|&(i, j)| i < 5 && j >= 5).collect::<Vec<_>>();
+    let across =
+        |pairs: Vec<Pair>| pairs.into_iter().filter(|&(i, j)| i < 5 && j >= 5).collect::<Vec<_>>();
     let tiny = across(sequential(1).pairs(&[a.clone(), b.clone()]));
     // Every A finds both of B within one position; nothing is lost.
     assert_eq!(tiny.len(), 10);
@@ -132,10 +134,16 @@ fn lists_are_put_in_order_and_checked() {
 
 #[test]
 fn bad_times_are_named() {
-    assert_eq!(Sequence::with_times(vec![0, 1], vec![0.0]), Err(Error::TimeCount { images: 2, times: 1 }));
+    assert_eq!(
+        Sequence::with_times(vec![0, 1], vec![0.0]),
+        Err(Error::TimeCount { images: 2, times: 1 })
+    );
     assert_eq!(
         Sequence::with_times(vec![0, 1], vec![1.0, 0.5]),
         Err(Error::TimeOrder { index: 1, time_s: 0.5 })
     );
-    assert!(matches!(Sequence::with_times(vec![0], vec![f64::NAN]), Err(Error::TimeOrder { index: 0, .. })));
+    assert!(matches!(
+        Sequence::with_times(vec![0], vec![f64::NAN]),
+        Err(Error::TimeOrder { index: 0, .. })
+    ));
 }

@@ -10,7 +10,8 @@ use crate::brute::Isa;
 use crate::brute::Kind;
 use crate::pairs::{Pair, normalise};
 
-/// Images that are looked up as one task: the bank travels through the caches once for all of them, and they stay.
+/// Images that are looked up as one task: the bank travels through the caches once for all of them,
+/// and they stay.
 const CHUNK: usize = BESIDE;
 
 /// The global descriptors of many images.
@@ -53,8 +54,9 @@ impl Bank {
         self.inverse_norms.is_empty()
     }
 
-    /// The `count` images most similar to another, among those for which `is_candidate` holds; the most similar first,
-    /// of equal ones the first. The image need not be in the bank, but of its vocabulary.
+    /// The `count` images most similar to another, among those for which `is_candidate` holds; the
+    /// most similar first, of equal ones the first. The image need not be in the bank, but of its
+    /// vocabulary.
     pub fn most_similar(
         &self,
         image: &GlobalDescriptor,
@@ -62,34 +64,47 @@ impl Bank {
         is_candidate: impl Fn(u32) -> bool,
     ) -> Vec<Similar> {
         let scale = inverse_norm(&image.entries);
-        let similarities: Vec<f32> =
-            (0..self.len()).map(|at| self.similarity(Isa::best(), at, &image.entries, scale)).collect();
+        let similarities: Vec<f32> = (0..self.len())
+            .map(|at| self.similarity(Isa::best(), at, &image.entries, scale))
+            .collect();
         best(&similarities, count, is_candidate)
     }
 
-    /// For every image the `count` others that it most likely sees something in common with, among those for which
-    /// `is_candidate(image, other)` holds; the likeliest first. First come those that are alike by way of others that
-    /// look alike, the candidate or not (neighbours in time, say); where these are too few, the most similar ones.
-    pub fn related(&self, count: usize, is_candidate: impl Fn(u32, u32) -> bool + Sync) -> Vec<Vec<u32>> {
+    /// For every image the `count` others that it most likely sees something in common with, among
+    /// those for which `is_candidate(image, other)` holds; the likeliest first. First come those
+    /// that are alike by way of others that look alike, the candidate or not (neighbours in time,
+    /// say); where these are too few, the most similar ones.
+    pub fn related(
+        &self,
+        count: usize,
+        is_candidate: impl Fn(u32, u32) -> bool + Sync,
+    ) -> Vec<Vec<u32>> {
         let images: Vec<u32> = (0..self.len() as u32).collect();
         let looked_up = |chunk: &[u32]| -> Vec<(Row, Vec<Similar>)> {
             let row = |(&image, mut similarities): (&u32, Vec<f32>)| {
                 let edges = best(&similarities, EDGES, |other| other != image);
-                let similar =
-                    best(&similarities, count, |other| other != image && is_candidate(image, other));
+                let similar = best(&similarities, count, |other| {
+                    other != image && is_candidate(image, other)
+                });
                 similarities.swap_remove(image as usize);
                 (Row { edges, spread: spread(&mut similarities) }, similar)
             };
             chunk.iter().zip(self.similarities(chunk)).map(row).collect()
         };
-        let (rows, similar): (Vec<Row>, Vec<Vec<Similar>>) =
-            images.par_chunks(CHUNK).map(looked_up).collect::<Vec<_>>().into_iter().flatten().unzip();
+        let (rows, similar): (Vec<Row>, Vec<Vec<Similar>>) = images
+            .par_chunks(CHUNK)
+            .map(looked_up)
+            .collect::<Vec<_>>()
+            .into_iter()
+            .flatten()
+            .unzip();
         let graph = Graph::new(&rows);
         let ranked = |chunk: &[u32]| -> Vec<Vec<u32>> {
             let ends = graph.walk(chunk);
             let one = |(lane, &image): (usize, &u32)| {
                 let reached = ends.iter().filter(|(_, shares)| shares[lane] > 0.0);
-                let reached = reached.map(|&(image, shares)| Similar { image, similarity: shares[lane] });
+                let reached =
+                    reached.map(|&(image, shares)| Similar { image, similarity: shares[lane] });
                 let others = |other| other != image && is_candidate(image, other);
                 let first = ranked(reached.filter(|end| others(end.image)).collect(), count);
                 let mut related: Vec<u32> = first.iter().map(|end| end.image).collect();
@@ -105,8 +120,9 @@ impl Bank {
         images.par_chunks(CHUNK).map(ranked).collect::<Vec<_>>().concat()
     }
 
-    /// Pairs every image with the `count` that are most [`related`](Self::related) to it, where a pair is not in `known`
-    /// (sorted, the lower index first): with the neighbours in time left out, the candidates for loops.
+    /// Pairs every image with the `count` that are most [`related`](Self::related) to it, where a
+    /// pair is not in `known` (sorted, the lower index first): with the neighbours in time left
+    /// out, the candidates for loops.
     pub fn pairs(&self, count: usize, known: &[Pair]) -> Vec<Pair> {
         let is_new = |a: u32, b: u32| known.binary_search(&(a.min(b), a.max(b))).is_err();
         let related = (0..).zip(self.related(count, is_new));
@@ -120,7 +136,12 @@ impl Bank {
         for at in 0..self.len() {
             for (&image, similarities) in images.iter().zip(&mut all) {
                 let image = image as usize;
-                similarities.push(self.similarity(isa, at, self.row(image), self.inverse_norms[image]));
+                similarities.push(self.similarity(
+                    isa,
+                    at,
+                    self.row(image),
+                    self.inverse_norms[image],
+                ));
             }
         }
         all
@@ -143,13 +164,16 @@ fn inverse_norm(entries: &[i8]) -> f32 {
 }
 
 fn best(similarities: &[f32], count: usize, is_candidate: impl Fn(u32) -> bool) -> Vec<Similar> {
-    let all = similarities.iter().zip(0..).map(|(&similarity, image)| Similar { image, similarity });
+    let all =
+        similarities.iter().zip(0..).map(|(&similarity, image)| Similar { image, similarity });
     ranked(all.filter(|similar| is_candidate(similar.image)).collect(), count)
 }
 
 /// The `count` most similar ones, of equal ones the first.
 fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar> {
-    let order = |a: &Similar, b: &Similar| b.similarity.total_cmp(&a.similarity).then(a.image.cmp(&b.image));
+    let order = |a: &Similar, b: &Similar| {
+        b.similarity.total_cmp(&a.similarity).then(a.image.cmp(&b.image))
+    };
     if count < candidates.len() {
         candidates.select_nth_unstable_by(count, order);
         candidates.truncate(count);

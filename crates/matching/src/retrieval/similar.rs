@@ -5,6 +5,7 @@
 pub struct Similar {
     /// Its place in the bank.
     pub image: u32,
-    /// Cosine of the angle between the global descriptors: 1 for the same image, around 0 for unrelated ones.
+    /// Cosine of the angle between the global descriptors: 1 for the same image, around 0 for
+    /// unrelated ones.
     pub similarity: f32,
 }

@@ -12,14 +12,16 @@ fn noise(count: usize, seed: u64) -> Vec<Descriptor> {
     (0..count).map(|_| std::array::from_fn(|_| random.below(90) as u8)).collect()
 }
 
-/// Images of a walk along a wall of features: each sees 60, and the next one moved on by 10; every descriptor a little
-/// different each time.
+/// Images of a walk along a wall of features: each sees 60, and the next one moved on by 10; every
+/// descriptor a little different each time.
 fn walk(images: usize) -> Vec<Vec<Descriptor>> {
     let wall = noise(10 * images + 60, 3);
     let mut random = SplitMix64::new(4, 1);
     let mut seen_again =
         |descriptor: &Descriptor| descriptor.map(|x| x.saturating_add(random.below(9) as u8));
-    (0..images).map(|at| wall[10 * at..10 * at + 60].iter().map(&mut seen_again).collect()).collect()
+    (0..images)
+        .map(|at| wall[10 * at..10 * at + 60].iter().map(&mut seen_again).collect())
+        .collect()
 }
 
 fn bank(images: &[Vec<Descriptor>], options: &VocabularyOptions) -> (Vocabulary, Bank) {
@@ -76,8 +78,9 @@ fn images_that_share_nothing_are_found_by_way_of_others() {
     for (a, others) in (0u32..).zip(related) {
         let near = |others: &[u32]| others.iter().filter(|b| b.abs_diff(a) <= NEAR).count();
         by_way_of_others += near(&others);
-        let plain = bank
-            .most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| b.abs_diff(a) >= NOTHING_SHARED);
+        let plain = bank.most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| {
+            b.abs_diff(a) >= NOTHING_SHARED
+        });
         alike += near(&plain.iter().map(|similar| similar.image).collect::<Vec<_>>());
     }
     assert!(by_way_of_others >= 60 * 9 && alike < 60 * 5, "{by_way_of_others} {alike}");
@@ -99,7 +102,8 @@ fn where_nothing_is_alike_the_most_similar_ones_are_related() {
 #[test]
 fn only_the_leading_features_say_what_an_image_looks_like() {
     let sample = noise(2 * Vocabulary::LEADING, 8);
-    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { words: 8, ..Default::default() });
+    let vocabulary =
+        Vocabulary::learn(&sample, &VocabularyOptions { words: 8, ..Default::default() });
     assert_eq!(vocabulary.describe(&sample), vocabulary.describe(&sample[..Vocabulary::LEADING]));
     assert_ne!(vocabulary.describe(&sample), vocabulary.describe(&sample[1..]));
 }
@@ -158,9 +162,16 @@ proptest! {
     }
 
     #[test]
-    fn descriptors_of_any_content_are_described(bytes in prop::collection::vec(any::<u8>(), 0..40), seed in any::<u64>()) {
-        let image: Vec<Descriptor> = bytes.iter().map(|&x| std::array::from_fn(|k| if k % 3 == 0 { x } else { 255 - x })).collect();
-        let vocabulary = Vocabulary::learn(&image, &VocabularyOptions { words: 7, rounds: 2, seed });
+    fn descriptors_of_any_content_are_described(
+        bytes in prop::collection::vec(any::<u8>(), 0..40),
+        seed in any::<u64>(),
+    ) {
+        let image: Vec<Descriptor> = bytes
+            .iter()
+            .map(|&x| std::array::from_fn(|k| if k % 3 == 0 { x } else { 255 - x }))
+            .collect();
+        let vocabulary =
+            Vocabulary::learn(&image, &VocabularyOptions { words: 7, rounds: 2, seed });
         let bank: Bank = std::iter::once(vocabulary.describe(&image)).collect();
         let found = bank.most_similar(&vocabulary.describe(&image), 1, |_| true);
         prop_assert!(found[0].similarity <= 1.0 + 1e-5 && found[0].similarity >= 0.0);

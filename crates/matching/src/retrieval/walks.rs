@@ -1,20 +1,23 @@
 //! Which images are alike by way of others: random walks on the graph of images that look alike.
 //!
-//! Seen from another street, a facade has no feature in common with how it looked from this one; but in between, where the
-//! drive turned the corner, there are images that look like both. So images are ranked by where a walk from one of them
-//! ends (Zhou et al., "Ranking on data manifolds", NIPS 2003; Donoser and Bischof, "Diffusion processes for retrieval
-//! revisited", CVPR 2013): with W the similarities, D their sums by image and P = D^-1/2 W D^-1/2, by the walks of every
-//! length, Σ αᵏ Pᵏ. What makes it work is to leave out edges between unrelated images. There are many more of these than
-//! others, so that their similarities show in the middle of all, and how they spread in the lower half.
+//! Seen from another street, a facade has no feature in common with how it looked from this one;
+//! but in between, where the drive turned the corner, there are images that look like both. So
+//! images are ranked by where a walk from one of them ends (Zhou et al., "Ranking on data
+//! manifolds", NIPS 2003; Donoser and Bischof, "Diffusion processes for retrieval revisited", CVPR
+//! 2013): with W the similarities, D their sums by image and P = D^-1/2 W D^-1/2, by the walks of
+//! every length, Σ αᵏ Pᵏ. What makes it work is to leave out edges between unrelated images. There
+//! are many more of these than others, so that their similarities show in the middle of all, and
+//! how they spread in the lower half.
 //!
-//! Sums of floats are taken in a fixed order, image by image: the same on every machine, for any number of threads.
+//! Sums of floats are taken in a fixed order, image by image: the same on every machine, for any
+//! number of threads.
 
 use super::similar::Similar;
 
 /// Edges of an image, at most; it may have more to those whose edge it is.
 pub(super) const EDGES: usize = 32;
-/// An edge is more similar than unrelated images by this many of their standard deviations. Of rendered loops as many are
-/// found within 0.5 %, if it is 3 to 5.
+/// An edge is more similar than unrelated images by this many of their standard deviations. Of
+/// rendered loops as many are found within 0.5 %, if it is 3 to 5.
 const ABOVE: f32 = 4.0;
 /// Where the lower half of a normal distribution has spread by one standard deviation.
 const LOWER: f64 = 0.1587;
@@ -60,7 +63,8 @@ pub(super) struct Graph {
 impl Graph {
     pub(super) fn new(rows: &[Row]) -> Self {
         let median = |which: usize| {
-            let mut all: Vec<f32> = rows.iter().filter_map(|row| row.spread).map(|s| s[which]).collect();
+            let mut all: Vec<f32> =
+                rows.iter().filter_map(|row| row.spread).map(|s| s[which]).collect();
             spread(&mut all).map_or(0.0, |[median, _]| median)
         };
         let level = median(0) + ABOVE * median(1);
@@ -83,7 +87,8 @@ impl Graph {
             starts[i + 1] += starts[i];
             roots[i] = 1.0 / roots[i].sqrt();
         }
-        let edge = |(a, b, weight): (u32, u32, f32)| (b, weight * (roots[a as usize] * roots[b as usize]));
+        let edge =
+            |(a, b, weight): (u32, u32, f32)| (b, weight * (roots[a as usize] * roots[b as usize]));
         Graph { starts, edges: edges.into_iter().map(edge).collect() }
     }
 
@@ -92,7 +97,8 @@ impl Graph {
         &self.edges[self.starts[image] as usize..self.starts[image + 1] as usize]
     }
 
-    /// Where walks from some images end, at most [`BESIDE`]: images in order, with a number for each of them.
+    /// Where walks from some images end, at most [`BESIDE`]: images in order, with a number for
+    /// each of them.
     pub(super) fn walk(&self, from: &[u32]) -> Vec<(u32, [f32; BESIDE])> {
         let images = self.reached(from);
         let mut at = vec![u32::MAX; self.starts.len() - 1];
@@ -155,7 +161,8 @@ mod tests {
     use super::*;
     use crate::random::SplitMix64;
 
-    /// Images in a row of which each looks like those at most three places away, above a similarity that all have.
+    /// Images in a row of which each looks like those at most three places away, above a similarity
+    /// that all have.
     fn rows(images: u32) -> Vec<Row> {
         let mut random = SplitMix64::new(1, 2);
         let mut unrelated = || 0.1 + 0.01 * random.below(3) as f32;
@@ -182,7 +189,8 @@ mod tests {
         let graph = Graph::new(&rows(50));
         for a in 0..50u32 {
             let others: Vec<u32> = graph.of(a).iter().map(|&(b, _)| b).collect();
-            let expected: Vec<u32> = (a.saturating_sub(3)..=(a + 3).min(49)).filter(|&b| b != a).collect();
+            let expected: Vec<u32> =
+                (a.saturating_sub(3)..=(a + 3).min(49)).filter(|&b| b != a).collect();
             assert_eq!(others, expected);
         }
     }
@@ -196,7 +204,8 @@ mod tests {
         let graph = Graph::new(&rows(IMAGES as u32));
         let from = [0, 1, 2, 75, 149];
         let ends = graph.walk(&from);
-        // Thirty steps of three places: from these images walks reach all, from the last one alone they do not.
+        // Thirty steps of three places: from these images walks reach all, from the last one alone
+        // they do not.
         assert!(ends.len() == IMAGES && ends.windows(2).all(|two| two[0].0 < two[1].0));
         let few = graph.walk(&[149]);
         assert_eq!(few.len(), 3 * STEPS + 1);
@@ -207,7 +216,8 @@ mod tests {
                 next[image as usize] = f64::from(START);
                 for (a, next) in next.iter_mut().enumerate() {
                     let p = graph.of(a as u32).iter();
-                    *next += p.map(|&(b, p)| f64::from(ON) * f64::from(p) * x[b as usize]).sum::<f64>();
+                    *next +=
+                        p.map(|&(b, p)| f64::from(ON) * f64::from(p) * x[b as usize]).sum::<f64>();
                 }
                 x = next;
             }

@@ -5,12 +5,14 @@ use crate::brute::nearest_on;
 use crate::matcher::select;
 use crate::random::SplitMix64;
 
-/// Something like SIFT: some edges, each spread over neighbouring places and directions; length 512.
+/// Something like SIFT: some edges, each spread over neighbouring places and directions; length
+/// 512.
 fn descriptor(random: &mut SplitMix64) -> Descriptor {
     const EDGES: usize = 8;
     let mut uniform = |end: f64| random.below(1000) as f64 / 1000.0 * end;
-    let edges: [[f64; 4]; EDGES] =
-        std::array::from_fn(|_| [uniform(4.0) - 0.5, uniform(4.0) - 0.5, uniform(8.0), uniform(1.0)]);
+    let edges: [[f64; 4]; EDGES] = std::array::from_fn(|_| {
+        [uniform(4.0) - 0.5, uniform(4.0) - 0.5, uniform(8.0), uniform(1.0)]
+    });
     let share = |distance: f64| (1.0 - distance.abs() / 1.6).max(0.0);
     let entry = |k: usize| {
         let (row, column, direction) = ((k / 32) as f64, (k / 8 % 4) as f64, (k % 8) as f64);
@@ -33,7 +35,8 @@ fn similar(near: &Descriptor, noise: usize, random: &mut SplitMix64) -> Descript
     normalised(&near.map(|x| f64::from(x) + random.below(noise + 1) as f64))
 }
 
-/// Half of the features of the second image are those of the first with more and more noise; some come twice, in either image.
+/// Half of the features of the second image are those of the first with more and more noise; some
+/// come twice, in either image.
 fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
     let mut random = SplitMix64::new(seed, 0);
     let mut a: Vec<Descriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
@@ -52,7 +55,8 @@ fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
     [a, b]
 }
 
-/// Compared with all descriptors in full, on every instruction set; how many pairs of images went the short way.
+/// Compared with all descriptors in full, on every instruction set; how many pairs of images went
+/// the short way.
 fn check(a: &[Descriptor], b: &[Descriptor], options: &Options) -> usize {
     let (a, b) = (Prepared::new(a), Prepared::new(b));
     let mut short = 0;

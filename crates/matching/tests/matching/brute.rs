@@ -72,7 +72,8 @@ fn sizes_around_every_boundary() {
 
 #[test]
 fn more_columns_than_a_key_counts() {
-    // Keys count 256 vectors: 4096 columns in AVX-512, 2048 in AVX2, 1024 portable. Few levels make ties.
+    // Keys count 256 vectors: 4096 columns in AVX-512, 2048 in AVX2, 1024 portable. Few levels make
+    // ties.
     for (n, m, levels) in [(7, 4096 + 70, 256), (100, 2048 + 9, 3), (13, 9000, 2)] {
         let (mut a, mut b) = (descriptors(n, levels, 1), descriptors(m, levels, 2));
         check(&a, &b);
@@ -100,7 +101,8 @@ fn equal_descriptors_take_the_lowest_index() {
 
 #[test]
 fn extreme_bytes() {
-    let extremes: Vec<Descriptor> = [0, 1, 127, 128, 129, 254, 255].into_iter().map(|x| [x; 128]).collect();
+    let extremes: Vec<Descriptor> =
+        [0, 1, 127, 128, 129, 254, 255].into_iter().map(|x| [x; 128]).collect();
     check(&extremes, &extremes);
     for one in &extremes {
         for other in &extremes {
@@ -117,9 +119,14 @@ proptest! {
     fn any_content(
         a in prop::collection::vec(prop::collection::vec(any::<u8>(), 128), 0..40),
         b in prop::collection::vec(prop::collection::vec(any::<u8>(), 128), 0..90),
-        copies in prop::collection::vec((any::<prop::sample::Index>(), any::<prop::sample::Index>()), 0..8),
+        copies in prop::collection::vec(
+            (any::<prop::sample::Index>(), any::<prop::sample::Index>()),
+            0..8,
+        ),
     ) {
-        let fixed = |list: &[Vec<u8>]| list.iter().map(|d| d.as_slice().try_into().unwrap()).collect::<Vec<Descriptor>>();
+        let fixed = |list: &[Vec<u8>]| {
+            list.iter().map(|d| d.as_slice().try_into().unwrap()).collect::<Vec<Descriptor>>()
+        };
         let (a, mut b) = (fixed(&a), fixed(&b));
         for (from, to) in copies {
             if !a.is_empty() && !b.is_empty() {
@@ -138,17 +145,29 @@ proptest! {
         max_ratio in prop::option::of(0.3f64..1.0),
         max_angle_rad in prop::option::of(0.05f64..0.7),
     ) {
-        let padded = |list: &[Vec<u8>]| list.iter().map(|d| std::array::from_fn(|k| *d.get(k).unwrap_or(&0))).collect::<Vec<Descriptor>>();
+        let padded = |list: &[Vec<u8>]| {
+            list.iter()
+                .map(|d| std::array::from_fn(|k| *d.get(k).unwrap_or(&0)))
+                .collect::<Vec<Descriptor>>()
+        };
         let (a, b) = (padded(&a), padded(&b));
-        let options = Options { max_ratio, max_angle_rad, mutual, preempt: None, ..Options::default() };
+        let options =
+            Options { max_ratio, max_angle_rad, mutual, preempt: None, ..Options::default() };
         let nearest = triple_loop(&a, &b);
-        let angle = |distance: u32| 2.0 * (f64::from(distance).sqrt() / 1024.0).min(0.5f64.sqrt()).asin();
-        let passes = |n: &Nearest| n.index != u32::MAX
-            && max_angle_rad.is_none_or(|most| angle(n.distance) <= most)
-            && max_ratio.is_none_or(|r| angle(n.distance) < r * angle(n.second));
+        let angle =
+            |distance: u32| 2.0 * (f64::from(distance).sqrt() / 1024.0).min(0.5f64.sqrt()).asin();
+        let passes = |n: &Nearest| {
+            n.index != u32::MAX
+                && max_angle_rad.is_none_or(|most| angle(n.distance) <= most)
+                && max_ratio.is_none_or(|r| angle(n.distance) < r * angle(n.second))
+        };
         let mut expected = Vec::new();
         for (i, n) in nearest.of_a.iter().enumerate() {
-            if passes(n) && (!mutual || (nearest.of_b[n.index as usize].index == i as u32 && passes(&nearest.of_b[n.index as usize]))) {
+            if passes(n)
+                && (!mutual
+                    || (nearest.of_b[n.index as usize].index == i as u32
+                        && passes(&nearest.of_b[n.index as usize])))
+            {
                 expected.push(Match { a: i as u32, b: n.index, distance: n.distance });
             }
         }
@@ -162,7 +181,10 @@ fn nothing_and_zeros() {
     assert_eq!(match_features(&[], &[], &options), []);
     assert_eq!(match_features(&[[1; 128]], &[], &options), []);
     assert_eq!(match_features(&[], &[[1; 128]], &options), []);
-    assert_eq!(match_features(&[[0; 128]], &[[0; 128]], &options), [Match { a: 0, b: 0, distance: 0 }]);
+    assert_eq!(
+        match_features(&[[0; 128]], &[[0; 128]], &options),
+        [Match { a: 0, b: 0, distance: 0 }]
+    );
     // Two equal rivals: the ratio test knows no winner.
     assert_eq!(match_features(&[[0; 128]], &[[0; 128]; 2], &options), []);
 }

@@ -28,10 +28,14 @@ fn features(order: impl Iterator<Item = usize>) -> Features {
 fn mutual_matching_is_symmetric() {
     let (a, b) = (features(0..60), features((20..80).rev()));
     let options = Options { max_ratio: Some(0.95), ..Options::default() };
-    let forward: Vec<_> =
-        match_features(&a.descriptors, &b.descriptors, &options).iter().map(|m| (m.a, m.b)).collect();
-    let mut back: Vec<_> =
-        match_features(&b.descriptors, &a.descriptors, &options).iter().map(|m| (m.b, m.a)).collect();
+    let forward: Vec<_> = match_features(&a.descriptors, &b.descriptors, &options)
+        .iter()
+        .map(|m| (m.a, m.b))
+        .collect();
+    let mut back: Vec<_> = match_features(&b.descriptors, &a.descriptors, &options)
+        .iter()
+        .map(|m| (m.b, m.a))
+        .collect();
     back.sort_unstable();
     assert_eq!(forward, (20..60).map(|k| (k, 79 - k)).collect::<Vec<_>>());
     assert_eq!(forward, back);
@@ -39,7 +43,8 @@ fn mutual_matching_is_symmetric() {
 
 #[test]
 fn preemption_looks_at_the_largest_features() {
-    // The ten largest of both images are 50..60 and 70..80: nothing in common, although 30 features are.
+    // The ten largest of both images are 50..60 and 70..80: nothing in common, although 30 features
+    // are.
     let (a, b) = (features(0..60), features(30..80));
     let full = Options::default();
     let preempt = Options { preempt: Some(Preempt { min_matches: 1 }), ..full.clone() };
@@ -50,7 +55,10 @@ fn preemption_looks_at_the_largest_features() {
     let expected = match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full);
     assert_eq!(match_prepared(&prepare(&a, 25), &prepare(&b, 25), &preempt), expected);
     // Images that were prepared without leading features are matched in full.
-    assert_eq!(match_prepared(&Prepared::new(&a.descriptors), &prepare(&b, 10), &preempt), expected);
+    assert_eq!(
+        match_prepared(&Prepared::new(&a.descriptors), &prepare(&b, 10), &preempt),
+        expected
+    );
 }
 
 #[test]
@@ -87,9 +95,13 @@ fn forests_find_the_same_distinct_features() {
 fn the_cheapest_method_turns_to_forests_for_many_features() {
     let cheapest = Method::Cheapest(Checks::default());
     assert!(!cheapest.uses_forest(500) && cheapest.uses_forest(1_000_000));
-    assert!(!Method::BruteForce.uses_forest(1_000_000) && Method::Forest(Checks::default()).uses_forest(1));
+    assert!(
+        !Method::BruteForce.uses_forest(1_000_000)
+            && Method::Forest(Checks::default()).uses_forest(1)
+    );
     // More checks put it off.
-    let turn =
-        |checks| (0..40).find(|&k| Method::Cheapest(Checks::Total(checks)).uses_forest(1 << k)).unwrap();
+    let turn = |checks| {
+        (0..40).find(|&k| Method::Cheapest(Checks::Total(checks)).uses_forest(1 << k)).unwrap()
+    };
     assert!(turn(1024) > turn(64));
 }

@@ -1,9 +1,11 @@
 //! Which frames of a video are worth having.
 //!
-//! Of every so many frames the sharpest is taken (the one of the most energy in its gradients: they show the same things), and left out
-//! where the picture has hardly moved since the last one that was kept, so that a stop is not a thousand equal photos. Movement is the
-//! median over blocks of a small copy of how far its slopes would have to move to change it so; cars that pass do not move a median.
-//! Of a camera whose clock is known beside another one's, the frames nearest in time to those of the other are taken.
+//! Of every so many frames the sharpest is taken (the one of the most energy in its gradients: they
+//! show the same things), and left out where the picture has hardly moved since the last one that
+//! was kept, so that a stop is not a thousand equal photos. Movement is the median over blocks of a
+//! small copy of how far its slopes would have to move to change it so; cars that pass do not move
+//! a median. Of a camera whose clock is known beside another one's, the frames nearest in time to
+//! those of the other are taken.
 
 use std::num::NonZeroUsize;
 
@@ -12,12 +14,14 @@ use tiepoint_sfm::geometry::numeric::median;
 
 /// Width of the small copy on which frames are compared, about.
 const SMALL_WIDTH: u32 = 320;
-/// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that gives it texture.
+/// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that
+/// gives it texture.
 const BLOCK: usize = 16;
 const MIN_TEXTURE: f64 = 4.0;
 /// Fewer textured blocks tell no movement.
 const MIN_BLOCKS: usize = 8;
-/// A frame that moved by less than this share of its width (0.8 pixels of the small copy) since the last one shows nothing new.
+/// A frame that moved by less than this share of its width (0.8 pixels of the small copy) since the
+/// last one shows nothing new.
 const MIN_MOVEMENT: f64 = 0.0025;
 
 /// A frame, and what is compared of it.
@@ -74,7 +78,8 @@ impl Sharpest {
     }
 }
 
-/// Takes the frame nearest to each of some moments; before them and after them, or where there are none, the sharpest.
+/// Takes the frame nearest to each of some moments; before them and after them, or where there are
+/// none, the sharpest.
 pub(super) struct Chooser {
     /// In order.
     moments_s: Vec<f64>,
@@ -100,8 +105,10 @@ impl Chooser {
         let nearest = self.nearest.take().filter(|last| is_past(moment_s, last));
         if let Some(nearest) = &nearest {
             // Where frames are missing, one may be the nearest to several moments.
-            self.next +=
-                self.moments_s[self.next..].iter().take_while(|moment_s| is_past(moment_s, nearest)).count();
+            self.next += self.moments_s[self.next..]
+                .iter()
+                .take_while(|moment_s| is_past(moment_s, nearest))
+                .count();
         }
         if self.next < self.moments_s.len() {
             self.nearest = Some(frame);
@@ -151,8 +158,8 @@ impl Small {
         Self { width, height, pixels }
     }
 
-    /// How far the picture has moved since `other`, in pixels, where that is little; something large, where it is not; `None` where nothing
-    /// can be told.
+    /// How far the picture has moved since `other`, in pixels, where that is little; something
+    /// large, where it is not; `None` where nothing can be told.
     fn movement_px(&self, other: &Self) -> Option<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             return None;
@@ -166,13 +173,15 @@ impl Small {
         if movements.len() < MIN_BLOCKS { None } else { median(&mut movements) }
     }
 
-    /// Root mean square change of brightness over root mean square slope, where there are slopes in all directions. Exposure may differ.
+    /// Root mean square change of brightness over root mean square slope, where there are slopes in
+    /// all directions. Exposure may differ.
     fn block_movement_px(&self, other: &Self, left: usize, top: usize) -> Option<f64> {
         let (mut xx, mut xy, mut yy, mut change, mut change2) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for y in top..top + BLOCK {
             for x in left..left + BLOCK {
                 let at = |x: usize, y: usize| f64::from(other.pixels[y * self.width + x]);
-                let (dx, dy) = (0.5 * (at(x + 1, y) - at(x - 1, y)), 0.5 * (at(x, y + 1) - at(x, y - 1)));
+                let (dx, dy) =
+                    (0.5 * (at(x + 1, y) - at(x - 1, y)), 0.5 * (at(x, y + 1) - at(x, y - 1)));
                 let difference = f64::from(self.pixels[y * self.width + x]) - at(x, y);
                 (xx, xy, yy) = (xx + dx * dx, xy + dx * dy, yy + dy * dy);
                 (change, change2) = (change + difference, change2 + difference * difference);
@@ -192,7 +201,8 @@ mod tests {
 
     const SIZE: (u32, u32) = (640, 480);
 
-    /// A picture with texture everywhere, moved to the right by so many pixels, and smeared over so many.
+    /// A picture with texture everywhere, moved to the right by so many pixels, and smeared over so
+    /// many.
     fn picture(moved: f64, smear: usize) -> Rgb {
         let value = |x: f64, y: f64| {
             127.0 + 50.0 * ((0.11 * x).sin() * (0.13 * y).cos() + (0.31 * x + 0.17 * y).sin())
@@ -214,7 +224,9 @@ mod tests {
             .iter()
             .enumerate()
             .filter_map(|(index, &(moved, smear))| {
-                chooser.add(Candidate::new(index, 0.0, picture(moved, smear))).map(|frame| frame.index)
+                chooser
+                    .add(Candidate::new(index, 0.0, picture(moved, smear)))
+                    .map(|frame| frame.index)
             })
             .collect();
         kept.extend(chooser.end().map(|frame| frame.index));
@@ -262,7 +274,8 @@ mod tests {
             kept
         };
         let times_s: Vec<f64> = (0..12).map(|k| 0.04 + 0.1 * f64::from(k)).collect();
-        // One of the two before, 0.34 s for 0.31, 0.64 s for 0.61, and one of every two of the rest.
+        // One of the two before, 0.34 s for 0.31, 0.64 s for 0.61, and one of every two of the
+        // rest.
         assert_eq!(kept(&[0.31, 0.61], &times_s), [0, 3, 6, 8, 10]);
         assert_eq!(kept(&[0.04, 0.36, 0.66], &times_s[..7]), [0, 3, 6]);
         // A stop of the first camera, and a gap of the second.

@@ -1,9 +1,10 @@
 //! How much later one recording began than another, from what both have heard.
 //!
-//! Two microphones a metre apart on a vehicle hear different wind but the same doors, voices, horns and engine. What they share is when
-//! it becomes loud: the logarithm of the energy of a millisecond, less its mean over half a second, compared at every offset at which
-//! the recordings overlap. The offset counts if its correlation stands far above what other offsets reach by chance, and no other comes
-//! near it, as it would for a sound that repeats.
+//! Two microphones a metre apart on a vehicle hear different wind but the same doors, voices, horns
+//! and engine. What they share is when it becomes loud: the logarithm of the energy of a
+//! millisecond, less its mean over half a second, compared at every offset at which the recordings
+//! overlap. The offset counts if its correlation stands far above what other offsets reach by
+//! chance, and no other comes near it, as it would for a sound that repeats.
 
 use rayon::prelude::*;
 use tiepoint_sfm::geometry::numeric::median;
@@ -17,8 +18,8 @@ const COARSE_HZ: usize = 100;
 const MEAN_OVER_S: f64 = 0.5;
 /// Recordings that overlap by less, in seconds, are not compared.
 const MIN_OVERLAP_S: f64 = 5.0;
-/// A correlation counts from so many standard deviations of what chance gives, and if others, this far away in seconds, stay below this
-/// share of it.
+/// A correlation counts from so many standard deviations of what chance gives, and if others, this
+/// far away in seconds, stay below this share of it.
 const MIN_DEVIATIONS: f64 = 10.0;
 const OTHERS_FROM_S: f64 = 0.5;
 const MAX_OTHERS: f64 = 0.7;
@@ -32,13 +33,16 @@ pub(super) fn began_after_s(a: &[i16], b: &[i16]) -> Option<f64> {
     let (coarse_a, coarse_b) = (Sound::new(coarse_a), Sound::new(coarse_b));
     let least = (MIN_OVERLAP_S * COARSE_HZ as f64) as i64;
     let lags = least - coarse_b.len()..coarse_a.len() - least + 1;
-    let scores: Vec<f64> = lags.clone().into_par_iter().map(|lag| coarse_a.score(&coarse_b, lag)).collect();
+    let scores: Vec<f64> =
+        lags.clone().into_par_iter().map(|lag| coarse_a.score(&coarse_b, lag)).collect();
     let (peak, &best) = scores.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
-    let deviation =
-        median(&mut scores.iter().map(|score| score.abs()).collect::<Vec<f64>>())? / MEDIAN_OF_NORMAL;
+    let deviation = median(&mut scores.iter().map(|score| score.abs()).collect::<Vec<f64>>())?
+        / MEDIAN_OF_NORMAL;
     let far = (OTHERS_FROM_S * COARSE_HZ as f64) as usize;
-    let others = scores[..peak.saturating_sub(far)].iter().chain(scores.iter().skip(peak + far + 1));
-    let is_alone = others.fold(f64::NEG_INFINITY, |most, score| most.max(*score)) < MAX_OTHERS * best;
+    let others =
+        scores[..peak.saturating_sub(far)].iter().chain(scores.iter().skip(peak + far + 1));
+    let is_alone =
+        others.fold(f64::NEG_INFINITY, |most, score| most.max(*score)) < MAX_OTHERS * best;
     if deviation == 0.0 || best < MIN_DEVIATIONS * deviation || !is_alone {
         return None;
     }
@@ -54,7 +58,8 @@ pub(super) fn began_after_s(a: &[i16], b: &[i16]) -> Option<f64> {
 /// Logarithms of the energy of each millisecond's slopes, less their mean nearby.
 fn loudness(samples: &[i16]) -> Vec<f32> {
     let energy = |samples: &[i16]| {
-        let slopes = samples.windows(2).map(|pair| (f64::from(pair[1]) - f64::from(pair[0])).powi(2));
+        let slopes =
+            samples.windows(2).map(|pair| (f64::from(pair[1]) - f64::from(pair[0])).powi(2));
         (1.0 + slopes.sum::<f64>()).ln()
     };
     let levels: Vec<f64> = samples.chunks_exact(RATE_HZ as usize / FINE_HZ).map(energy).collect();
@@ -96,8 +101,8 @@ impl Sound {
         self.levels.len() as i64
     }
 
-    /// Correlation with `other` moved by `lag` to later times, times the root of how much of them overlaps: about 1 by chance, if
-    /// neighbouring levels were independent.
+    /// Correlation with `other` moved by `lag` to later times, times the root of how much of them
+    /// overlaps: about 1 by chance, if neighbouring levels were independent.
     fn score(&self, other: &Self, lag: i64) -> f64 {
         let (from, to) = (lag.max(0), (lag + other.len()).min(self.len()));
         if to <= from {
@@ -112,7 +117,8 @@ impl Sound {
         if energies <= 0.0 {
             return 0.0;
         }
-        dot(&self.levels[own], &other.levels[others]) / energies.sqrt() * ((to - from) as f64).sqrt()
+        dot(&self.levels[own], &other.levels[others]) / energies.sqrt()
+            * ((to - from) as f64).sqrt()
     }
 }
 
@@ -139,7 +145,8 @@ mod tests {
     /// Sound travels 1.7 m meanwhile: more than microphones are apart.
     const TOLERANCE_S: f64 = 0.005;
 
-    /// Knocks at random times, each fading within a twentieth of a second, as heard over noise of one's own.
+    /// Knocks at random times, each fading within a twentieth of a second, as heard over noise of
+    /// one's own.
     fn heard(from_s: f64, seconds: f64, gain: f64, noise: f64, seed: u64) -> Vec<i16> {
         let mut world = Rng::stream(1, &[]);
         let knocks: Vec<(f64, f64)> =
@@ -150,7 +157,9 @@ mod tests {
             let time_s = from_s + k as f64 / SECOND as f64;
             let near = knocks.iter().filter(|(at_s, _)| (0.0..0.3).contains(&(time_s - at_s)));
             let knock: f64 = near
-                .map(|(at_s, loud)| loud * (-(time_s - at_s) / 0.05).exp() * (2000.0 * (time_s - at_s)).sin())
+                .map(|(at_s, loud)| {
+                    loud * (-(time_s - at_s) / 0.05).exp() * (2000.0 * (time_s - at_s)).sin()
+                })
                 .sum();
             let value = gain * 8000.0 * knock + noise * 8000.0 * (own.uniform() - 0.5);
             samples.push(value.clamp(-32768.0, 32767.0) as i16);
@@ -164,7 +173,11 @@ mod tests {
         for (from_s, seconds) in [(10.345, 50.0), (3.0, 30.0), (0.5, 20.0), (45.25, 60.0)] {
             let right = heard(from_s, seconds, 0.4, 0.1, 3);
             let found = began_after_s(&left, &right).unwrap();
-            assert!((found - (from_s - 3.0)).abs() < TOLERANCE_S, "{found} instead of {}", from_s - 3.0);
+            assert!(
+                (found - (from_s - 3.0)).abs() < TOLERANCE_S,
+                "{found} instead of {}",
+                from_s - 3.0
+            );
             let back = began_after_s(&right, &left).unwrap();
             assert!((found + back).abs() < TOLERANCE_S);
         }
@@ -183,7 +196,9 @@ mod tests {
             let mut rng = Rng::stream(seed, &[]);
             let beat = |k: usize| 4000.0 * (-(((k % (SECOND / 3)) as f64) / 300.0)).exp();
             (0..40 * SECOND)
-                .map(|k| (beat(k) * if k % 2 == 0 { 1.0 } else { -1.0 } + 500.0 * rng.uniform()) as i16)
+                .map(|k| {
+                    (beat(k) * if k % 2 == 0 { 1.0 } else { -1.0 } + 500.0 * rng.uniform()) as i16
+                })
                 .collect()
         };
         assert_eq!(began_after_s(&beats(1), &beats(2)), None);

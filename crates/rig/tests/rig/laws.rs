@@ -1,12 +1,16 @@
-//! The baseline factor against numbers: its Jacobian, its zero, its branch near π, and the weights of Eq. (2) and (4).
+//! The baseline factor against numbers: its Jacobian, its zero, its branch near π, and the weights
+//! of Eq. (2) and (4).
 
 use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::ba::testing::check_jacobians;
-use tiepoint_rig::{Baseline, Mounted, RelativePose, paper, robust_average, spread};
+use tiepoint_rig::{
+    Baseline, RelativePose, SynchronousExtrinsics, paper, relative_pose_statistics, robust_average,
+};
 
-/// Numeric differentiation with steps near the cube root of machine precision, on numbers up to about 10 and weights of √500.
+/// Numeric differentiation with steps near the cube root of machine precision, on numbers up to
+/// about 10 and weights of √500.
 const JACOBIAN_TOLERANCE: f64 = 1e-5;
 
 fn vector(limit: f64) -> impl Strategy<Value = Vector3<f64>> {
@@ -22,7 +26,8 @@ fn moments(mounting: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value
     (pose(), pose(), mounting, vector(1.0), vector(0.05), vector(0.05)).prop_map(
         |(left, next_left, w, t, dw, dt)| {
             let right_from_left = Rigid3::from_axis_angle(w, t);
-            let next_right_from_left = Rigid3::new(so3::exp(&dw) * right_from_left.rotation, t + dt);
+            let next_right_from_left =
+                Rigid3::new(so3::exp(&dw) * right_from_left.rotation, t + dt);
             [left, right_from_left * left, next_left, next_right_from_left * next_left]
         },
     )
@@ -79,7 +84,10 @@ proptest! {
 }
 
 fn p(t: f64, a: f64) -> RelativePose {
-    RelativePose { translation: Vector3::new(t, 0.01, 0.02), axis_angle: Vector3::new(0.01, a, 0.01) }
+    RelativePose {
+        translation: Vector3::new(t, 0.01, 0.02),
+        axis_angle: Vector3::new(0.01, a, 0.01),
+    }
 }
 
 #[test]
@@ -93,14 +101,15 @@ fn a_pair_that_one_element_betrays_is_pulled_harder() {
     let mut poses = vec![p(0.5, 0.1); 20];
     poses[7] = p(0.5, -0.8);
     let weights = paper::final_link_weights(&poses);
-    let expected: Vec<f64> = (0..19).map(|i| if i == 6 || i == 7 { 500.0 } else { 250.0 }).collect();
+    let expected: Vec<f64> =
+        (0..19).map(|i| if i == 6 || i == 7 { 500.0 } else { 250.0 }).collect();
     assert_eq!(weights, expected);
 }
 
 #[test]
 fn spread_of_a_drifting_baseline() {
     let poses: Vec<RelativePose> = (0..10).map(|i| p(if i < 5 { 0.5 } else { 0.4 }, 0.1)).collect();
-    let spread = spread(&poses).unwrap();
+    let spread = relative_pose_statistics(&poses).unwrap();
     assert!((spread.second_over_first_half - 0.8).abs() < 0.01);
     assert!(spread.rms_rotation_rad < 1e-9);
     assert!((spread.rms_translation - 0.05).abs() < 1e-12);
@@ -119,10 +128,15 @@ fn mounted(mounting: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value
 }
 
 fn check_mounted([left, right, mount]: [Rigid3; 3]) {
-    for unit in [None, Some(0.7)] {
-        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02, unit };
-        if let Err(difference) = check_jacobians(&factor, (left, right, mount), JACOBIAN_TOLERANCE) {
-            panic!("{unit:?}: {difference}");
+    for assumed_baseline in [None, Some(0.7)] {
+        let factor = SynchronousExtrinsics {
+            sigma_translation: 0.05,
+            sigma_rotation_rad: 0.02,
+            assumed_baseline,
+        };
+        if let Err(difference) = check_jacobians(&factor, (left, right, mount), JACOBIAN_TOLERANCE)
+        {
+            panic!("{assumed_baseline:?}: {difference}");
         }
     }
 }
@@ -148,9 +162,16 @@ proptest! {
 
     /// The size of a model is its own affair: scaled with its mounting, nothing changes.
     #[test]
-    fn a_mounting_does_not_see_scale([left, right, mount] in mounted(vector(1.0)), scale in 0.01..100.0) {
+    fn a_mounting_does_not_see_scale(
+        [left, right, mount] in mounted(vector(1.0)),
+        scale in 0.01..100.0,
+    ) {
         use tiepoint_rig::ba::Factor;
-        let factor = Mounted { sigma_translation: 0.05, sigma_rotation_rad: 0.02, unit: None };
+        let factor = SynchronousExtrinsics {
+            sigma_translation: 0.05,
+            sigma_rotation_rad: 0.02,
+            assumed_baseline: None,
+        };
         let grown = |pose: &Rigid3| Rigid3::new(pose.rotation, pose.translation * scale);
         let before = factor.residual((&left, &right, &mount)).unwrap();
         let after = factor.residual((&grown(&left), &grown(&right), &grown(&mount))).unwrap();
@@ -173,12 +194,18 @@ fn bad_moments_do_not_carry_the_average_off() {
         .map(|moment| {
             let (t, r) = if moment % 5 < 2 { (3.0, 1.0) } else { (0.002, 0.001) };
             let rotation = so3::exp(&noise(r)) * so3::exp(&truth.axis_angle);
-            RelativePose { translation: truth.translation + noise(t), axis_angle: so3::log(&rotation) }
+            RelativePose {
+                translation: truth.translation + noise(t),
+                axis_angle: so3::log(&rotation),
+            }
         })
         .collect();
     let found = robust_average(&poses).unwrap();
     // Two standard deviations of the good ones: bad ones pull in random directions.
     assert!((found.translation - truth.translation).norm() < 0.004, "{found:?}");
-    assert!(so3::exp(&found.axis_angle).angle_to(&so3::exp(&truth.axis_angle)) < 0.002, "{found:?}");
+    assert!(
+        so3::exp(&found.axis_angle).angle_to(&so3::exp(&truth.axis_angle)) < 0.002,
+        "{found:?}"
+    );
     assert_eq!(robust_average(&[]), None);
 }

@@ -1,13 +1,13 @@
-//! Whatever is done to a model through its methods leaves a valid one: both directions of "this keypoint sees this point"
-//! agree, and images are in the frames that give them their poses.
+//! Whatever is done to a model through its methods leaves a valid one: both directions of "this
+//! keypoint sees this point" agree, and images are in the frames that give them their poses.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Sim3};
 use tiepoint_scene::{
-    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, PointId, Reconstruction, Rig, RigId,
-    RigSensor, Track,
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, PointId, Reconstruction, Rig,
+    RigId, RigSensor, Track,
 };
 
 const FRAMES: u32 = 3;
@@ -39,7 +39,8 @@ fn operation() -> impl Strategy<Value = Operation> {
         1 => image.prop_map(Operation::Deregister),
         4 => prop::collection::vec(observation.clone(), 0..6).prop_map(Operation::AddTrack),
         1 => point.clone().prop_map(Operation::DeleteTrack),
-        4 => (point.clone(), observation.clone()).prop_map(|(p, o)| Operation::AddObservation(p, o)),
+        4 => (point.clone(), observation.clone())
+            .prop_map(|(p, o)| Operation::AddObservation(p, o)),
         2 => observation.prop_map(Operation::RemoveObservation),
         2 => (point.clone(), point).prop_map(|(one, other)| Operation::Merge(one, other)),
         1 => (0.5..2.0, vector).prop_map(|(scale, v)| Operation::Transform(scale, v)),
@@ -50,13 +51,15 @@ fn operation() -> impl Strategy<Value = Operation> {
 fn model() -> Reconstruction {
     let mut model = Reconstruction::default();
     let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-    let cameras = [0; 3]
-        .map(|_| model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: false }));
+    let cameras = [0; 3].map(|_| {
+        model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: false })
+    });
     let add = |model: &mut Reconstruction, camera: CameraId| {
         let keypoint = Keypoint { pixel: Vector2::new(320.0, 240.0), scale_px: 2.0 };
         model.add_image(Image::new("", camera, vec![keypoint; KEYPOINTS as usize]))
     };
-    let cam_from_rig = Rigid3::from_axis_angle(Vector3::new(0.0, 0.1, 0.0), Vector3::new(-0.5, 0.0, 0.0));
+    let cam_from_rig =
+        Rigid3::from_axis_angle(Vector3::new(0.0, 0.1, 0.0), Vector3::new(-0.5, 0.0, 0.0));
     model.rigs.push(Rig {
         sensors: vec![
             RigSensor { camera: cameras[0], cam_from_rig: Some(Rigid3::identity()) },
@@ -64,7 +67,8 @@ fn model() -> Reconstruction {
         ],
     });
     for frame in 0..FRAMES {
-        let rig_from_world = Rigid3::new(Default::default(), Vector3::new(0.0, 0.0, -f64::from(frame)));
+        let rig_from_world =
+            Rigid3::new(Default::default(), Vector3::new(0.0, 0.0, -f64::from(frame)));
         let images = vec![add(&mut model, cameras[0]), add(&mut model, cameras[1])];
         model.register(images[0], rig_from_world);
         model.register(images[1], cam_from_rig * rig_from_world);
@@ -76,16 +80,20 @@ fn model() -> Reconstruction {
 }
 
 fn apply(model: &mut Reconstruction, operation: &Operation) {
-    let has_pose = |model: &Reconstruction, o: &Observation| model.image(o.image).cam_from_world().is_some();
+    let has_pose =
+        |model: &Reconstruction, o: &Observation| model.image(o.image).cam_from_world().is_some();
     match operation {
         Operation::Register(image, v) => model.register(*image, Rigid3::from_axis_angle(*v, *v)),
         Operation::Deregister(image) => model.deregister(*image),
         Operation::AddTrack(observations) => {
-            // What the caller must see to: keypoints of images with a pose that see no point yet, each once.
+            // What the caller must see to: keypoints of images with a pose that see no point yet,
+            // each once.
             let mut free = observations.clone();
             free.sort_unstable();
             free.dedup();
-            free.retain(|o| has_pose(model, o) && model.image(o.image).point_of(o.keypoint).is_none());
+            free.retain(|o| {
+                has_pose(model, o) && model.image(o.image).point_of(o.keypoint).is_none()
+            });
             model.add_track(Track::new(Vector3::z(), free));
         }
         Operation::DeleteTrack(point) => model.delete_track(*point),
@@ -96,7 +104,8 @@ fn apply(model: &mut Reconstruction, operation: &Operation) {
         }
         Operation::RemoveObservation(observation) => model.remove_observation(*observation),
         Operation::Merge(one, other) => {
-            let lengths = [one, other].map(|point| model.track(*point).map(|track| track.observations.len()));
+            let lengths =
+                [one, other].map(|point| model.track(*point).map(|track| track.observations.len()));
             let merged = model.merge_tracks(*one, *other, Vector3::z());
             let both = lengths[0].zip(lengths[1]).filter(|_| one != other);
             assert_eq!(merged.is_some(), both.is_some());
@@ -113,10 +122,16 @@ fn apply(model: &mut Reconstruction, operation: &Operation) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 256,
+        failure_persistence: None,
+        ..Default::default()
+    })]
 
     #[test]
-    fn every_operation_leaves_a_valid_model(operations in prop::collection::vec(operation(), 1..60)) {
+    fn every_operation_leaves_a_valid_model(
+        operations in prop::collection::vec(operation(), 1..60),
+    ) {
         let mut model = model();
         for operation in &operations {
             apply(&mut model, operation);
@@ -141,7 +156,11 @@ fn an_image_that_gets_another_pose_leaves_its_frame() {
     assert_eq!(model.frames[0].images, [left]);
     model.deregister(left);
     assert_eq!(model.frames.len(), FRAMES as usize - 1, "no frame is empty");
-    assert_eq!(model.image(right).cam_from_world(), Some(&Rigid3::identity()), "the other image stays");
+    assert_eq!(
+        model.image(right).cam_from_world(),
+        Some(&Rigid3::identity()),
+        "the other image stays"
+    );
     model.validate().unwrap();
 }
 
@@ -155,8 +174,8 @@ fn a_point_ends_with_its_last_but_one_observation_and_deregistering_frees_keypoi
     assert_eq!(model.image(ImageId(1)).point_of(1), None);
     model.add_observation(long, seen(1));
     let other = Observation { image: ImageId(1), keypoint: 2 };
-    let short =
-        model.add_track(Track::new(Vector3::z(), vec![other, Observation { keypoint: 2, ..seen(2) }]));
+    let short = model
+        .add_track(Track::new(Vector3::z(), vec![other, Observation { keypoint: 2, ..seen(2) }]));
     model.add_observation(short, seen(0));
     assert_eq!(model.image(ImageId(0)).point_of(1), Some(long), "it sees a point already");
     model.deregister(ImageId(1));

@@ -4,8 +4,8 @@
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_scene::{
-    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor,
-    Track,
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId,
+    RigSensor, Track,
 };
 
 const KEYPOINTS: usize = 3;
@@ -23,8 +23,8 @@ fn rig_from_world(frame: u32) -> Rigid3 {
     Rigid3::from_axis_angle(Vector3::new(0.0, 0.0, 0.2), Vector3::new(0.0, 0.0, -f64::from(frame)))
 }
 
-/// Cameras 0 and 1 on a rig, camera 2 alone. Images 0 and 1 are frame 0, images 2 and 3 frame 1; image 4 is of camera 2;
-/// image 5 of camera 0 has no pose. One track, in images 0, 1 and 4.
+/// Cameras 0 and 1 on a rig, camera 2 alone. Images 0 and 1 are frame 0, images 2 and 3 frame 1;
+/// image 4 is of camera 2; image 5 of camera 0 has no pose. One track, in images 0, 1 and 4.
 fn model() -> Reconstruction {
     let mut model = Reconstruction::default();
     let cameras = [0; 3].map(|_| model.add_camera(camera()));
@@ -36,7 +36,11 @@ fn model() -> Reconstruction {
     });
     let keypoint = Keypoint { pixel: Vector2::new(320.0, 240.0), scale_px: 2.0 };
     for (index, camera) in [0, 1, 0, 1, 2, 0].into_iter().enumerate() {
-        model.add_image(Image::new(format!("{index}.jpg"), cameras[camera], vec![keypoint; KEYPOINTS]));
+        model.add_image(Image::new(
+            format!("{index}.jpg"),
+            cameras[camera],
+            vec![keypoint; KEYPOINTS],
+        ));
     }
     for frame in 0..2 {
         let images = [ImageId(2 * frame), ImageId(2 * frame + 1)];
@@ -46,7 +50,10 @@ fn model() -> Reconstruction {
         model.frames.push(Frame { rig: RigId(0), rig_from_world, images: images.to_vec() });
     }
     model.register(ImageId(4), Rigid3::identity());
-    model.add_track(Track::new(Vector3::new(0.0, 0.0, 9.0), [0, 1, 4].map(|image| seen(image, 0)).to_vec()));
+    model.add_track(Track::new(
+        Vector3::new(0.0, 0.0, 9.0),
+        [0, 1, 4].map(|image| seen(image, 0)).to_vec(),
+    ));
     model
 }
 
@@ -85,7 +92,8 @@ fn each_broken_invariant_is_named() {
             model.rigs[0].sensors.push(RigSensor { camera: CameraId(0), cam_from_rig: None });
         }),
         (
-            "the first camera of rig RigId(0) is its reference and has another pose than the identity",
+            "the first camera of rig RigId(0) is its reference and has another pose than the \
+            identity",
             |model| {
                 model.rigs[0].sensors[0].cam_from_rig = Some(right_from_left());
             },

@@ -5,10 +5,11 @@ use crate::Error;
 
 /// Holds what no pixel depends on: place, orientation and size of the world.
 ///
-/// These are the pose of one camera and, of another, the one coordinate in which its centre moves most when the world is scaled
-/// about the first: scaling by 1 + ε moves a centre c by ε (c − c₁), which in its own frame is τ = −ε R (c − c₁). `poses` are
-/// `cam_from_world`; those of `fixed` are held already, and with two of them there is nothing left to hold. `pair` asks for the
-/// two poses to hold, by their indices; by default they are the first and the one farthest from it.
+/// These are the pose of one camera and, of another, the one coordinate in which its centre moves
+/// most when the world is scaled about the first: scaling by 1 + ε moves a centre c by ε (c − c₁),
+/// which in its own frame is τ = −ε R (c − c₁). `poses` are `cam_from_world`; those of `fixed` are
+/// held already, and with two of them there is nothing left to hold. `pair` asks for the two poses
+/// to hold, by their indices; by default they are the first and the one farthest from it.
 ///
 /// # Errors
 ///
@@ -43,7 +44,7 @@ pub fn fix_gauge(
     };
     if let Some((key, direction)) = second {
         // The tangent of a pose is its rotation, then how its centre moves in its frame.
-        problem.fix_tangent(key, &[3 + direction.iamax()])?;
+        problem.fix_dofs(key, &[3 + direction.iamax()])?;
     }
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! The intrinsics of a camera in an adjustment: which parameters stay, and what is known of them beforehand.
+//! The intrinsics of a camera in an adjustment: which parameters stay, and what is known of them
+//! beforehand.
 
 use tiepoint_ba::factors::Prior;
 use tiepoint_geometry::CameraModelKind;
@@ -7,11 +8,12 @@ use tiepoint_scene::{Camera, CameraId};
 
 use super::options::{AdjustOptions, RefineIntrinsics};
 
-/// Standard deviation of the ratio of two focal lengths. Ten times as much is enough for a million keypoints.
+/// Standard deviation of the ratio of two focal lengths. Ten times as much is enough for a million
+/// keypoints.
 const FOCAL_RATIO_SIGMA: f64 = 1e-6;
 
-/// Indices of the parameters that stay. What a turn of the camera does as well is one of them: a hundredth of a pixel of systematic error would
-/// turn the camera by a tenth of a degree.
+/// Indices of the parameters that stay. What a turn of the camera does as well is one of them: a
+/// hundredth of a pixel of systematic error would turn the camera by a tenth of a degree.
 pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
     (0..kind.num_params())
         .filter(|index| {
@@ -26,8 +28,9 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
         .collect()
 }
 
-/// What is known of a camera before looking: the principal point is near the middle, distortion is small, the focal lengths keep their ratio,
-/// and what the options say of the first one. In units of the keypoints' noise, as residuals are.
+/// What is known of a camera before looking: the principal point is near the middle, distortion is
+/// small, the focal lengths keep their ratio, and what the options say of the first one. In units
+/// of the keypoints' noise, as residuals are.
 pub(super) fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,
@@ -51,7 +54,8 @@ pub(super) fn intrinsics_prior<const N: usize>(
     }
     let mut prior = Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))?;
     if let &[x, y] = kind.focal_indices() {
-        let (ratio, weight) = (params[y] / params[x], options.noise / (FOCAL_RATIO_SIGMA * params[y]));
+        let (ratio, weight) =
+            (params[y] / params[x], options.noise / (FOCAL_RATIO_SIGMA * params[y]));
         prior.mean[y] = ratio * prior.mean[x];
         prior.sqrt_information[(y, x)] = -ratio * weight;
         prior.sqrt_information[(y, y)] = weight;

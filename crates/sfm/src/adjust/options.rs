@@ -11,8 +11,9 @@ use crate::two_view::FocalPrior;
 /// Which intrinsics an adjustment may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefineIntrinsics {
-    /// Focal lengths, in the ratio that they have: the pixels of cameras are square. From a street, which leaves itself as it is when heights
-    /// grow and no camera rolls, keypoints that are a twentieth of a pixel off tell another one, by a thousandth.
+    /// Focal lengths, in the ratio that they have: the pixels of cameras are square. From a street,
+    /// which leaves itself as it is when heights grow and no camera rolls, keypoints that are a
+    /// twentieth of a pixel off tell another one, by a thousandth.
     pub focal: bool,
     /// The principal point, held near the middle of the image by a prior.
     pub principal_point: bool,
@@ -24,7 +25,8 @@ impl RefineIntrinsics {
     /// Nothing: the calibration is known.
     pub const NONE: Self = Self { focal: false, principal_point: false, distortion: false };
     /// Focal length and distortion, the principal point staying where it is.
-    pub const FOCAL_AND_DISTORTION: Self = Self { focal: true, principal_point: false, distortion: true };
+    pub const FOCAL_AND_DISTORTION: Self =
+        Self { focal: true, principal_point: false, distortion: true };
     /// Everything.
     pub const ALL: Self = Self { focal: true, principal_point: true, distortion: true };
 }
@@ -34,20 +36,23 @@ impl RefineIntrinsics {
 pub struct AdjustOptions<'a> {
     /// What may move of the cameras.
     pub refine: RefineIntrinsics,
-    /// Whether points that are enough to place the images take part alone: those seen most often, all over every image.
-    pub spread: bool,
+    /// Whether points that are enough to place the images take part alone: those seen most often,
+    /// all over every image.
+    pub selects_points: bool,
     /// Of the weighted residual.
     pub loss: Loss,
     /// Standard deviation of the principal point's prior, as a share of the image's larger side.
     pub principal_point_sigma: f64,
     /// Standard deviation of the prior on each distortion coefficient, around 0.
     pub distortion_sigma: f64,
-    /// Standard deviation of the keypoints, as a multiple of [`crate::keypoint_sigma_px`], against which the priors are weighed.
+    /// Standard deviation of the keypoints, as a multiple of [`crate::keypoint_sigma_px`], against
+    /// which the priors are weighed.
     pub noise: f64,
     /// What is believed of the focal lengths; of cameras that are not listed, nothing.
     pub focal_priors: &'a [FocalPrior],
-    /// The images that hold place, orientation and size of the world: the first one's pose, and one coordinate in which the second one's
-    /// centre moves. By default the first and the one farthest from it.
+    /// The images that hold place, orientation and size of the world: the first one's pose, and one
+    /// coordinate in which the second one's centre moves. By default the first and the one farthest
+    /// from it.
     pub gauge: Option<ImagePair>,
     /// Steps at most.
     pub max_iterations: usize,
@@ -59,7 +64,7 @@ impl Default for AdjustOptions<'_> {
     fn default() -> Self {
         Self {
             refine: RefineIntrinsics::FOCAL_AND_DISTORTION,
-            spread: false,
+            selects_points: false,
             loss: Loss::SoftL1(4.0),
             principal_point_sigma: 0.01,
             distortion_sigma: 0.2,
@@ -72,21 +77,28 @@ impl Default for AdjustOptions<'_> {
     }
 }
 
-/// Where the loss of a finished model departs from the square, in standard deviations of its keypoints: 95 % as efficient as the square on
-/// Gaussian noise (Holland and Welsch 1977).
+/// Where the loss of a finished model departs from the square, in standard deviations of its
+/// keypoints: 95 % as efficient as the square on Gaussian noise (Holland and Welsch 1977).
 const CAUCHY_SIGMAS: f64 = 2.385;
-/// No keypoint is more precise, in standard deviations of [`crate::keypoint_sigma_px`]: where synthetic ones are, rounding is no outlier.
+/// No keypoint is more precise, in standard deviations of [`crate::keypoint_sigma_px`]: where
+/// synthetic ones are, rounding is no outlier.
 const MIN_NOISE: f64 = 0.05;
 
 impl AdjustOptions<'_> {
-    /// With priors and loss weighed against the noise that a finished model leaves ([`AdjustOptions::noise`]): precise keypoints decide alone, and
-    /// one that is off by much more than most counts little. Noise beyond what was expected is the model's own, and gives the priors no more weight.
+    /// With priors and loss weighed against the noise that a finished model leaves
+    /// ([`AdjustOptions::noise`]): precise keypoints decide alone, and one that is off by much more
+    /// than most counts little. Noise beyond what was expected is the model's own, and gives the
+    /// priors no more weight.
     pub fn weighed_against(self, model: &Reconstruction) -> Self {
         self.with_noise(relative_noise(model))
     }
 
     pub(crate) fn with_noise(self, noise: f64) -> Self {
-        Self { noise: noise.min(1.0), loss: Loss::Cauchy(CAUCHY_SIGMAS * noise.max(MIN_NOISE)), ..self }
+        Self {
+            noise: noise.min(1.0),
+            loss: Loss::Cauchy(CAUCHY_SIGMAS * noise.max(MIN_NOISE)),
+            ..self
+        }
     }
 }
 
@@ -95,7 +107,8 @@ impl AdjustOptions<'_> {
 pub enum Scope<'a> {
     /// Everything that is registered.
     Global,
-    /// These images and the points that they see; the other images that see those points hold them in place.
+    /// These images and the points that they see; the other images that see those points hold them
+    /// in place.
     Local(&'a BTreeSet<ImageId>),
 }
 

@@ -1,8 +1,9 @@
 //! A reconstruction as a least-squares problem.
 //!
-//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale ([`crate::keypoint_sigma_px`]), with priors on the
-//! intrinsics and whatever [`Term`]s add. The gauge is held by leaving columns out ([`fix_gauge`]). Points that are held out do
-//! not take part, nor do those that are not needed.
+//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale
+//! ([`crate::keypoint_sigma_px`]), with priors on the intrinsics and whatever [`Term`]s add. The
+//! gauge is held by leaving columns out ([`fix_gauge`]). Points that are held out do not take part,
+//! nor do those that are not needed.
 
 use std::collections::BTreeSet;
 
@@ -19,7 +20,7 @@ use super::term::{Shifted, Term, TermContext};
 use super::variables::{Composed, Variables};
 use crate::Error;
 use crate::noise::keypoint_sigma_px;
-use crate::tracks::spread_points;
+use crate::tracks::select_points;
 
 /// The keypoints of each image that see a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
@@ -58,7 +59,7 @@ pub(crate) fn build(
     if found.len() < variables.composed.len() || found != composed {
         return Err(Error::ComposedPoses);
     }
-    hold_gauge(&mut variables, &context, options)?;
+    fix_gauge_here(&mut variables, &context, options)?;
     carry(&mut variables, &observations)?;
     for (camera, _) in model.cameras() {
         add_camera(&mut variables, &context, options, terms, &observations, camera)?;
@@ -66,17 +67,21 @@ pub(crate) fn build(
     Ok(variables)
 }
 
-fn add_points(variables: &mut Variables, context: &TermContext, options: &AdjustOptions) -> Observations {
+fn add_points(
+    variables: &mut Variables,
+    context: &TermContext,
+    options: &AdjustOptions,
+) -> Observations {
     let TermContext { model, scope, .. } = *context;
     let mut observations = vec![Vec::new(); model.images().count()];
     let mut points = scope.points(model);
     points.retain(|point| model.track(*point).is_some_and(|track| !track.is_held_out));
-    if options.spread {
-        points = spread_points(model, points, |image| scope.moves(image));
+    if options.selects_points {
+        points = select_points(model, points, |image| scope.moves(image));
     }
     for point in points {
         let Some(track) = model.track(point) else { continue };
-        let key = variables.problem_mut().eliminate(track.xyz);
+        let key = variables.problem_mut().add_landmark(track.xyz);
         variables.points.push((point, key));
         for observation in &track.observations {
             observations[observation.image.index()].push((observation.keypoint, key));
@@ -93,7 +98,7 @@ fn add_poses(
 ) {
     for (order, &image) in posed.iter().enumerate().filter(|(_, image)| !composed.contains(image)) {
         let Some(pose) = context.model.image(image).cam_from_world() else { continue };
-        let key = variables.problem_mut().keep(*pose, Order::At(order as u32));
+        let key = variables.problem_mut().add_parameter(*pose, Order::At(order as u32));
         if !context.scope.moves(image) {
             variables.problem_mut().fix(key);
         }
@@ -101,7 +106,7 @@ fn add_poses(
     }
 }
 
-fn hold_gauge(
+fn fix_gauge_here(
     variables: &mut Variables,
     context: &TermContext,
     options: &AdjustOptions,
@@ -116,7 +121,7 @@ fn hold_gauge(
         // One moment of a rig: the distance of two of its cameras is the size of the world.
         let cam_from_rig = composed.cam_from_rig;
         let place = variables.problem().get(cam_from_rig).translation;
-        variables.problem_mut().fix_tangent(cam_from_rig, &[3 + place.iamax()])?;
+        variables.problem_mut().fix_dofs(cam_from_rig, &[3 + place.iamax()])?;
     }
     Ok(())
 }
@@ -127,7 +132,9 @@ fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), E
     let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
     let sights: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
         .chain(composed)
-        .flat_map(|(image, pose)| observations[image.index()].iter().map(move |(_, point)| (pose, *point)))
+        .flat_map(|(image, pose)| {
+            observations[image.index()].iter().map(move |(_, point)| (pose, *point))
+        })
         .collect();
     let tree = SpanningTree::new(variables.problem(), &sights)?;
     variables.problem_mut().set_retraction(tree);
@@ -163,18 +170,21 @@ fn add_camera(
     }
     // A local adjustment sees too little of a camera that has images elsewhere.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
-    let refine =
-        if all.all(|(id, ..)| context.scope.moves(id)) { options.refine } else { RefineIntrinsics::NONE };
+    let refine = if all.all(|(id, ..)| context.scope.moves(id)) {
+        options.refine
+    } else {
+        RefineIntrinsics::NONE
+    };
     let described = model.camera(camera);
     with_camera_model!(&described.intrinsics, M, params => {
         let kind = described.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
         let problem = variables.problem_mut();
-        let key = problem.keep(*params, Order::Shared);
+        let key = problem.add_parameter(*params, Order::Shared);
         if columns.len() == kind.num_params() {
             problem.fix(key);
         } else {
-            problem.fix_tangent(key, &columns)?;
+            problem.fix_dofs(key, &columns)?;
             problem.add(key, intrinsics_prior(params, camera, described, options)?, Loss::Trivial)?;
         }
         for (image, pose) in &images {
@@ -187,7 +197,8 @@ fn add_camera(
             };
             of_image.add::<M>(problem, key, options.loss)?;
         }
-        variables.cameras.push((camera, Box::new(move |problem| problem.get(key).as_slice().to_vec())));
+        let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
+        variables.cameras.push((camera, Box::new(read)));
     });
     Ok(())
 }
@@ -219,7 +230,11 @@ impl OfImage<'_> {
                     problem.add((params, pose, amount, point), factor, loss)?;
                 }
                 (Pose::Own(pose), None) => {
-                    problem.add((params, pose, point), Reprojection::<M>::new(pixel, sigma_px), loss)?;
+                    problem.add(
+                        (params, pose, point),
+                        Reprojection::<M>::new(pixel, sigma_px),
+                        loss,
+                    )?;
                 }
                 (Pose::Composed(Composed { cam_from_rig, rig_from_world }), _) => {
                     let factor = RigReprojection::<M>::new(pixel, sigma_px);

@@ -1,9 +1,11 @@
 //! Rigs and frames of a model in an adjustment.
 //!
-//! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of the reference sensor's image,
-//! where the frame has one with observations; otherwise it is a variable of its own. Each further sensor's cam_from_rig is one
-//! variable, constant where no observation tells it. In an adjustment of some images alone all of these are constant, since most
-//! frames take no part; there a frame moves with its reference image, or, without one, with any of its images.
+//! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of
+//! the reference sensor's image, where the frame has one with observations; otherwise it is a
+//! variable of its own. Each further sensor's cam_from_rig is one variable, constant where no
+//! observation tells it. In an adjustment of some images alone all of these are constant, since
+//! most frames take no part; there a frame moves with its reference image, or, without one, with
+//! any of its images.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -40,11 +42,13 @@ impl RigidFrames {
         }
     }
 
-    /// The place of an image's camera among the sensors of the frame's rig, and where it is on that.
+    /// The place of an image's camera among the sensors of the frame's rig, and where it is on
+    /// that.
     fn sensor_of(&self, frame: &Frame, image: ImageId) -> Option<(usize, Rigid3)> {
         let sensors = &self.rigs.get(frame.rig.index())?.sensors;
         let place = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
-        let cam_from_rig = if place == 0 { Rigid3::identity() } else { sensors[place].cam_from_rig? };
+        let cam_from_rig =
+            if place == 0 { Rigid3::identity() } else { sensors[place].cam_from_rig? };
         Some((place, cam_from_rig))
     }
 
@@ -53,21 +57,25 @@ impl RigidFrames {
         self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
     }
 
-    /// Sensors whose place on their rig no observation tells: of each group of sensors that are joined by the observations of common
-    /// frames, and not to the reference, the first.
+    /// Sensors whose place on their rig no observation tells: of each group of sensors that are
+    /// joined by the observations of common frames, and not to the reference, the first.
     fn undetermined(&self, is_observed: impl Fn(ImageId) -> bool) -> BTreeSet<(usize, usize)> {
         // Of each sensor, the first one that it is known to be joined with.
         let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
         for frame in &self.frames {
             let rig = frame.rig.index();
             let observed = frame.images.iter().filter(|image| is_observed(**image));
-            let places: Vec<usize> =
-                observed.filter_map(|image| self.sensor_of(frame, *image)).map(|(place, _)| place).collect();
+            let places: Vec<usize> = observed
+                .filter_map(|image| self.sensor_of(frame, *image))
+                .map(|(place, _)| place)
+                .collect();
             let groups: BTreeSet<usize> =
                 places.iter().map(|place| *first.entry((rig, *place)).or_insert(*place)).collect();
             let Some(&least) = groups.first() else { continue };
             let of_rig = first.range_mut((rig, 0)..=(rig, usize::MAX));
-            of_rig.filter(|(_, group)| groups.contains(group)).for_each(|(_, group)| *group = least);
+            of_rig
+                .filter(|(_, group)| groups.contains(group))
+                .for_each(|(_, group)| *group = least);
         }
         first
             .into_iter()
@@ -108,18 +116,20 @@ impl Term for RigidFrames {
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let is_local = matches!(context.scope, Scope::Local(_));
         let own: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
-        let undetermined =
-            self.undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
+        let undetermined = self
+            .undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
         for (index, frame) in self.frames.iter().enumerate() {
             let reference = frame.images.iter().find(|image| {
-                self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0) && own.contains_key(image)
+                self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0)
+                    && own.contains_key(image)
             });
             let further = || frame.images.iter().filter(|image| self.composed.contains_key(image));
             let rig_from_world = match (reference, further().next()) {
                 (Some(image), _) => own[image],
                 (None, Some(first)) => {
-                    let key =
-                        variables.problem_mut().keep(frame.rig_from_world, Order::At(self.composed[first]));
+                    let key = variables
+                        .problem_mut()
+                        .add_parameter(frame.rig_from_world, Order::At(self.composed[first]));
                     let is_fixed = !further().any(|image| context.scope.moves(*image));
                     if is_fixed {
                         variables.problem_mut().fix(key);
@@ -132,13 +142,14 @@ impl Term for RigidFrames {
             self.rig_from_world[index] = Some(rig_from_world);
             for &image in further() {
                 let Some((place, pose)) = self.sensor_of(frame, image) else { continue };
-                let key = *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
-                    let key = variables.problem_mut().keep(pose, Order::Shared);
-                    if is_local || undetermined.contains(&(frame.rig.index(), place)) {
-                        variables.problem_mut().fix(key);
-                    }
-                    key
-                });
+                let key =
+                    *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
+                        let key = variables.problem_mut().add_parameter(pose, Order::Shared);
+                        if is_local || undetermined.contains(&(frame.rig.index(), place)) {
+                            variables.problem_mut().fix(key);
+                        }
+                        key
+                    });
                 variables.compose_pose(image, key, rig_from_world);
             }
         }

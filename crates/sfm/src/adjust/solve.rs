@@ -12,14 +12,17 @@ use super::term::Term;
 use crate::Error;
 use crate::tracks::seen_at;
 
-/// Adjusts a model with further terms; the model is changed to where the optimiser ended, whatever the reason.
+/// Adjusts a model with further terms; the model is changed to where the optimiser ended, whatever
+/// the reason.
 ///
-/// Images in the model's frames stay rigidly connected: what moves are their rigs' poses, and where the cameras are on the rigs.
-/// Points that took no part are moved to where the adjusted poses see them.
+/// Images in the model's frames stay rigidly connected: what moves are their rigs' poses, and where
+/// the cameras are on the rigs. Points that took no part are moved to where the adjusted poses see
+/// them.
 ///
 /// # Errors
 ///
-/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point, and where the optimiser refuses the problem.
+/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point, and where the
+/// optimiser refuses the problem.
 pub fn adjust(
     model: &mut Reconstruction,
     scope: &Scope,
@@ -29,7 +32,8 @@ pub fn adjust(
 ) -> Result<Summary, Error> {
     let mut frames = (!model.frames.is_empty()).then(|| RigidFrames::new(model));
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);
-    let mut terms: Vec<&mut dyn Term> = terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();
+    let mut terms: Vec<&mut dyn Term> =
+        terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();
     terms.extend(frames_term);
     let mut variables = build(model, scope, options, &mut terms)?;
     let solver_options = Options {
@@ -61,7 +65,8 @@ fn retriangulate_others(
     scope: &Scope,
     adjusted: &[(PointId, Key<Vector3<f64>>)],
 ) {
-    let took_no_part = |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
+    let took_no_part =
+        |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
     let others: Vec<PointId> = scope.points(model).into_iter().filter(took_no_part).collect();
     let place = |point: &PointId| seen_at(model, &model.track(*point)?.observations);
     let places: Vec<_> = others.par_iter().map(place).collect();

@@ -6,15 +6,17 @@ use super::options::Scope;
 use super::variables::Variables;
 use crate::Error;
 
-/// What an adjustment has beside the reprojection errors: variables and factors of its own, as of cameras on a rig or of a
-/// rolling shutter.
+/// What an adjustment has beside the reprojection errors: variables and factors of its own, as of
+/// cameras on a rig or of a rolling shutter.
 ///
-/// [`super::adjust`] adds one itself for the frames that a model has, which composes the poses of their images.
+/// [`super::adjust`] adds one itself for the frames that a model has, which composes the poses of
+/// their images.
 ///
-/// The methods are called in the order in which they stand here, each of them on all terms before the next one.
+/// The methods are called in the order in which they stand here, each of them on all terms before
+/// the next one.
 pub trait Term {
-    /// The images among `posed` (in order of their ids) whose pose is no variable of its own: [`Term::add`] composes it of others,
-    /// by [`Variables::compose_pose`].
+    /// The images among `posed` (in order of their ids) whose pose is no variable of its own:
+    /// [`Term::add`] composes it of others, by [`Variables::compose_pose`].
     fn composed_images(&mut self, posed: &[ImageId]) -> Vec<ImageId> {
         let _ = posed;
         Vec::new()
@@ -42,10 +44,14 @@ pub trait Term {
         Ok(())
     }
 
-    /// A variable that shifts the keypoints of an image in proportion, and how far each: keypoint − shift · variable is what a
-    /// camera that sees all rows at once would have detected. There is one for each keypoint of the image. Images whose pose is
-    /// composed are not asked.
-    fn shifts_of(&self, camera: CameraId, image: ImageId) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
+    /// A variable that shifts the keypoints of an image in proportion, and how far each: keypoint −
+    /// shift · variable is what a camera that sees all rows at once would have detected. There is
+    /// one for each keypoint of the image. Images whose pose is composed are not asked.
+    fn shifts_of(
+        &self,
+        camera: CameraId,
+        image: ImageId,
+    ) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
         let _ = (camera, image);
         None
     }

@@ -9,7 +9,8 @@ pub struct Variables {
     pub(super) cameras: Vec<(CameraId, ReadCamera)>,
     pub(super) poses: Vec<(ImageId, Key<Rigid3>)>,
     pub(super) composed: Vec<(ImageId, Composed)>,
-    /// Poses of a rig at moments of which no image has a pose of its own, and whether they are held.
+    /// Poses of a rig at moments of which no image has a pose of its own, and whether they are
+    /// held.
     pub(super) rig_poses: Vec<(Key<Rigid3>, bool)>,
     pub(super) points: Vec<(PointId, Key<Vector3<f64>>)>,
 }
@@ -21,7 +22,8 @@ pub(super) struct Composed {
     pub(super) rig_from_world: Key<Rigid3>,
 }
 
-/// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of its own.
+/// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of
+/// its own.
 type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
 
 impl Variables {
@@ -51,8 +53,14 @@ impl Variables {
         &self.poses
     }
 
-    /// Lets an image of [`super::Term::composed_images`] see its points from cam_from_rig · rig_from_world.
-    pub fn compose_pose(&mut self, image: ImageId, cam_from_rig: Key<Rigid3>, rig_from_world: Key<Rigid3>) {
+    /// Lets an image of [`super::Term::composed_images`] see its points from cam_from_rig ·
+    /// rig_from_world.
+    pub fn compose_pose(
+        &mut self,
+        image: ImageId,
+        cam_from_rig: Key<Rigid3>,
+        rig_from_world: Key<Rigid3>,
+    ) {
         self.composed.push((image, Composed { cam_from_rig, rig_from_world }));
     }
 
@@ -65,7 +73,8 @@ impl Variables {
             model.register(image, self.problem.get(key));
         }
         for &(image, Composed { cam_from_rig, rig_from_world }) in &self.composed {
-            model.register(image, self.problem.get(cam_from_rig) * self.problem.get(rig_from_world));
+            model
+                .register(image, self.problem.get(cam_from_rig) * self.problem.get(rig_from_world));
         }
         for &(point, key) in &self.points {
             if let Some(track) = model.track_mut(point) {

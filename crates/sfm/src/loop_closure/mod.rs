@@ -3,5 +3,5 @@
 mod pairs;
 mod pose_graph;
 
-pub(crate) use pairs::{Joined, MIN_PAIRS, Pairs, is_closed, join, pairs};
-pub(crate) use pose_graph::{Meeting, agreeing, spread_drift};
+pub(crate) use pairs::{CovisibilityGraph, MIN_PAIRS, Pairs, is_closed, join, pairs};
+pub(crate) use pose_graph::{LoopConstraint, consistent_set, distribute_drift};

@@ -1,13 +1,16 @@
 //! Loops that did not close.
 //!
-//! A drive that comes back is mapped from both sides towards where the two meet. If it has drifted by more than points may be off
-//! there, the images on both sides stay apart although their matches say that they see the same: the model is torn. Such pairs are
-//! easily told from others: nearly none of their matches became one point, and no chain of few images that do see points in common leads
-//! from one to the other (where it does, the pair is a wrong one: windows of a facade, seen from places that differ by their distance,
-//! agree with the epipolar geometry of a camera that drives along it). What their matches say of how they stand to each other is brought
-//! about by moving all images a little ([`crate::pose_graph`]); then these points are made one, everything is adjusted, and all tracks are made
-//! anew. The loop stays closed if that makes more of all verified matches one point, about as many as were torn: wrong pairs, which look alike
-//! and are not, cost others what they gain.
+//! A drive that comes back is mapped from both sides towards where the two meet. If it has drifted
+//! by more than points may be off there, the images on both sides stay apart although their matches
+//! say that they see the same: the model is torn. Such pairs are easily told from others: nearly
+//! none of their matches became one point, and no chain of few images that do see points in common
+//! leads from one to the other (where it does, the pair is a wrong one: windows of a facade, seen
+//! from places that differ by their distance, agree with the epipolar geometry of a camera that
+//! drives along it). What their matches say of how they stand to each other is brought about by
+//! moving all images a little ([`crate::pose_graph`]); then these points are made one, everything
+//! is adjusted, and all tracks are made anew. The loop stays closed if that makes more of all
+//! verified matches one point, about as many as were torn: wrong pairs, which look alike and are
+//! not, cost others what they gain.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,9 +22,11 @@ use crate::tracks::middle;
 
 /// Pairs of which fewer matches see points on both sides tell nothing.
 const MIN_MATCHES: usize = 15;
-/// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and more.
+/// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and
+/// more.
 const MAX_JOINED: f64 = 0.1;
-/// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One or two are pairs that look alike.
+/// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One
+/// or two are pairs that look alike.
 pub(crate) const MIN_PAIRS: usize = 3;
 /// A model cannot tear between images that so few pairs in a row join, which see points in common.
 const MAX_STEPS: usize = 4;
@@ -39,17 +44,18 @@ fn points<'a>(
 
 /// Pairs of images whose matches see points.
 pub(crate) struct Pairs {
-    /// Whose images see the same by their matches, and not by their points; none where these are too few to be a loop.
+    /// Whose images see the same by their matches, and not by their points; none where these are
+    /// too few to be a loop.
     pub(crate) torn: Vec<ImagePair>,
     /// Whose images see points in common.
-    pub(crate) joined: Joined,
+    pub(crate) joined: CovisibilityGraph,
 }
 
 /// Which images see points in common with which others.
 #[derive(Default)]
-pub(crate) struct Joined(BTreeMap<ImageId, Vec<ImageId>>);
+pub(crate) struct CovisibilityGraph(BTreeMap<ImageId, Vec<ImageId>>);
 
-impl Joined {
+impl CovisibilityGraph {
     fn insert(&mut self, pair: ImagePair) {
         self.0.entry(pair.a).or_default().push(pair.b);
         self.0.entry(pair.b).or_default().push(pair.a);
@@ -77,7 +83,7 @@ impl Joined {
 
 /// Tells the pairs that are torn from the others.
 pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pairs {
-    let (mut torn, mut joined) = (Vec::new(), Joined::default());
+    let (mut torn, mut joined) = (Vec::new(), CovisibilityGraph::default());
     for pair in graph.pairs() {
         let (mut same, mut seen) = (0, 0);
         for (a, b) in points(model, pair) {
@@ -100,7 +106,8 @@ pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pair
     Pairs { torn, joined }
 }
 
-/// Whether a model that was made of another one by closing loops has made enough more matches one point.
+/// Whether a model that was made of another one by closing loops has made enough more matches one
+/// point.
 pub(crate) fn is_closed(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -127,10 +134,14 @@ pub(crate) fn join(
         let Some(two_view) = graph.pairs().get(&pair) else { continue };
         for m in &two_view.matches {
             let point = |o: Observation| model.image(o.image).point_of(o.keypoint);
-            let (a, b) =
-                (Observation { image: pair.a, keypoint: m.a }, Observation { image: pair.b, keypoint: m.b });
+            let (a, b) = (
+                Observation { image: pair.a, keypoint: m.a },
+                Observation { image: pair.b, keypoint: m.b },
+            );
             let (Some(one), Some(other)) = (point(a), point(b)) else { continue };
-            let (Some(track), Some(other_track)) = (model.track(one), model.track(other)) else { continue };
+            let (Some(track), Some(other_track)) = (model.track(one), model.track(other)) else {
+                continue;
+            };
             let xyz = middle(track, other_track);
             model.merge_tracks(one, other, xyz);
         }
@@ -145,19 +156,25 @@ mod tests {
 
     use super::*;
 
-    /// Images in a row, of which each sees points with the next one; the last ones are so many pairs from the first ones.
+    /// Images in a row, of which each sees points with the next one; the last ones are so many
+    /// pairs from the first ones.
     const IMAGES: usize = 12;
     /// Pairs that look alike: so many pairs apart, from each image that has one.
     const ALIKE: usize = 3;
 
-    /// Every image has as many keypoints for the one before as for the one behind, and a point for each two that match.
+    /// Every image has as many keypoints for the one before as for the one behind, and a point for
+    /// each two that match.
     fn row() -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
-        let intrinsics = Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let intrinsics =
+            Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         let keypoint = Keypoint { pixel: Vector2::new(320.0, 240.0), scale_px: 1.0 };
         let images: Vec<ImageId> = (0..IMAGES)
-            .map(|i| model.add_image(Image::new(i.to_string(), camera, vec![keypoint; 2 * MIN_MATCHES])))
+            .map(|i| {
+                model.add_image(Image::new(i.to_string(), camera, vec![keypoint; 2 * MIN_MATCHES]))
+            })
             .collect();
         images.iter().for_each(|&image| model.register(image, Rigid3::identity()));
         for pair in images.windows(2) {
@@ -170,12 +187,18 @@ mod tests {
         (model, images)
     }
 
-    /// The pairs of neighbours, whose matches are points, and others, whose matches see other points on each side.
-    fn graph(images: &[ImageId], others: impl Iterator<Item = (usize, usize)>) -> CorrespondenceGraph {
+    /// The pairs of neighbours, whose matches are points, and others, whose matches see other
+    /// points on each side.
+    fn graph(
+        images: &[ImageId],
+        others: impl Iterator<Item = (usize, usize)>,
+    ) -> CorrespondenceGraph {
         let pair = |a: usize, b: usize| {
-            let matches =
-                (0..MIN_MATCHES as u32).map(|k| Match { a: MIN_MATCHES as u32 + k, b: k }).collect();
-            let two_view = TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() };
+            let matches = (0..MIN_MATCHES as u32)
+                .map(|k| Match { a: MIN_MATCHES as u32 + k, b: k })
+                .collect();
+            let two_view =
+                TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() };
             Some((ImagePair::new(images[a], images[b])?, two_view))
         };
         let neighbours = (1..IMAGES).filter_map(|i| pair(i - 1, i));
@@ -189,7 +212,8 @@ mod tests {
         let alike = || (0..IMAGES - ALIKE).map(|i| (i, i + ALIKE));
         assert_eq!(pairs(&graph(&images, alike()), &model).torn, []);
         let ends = || (0..MIN_PAIRS).map(|i| (i, IMAGES - 1 - i));
-        let torn: Vec<_> = ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
+        let torn: Vec<_> =
+            ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
         assert_eq!(pairs(&graph(&images, alike().chain(ends())), &model).torn, torn);
     }
 }

@@ -1,8 +1,10 @@
 //! Drift spread over a loop: a graph of poses and scales (Strasdat, Montiel & Davison 2010).
 //!
-//! Pairs of images that see points in common have drifted little from one to the other, and keep their relative pose and scale; so does a pair
-//! on both sides of a seam, whose relative pose and scale are those that its matches tell. The similarities of all images that contradict these
-//! least are found in a second where an adjustment of the points creeps: it sees a seam by points that are hundreds of pixels off.
+//! Pairs of images that see points in common have drifted little from one to the other, and keep
+//! their relative pose and scale; so does a pair on both sides of a seam, whose relative pose and
+//! scale are those that its matches tell. The similarities of all images that contradict these
+//! least are found in a second where an adjustment of the points creeps: it sees a seam by points
+//! that are hundreds of pixels off.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,31 +16,35 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Loss, RansacOptions, Rigid3, Sim3, estimate};
 use tiepoint_scene::{ImageId, ImagePair, Match, PointId, Reconstruction, TwoView};
 
-use super::pairs::Joined;
+use super::pairs::CovisibilityGraph;
 use crate::Error;
 use crate::adjust::keep_going;
 
-/// Matches of a pair agree where the projection of one side's points is so far from the other's keypoints: what may create a point.
+/// Matches of a pair agree where the projection of one side's points is so far from the other's
+/// keypoints: what may create a point.
 const MAX_ERROR_PX: f64 = 12.0;
 /// Fewer that agree tell nothing: as for verified pairs.
 const MIN_INLIERS: usize = 15;
-/// Meetings at one place agree when they are off from each other by less: in radians, distances of what is seen, and powers of e.
+/// Meetings at one place agree when they are off from each other by less: in radians, distances of
+/// what is seen, and powers of e.
 const MAX_OFF: f64 = 0.1;
-/// Chains bend least stiffly as a whole, by a millionth of what one pair would resist: damping stays far below that.
+/// Chains bend least stiffly as a whole, by a millionth of what one pair would resist: damping
+/// stays far below that.
 const INITIAL_DAMPING: f64 = 1e-12;
-/// How far everything is from where the matches want it matters to a thousandth, since points are adjusted afterwards.
+/// How far everything is from where the matches want it matters to a thousandth, since points are
+/// adjusted afterwards.
 const TOLERANCE: f64 = 1e-6;
 
-/// How the cameras of a pair stand to each other where the points of one are those of the other that they match: `b_from_a` between their
-/// coordinates, in the lengths of either's side.
+/// How the cameras of a pair stand to each other where the points of one are those of the other
+/// that they match: `b_from_a` between their coordinates, in the lengths of either's side.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Meeting {
+pub(crate) struct LoopConstraint {
     pub(crate) pair: ImagePair,
     b_from_a: Sim3,
     num_inliers: usize,
 }
 
-impl Meeting {
+impl LoopConstraint {
     /// From the matches between keypoints that see points; `None` where too few agree.
     pub(crate) fn new(
         model: &Reconstruction,
@@ -58,10 +64,17 @@ impl Meeting {
         let (pixels, others): (Vec<_>, Vec<_>) =
             seen.iter().map(|(pixel, _, other)| (*pixel, *other)).unzip();
         let options = RansacOptions { max_error: MAX_ERROR_PX, seed, ..RansacOptions::default() };
-        let found = estimate::absolute_pose(&pixels, &others, &model.camera_of(pair.a).intrinsics, &options)?;
+        let found = estimate::absolute_pose(
+            &pixels,
+            &others,
+            &model.camera_of(pair.a).intrinsics,
+            &options,
+        )?;
         let inliers = seen.iter().zip(&found.inliers).filter(|(_, is_inlier)| **is_inlier);
         let mut lengths: Vec<f64> = inliers
-            .map(|((_, own, other), _)| (found.model * *other).norm() / (*a_from_world * *own).norm())
+            .map(|((_, own, other), _)| {
+                (found.model * *other).norm() / (*a_from_world * *own).norm()
+            })
             .filter(|length| length.is_finite() && *length > 0.0)
             .collect();
         if lengths.len() < MIN_INLIERS {
@@ -74,18 +87,27 @@ impl Meeting {
     }
 }
 
-/// Without those that others contradict, which more matches speak for. Where windows of a facade repeat, pairs on both sides of a seam meet a
-/// period off; beside each other, right ones and wrong ones do not agree.
-pub(crate) fn agreeing(model: &Reconstruction, meetings: &[Meeting], joined: &Joined) -> Vec<Meeting> {
-    let images: BTreeSet<ImageId> = meetings.iter().flat_map(|m| [m.pair.a, m.pair.b]).collect();
+/// Without those that others contradict, which more matches speak for. Where windows of a facade
+/// repeat, pairs on both sides of a seam meet a period off; beside each other, right ones and wrong
+/// ones do not agree.
+pub(crate) fn consistent_set(
+    model: &Reconstruction,
+    loop_constraints: &[LoopConstraint],
+    joined: &CovisibilityGraph,
+) -> Vec<LoopConstraint> {
+    let images: BTreeSet<ImageId> =
+        loop_constraints.iter().flat_map(|m| [m.pair.a, m.pair.b]).collect();
     let (poses, depths) = (similarities(model, &images), depths(model, &images));
     let near: BTreeMap<ImageId, BTreeSet<ImageId>> =
         images.iter().map(|id| (*id, joined.near(*id))).collect();
-    let is_near = |one: ImageId, other: ImageId| near.get(&one).is_some_and(|near| near.contains(&other));
-    // Whether what one meeting says of another's images is what that one says; nothing where it is at another place.
-    let agrees = |one: &Meeting, other: &Meeting| {
+    let is_near =
+        |one: ImageId, other: ImageId| near.get(&one).is_some_and(|near| near.contains(&other));
+    // Whether what one constraint says of another's images is what that one says; nothing where it
+    // is at another place.
+    let agrees = |one: &LoopConstraint, other: &LoopConstraint| {
         let ImagePair { a, b } = one.pair;
-        let b_world_from_a_world = || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
+        let b_world_from_a_world =
+            || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
         let sides = if is_near(a, other.pair.a) && is_near(b, other.pair.b) {
             b_world_from_a_world()?
         } else if is_near(b, other.pair.a) && is_near(a, other.pair.b) {
@@ -98,33 +120,44 @@ pub(crate) fn agreeing(model: &Reconstruction, meetings: &[Meeting], joined: &Jo
         let off = off.residual((&Sim3::identity(), &expected))?;
         Some(off.norm() <= MAX_OFF)
     };
-    let support = |one: &Meeting| {
-        let agreeing = meetings.iter().filter(|other| agrees(one, other) == Some(true));
-        agreeing.map(|other| other.num_inliers).sum::<usize>()
+    let support = |one: &LoopConstraint| {
+        let consistent_set =
+            loop_constraints.iter().filter(|other| agrees(one, other) == Some(true));
+        consistent_set.map(|other| other.num_inliers).sum::<usize>()
     };
-    let supports: Vec<usize> = meetings.par_iter().map(support).collect();
-    let is_contradicted = |one: &Meeting, support: usize| {
-        meetings.iter().zip(&supports).any(|(other, by)| *by > support && agrees(other, one) == Some(false))
+    let supports: Vec<usize> = loop_constraints.par_iter().map(support).collect();
+    let is_contradicted = |one: &LoopConstraint, support: usize| {
+        loop_constraints
+            .iter()
+            .zip(&supports)
+            .any(|(other, by)| *by > support && agrees(other, one) == Some(false))
     };
-    let kept = meetings.par_iter().zip(&supports).filter(|(one, support)| !is_contradicted(one, **support));
+    let kept = loop_constraints
+        .par_iter()
+        .zip(&supports)
+        .filter(|(one, support)| !is_contradicted(one, **support));
     kept.map(|(one, _)| *one).collect()
 }
 
-/// Moves all images and points so that pairs meet as they should, at the least expense of the pairs `joined`, which see points in common.
-pub(crate) fn spread_drift(
+/// Moves all images and points so that pairs meet as they should, at the least expense of the pairs
+/// `joined`, which see points in common.
+pub(crate) fn distribute_drift(
     model: &mut Reconstruction,
-    joined: &Joined,
-    meetings: &[Meeting],
+    joined: &CovisibilityGraph,
+    loop_constraints: &[LoopConstraint],
 ) -> Result<(), Error> {
     let images: BTreeSet<ImageId> = model.registered().map(|(id, ..)| id).collect();
     let (before, depths) = (similarities(model, &images), depths(model, &images));
-    let as_it_is = |pair: ImagePair| Some((pair, before.get(&pair.b)?.relative_to(before.get(&pair.a)?)));
-    let wanted = meetings.iter().map(|meeting| (meeting.pair, meeting.b_from_a));
+    let as_it_is =
+        |pair: ImagePair| Some((pair, before.get(&pair.b)?.relative_to(before.get(&pair.a)?)));
+    let wanted = loop_constraints
+        .iter()
+        .map(|loop_constraint| (loop_constraint.pair, loop_constraint.b_from_a));
     let mut problem = Problem::new();
     let mut keys: BTreeMap<ImageId, Key<Sim3>> = BTreeMap::new();
     let mut key = |problem: &mut Problem, id: ImageId| {
         let pose = before.get(&id)?;
-        Some(*keys.entry(id).or_insert_with(|| problem.keep(*pose, Order::At(id.0))))
+        Some(*keys.entry(id).or_insert_with(|| problem.add_parameter(*pose, Order::At(id.0))))
     };
     for (pair, b_from_a) in joined.pairs().filter_map(as_it_is).chain(wanted) {
         let keys = (key(&mut problem, pair.a), key(&mut problem, pair.b));
@@ -133,8 +166,11 @@ pub(crate) fn spread_drift(
     }
     let Some(first) = keys.values().next() else { return Ok(()) };
     problem.fix(*first);
-    let options =
-        Options { initial_damping: INITIAL_DAMPING, function_tolerance: TOLERANCE, ..Options::default() };
+    let options = Options {
+        initial_damping: INITIAL_DAMPING,
+        function_tolerance: TOLERANCE,
+        ..Options::default()
+    };
     Solver::new(&problem, &options)?.solve(&mut problem, &mut keep_going)?;
     let moves: BTreeMap<ImageId, Sim3> = keys
         .iter()
@@ -188,26 +224,31 @@ mod tests {
     use tiepoint_geometry::nalgebra::{Matrix3, Rotation3, UnitQuaternion};
     use tiepoint_geometry::solvers::umeyama;
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng, so3};
-    use tiepoint_scene::{Camera, CorrespondenceGraph, Image, Keypoint, Observation, Track, TwoViewKind};
+    use tiepoint_scene::{
+        Camera, CorrespondenceGraph, Image, Keypoint, Observation, Track, TwoViewKind,
+    };
 
     use super::*;
     use crate::loop_closure::pairs;
 
-    /// Cameras around a circle, which look outwards at so many points between each and the next one.
+    /// Cameras around a circle, which look outwards at so many points between each and the next
+    /// one.
     const IMAGES: usize = 60;
     const RADIUS: f64 = 10.0;
     const POINTS: usize = 40;
     /// What the model drifts by from one image to the next: radians, and a power of e.
     const TURN: f64 = 0.002;
     const GROWTH: f64 = 0.003;
-    /// Of the error, so much may be left: drift is not quite the same everywhere, and where it is, it is not spread quite evenly.
+    /// Of the error, so much may be left: drift is not quite the same everywhere, and where it is,
+    /// it is not spread quite evenly.
     const MAX_LEFT: f64 = 0.15;
 
     fn true_pose(i: usize) -> Rigid3 {
         let (sin, cos) = (TAU * i as f64 / IMAGES as f64).sin_cos();
         let (right, ahead) = (Vector3::new(-sin, cos, 0.0), Vector3::new(cos, sin, 0.0));
         let axes = Matrix3::from_columns(&[right, ahead.cross(&right), ahead]).transpose();
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         Rigid3::new(rotation, -(rotation * (ahead * RADIUS)))
     }
 
@@ -218,7 +259,8 @@ mod tests {
         Sim3 { scale: (GROWTH * i).exp(), rotation, translation: Vector3::zeros() }
     }
 
-    /// The points between an image and the next one are one each, but between the last and the first image: these see two.
+    /// The points between an image and the next one are one each, but between the last and the
+    /// first image: these see two.
     fn torn_circle() -> (Reconstruction, CorrespondenceGraph, Vec<ImageId>) {
         let mut rng = Rng::stream(7, &[]);
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 400.0, 640, 480);
@@ -235,7 +277,13 @@ mod tests {
                 let xyz = true_pose(one).inverse() * at;
                 let pixels = [one, other].map(|i| intrinsics.project(&(true_pose(i) * xyz)));
                 if let [Some(in_one), Some(in_other)] = pixels {
-                    links.push((one, keypoints[one].len() as u32, other, keypoints[other].len() as u32, xyz));
+                    links.push((
+                        one,
+                        keypoints[one].len() as u32,
+                        other,
+                        keypoints[other].len() as u32,
+                        xyz,
+                    ));
                     keypoints[one].push(Keypoint { pixel: in_one, scale_px: 1.0 });
                     keypoints[other].push(Keypoint { pixel: in_other, scale_px: 1.0 });
                 }
@@ -243,7 +291,8 @@ mod tests {
         }
         let counts: Vec<usize> = keypoints.iter().map(Vec::len).collect();
         let mut model = Reconstruction::default();
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         let images: Vec<ImageId> = (0..)
             .zip(keypoints)
             .map(|(i, keypoints)| model.add_image(Image::new(i.to_string(), camera, keypoints)))
@@ -253,7 +302,8 @@ mod tests {
         }
         let mut matches: BTreeMap<ImagePair, Vec<Match>> = BTreeMap::new();
         for (one, a, other, b, xyz) in links {
-            let seen = [(one, a), (other, b)].map(|(i, keypoint)| Observation { image: images[i], keypoint });
+            let seen = [(one, a), (other, b)]
+                .map(|(i, keypoint)| Observation { image: images[i], keypoint });
             if other == 0 {
                 model.add_track(Track::new(drift(one) * xyz, vec![seen[0]]));
                 model.add_track(Track::new(drift(other) * xyz, vec![seen[1]]));
@@ -271,41 +321,53 @@ mod tests {
         (model, graph, images)
     }
 
-    fn seam(model: &Reconstruction, graph: &CorrespondenceGraph, images: &[ImageId]) -> Meeting {
+    fn seam(
+        model: &Reconstruction,
+        graph: &CorrespondenceGraph,
+        images: &[ImageId],
+    ) -> LoopConstraint {
         let pair = ImagePair::new(images[0], images[IMAGES - 1]).unwrap();
-        Meeting::new(model, pair, &graph.pairs()[&pair], 1).unwrap()
+        LoopConstraint::new(model, pair, &graph.pairs()[&pair], 1).unwrap()
     }
 
     /// How far the cameras on both sides of the seam are from where they meet.
-    fn off_at_seam(model: &Reconstruction, meeting: &Meeting) -> f64 {
-        let [a, b] = [meeting.pair.a, meeting.pair.b].map(|id| *model.image(id).cam_from_world().unwrap());
-        let depth = depths(model, &BTreeSet::from([meeting.pair.b]))[&meeting.pair.b];
-        let off = Between::new(meeting.b_from_a, &sigmas(depth)).unwrap();
+    fn off_at_seam(model: &Reconstruction, loop_constraint: &LoopConstraint) -> f64 {
+        let [a, b] = [loop_constraint.pair.a, loop_constraint.pair.b]
+            .map(|id| *model.image(id).cam_from_world().unwrap());
+        let depth =
+            depths(model, &BTreeSet::from([loop_constraint.pair.b]))[&loop_constraint.pair.b];
+        let off = Between::new(loop_constraint.b_from_a, &sigmas(depth)).unwrap();
         off.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
     }
 
     /// Root mean square distance of the camera centres from the true ones, moved to them.
     fn error(model: &Reconstruction) -> f64 {
-        let found: Vec<Vector3<f64>> = model.registered().map(|(.., pose)| pose.origin_in_a()).collect();
+        let found: Vec<Vector3<f64>> =
+            model.registered().map(|(.., pose)| pose.origin_in_a()).collect();
         let truth: Vec<Vector3<f64>> = (0..IMAGES).map(|i| true_pose(i).origin_in_a()).collect();
         let true_from_found = umeyama(&found, &truth, true).unwrap();
-        let squared = found.iter().zip(&truth).map(|(f, t)| (true_from_found * *f - t).norm_squared());
+        let squared =
+            found.iter().zip(&truth).map(|(f, t)| (true_from_found * *f - t).norm_squared());
         (squared.sum::<f64>() / IMAGES as f64).sqrt()
     }
 
     #[test]
     fn what_a_circle_drifts_by_is_spread_over_it() {
         let (mut model, graph, images) = torn_circle();
-        let meeting = seam(&model, &graph, &images);
-        let (before, torn_by) = (error(&model), off_at_seam(&model, &meeting));
+        let loop_constraint = seam(&model, &graph, &images);
+        let (before, torn_by) = (error(&model), off_at_seam(&model, &loop_constraint));
         let error_px = model.mean_reprojection_error_px();
         let joined = pairs(&graph, &model).joined;
-        spread_drift(&mut model, &joined, &[meeting]).unwrap();
+        distribute_drift(&mut model, &joined, &[loop_constraint]).unwrap();
         assert!(error(&model) < MAX_LEFT * before, "{} of {before}", error(&model));
         // The seam has its share of it, as every pair of neighbours has; points came along.
         let left = off_at_seam(&model, &seam(&model, &graph, &images));
         assert!(left < 2.0 / IMAGES as f64 * torn_by, "{left} of {torn_by}");
-        assert!(model.mean_reprojection_error_px() < error_px, "{} px", model.mean_reprojection_error_px());
+        assert!(
+            model.mean_reprojection_error_px() < error_px,
+            "{} px",
+            model.mean_reprojection_error_px()
+        );
     }
 
     #[test]
@@ -316,9 +378,9 @@ mod tests {
         let mut alike = right;
         alike.b_from_a.translation.x += 2.0;
         let kept = |num_alike: usize| {
-            let meetings = [right, Meeting { num_inliers: num_alike, ..alike }];
-            let kept = agreeing(&model, &meetings, &joined);
-            kept.iter().map(|meeting| meeting.b_from_a).collect::<Vec<_>>()
+            let loop_constraints = [right, LoopConstraint { num_inliers: num_alike, ..alike }];
+            let kept = consistent_set(&model, &loop_constraints, &joined);
+            kept.iter().map(|loop_constraint| loop_constraint.b_from_a).collect::<Vec<_>>()
         };
         assert_eq!(kept(right.num_inliers - 1), [right.b_from_a]);
         assert_eq!(kept(right.num_inliers + 1), [alike.b_from_a]);
@@ -331,6 +393,6 @@ mod tests {
         let mut two_view = graph.pairs()[&pair].clone();
         let others: Vec<u32> = two_view.matches.iter().rev().map(|m| m.b).collect();
         two_view.matches.iter_mut().zip(others).for_each(|(m, b)| m.b = b);
-        assert!(Meeting::new(&model, pair, &two_view, 1).is_none());
+        assert!(LoopConstraint::new(&model, pair, &two_view, 1).is_none());
     }
 }

@@ -3,10 +3,12 @@ use tiepoint_scene::Reconstruction;
 /// An observation off by this much speaks no longer for a hypothesis, in pixels.
 const TRIAL_ERROR_PX: f64 = 2.0;
 
-/// How many observations a model explains, less for those that it explains badly; and the same as a share of all.
+/// How many observations a model explains, less for those that it explains badly; and the same as a
+/// share of all.
 pub(super) fn explained(model: &Reconstruction) -> (f64, f64) {
-    let errors =
-        model.tracks().flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
+    let errors = model
+        .tracks()
+        .flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
     let sum: f64 =
         errors.flatten().map(|error_px| (1.0 - (error_px / TRIAL_ERROR_PX).powi(2)).max(0.0)).sum();
     (sum, sum / model.num_observations().max(1) as f64)

@@ -1,34 +1,36 @@
 //! One model in the making: begin with a pair, add image after image, adjust as the model grows.
 //!
-//! After Schönberger & Frahm 2016. Everything random is drawn from streams keyed by (seed, images), every parallel step
-//! collects in order: the result depends on the input, the options and the seed alone.
+//! After Schönberger & Frahm 2016. Everything random is drawn from streams keyed by (seed, images),
+//! every parallel step collects in order: the result depends on the input, the options and the seed
+//! alone.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_geometry::Rng;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
-use super::effort::Effort;
+use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_going};
 use crate::event::{Event, Watch, tell};
 use crate::noise::relative_noise;
 use crate::options::{MapperOptions, RigTerm};
-use crate::register::Queue;
+use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
 use crate::tracks::{
-    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks, recreate_tracks,
-    triangulate_image,
+    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks,
+    recreate_tracks, triangulate_image,
 };
 use crate::two_view::FocalPrior;
 
-/// A refinement is over when a round changes the number of observations and the cost by less than this share.
+/// A refinement is over when a round changes the number of observations and the cost by less than
+/// this share.
 const MIN_CHANGE: f64 = 5e-4;
 /// With fewer images the distortion is too weakly determined to be moved.
 const MIN_IMAGES_FOR_DISTORTION: usize = 5;
-/// Cameras that only move, without turning by this much (20°), hide their focal lengths and principal points: others stretch and
-/// shear the world.
+/// Cameras that only move, without turning by this much (20°), hide their focal lengths and
+/// principal points: others stretch and shear the world.
 const MIN_TURN_RAD: f64 = 0.35;
 
 /// One model in the making.
@@ -42,7 +44,7 @@ pub(super) struct Mapper<'a> {
     pub(super) taken: BTreeSet<ImageId>,
     /// Where a trial stops; `None` for all images.
     pub(super) max_images: Option<usize>,
-    pub(super) queue: Queue,
+    pub(super) queue: NextBestView,
     /// The pair that the model began with.
     pub(super) initial: Option<ImagePair>,
     pub(super) solution: Solution,
@@ -61,7 +63,7 @@ impl<'a> Mapper<'a> {
             rigs: &[],
             taken: BTreeSet::new(),
             max_images: None,
-            queue: Queue::new(scene, options.seed),
+            queue: NextBestView::new(scene, options.seed),
             initial: None,
             solution: Solution::new(scene.clone()),
         }
@@ -81,16 +83,18 @@ impl<'a> Mapper<'a> {
                 self.take_in(image, watch)?;
                 let (images, points) =
                     (self.solution.model.num_registered(), self.solution.model.num_tracks());
-                let grown = |now: usize, then: usize| now as f64 >= self.options.global_growth * then as f64;
+                let grown = |now: usize, then: usize| {
+                    now as f64 >= self.options.global_growth * then as f64
+                };
                 if grown(images, images_at_global) || grown(points, points_at_global) {
-                    self.refine_globally(&Effort::GROWING, watch)?;
+                    self.refine_globally(&RefinementSchedule::GROWING, watch)?;
                     (images_at_global, points_at_global) =
                         (self.solution.model.num_registered(), self.solution.model.num_tracks());
                 }
             }
             // What fails before the last refinement may succeed after it.
-            self.refine_globally(&Effort::GROWING, watch)?;
-            self.queue.forgive();
+            self.refine_globally(&RefinementSchedule::GROWING, watch)?;
+            self.queue.reset_trials();
             // One that failed before, if any can be now.
             let Some(image) = self.register_next() else { return Ok(()) };
             self.take_in(image, watch)?;
@@ -104,7 +108,8 @@ impl<'a> Mapper<'a> {
         self.report(image, watch)
     }
 
-    /// Images that are not registered and have a verified pair with one that is: no other sees anything of the model.
+    /// Images that are not registered and have a verified pair with one that is: no other sees
+    /// anything of the model.
     fn frontier(&self) -> Vec<ImageId> {
         let has_pose = |id: &ImageId| self.solution.model.image(*id).cam_from_world().is_some();
         let is_open = |id: &ImageId| !self.taken.contains(id) && !has_pose(id);
@@ -118,7 +123,12 @@ impl<'a> Mapper<'a> {
             return None;
         }
         let images = self.frontier();
-        self.queue.register_next(self.graph, &mut self.solution.model, images, &self.options.register)
+        self.queue.register_next(
+            self.graph,
+            &mut self.solution.model,
+            images,
+            &self.options.register,
+        )
     }
 
     /// Adjusts a new image with the images that share most points with it.
@@ -144,9 +154,15 @@ impl<'a> Mapper<'a> {
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
         let links = growing_links(&self.solution.model, self.rigs);
-        let options = self.adjust_options(&Effort::LOCAL);
+        let options = self.adjust_options(&RefinementSchedule::LOCAL);
         let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
-        match adjust(&mut self.solution.model, &Scope::Local(&bundle), &options, terms, &mut keep_going) {
+        match adjust(
+            &mut self.solution.model,
+            &Scope::Local(&bundle),
+            &options,
+            terms,
+            &mut keep_going,
+        ) {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
         }
@@ -159,12 +175,16 @@ impl<'a> Mapper<'a> {
     }
 
     /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.
-    pub(super) fn refine_globally(&mut self, effort: &Effort, watch: &mut Watch) -> Result<(), Error> {
+    pub(super) fn refine_globally(
+        &mut self,
+        schedule: &RefinementSchedule,
+        watch: &mut Watch,
+    ) -> Result<(), Error> {
         let mut before = (self.solution.model.num_observations(), f64::INFINITY);
-        for _ in 0..effort.rounds {
+        for _ in 0..schedule.rounds {
             recreate_tracks(self.graph, &mut self.solution.model, &self.options.tracks);
             let links = growing_links(&self.solution.model, self.rigs);
-            let after = self.adjust_globally(&links, effort, watch)?;
+            let after = self.adjust_globally(&links, schedule, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
                 break;
@@ -178,21 +198,23 @@ impl<'a> Mapper<'a> {
     pub(super) fn adjust_globally(
         &mut self,
         links: &[BaselineLink],
-        effort: &Effort,
+        schedule: &RefinementSchedule,
         watch: &mut Watch,
     ) -> Result<(usize, f64), Error> {
-        let options = self.adjust_options(effort);
+        let options = self.adjust_options(schedule);
         let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links }];
-        let summary = adjust(&mut self.solution.model, &Scope::Global, &options, terms, &mut keep_going)?;
+        let summary =
+            adjust(&mut self.solution.model, &Scope::Global, &options, terms, &mut keep_going)?;
         filter_all_points(&mut self.solution.model, &self.options.filter);
         filter_images(&mut self.solution.model, self.options.register.min_num_inliers / 2);
         let (num_observations, cost) = (self.solution.model.num_observations(), summary.final_cost);
-        let (num_images, iterations) = (self.solution.model.num_registered(), summary.iterations.len());
+        let (num_images, iterations) =
+            (self.solution.model.num_registered(), summary.iterations.len());
         tell(watch, &Event::Adjusted { num_images, num_observations, cost, iterations })?;
         Ok((num_observations, cost))
     }
 
-    pub(super) fn adjust_options(&self, effort: &Effort) -> AdjustOptions<'a> {
+    pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
         let mut refine = self.options.refine;
         let turns = self.turns();
         refine.focal &= self.solution.noise.is_some() || turns;
@@ -205,12 +227,12 @@ impl<'a> Mapper<'a> {
         }
         let options = AdjustOptions {
             refine,
-            spread: effort.spread,
+            selects_points: schedule.selects_points,
             loss: self.options.loss,
             focal_priors: self.focal_priors,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
-            max_iterations: effort.max_iterations,
-            function_tolerance: effort.tolerance,
+            max_iterations: schedule.max_iterations,
+            function_tolerance: schedule.tolerance,
             ..AdjustOptions::default()
         };
         match self.solution.noise {
@@ -220,10 +242,12 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one mount look apart without ever turning. Where
-    /// each image has a camera of its own, photos are compared with each other.
+    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one
+    /// mount look apart without ever turning. Where each image has a camera of its own, photos are
+    /// compared with each other.
     fn turns(&self) -> bool {
-        let is_shared = self.solution.model.cameras().count() < self.solution.model.images().count();
+        let is_shared =
+            self.solution.model.cameras().count() < self.solution.model.images().count();
         let mut first = BTreeMap::new();
         self.solution.model.registered().any(|(_, image, pose)| {
             let camera = is_shared.then_some(image.camera);
@@ -269,7 +293,9 @@ mod tests {
         let blank = scene.without_poses();
         let mut mapper = Mapper::new(&graph, &blank, &options);
         let candidates = mapper.candidates();
-        let pair = mapper.initialise(&candidates, &mut |_| ControlFlow::Continue(())).expect("an easy scene");
+        let pair = mapper
+            .initialise(&candidates, &mut |_| ControlFlow::Continue(()))
+            .expect("an easy scene");
         let failing = *mapper.frontier().last().expect("there are more images");
         let impossible = RegisterOptions { min_inlier_share: 1.1, ..options.register };
         for _ in 0..TRIALS {
@@ -285,7 +311,8 @@ mod tests {
             ControlFlow::Continue(())
         };
         mapper.grow(&mut watch).expect("an easy scene");
-        let registered: BTreeSet<ImageId> = mapper.solution.model.registered().map(|(id, ..)| id).collect();
+        let registered: BTreeSet<ImageId> =
+            mapper.solution.model.registered().map(|(id, ..)| id).collect();
         assert_eq!(registered.len(), blank.images().count());
         assert_eq!(told, registered);
     }

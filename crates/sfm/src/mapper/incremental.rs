@@ -1,4 +1,5 @@
-//! The incremental mapper: models of everything that hangs together, and of cameras that ride together.
+//! The incremental mapper: models of everything that hangs together, and of cameras that ride
+//! together.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -12,13 +13,14 @@ use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, tell};
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
-use crate::rigs::{Descriptors, MountedRig, joined, rig_pairs};
+use crate::rigs::{CalibratedRig, Descriptors, joined, rig_pairs};
 use crate::rolling_shutter::row_poses;
 use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 
-/// Maps all images that hang together, one model for each connected part, the one with the most images first. `scene` gives the
-/// cameras and the images with their keypoints; poses and points in it are ignored. `descriptors` is asked where images are to be matched
-/// again, which only [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
+/// Maps all images that hang together, one model for each connected part, the one with the most
+/// images first. `scene` gives the cameras and the images with their keypoints; poses and points in
+/// it are ignored. `descriptors` is asked where images are to be matched again, which only
+/// [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
 pub fn map(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
@@ -52,11 +54,15 @@ pub fn map(
         mapper.taken = taken.clone();
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
-            Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => return Err(error),
-            // What the earlier models left does not begin, or falls apart again: that is no reason to lose those.
+            Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
+                return Err(error);
+            }
+            // What the earlier models left does not begin, or falls apart again: that is no reason
+            // to lose those.
             Err(_) => break,
         };
-        let registered: Vec<ImageId> = mapped.reconstruction.registered().map(|(id, ..)| id).collect();
+        let registered: Vec<ImageId> =
+            mapped.reconstruction.registered().map(|(id, ..)| id).collect();
         if models.is_empty() || registered.len() >= options.min_model_size {
             models.push(mapped);
         }
@@ -73,8 +79,8 @@ pub fn map(
     Ok(models)
 }
 
-/// Joins the largest model with those of cameras that see nothing of it and ride with it, if holding them to a mounting explains tracks
-/// that took no part as well as holding nothing.
+/// Joins the largest model with those of cameras that see nothing of it and ride with it, if
+/// holding them to a mounting explains tracks that took no part as well as holding nothing.
 fn join(
     graph: &CorrespondenceGraph,
     focal_priors: &[FocalPrior],
@@ -87,7 +93,8 @@ fn join(
     while index < models.len() {
         let whole = joined(&models[0].reconstruction, &models[index].reconstruction);
         // What cannot be held stays apart.
-        let held = whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
+        let held =
+            whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
         let Some((reconstruction, rig)) = held else {
             index += 1;
             continue;
@@ -115,11 +122,11 @@ fn held(
     focal_priors: &[FocalPrior],
     options: &MapperOptions,
     descriptors: &mut Descriptors,
-) -> Result<Option<(Reconstruction, MountedRig)>, Error> {
+) -> Result<Option<(Reconstruction, CalibratedRig)>, Error> {
     let mut mapper = Mapper::new(graph, &model, options);
     mapper.focal_priors = focal_priors;
     mapper.weigh();
-    mapper.hold(descriptors)?;
+    mapper.constraint(descriptors)?;
     let Solution { model, rig, .. } = mapper.solution;
-    Ok(rig.filter(|rig| rig.hold.is_some()).map(|rig| (model, rig)))
+    Ok(rig.filter(|rig| rig.constraint.is_some()).map(|rig| (model, rig)))
 }

@@ -3,12 +3,13 @@
 use rayon::prelude::*;
 use tiepoint_scene::ImagePair;
 
-use super::effort::Effort;
 use super::growth::Mapper;
+use super::refinement_schedule::RefinementSchedule;
 use crate::Error;
 use crate::event::{Event, Watch, tell};
 use crate::loop_closure::{
-    Joined, MIN_PAIRS, Meeting, Pairs, agreeing, is_closed, join, pairs, spread_drift,
+    CovisibilityGraph, LoopConstraint, MIN_PAIRS, Pairs, consistent_set, distribute_drift,
+    is_closed, join, pairs,
 };
 
 /// How often loops are closed: one that is hides another.
@@ -19,15 +20,17 @@ impl Mapper<'_> {
     pub(super) fn close_loops(&mut self, watch: &mut Watch) -> Result<(), Error> {
         for _ in 0..MAX_CLOSURES {
             let Pairs { torn, joined } = pairs(self.graph, &self.solution.model);
-            let meetings = self.meetings(&torn, &joined);
-            if meetings.len() < MIN_PAIRS {
+            let loop_constraints = self.loop_constraints(&torn, &joined);
+            if loop_constraints.len() < MIN_PAIRS {
                 break;
             }
-            let torn: Vec<ImagePair> = meetings.iter().map(|meeting| meeting.pair).collect();
-            // What tears them is not drift where it fails. Where the pairs are wrong, or the lens is, closing may leave nothing to adjust.
+            let torn: Vec<ImagePair> =
+                loop_constraints.iter().map(|loop_constraint| loop_constraint.pair).collect();
+            // What tears them is not drift where it fails. Where the pairs are wrong, or the lens
+            // is, closing may leave nothing to adjust.
             let closed = self.transaction(|mapper| {
                 let before = mapper.solution.model.clone();
-                mapper.close_loop(&joined, &meetings, watch)?;
+                mapper.close_loop(&joined, &loop_constraints, watch)?;
                 if is_closed(mapper.graph, &mapper.solution.model, &before, &torn) {
                     Ok(())
                 } else {
@@ -44,20 +47,35 @@ impl Mapper<'_> {
     }
 
     /// How the images of torn pairs should stand to each other.
-    fn meetings(&self, torn: &[ImagePair], joined: &Joined) -> Vec<Meeting> {
-        let meeting = |pair: &ImagePair| {
+    fn loop_constraints(
+        &self,
+        torn: &[ImagePair],
+        joined: &CovisibilityGraph,
+    ) -> Vec<LoopConstraint> {
+        let loop_constraint = |pair: &ImagePair| {
             let seed = self.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
-            Meeting::new(&self.solution.model, *pair, self.graph.pairs().get(pair)?, seed)
+            LoopConstraint::new(&self.solution.model, *pair, self.graph.pairs().get(pair)?, seed)
         };
-        let meetings: Vec<Meeting> = torn.par_iter().filter_map(meeting).collect();
-        agreeing(&self.solution.model, &meetings, joined)
+        let loop_constraints: Vec<LoopConstraint> =
+            torn.par_iter().filter_map(loop_constraint).collect();
+        consistent_set(&self.solution.model, &loop_constraints, joined)
     }
 
-    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point each.
-    fn close_loop(&mut self, joined: &Joined, meetings: &[Meeting], watch: &mut Watch) -> Result<(), Error> {
-        spread_drift(&mut self.solution.model, joined, meetings)?;
-        join(self.graph, &mut self.solution.model, meetings.iter().map(|meeting| meeting.pair));
-        self.refine_globally(&Effort::CLOSED, watch)
+    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point
+    /// each.
+    fn close_loop(
+        &mut self,
+        joined: &CovisibilityGraph,
+        loop_constraints: &[LoopConstraint],
+        watch: &mut Watch,
+    ) -> Result<(), Error> {
+        distribute_drift(&mut self.solution.model, joined, loop_constraints)?;
+        join(
+            self.graph,
+            &mut self.solution.model,
+            loop_constraints.iter().map(|loop_constraint| loop_constraint.pair),
+        );
+        self.refine_globally(&RefinementSchedule::CLOSED, watch)
     }
 }
 
@@ -74,7 +92,8 @@ mod tests {
     use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
 
-    /// Every pair of images is said to see the same where it does not: nothing is left of the model then, but what was before.
+    /// Every pair of images is said to see the same where it does not: nothing is left of the model
+    /// then, but what was before.
     #[test]
     fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
         let scene = scene();
@@ -98,8 +117,10 @@ mod tests {
             (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
         });
         let graph = graph.extended(wrong);
-        let mut mapper =
-            Mapper { solution: Solution::new(model.clone()), ..Mapper::new(&graph, &blank, &options) };
+        let mut mapper = Mapper {
+            solution: Solution::new(model.clone()),
+            ..Mapper::new(&graph, &blank, &options)
+        };
         assert!(!pairs(&graph, &model).torn.is_empty());
         mapper.close_loops(watch).expect("no reason to end the run");
         assert!(mapper.solution.model == model);

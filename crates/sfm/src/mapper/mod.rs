@@ -1,11 +1,11 @@
 //! The mapper: from verified pairs to models.
 
-mod effort;
 mod explained;
 mod focal_trials;
 mod growth;
 mod incremental;
 mod loops;
+mod refinement_schedule;
 mod solution;
 mod stages;
 mod start;

@@ -1,26 +1,27 @@
-//! What is made of a model once no further image can be registered: a list of stages, each of which the next one builds on.
+//! What is made of a model once no further image can be registered: a list of stages, each of which
+//! the next one builds on.
 
-use super::effort::Effort;
 use super::growth::Mapper;
+use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, Failure, OptionalStage, Watch, tell};
 use crate::mapped_model::MappedModel;
 use crate::options::RigTerm;
-use crate::rigs::{Context, Descriptors, final_links, hold_to_mountings};
+use crate::rigs::{Context, Descriptors, constrain_rig, final_links};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
 /// How often keypoints are straightened by the model in the end, and the model made by them.
 const STRAIGHT_ROUNDS: usize = 3;
-/// A wrong readout time removes most observations, because the shifted keypoints no longer fit any pose: at least this share of the
-/// images must keep theirs.
+/// A wrong readout time removes most observations, because the shifted keypoints no longer fit any
+/// pose: at least this share of the images must keep theirs.
 const MIN_STRAIGHTENED: f64 = 0.5;
 
 /// A stage.
 #[derive(Clone, Copy)]
 enum Stage {
     /// Everything is refined, keypoints weighing by the noise that they have now.
-    Refine(Effort),
+    Refine(RefinementSchedule),
     /// What rolling shutters did is taken off the keypoints.
     RollingShutter { is_last: bool },
     /// Loops are closed.
@@ -29,13 +30,13 @@ enum Stage {
     Rig,
 }
 
-/// Shutters come before loops, too: a rolling shutter makes a drive grow or shrink on its way, sevenfold in 2 km, and no loop closes
-/// over that.
+/// Shutters come before loops, too: a rolling shutter makes a drive grow or shrink on its way,
+/// sevenfold in 2 km, and no loop closes over that.
 const STAGES: [Stage; 6] = [
-    Stage::Refine(Effort::GROWN),
+    Stage::Refine(RefinementSchedule::GROWN),
     Stage::RollingShutter { is_last: false },
     Stage::Loops,
-    Stage::Refine(Effort::FINAL),
+    Stage::Refine(RefinementSchedule::FINAL),
     Stage::RollingShutter { is_last: true },
     Stage::Rig,
 ];
@@ -97,55 +98,65 @@ impl Mapper<'_> {
         })
     }
 
-    fn work(&mut self, stage: Stage, descriptors: &mut Descriptors, watch: &mut Watch) -> Result<(), Error> {
+    fn work(
+        &mut self,
+        stage: Stage,
+        descriptors: &mut Descriptors,
+        watch: &mut Watch,
+    ) -> Result<(), Error> {
         match stage {
-            Stage::Refine(effort) => {
+            Stage::Refine(schedule) => {
                 self.weigh();
-                self.refine_globally(&effort, watch)
+                self.refine_globally(&schedule, watch)
             }
-            Stage::RollingShutter { is_last } => self.take_off_shutters(is_last, watch),
+            Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
             Stage::Loops => self.close_loops(watch),
             Stage::Rig => match self.options.rig {
                 RigTerm::Off => Ok(()),
                 RigTerm::Paper => {
                     let links = final_links(&self.solution.model, self.rigs);
-                    self.adjust_globally(&links, &Effort::FINAL, watch).map(|_| ())
+                    self.adjust_globally(&links, &RefinementSchedule::FINAL, watch).map(|_| ())
                 }
-                RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.hold(descriptors),
+                RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.constraint(descriptors),
             },
         }
     }
 
     /// Holds the cameras of the finished model to their mountings.
-    pub(super) fn hold(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
+    pub(super) fn constraint(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
         let context = Context {
             graph: self.graph,
             tracks: &self.options.tracks,
             filter: &self.options.filter,
-            adjust: self.adjust_options(&Effort::HOLDING),
+            adjust: self.adjust_options(&RefinementSchedule::HOLDING),
             seed: self.options.seed,
         };
         self.solution.rig =
-            hold_to_mountings(&context, &mut self.solution.model, self.options.rig, descriptors)?;
+            constrain_rig(&context, &mut self.solution.model, self.options.rig, descriptors)?;
         Ok(())
     }
 
-    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what is left.
-    fn take_off_shutters(&mut self, is_last: bool, watch: &mut Watch) -> Result<(), Error> {
+    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what
+    /// is left.
+    fn rectify_shutters(&mut self, is_last: bool, watch: &mut Watch) -> Result<(), Error> {
         let Some(mut shutters) = self.solution.shutters.take() else { return Ok(()) };
-        let (effort, rounds) =
-            if is_last { (&Effort::STRAIGHTENED, STRAIGHT_ROUNDS) } else { (&Effort::GROWN, 1) };
-        let (options, before) = (self.adjust_options(effort), self.solution.model.num_registered());
+        let (schedule, rounds) = if is_last {
+            (&RefinementSchedule::STRAIGHTENED, STRAIGHT_ROUNDS)
+        } else {
+            (&RefinementSchedule::GROWN, 1)
+        };
+        let (options, before) =
+            (self.adjust_options(schedule), self.solution.model.num_registered());
         shutters.find(&mut self.solution.model, &options)?;
         if is_last {
             shutters.find_deviations(&self.solution.model, &options)?;
         }
         for round in 0..rounds {
             if round > 0 {
-                shutters.take_off(&mut self.solution.model);
+                shutters.rectify(&mut self.solution.model);
             }
             self.weigh();
-            self.refine_globally(effort, watch)?;
+            self.refine_globally(schedule, watch)?;
         }
         let after = self.solution.model.num_registered();
         if (after as f64) < MIN_STRAIGHTENED * before as f64 {

@@ -5,9 +5,9 @@ use std::ops::ControlFlow;
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{ImageId, ImagePair};
 
-use super::effort::Effort;
 use super::explained::explained;
 use super::growth::Mapper;
+use super::refinement_schedule::RefinementSchedule;
 use crate::Error;
 use crate::adjust::{RefineIntrinsics, Scope, adjust, keep_going};
 use crate::event::{Event, Watch, tell};
@@ -28,13 +28,15 @@ const GOOD_START_SHARE: f64 = 0.94;
 impl Mapper<'_> {
     /// Pairs to begin with, the best first.
     pub(super) fn candidates(&self) -> Vec<InitialPair> {
-        let is_free = |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
+        let is_free =
+            |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
         let max_error_px = self.options.filter.max_error_px;
         initial_pairs(self.graph, &self.solution.model, &is_free, max_error_px, MAX_CANDIDATES)
     }
 
-    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell. So a few images are mapped from
-    /// the best pair, and unless they fit well, from others elsewhere, and the pair that explains the most is taken.
+    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell.
+    /// So a few images are mapped from the best pair, and unless they fit well, from others
+    /// elsewhere, and the pair that explains the most is taken.
     pub(super) fn best_start(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
         let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
         let mut tried: Vec<ImageId> = Vec::new();
@@ -85,12 +87,19 @@ impl Mapper<'_> {
             self.solution.model.register(pair.b, cam2_from_cam1);
             self.initial = Some(pair);
             triangulate_image(self.graph, &mut self.solution.model, pair.a, &self.options.tracks);
-            let options = self.adjust_options(&Effort::INITIAL);
-            let adjusted =
-                adjust(&mut self.solution.model, &Scope::Global, &options, &mut [], &mut keep_going);
+            let options = self.adjust_options(&RefinementSchedule::INITIAL);
+            let adjusted = adjust(
+                &mut self.solution.model,
+                &Scope::Global,
+                &options,
+                &mut [],
+                &mut keep_going,
+            );
             filter_all_points(&mut self.solution.model, &self.options.filter);
             most = most.max(self.solution.model.num_tracks());
-            if adjusted.is_ok() && self.solution.model.num_tracks() >= self.options.min_initial_inliers {
+            if adjusted.is_ok()
+                && self.solution.model.num_tracks() >= self.options.min_initial_inliers
+            {
                 let num_points = self.solution.model.num_tracks();
                 tell(watch, &Event::Initialised { image1: pair.a, image2: pair.b, num_points })?;
                 return Ok(pair);

@@ -1,7 +1,8 @@
 //! What the times of images tell of where they are: a camera does not jump.
 //!
-//! Texture that repeats (windows of a facade) makes a wrong place look as good as the right one, or better. A camera that has just been seen
-//! nearby cannot be there; but only the images right before and behind tell, so images are registered one after the other where they can be.
+//! Texture that repeats (windows of a facade) makes a wrong place look as good as the right one, or
+//! better. A camera that has just been seen nearby cannot be there; but only the images right
+//! before and behind tell, so images are registered one after the other where they can be.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,13 +12,14 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::timeline::usual;
 
-/// A camera is as fast as it is nine times in ten, among so many steps before and behind: the scale of a long drive drifts until its lens and its
-/// shutter are known. Of a camera of which fewer steps are known nothing is known.
+/// A camera is as fast as it is nine times in ten, among so many steps before and behind: the scale
+/// of a long drive drifts until its lens and its shutter are known. Of a camera of which fewer
+/// steps are known nothing is known.
 const KNOWN_STEPS: usize = 300;
 const MIN_STEPS: usize = 10;
-/// Who is not where its neighbours' motion leads, by more than this many times the way that the camera makes meanwhile, jumps: to turn back at
-/// once it would take twice that way. Windows 8.7 m apart moved a camera that makes 1 m a frame by 8.7 times, next to a frame that was lost
-/// by 4.
+/// Who is not where its neighbours' motion leads, by more than this many times the way that the
+/// camera makes meanwhile, jumps: to turn back at once it would take twice that way. Windows 8.7 m
+/// apart moved a camera that makes 1 m a frame by 8.7 times, next to a frame that was lost by 4.
 const MAX_CHANGE: f64 = 2.0;
 /// The nearest image of the model is looked for among so many before and behind.
 const MAX_WAITING: usize = 20;
@@ -47,13 +49,19 @@ impl Timelines {
     }
 
     /// The images of its camera before one and behind it, the nearest first.
-    fn sides<'a>(&'a self, model: &Reconstruction, image: ImageId) -> Option<[Vec<&'a (f64, ImageId)>; 2]> {
-        let (images, place) = (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
+    fn sides<'a>(
+        &'a self,
+        model: &Reconstruction,
+        image: ImageId,
+    ) -> Option<[Vec<&'a (f64, ImageId)>; 2]> {
+        let (images, place) =
+            (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
         let before = images[..place].iter().rev().take(MAX_WAITING).collect();
         Some([before, images[place + 1..].iter().take(MAX_WAITING).collect()])
     }
 
-    /// Whether images between this one and the nearest of its camera in the model could be registered first.
+    /// Whether images between this one and the nearest of its camera in the model could be
+    /// registered first.
     pub(crate) fn waits(
         &self,
         model: &Reconstruction,
@@ -63,21 +71,24 @@ impl Timelines {
         let Some(sides) = self.sides(model, image) else { return false };
         let has_pose = |other: &&(f64, ImageId)| model.image(other.1).cam_from_world().is_some();
         let nearest = sides.iter().filter_map(|side| Some((side.iter().position(has_pose)?, side)));
-        nearest
-            .min_by_key(|(steps, _)| *steps)
-            .is_some_and(|(steps, side)| side[..steps].iter().any(|(_, other)| candidates.contains(other)))
+        nearest.min_by_key(|(steps, _)| *steps).is_some_and(|(steps, side)| {
+            side[..steps].iter().any(|(_, other)| candidates.contains(other))
+        })
     }
 
-    /// How fast the camera of an image is about then, in units a second; `None` where too little is known of it.
+    /// How fast the camera of an image is about then, in units a second; `None` where too little is
+    /// known of it.
     pub(crate) fn usual_speed(&self, model: &Reconstruction, image: ImageId) -> Option<f64> {
-        let (images, place) = (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
+        let (images, place) =
+            (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
         let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
         let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
         let speeds: Vec<f64> = images[around].windows(2).filter_map(speed).collect();
         if speeds.len() < MIN_STEPS { None } else { usual(speeds) }
     }
 
-    /// Whether a camera of this usual speed would have to jump from the images next to this one to be here.
+    /// Whether a camera of this usual speed would have to jump from the images next to this one to
+    /// be here.
     pub(crate) fn jumps(
         &self,
         model: &Reconstruction,
@@ -90,12 +101,17 @@ impl Timelines {
         let centre = cam_from_world.origin_in_a();
         let is_off = |side: &[&(f64, ImageId)], step: usize| {
             let near = side[step];
-            let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else { return false };
+            let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else {
+                return false;
+            };
             // Where nothing further on that side tells of its motion, it stands.
-            let way =
-                side.get(step + 1).and_then(|further| velocity(model, further, near)).unwrap_or_default();
+            let way = side
+                .get(step + 1)
+                .and_then(|further| velocity(model, further, near))
+                .unwrap_or_default();
             elapsed_s != 0.0
-                && (centre - from - way * elapsed_s).norm() > MAX_CHANGE * usual_speed * elapsed_s.abs()
+                && (centre - from - way * elapsed_s).norm()
+                    > MAX_CHANGE * usual_speed * elapsed_s.abs()
         };
         sides.iter().any(|side| (0..side.len().min(MAX_STEPS)).any(|step| is_off(side, step)))
     }
@@ -106,7 +122,11 @@ fn centre_of(model: &Reconstruction, image: ImageId) -> Option<Vector3<f64>> {
 }
 
 /// Between two images with a pose, at different times; in units a second.
-fn velocity(model: &Reconstruction, from: &(f64, ImageId), to: &(f64, ImageId)) -> Option<Vector3<f64>> {
+fn velocity(
+    model: &Reconstruction,
+    from: &(f64, ImageId),
+    to: &(f64, ImageId),
+) -> Option<Vector3<f64>> {
     let velocity = (centre_of(model, to.1)? - centre_of(model, from.1)?) / (to.0 - from.0);
     velocity.iter().all(|number| number.is_finite()).then_some(velocity)
 }
@@ -124,11 +144,13 @@ mod tests {
         Rigid3 { translation: Vector3::new(-x, 0.0, 0.0), ..Rigid3::identity() }
     }
 
-    /// Images of one camera, a second and a unit apart, of which the first so many have a pose; their order is not that of time.
+    /// Images of one camera, a second and a unit apart, of which the first so many have a pose;
+    /// their order is not that of time.
     fn drive(num_registered: usize) -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         let mut images: Vec<ImageId> = (0..IMAGES)
             .map(|i| model.add_image(Image::new(format!("{i}.jpg"), camera, Vec::new())))
             .collect();

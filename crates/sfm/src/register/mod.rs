@@ -5,5 +5,5 @@ mod next_image;
 mod place;
 mod visibility;
 
-pub(crate) use next_image::Queue;
+pub(crate) use next_image::NextBestView;
 pub use place::{RegisterOptions, register_image};

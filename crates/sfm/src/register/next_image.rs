@@ -1,9 +1,11 @@
-//! Which image is registered next: the one that sees the most of the model, best spread, unless it had better wait.
+//! Which image is registered next: the one that sees the most of the model, best spread, unless it
+//! had better wait.
 //!
-//! Where texture repeats (windows of a facade), images that should see nothing of the model yet see it by matches that are wrong and agree with
-//! each other, and drag all that follow along. The right neighbours settle that, so they come first: images wait for those that are between
-//! them and the model in time; and who finds less of what it ought to see than those around it did, or jumps, waits for all others that do not
-//! wait for it.
+//! Where texture repeats (windows of a facade), images that should see nothing of the model yet see
+//! it by matches that are wrong and agree with each other, and drag all that follow along. The
+//! right neighbours settle that, so they come first: images wait for those that are between them
+//! and the model in time; and who finds less of what it ought to see than those around it did, or
+//! jumps, waits for all others that do not wait for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,16 +18,18 @@ use super::continuity::Timelines;
 use super::place::{Placement, RegisterOptions, place_image};
 use super::visibility::{Visibility, visibility};
 
-/// An image that could not be registered is tried again at most this often; and one that was, and was taken out again since.
+/// An image that could not be registered is tried again at most this often; and one that was, and
+/// was taken out again since.
 const MAX_TRIALS: usize = 3;
 /// An image that waits is placed again when it sees so many times as much of the model.
 const MIN_GROWTH: f64 = 1.1;
-/// An image waits when it finds less than this share of what it ought to see, relative to the images around it. Where all is well that is
-/// 0.76 and more; where windows were taken for others, 0.49 to 0.75.
+/// An image waits when it finds less than this share of what it ought to see, relative to the
+/// images around it. Where all is well that is 0.76 and more; where windows were taken for others,
+/// 0.49 to 0.75.
 const MIN_SHARE_OF_USUAL: f64 = 0.75;
 
 /// What is known of images that were registered, and of those that were not.
-pub(crate) struct Queue {
+pub(crate) struct NextBestView {
     seed: u64,
     timelines: Timelines,
     /// How often each image failed to register.
@@ -35,19 +39,20 @@ pub(crate) struct Queue {
     /// Of what each image ought to have seen when it was registered, how much it did.
     shares: BTreeMap<ImageId, f64>,
     /// Images that could have been registered, and had better wait.
-    poor: BTreeMap<ImageId, Poor>,
+    poor: BTreeMap<ImageId, DeferredImage>,
 }
 
 /// An image that waits for others.
 #[derive(Clone, Copy, Debug)]
-struct Poor {
+struct DeferredImage {
     /// What it saw of the model.
     num_points: usize,
-    /// How much it found of what it ought to see, as a share of what is usual around it; nothing if it jumps.
+    /// How much it found of what it ought to see, as a share of what is usual around it; nothing if
+    /// it jumps.
     share: f64,
 }
 
-impl Queue {
+impl NextBestView {
     pub(crate) fn new(scene: &Reconstruction, seed: u64) -> Self {
         Self {
             seed,
@@ -60,7 +65,7 @@ impl Queue {
     }
 
     /// Images that failed are tried again.
-    pub(crate) fn forgive(&mut self) {
+    pub(crate) fn reset_trials(&mut self) {
         self.trials.clear();
     }
 
@@ -102,7 +107,8 @@ impl Queue {
         }
     }
 
-    /// The first of the candidates; or those that have no pose, if any; or the best of those that had better wait.
+    /// The first of the candidates; or those that have no pose, if any; or the best of those that
+    /// had better wait.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -118,7 +124,8 @@ impl Queue {
                 continue;
             }
             // Who sees hardly more than it saw has hardly another pose.
-            let is_known = |poor: &&Poor| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
+            let is_known =
+                |poor: &&DeferredImage| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
             let share = match self.poor.get(&image).filter(is_known) {
                 Some(known) => known.share,
                 None => {
@@ -131,7 +138,7 @@ impl Queue {
                         return Ok(placement);
                     }
                     let share = if placement.is_plausible { placement.share / usual } else { 0.0 };
-                    self.poor.insert(image, Poor { num_points, share });
+                    self.poor.insert(image, DeferredImage { num_points, share });
                     share
                 }
             };
@@ -162,8 +169,9 @@ impl Queue {
         let key = [u64::from(image.0), model.num_registered() as u64];
         let seed = Rng::stream(self.seed, &key).next_u64();
         let speed = self.timelines.usual_speed(model, image);
-        let is_plausible =
-            |pose: &Rigid3| speed.is_none_or(|speed| !self.timelines.jumps(model, image, pose, speed));
+        let is_plausible = |pose: &Rigid3| {
+            speed.is_none_or(|speed| !self.timelines.jumps(model, image, pose, speed))
+        };
         let placement = place_image(graph, model, image, options, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
@@ -171,11 +179,18 @@ impl Queue {
         placement
     }
 
-    /// Of what images of the model with verified pairs with this one ought to have seen, how much they did: the median.
-    fn usual_share(&self, graph: &CorrespondenceGraph, model: &Reconstruction, image: ImageId) -> f64 {
+    /// Of what images of the model with verified pairs with this one ought to have seen, how much
+    /// they did: the median.
+    fn usual_share(
+        &self,
+        graph: &CorrespondenceGraph,
+        model: &Reconstruction,
+        image: ImageId,
+    ) -> f64 {
         let has_pose = |other: &&ImageId| model.image(**other).cam_from_world().is_some();
         let around = graph.neighbours(image).iter().filter(has_pose);
-        let mut shares: Vec<f64> = around.filter_map(|other| self.shares.get(other)).copied().collect();
+        let mut shares: Vec<f64> =
+            around.filter_map(|other| self.shares.get(other)).copied().collect();
         median(&mut shares).unwrap_or(0.0)
     }
 }

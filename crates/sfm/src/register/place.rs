@@ -1,8 +1,9 @@
 //! The pose of one more image, from its keypoints that match keypoints which see points.
 //!
-//! Where texture repeats, wrong matches agree on a wrong pose, and may be more than the right ones: windows of a facade look alike from
-//! places that differ by their distance. What gives such a pose away are correspondences that it lacks (Zach, Irschara & Bischof 2008): an
-//! image there would have to see nearly all that the images around it see.
+//! Where texture repeats, wrong matches agree on a wrong pose, and may be more than the right ones:
+//! windows of a facade look alike from places that differ by their distance. What gives such a pose
+//! away are correspondences that it lacks (Zach, Irschara & Bischof 2008): an image there would
+//! have to see nearly all that the images around it see.
 
 use std::collections::BTreeSet;
 
@@ -10,12 +11,14 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-/// A second pose is looked at when it has at least this share of the first one's inliers, and taken when the share that it has of what it
-/// ought to see is this much greater; or greater at all, where the first one is not plausible and it is. On streets that this was found on,
-/// right poses had 1.28 times the share of wrong ones and more.
+/// A second pose is looked at when it has at least this share of the first one's inliers, and taken
+/// when the share that it has of what it ought to see is this much greater; or greater at all,
+/// where the first one is not plausible and it is. On streets that this was found on, right poses
+/// had 1.28 times the share of wrong ones and more.
 const MIN_RIVAL_SHARE: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
-/// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk & Schmid 2005).
+/// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk
+/// & Schmid 2005).
 const SAME_ANGLE_RAD: f64 = 0.175;
 const SAME_DISTANCE: f64 = 1.25;
 
@@ -36,8 +39,8 @@ impl Default for RegisterOptions {
     }
 }
 
-/// Estimates the pose of `image`, sets it and lets its inlier keypoints see their points. Returns how many; `None`, and nothing
-/// changes, where too few agree.
+/// Estimates the pose of `image`, sets it and lets its inlier keypoints see their points. Returns
+/// how many; `None`, and nothing changes, where too few agree.
 pub fn register_image(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -73,7 +76,8 @@ impl Placement {
     }
 }
 
-/// The pose that agrees with what an image sees; `None` where too few do. One that is not plausible only where no other is.
+/// The pose that agrees with what an image sees; `None` where too few do. One that is not plausible
+/// only where no other is.
 pub(crate) fn place_image(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -88,7 +92,8 @@ pub(crate) fn place_image(
         neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
     around.sort_unstable();
     around.dedup();
-    let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
+    let ransac =
+        RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
     let camera = model.camera_of(image);
     let place = |candidates: &[(u32, PointId)], least: usize| {
         if candidates.len() < least {
@@ -98,14 +103,19 @@ pub(crate) fn place_image(
             .iter()
             .map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel)
             .collect();
-        let points: Vec<Vector3<f64>> =
-            candidates.iter().filter_map(|(_, point)| model.track(*point)).map(|track| track.xyz).collect();
+        let points: Vec<Vector3<f64>> = candidates
+            .iter()
+            .filter_map(|(_, point)| model.track(*point))
+            .map(|track| track.xyz)
+            .collect();
         let report = estimate::absolute_pose(&pixels, &points, &camera.intrinsics, &ransac)?;
         let inliers = candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier);
         let seen: Vec<(u32, PointId)> = inliers.map(|(candidate, _)| *candidate).collect();
         let is_found: BTreeSet<PointId> = seen.iter().map(|(_, point)| *point).collect();
-        let expected: Vec<&PointId> =
-            around.iter().filter(|point| is_expected(model, camera, &report.model, **point)).collect();
+        let expected: Vec<&PointId> = around
+            .iter()
+            .filter(|point| is_expected(model, camera, &report.model, **point))
+            .collect();
         let num_found = expected.iter().filter(|point| is_found.contains(point)).count();
         // Where hardly anything is expected, nothing lacks.
         let tells = expected.len() >= options.min_num_inliers.max(1);
@@ -133,18 +143,25 @@ pub(crate) fn place_image(
     } else {
         options.min_inlier_share * others.len() as f64
     };
-    let rival = place(&others, options.min_num_inliers.max(least.ceil() as usize)).filter(|rival| {
-        let advantage = if rival.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
-        (rival.is_plausible || !best.is_plausible)
-            && rival.num_found >= options.min_num_inliers
-            && rival.share > advantage * best.share
-    });
+    let rival =
+        place(&others, options.min_num_inliers.max(least.ceil() as usize)).filter(|rival| {
+            let advantage =
+                if rival.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
+            (rival.is_plausible || !best.is_plausible)
+                && rival.num_found >= options.min_num_inliers
+                && rival.share > advantage * best.share
+        });
     Some(rival.unwrap_or(best))
 }
 
-/// Whether an image with this pose ought to see a point: it projects into it, and some image sees it from nearly the same direction and
-/// distance.
-fn is_expected(model: &Reconstruction, camera: &Camera, cam_from_world: &Rigid3, point: PointId) -> bool {
+/// Whether an image with this pose ought to see a point: it projects into it, and some image sees
+/// it from nearly the same direction and distance.
+fn is_expected(
+    model: &Reconstruction,
+    camera: &Camera,
+    cam_from_world: &Rigid3,
+    point: PointId,
+) -> bool {
     let Some(track) = model.track(point) else { return false };
     let is_inside = camera
         .intrinsics
@@ -162,7 +179,11 @@ fn is_expected(model: &Reconstruction, camera: &Camera, cam_from_world: &Rigid3,
 }
 
 /// Keypoints with the points that their correspondences see; a keypoint may have several.
-fn candidates(graph: &CorrespondenceGraph, model: &Reconstruction, image: ImageId) -> Vec<(u32, PointId)> {
+fn candidates(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    image: ImageId,
+) -> Vec<(u32, PointId)> {
     let mut candidates = Vec::new();
     for keypoint in 0..model.image(image).keypoints.len() as u32 {
         let points: BTreeSet<PointId> = graph
@@ -181,26 +202,32 @@ mod tests {
     use tiepoint_geometry::nalgebra::{Vector2, Vector3};
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
     use tiepoint_scene::{
-        Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation, Reconstruction,
-        Track, TwoView, TwoViewKind,
+        Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation,
+        Reconstruction, Track, TwoView, TwoViewKind,
     };
 
     use super::{RegisterOptions, register_image};
 
-    /// Points of the place where the image is, how many of them are matched, and the same of the place that looks alike.
+    /// Points of the place where the image is, how many of them are matched, and the same of the
+    /// place that looks alike.
     const TRUE_PLACE: (usize, usize) = (150, 60);
     const ALIKE_PLACE: (usize, usize) = (600, 80);
-    /// Between the two places, in metres; and how far the found pose may be from the true one without any noise.
+    /// Between the two places, in metres; and how far the found pose may be from the true one
+    /// without any noise.
     const APART_M: f64 = 100.0;
     const TOLERANCE_M: f64 = 1e-3;
 
-    /// Two walls that look alike, each seen by one image, and an image between whose keypoints are half of one and half of the other.
+    /// Two walls that look alike, each seen by one image, and an image between whose keypoints are
+    /// half of one and half of the other.
     #[test]
     fn a_pose_that_lacks_correspondences_loses_against_one_with_fewer_inliers() {
-        let intrinsics = Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
+        let intrinsics =
+            Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
         let mut model = Reconstruction::default();
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
-        let centres = [Vector3::zeros(), Vector3::new(APART_M, 0.0, 0.0), Vector3::new(0.3, 0.0, 0.1)];
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let centres =
+            [Vector3::zeros(), Vector3::new(APART_M, 0.0, 0.0), Vector3::new(0.3, 0.0, 0.1)];
         let poses = centres.map(|centre| Rigid3 { translation: -centre, ..Rigid3::identity() });
         let mut rng = Rng::stream(5, &[]);
         let mut keypoints: [Vec<Keypoint>; 3] = Default::default();
@@ -210,12 +237,15 @@ mod tests {
             let pixel = intrinsics.project(&(*pose * *point))?;
             (pixel.x > 0.0 && pixel.x < 640.0 && pixel.y > 0.0 && pixel.y < 480.0).then_some(pixel)
         };
-        for (place, (num_points, num_matched)) in [TRUE_PLACE, ALIKE_PLACE].into_iter().enumerate() {
+        for (place, (num_points, num_matched)) in [TRUE_PLACE, ALIKE_PLACE].into_iter().enumerate()
+        {
             while keypoints[place].len() < num_points {
                 let [x, y, z] = [0; 3].map(|_| rng.uniform());
                 let offset = Vector3::new(6.0 * x - 3.0, 4.0 * y - 2.0, 5.0 + 4.0 * z);
                 let (point, as_if) = (centres[place] + offset, offset);
-                let (Some(seen), Some(again)) = (see(&poses[place], &point), see(&poses[2], &as_if)) else {
+                let (Some(seen), Some(again)) =
+                    (see(&poses[place], &point), see(&poses[2], &as_if))
+                else {
                     continue;
                 };
                 walls.push((point, place));
@@ -231,7 +261,9 @@ mod tests {
         let images: Vec<ImageId> = keypoints
             .into_iter()
             .enumerate()
-            .map(|(index, keypoints)| model.add_image(Image::new(index.to_string(), camera, keypoints)))
+            .map(|(index, keypoints)| {
+                model.add_image(Image::new(index.to_string(), camera, keypoints))
+            })
             .collect();
         for place in 0..2 {
             model.register(images[place], poses[place]);

@@ -1,7 +1,8 @@
 //! How well the points seen so far are spread over an image that is still to be registered.
 //!
-//! Schönberger & Frahm 2016, section 4.2: the image is divided into 2ˡ × 2ˡ cells for l = 1..=L; every occupied cell of level l
-//! counts 2ˡ × 2ˡ, so that many points in one corner score less than as many all over.
+//! Schönberger & Frahm 2016, section 4.2: the image is divided into 2ˡ × 2ˡ cells for l = 1..=L;
+//! every occupied cell of level l counts 2ˡ × 2ˡ, so that many points in one corner score less than
+//! as many all over.
 
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction};
 
@@ -20,7 +21,11 @@ pub(crate) struct Visibility {
 }
 
 /// What `image` sees of the model.
-pub(crate) fn visibility(graph: &CorrespondenceGraph, model: &Reconstruction, image: ImageId) -> Visibility {
+pub(crate) fn visibility(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    image: ImageId,
+) -> Visibility {
     let side = 1usize << NUM_LEVELS;
     let camera = model.camera_of(image);
     let mut occupied = vec![false; side * side];
@@ -60,7 +65,10 @@ mod tests {
         let corner: Vec<bool> = (0..side * side).map(|i| i / side < 2 && i % side < 2).collect();
         let everywhere: Vec<bool> =
             (0..side * side).map(|i| (i / side) % 4 == 1 && i % side % 4 == 1).collect();
-        assert_eq!(corner.iter().filter(|o| **o).count(), everywhere.iter().filter(|o| **o).count());
+        assert_eq!(
+            corner.iter().filter(|o| **o).count(),
+            everywhere.iter().filter(|o| **o).count()
+        );
         assert!(spread(everywhere, side) > spread(corner, side));
     }
 }

@@ -1,14 +1,16 @@
-//! What the steps that find how cameras are held have in common: a model is refined with its mountings.
+//! What the steps that find how cameras are held have in common: a model is refined with its
+//! mountings.
 
 use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 
-use super::mounting::Mounting;
-use super::mounting_term::adjust_mounted;
+use super::extrinsics::RigExtrinsics;
+use super::extrinsics_term::adjust_with_extrinsics;
 use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, recreate_tracks};
 
-/// Tracks are merged across cameras that were just brought together with this many times the usual error.
+/// Tracks are merged across cameras that were just brought together with this many times the usual
+/// error.
 pub(super) const WIDENED: f64 = 2.0;
 pub(super) const ITERATIONS: usize = 50;
 
@@ -26,15 +28,17 @@ impl Context<'_> {
     pub(super) fn refine(
         &self,
         model: &mut Reconstruction,
-        mountings: &mut [Mounting],
+        all_extrinsics: &mut [RigExtrinsics],
         widened: f64,
     ) -> Result<(), Error> {
         let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
-        adjust_mounted(model, &options, mountings)?;
-        let tracks =
-            TrackOptions { max_merge_error_px: widened * self.tracks.max_merge_error_px, ..*self.tracks };
+        adjust_with_extrinsics(model, &options, all_extrinsics)?;
+        let tracks = TrackOptions {
+            max_merge_error_px: widened * self.tracks.max_merge_error_px,
+            ..*self.tracks
+        };
         recreate_tracks(self.graph, model, &tracks);
-        adjust_mounted(model, &options, mountings)?;
+        adjust_with_extrinsics(model, &options, all_extrinsics)?;
         filter_all_points(model, self.filter);
         Ok(())
     }

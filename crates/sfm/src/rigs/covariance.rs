@@ -5,27 +5,30 @@ use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_rig::Clock;
 use tiepoint_scene::Reconstruction;
 
-use super::mounting::{Mounting, MountingCovariance};
-use super::mounting_term::MountingTerm;
+use super::extrinsics::{ExtrinsicsCovariance, RigExtrinsics};
+use super::extrinsics_term::ExtrinsicsTerm;
 use crate::Error;
 use crate::adjust::{AdjustOptions, Scope, build};
 use crate::noise::noise_of_fit;
 use crate::tracks::without_points_at_infinity;
 
 /// The covariance of each mounting's calibration and clock, zero where they do not move; `None`
-/// where something is not determined. The noise of the keypoints is what the model and the loss leave; σ of the mountings and of the times
-/// of images are what they say, widened by how what is left between the cameras goes on from moment to moment.
-pub(super) fn mounting_covariances(
+/// where something is not determined. The noise of the keypoints is what the model and the loss
+/// leave; σ of the mountings and of the times of images are what they say, widened by how what is
+/// left between the cameras goes on from moment to moment.
+pub(super) fn extrinsics_covariances(
     model: &Reconstruction,
     options: &AdjustOptions,
-    mountings: &[Mounting],
-) -> Result<Vec<Option<MountingCovariance>>, Error> {
+    all_extrinsics: &[RigExtrinsics],
+) -> Result<Vec<Option<ExtrinsicsCovariance>>, Error> {
     let model = &without_points_at_infinity(model);
     let noise = noise_of_fit(model, &options.loss);
-    let options = &AdjustOptions { noise, spread: false, ..*options };
-    let mut scaled: Vec<Mounting> =
-        mountings.iter().map(|mounting| mounting.as_if_independent(model).scaled(1.0 / noise)).collect();
-    let mut term = MountingTerm::new(&mut scaled);
+    let options = &AdjustOptions { noise, selects_points: false, ..*options };
+    let mut scaled: Vec<RigExtrinsics> = all_extrinsics
+        .iter()
+        .map(|extrinsics| extrinsics.as_if_independent(model).scaled(1.0 / noise))
+        .collect();
+    let mut term = ExtrinsicsTerm::new(&mut scaled);
     let variables = build(model, &Scope::Global, options, &mut [&mut term])?;
     let problem = variables.problem();
     let of = |(mount, clock): &(Key<Rigid3>, Option<Key<Clock>>)| {
@@ -33,7 +36,7 @@ pub(super) fn mounting_covariances(
         keys.extend(clock.map(AnyKey::from));
         let found = problem.covariance(&keys).ok()?;
         let size = found.matrix().nrows();
-        let mut of_tangent = MountingCovariance::zeros();
+        let mut of_tangent = ExtrinsicsCovariance::zeros();
         of_tangent.view_mut((0, 0), (size, size)).copy_from(&(found.matrix() * (noise * noise)));
         let change = d_numbers(&problem.get(*mount));
         Some(change * of_tangent * change.transpose())
@@ -41,9 +44,10 @@ pub(super) fn mounting_covariances(
     Ok(term.keys.iter().map(of).collect())
 }
 
-/// How the numbers of a mounting (rotation, translation) and of a clock follow the tangents: a translation t moves by τ − [t]ₓ δ.
-fn d_numbers(right_from_left: &Rigid3) -> MountingCovariance {
-    let mut change = MountingCovariance::identity();
+/// How the numbers of a mounting (rotation, translation) and of a clock follow the tangents: a
+/// translation t moves by τ − [t]ₓ δ.
+fn d_numbers(right_from_left: &Rigid3) -> ExtrinsicsCovariance {
+    let mut change = ExtrinsicsCovariance::identity();
     change.fixed_view_mut::<3, 3>(3, 0).copy_from(&-so3::hat(&right_from_left.translation));
     change
 }
@@ -60,7 +64,8 @@ mod tests {
     /// What is said to be the covariance of the translation is that of the number in the file.
     #[test]
     fn the_numbers_of_a_mounting_follow_its_tangent() {
-        let mount = Rigid3::from_axis_angle(Vector3::new(0.3, -2.0, 0.4), Vector3::new(-0.5, 0.2, 3.0));
+        let mount =
+            Rigid3::from_axis_angle(Vector3::new(0.3, -2.0, 0.4), Vector3::new(-0.5, 0.2, 3.0));
         let numbers = |moved: &Rigid3| {
             let turn = so3::log(&(moved.rotation * mount.rotation.inverse()));
             let shift = moved.translation - mount.translation;
@@ -71,7 +76,7 @@ mod tests {
         // The clock's numbers are its tangent.
         assert_eq!(
             d_numbers(&mount).fixed_view::<2, 8>(6, 0),
-            MountingCovariance::identity().fixed_view::<2, 8>(6, 0)
+            ExtrinsicsCovariance::identity().fixed_view::<2, 8>(6, 0)
         );
     }
 }

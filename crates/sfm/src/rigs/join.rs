@@ -1,10 +1,12 @@
 //! Cameras that ride together and see nothing in common: their models are joined by how they move.
 //!
-//! Models without a common point differ by a similarity, and the cameras by their mounting: hand-eye calibration with an unknown
-//! scale. The clock comes from the rates at which both cameras turn, which depend on no frame. Then, in turn: the
-//! similarity that brings the further camera's centres to where the first camera's motion and the mounting have them (Umeyama 1991), and the mounting
-//! as the robust average of the relative poses that follow. A mounting's part that the motion does not show (along the axis, where all
-//! turns are about one; Tsai & Lenz 1989) stays at zero. This is where holding the cameras to their mounting begins.
+//! Models without a common point differ by a similarity, and the cameras by their mounting:
+//! hand-eye calibration with an unknown scale. The clock comes from the rates at which both cameras
+//! turn, which depend on no frame. Then, in turn: the similarity that brings the further camera's
+//! centres to where the first camera's motion and the mounting have them (Umeyama 1991), and the
+//! mounting as the robust average of the relative poses that follow. A mounting's part that the
+//! motion does not show (along the axis, where all turns are about one; Tsai & Lenz 1989) stays at
+//! zero. This is where holding the cameras to their mounting begins.
 
 use std::collections::BTreeSet;
 
@@ -17,24 +19,29 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction, Track};
 
 use crate::timeline::posed_in_time;
 
-/// Clocks are looked for within so many seconds, in steps of this share of the interval between images.
+/// Clocks are looked for within so many seconds, in steps of this share of the interval between
+/// images.
 const MAX_OFFSET_S: f64 = 1.5;
 const STEPS_PER_INTERVAL: f64 = 8.0;
-/// A drive turns when its rates scatter by more than this, in radians a second; otherwise clocks are believed.
+/// A drive turns when its rates scatter by more than this, in radians a second; otherwise clocks
+/// are believed.
 const MIN_TURNING: f64 = 0.02;
 /// Fewer common moments join nothing.
 const MIN_MOMENTS: usize = 8;
-/// Rounds of similarity and mounting; what is left shrinks by the distance of the cameras over the size of the drive each time.
+/// Rounds of similarity and mounting; what is left shrinks by the distance of the cameras over the
+/// size of the drive each time.
 const ROUNDS: usize = 30;
-/// The cameras ride together when, in the median, they are off from their mounting by no more than this share of the drive's extent, and this
-/// much in radians: the models drift apart, but cameras that ride on different vehicles are off by more.
+/// The cameras ride together when, in the median, they are off from their mounting by no more than
+/// this share of the drive's extent, and this much in radians: the models drift apart, but cameras
+/// that ride on different vehicles are off by more.
 const MAX_OFF: f64 = 0.05;
 const MAX_TURNED_RAD: f64 = 0.1;
 
 /// Poses with the times at which they hold.
 type Samples = Vec<(f64, Rigid3)>;
 
-/// The two models as one, in the frame of the first; `None` where they share a camera, where times are not known, or where they do not move as one.
+/// The two models as one, in the frame of the first; `None` where they share a camera, where times
+/// are not known, or where they do not move as one.
 pub(crate) fn joined(first: &Reconstruction, further: &Reconstruction) -> Option<Reconstruction> {
     if !cameras(first).is_disjoint(&cameras(further)) {
         return None;
@@ -49,10 +56,12 @@ pub(crate) fn joined(first: &Reconstruction, further: &Reconstruction) -> Option
     for camera in cameras(further) {
         *whole.camera_mut(camera) = *moved.camera(camera);
     }
-    let posed: Vec<(ImageId, Rigid3)> = moved.registered().map(|(id, _, pose)| (id, *pose)).collect();
+    let posed: Vec<(ImageId, Rigid3)> =
+        moved.registered().map(|(id, _, pose)| (id, *pose)).collect();
     for (image, pose) in posed {
         whole.register(image, pose);
-        let pixels: Vec<_> = moved.image(image).keypoints.iter().map(|keypoint| keypoint.pixel).collect();
+        let pixels: Vec<_> =
+            moved.image(image).keypoints.iter().map(|keypoint| keypoint.pixel).collect();
         whole.move_keypoints(image, &pixels);
     }
     for (_, track) in moved.tracks() {
@@ -81,21 +90,23 @@ fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
         return None;
     }
     let from: Vec<Vector3<f64>> = poses.iter().map(|(_, right)| right.origin_in_a()).collect();
-    let mut mounting = Rigid3::identity();
+    let mut extrinsics = Rigid3::identity();
     let mut found = None;
     for _ in 0..ROUNDS {
-        let to: Vec<Vector3<f64>> = poses.iter().map(|(left, _)| (mounting * *left).origin_in_a()).collect();
+        let to: Vec<Vector3<f64>> =
+            poses.iter().map(|(left, _)| (extrinsics * *left).origin_in_a()).collect();
         let similarity = umeyama(&from, &to, true)?;
         let relative: Vec<RelativePose> = poses
             .iter()
             .map(|(left, right)| RelativePose::between(left, &similarity.transform_pose(right)))
             .collect();
         let average = robust_average(&relative)?;
-        mounting = average.right_from_left();
+        extrinsics = average.right_from_left();
         found = Some((similarity, relative, average, extent(&to)));
     }
     let (similarity, relative, average, extent) = found?;
-    let (mut offs, mut turns): (Vec<f64>, Vec<f64>) = relative.iter().map(|p| p.apart(&average)).unzip();
+    let (mut offs, mut turns): (Vec<f64>, Vec<f64>) =
+        relative.iter().map(|p| p.apart(&average)).unzip();
     let is_one = median(&mut offs)? <= MAX_OFF * extent && median(&mut turns)? <= MAX_TURNED_RAD;
     is_one.then_some(similarity)
 }
@@ -123,8 +134,8 @@ fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
         Some(a.rotation.angle_to(&b.rotation) / (2.0 * half_s))
     };
     let mean = rights.iter().map(|(_, rate)| rate).sum::<f64>() / rights.len().max(1) as f64;
-    let scatter =
-        rights.iter().map(|(_, rate)| (rate - mean).powi(2)).sum::<f64>() / rights.len().max(1) as f64;
+    let scatter = rights.iter().map(|(_, rate)| (rate - mean).powi(2)).sum::<f64>()
+        / rights.len().max(1) as f64;
     if !half_s.is_finite() || scatter.sqrt() < MIN_TURNING {
         return 0.0;
     }

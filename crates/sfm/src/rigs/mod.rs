@@ -1,30 +1,30 @@
 //! Cameras on a rig: which images belong together, and how the cameras are held to each other.
 
-mod companion;
+mod autocorrelation_time;
+mod constrain;
 mod context;
 mod covariance;
+mod extrinsics;
+mod extrinsics_term;
 mod frames;
-mod hold;
+mod held_out;
 mod join;
-mod judge;
 mod members;
-mod mounting;
-mod mounting_term;
 mod pairs;
 mod paper;
-mod persistence;
 mod rematch;
+mod rig_sensor;
 mod rigid;
+mod sigma_selection;
 mod solution;
-mod tighten;
 
-pub use companion::{Companion, Left, Moment, Timing, companions};
+pub(crate) use constrain::constrain_rig;
 pub(crate) use context::Context;
-pub(crate) use hold::hold_to_mountings;
+pub use extrinsics::{ExtrinsicsCovariance, RigConstraint};
 pub(crate) use join::joined;
-pub use mounting::{Hold, MountingCovariance};
 pub use pairs::{RigPair, RigPairs, relative_poses, rig_pairs};
 pub use paper::{BaselineLink, BaselineTerm, final_links, growing_links};
 pub use rematch::Descriptors;
-pub use rigid::{RigidCamera, hold_rigidly};
-pub use solution::{ClosedSplit, MountedCamera, MountedRig};
+pub use rig_sensor::{ClockState, ReferencePose, ReferencedImage, RigSensor, rig_sensors};
+pub use rigid::{RigidCamera, constrain_rigidly};
+pub use solution::{CalibratedCamera, CalibratedRig, ClosedSplit};

@@ -1,7 +1,9 @@
-//! Cameras that ride together: which images were taken at one moment, and what is asked of their relative poses.
+//! Cameras that ride together: which images were taken at one moment, and what is asked of their
+//! relative poses.
 //!
-//! Images are paired by their times, each camera's on its own clock, so the clocks need only agree to better than half the time
-//! between two images. Without times, images of the same file name in their cameras' folders are a pair.
+//! Images are paired by their times, each camera's on its own clock, so the clocks need only agree
+//! to better than half the time between two images. Without times, images of the same file name in
+//! their cameras' folders are a pair.
 
 use std::collections::BTreeMap;
 
@@ -30,17 +32,19 @@ pub struct RigPairs {
     pub pairs: Vec<RigPair>,
 }
 
-/// Pairs the images of every camera with those of the first one. Cameras without a pair are left out.
+/// Pairs the images of every camera with those of the first one. Cameras without a pair are left
+/// out.
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
     let images = images_of_cameras(scene);
     let mut cameras = images.iter();
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
     cameras
         .map(|(&right, right_images)| {
-            let pairs = match (images_in_time(scene, left_images), images_in_time(scene, right_images)) {
-                (Some(lefts), Some(rights)) => by_time(&lefts, &rights),
-                _ => by_name(scene, left_images, right_images),
-            };
+            let pairs =
+                match (images_in_time(scene, left_images), images_in_time(scene, right_images)) {
+                    (Some(lefts), Some(rights)) => by_time(&lefts, &rights),
+                    _ => by_name(scene, left_images, right_images),
+                };
             RigPairs { left, right, pairs }
         })
         .filter(|rig| !rig.pairs.is_empty())
@@ -49,14 +53,15 @@ pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
 
 /// Pairs of images that are each other's nearest in time, by less than half a typical interval.
 pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
-    let interval = |moments: &[(f64, ImageId)]| {
-        interval_s(&moments.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
+    let interval = |referenced_images: &[(f64, ImageId)]| {
+        interval_s(&referenced_images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
     };
     let max_difference_s = 0.5 * interval(lefts).max(interval(rights));
     let nearest = |time_s: f64, others: &[(f64, ImageId)]| -> usize {
         let after = others.partition_point(|other| other.0 < time_s);
-        let distance =
-            |index: usize| others.get(index).map_or(f64::INFINITY, |other| (other.0 - time_s).abs());
+        let distance = |index: usize| {
+            others.get(index).map_or(f64::INFINITY, |other| (other.0 - time_s).abs())
+        };
         if after > 0 && distance(after - 1) <= distance(after) { after - 1 } else { after }
     };
     let mut pairs = Vec::new();
@@ -69,7 +74,11 @@ pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Ve
     pairs
 }
 
-pub(crate) fn by_name(scene: &Reconstruction, lefts: &[ImageId], rights: &[ImageId]) -> Vec<RigPair> {
+pub(crate) fn by_name(
+    scene: &Reconstruction,
+    lefts: &[ImageId],
+    rights: &[ImageId],
+) -> Vec<RigPair> {
     let file = |id: ImageId| scene.image(id).name.rsplit('/').next().unwrap_or_default();
     let rights: BTreeMap<&str, ImageId> = rights.iter().map(|&id| (file(id), id)).collect();
     let mut pairs: Vec<(&str, RigPair)> = lefts
@@ -85,7 +94,9 @@ pub fn relative_poses(model: &Reconstruction, pairs: &[RigPair]) -> Vec<(RigPair
     let pose = |image| model.image(image).cam_from_world();
     pairs
         .iter()
-        .filter_map(|pair| Some((*pair, RelativePose::between(pose(pair.left)?, pose(pair.right)?))))
+        .filter_map(|pair| {
+            Some((*pair, RelativePose::between(pose(pair.left)?, pose(pair.right)?)))
+        })
         .collect()
 }
 
@@ -100,11 +111,18 @@ mod tests {
         let mut scene = Reconstruction::default();
         for (folder, times) in [("left", lefts), ("right", rights)] {
             let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-            let camera =
-                scene.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+            let camera = scene.add_camera(Camera {
+                intrinsics,
+                width: 640,
+                height: 480,
+                has_focal_prior: true,
+            });
             for (index, &time_s) in times.iter().enumerate() {
-                let image =
-                    scene.add_image(Image::new(format!("{folder}/{index:06}.png"), camera, Vec::new()));
+                let image = scene.add_image(Image::new(
+                    format!("{folder}/{index:06}.png"),
+                    camera,
+                    Vec::new(),
+                ));
                 scene.set_time(image, time_s);
             }
         }

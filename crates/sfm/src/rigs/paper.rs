@@ -31,7 +31,8 @@ impl BaselineLink {
     }
 }
 
-/// Links as a term of an adjustment: those of which some image moves. Images that are in no other term are constant.
+/// Links as a term of an adjustment: those of which some image moves. Images that are in no other
+/// term are constant.
 #[derive(Clone, Copy, Debug)]
 pub struct BaselineTerm<'a> {
     /// The links.
@@ -50,9 +51,10 @@ impl Term for BaselineTerm<'_> {
                 if let Some(&key) = keys.get(&image) {
                     return Some(key);
                 }
-                let key = variables
-                    .problem_mut()
-                    .keep(*context.model.image(image).cam_from_world()?, Order::At(image.0));
+                let key = variables.problem_mut().add_parameter(
+                    *context.model.image(image).cam_from_world()?,
+                    Order::At(image.0),
+                );
                 variables.problem_mut().fix(key);
                 keys.insert(image, key);
                 Some(key)
@@ -76,7 +78,8 @@ pub fn growing_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineL
     })
 }
 
-/// The links of the last adjustment, weighed by how far the relative poses are from their mean now (Eq. 4).
+/// The links of the last adjustment, weighed by how far the relative poses are from their mean now
+/// (Eq. 4).
 pub fn final_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLink> {
     links(model, rigs, |poses, _| paper::final_link_weights(poses))
 }

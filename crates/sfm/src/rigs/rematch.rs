@@ -1,8 +1,10 @@
 //! Matches again what a split had kept apart.
 //!
-//! Images that were brought back to where their mounting has them have no matches with their partners: nothing but the mounting holds them
-//! there, and they spring back when it is taken away. Now that their poses are known, they are matched with their partners and all that
-//! those match, along epipolar lines; what was found must then pass the verification of any other pair, which knows nothing of the poses.
+//! Images that were brought back to where their mounting has them have no matches with their
+//! partners: nothing but the mounting holds them there, and they spring back when it is taken away.
+//! Now that their poses are known, they are matched with their partners and all that those match,
+//! along epipolar lines; what was found must then pass the verification of any other pair, which
+//! knows nothing of the poses.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,15 +13,19 @@ use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Rng, epipolar};
 use tiepoint_matching::features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{EpipolarGuide, Options, match_guided};
-use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, TwoView};
+use tiepoint_scene::{
+    Camera, CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, TwoView,
+};
 
-use super::mounting::Closed;
+use super::extrinsics::Closed;
 use crate::two_view::{VerifyOptions, View, verify_pair};
 
-/// Where the descriptors of an image's keypoints come from, one for each in order; none where there are none.
+/// Where the descriptors of an image's keypoints come from, one for each in order; none where there
+/// are none.
 pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
 
-/// Partners lie this near to epipolar lines, in pixels: the poses come from the mounting and not from these images.
+/// Partners lie this near to epipolar lines, in pixels: the poses come from the mounting and not
+/// from these images.
 const MAX_GUIDE_ERROR_PX: f64 = 8.0;
 
 /// The verified pairs that come to the graph's.
@@ -32,7 +38,8 @@ pub(super) fn rematch(
 ) -> Vec<(ImagePair, TwoView)> {
     let pairs_of = |closed: &Closed| {
         let of_partner = graph.neighbours(closed.left);
-        let others: BTreeSet<ImageId> = std::iter::once(&closed.left).chain(of_partner).copied().collect();
+        let others: BTreeSet<ImageId> =
+            std::iter::once(&closed.left).chain(of_partner).copied().collect();
         let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
         let pairs = others.into_iter().filter(has_pose);
         let pairs = pairs.filter_map(|other| ImagePair::new(closed.right, other));
@@ -47,7 +54,9 @@ pub(super) fn rematch(
         let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
         features.retain(|image, _| needed.contains(image));
         for image in needed {
-            features.entry(image).or_insert_with(|| through_a_pinhole(model, image, descriptors(image)));
+            features
+                .entry(image)
+                .or_insert_with(|| through_a_pinhole(model, image, descriptors(image)));
         }
         let two_view = |pair: &ImagePair| {
             let matches = guided(model, pair, &features[&pair.a], &features[&pair.b])?;
@@ -63,10 +72,16 @@ pub(super) fn rematch(
     found.into_iter().filter(|(_, two_view)| two_view.is_verified()).collect()
 }
 
-/// Keypoints as a lens without distortion would see them, from the principal point: there epipolar lines are straight. What lies at the
-/// side of the camera or behind it has no place, and descriptors that are not one for each keypoint count as none.
-fn through_a_pinhole(model: &Reconstruction, image: ImageId, descriptors: Vec<Descriptor>) -> Features {
-    let (intrinsics, keypoints) = (&model.camera_of(image).intrinsics, &model.image(image).keypoints);
+/// Keypoints as a lens without distortion would see them, from the principal point: there epipolar
+/// lines are straight. What lies at the side of the camera or behind it has no place, and
+/// descriptors that are not one for each keypoint count as none.
+fn through_a_pinhole(
+    model: &Reconstruction,
+    image: ImageId,
+    descriptors: Vec<Descriptor>,
+) -> Features {
+    let (intrinsics, keypoints) =
+        (&model.camera_of(image).intrinsics, &model.image(image).keypoints);
     if descriptors.len() != keypoints.len() {
         return Features::default();
     }
@@ -81,7 +96,12 @@ fn through_a_pinhole(model: &Reconstruction, image: ImageId, descriptors: Vec<De
     Features { keypoints: keypoints.iter().map(keypoint).collect(), descriptors }
 }
 
-fn guided(model: &Reconstruction, pair: &ImagePair, a: &Features, b: &Features) -> Option<Vec<Match>> {
+fn guided(
+    model: &Reconstruction,
+    pair: &ImagePair,
+    a: &Features,
+    b: &Features,
+) -> Option<Vec<Match>> {
     let pose = |image| model.image(image).cam_from_world();
     let b_from_a = *pose(pair.b)? * pose(pair.a)?.inverse();
     let calibration = |image| {
@@ -89,10 +109,15 @@ fn guided(model: &Reconstruction, pair: &ImagePair, a: &Features, b: &Features) 
         Matrix3::from_diagonal(&Vector3::new(focal_px, focal_px, 1.0))
     };
     let essential = epipolar::essential_from_pose(&b_from_a);
-    let fundamental =
-        epipolar::fundamental_from_essential(&essential, &calibration(pair.a), &calibration(pair.b))?;
+    let fundamental = epipolar::fundamental_from_essential(
+        &essential,
+        &calibration(pair.a),
+        &calibration(pair.b),
+    )?;
     let guide = EpipolarGuide {
-        fundamental: std::array::from_fn(|row| std::array::from_fn(|column| fundamental[(row, column)])),
+        fundamental: std::array::from_fn(|row| {
+            std::array::from_fn(|column| fundamental[(row, column)])
+        }),
         max_error_px: MAX_GUIDE_ERROR_PX,
     };
     let matches = match_guided(a, b, &guide, &Options::default());
@@ -108,14 +133,16 @@ mod tests {
     use super::*;
 
     const POINTS: usize = 400;
-    /// Points that look like another one, as windows of a facade do: the ratio test refuses them unless a line tells them apart.
+    /// Points that look like another one, as windows of a facade do: the ratio test refuses them
+    /// unless a line tells them apart.
     const TWINS: usize = 200;
     /// Of a fisheye, so that lines are straight through a pinhole alone.
     const FOCAL_PX: f64 = 200.0;
     /// A twin may lie on the line, too.
     const MIN_SHARE: f64 = 0.8;
 
-    /// Three images of the same points: a left one and its neighbour, which match, and a right one, which matches neither.
+    /// Three images of the same points: a left one and its neighbour, which match, and a right one,
+    /// which matches neither.
     fn scene() -> (Reconstruction, CorrespondenceGraph) {
         let mut rng = Rng::stream(1, &[]);
         let mut model = Reconstruction::default();
@@ -129,14 +156,18 @@ mod tests {
             })
             .collect();
         let pose = |x: f64, z: f64| {
-            Rigid3::from_axis_angle(Vector3::new(0.0, 0.05 * x, 0.01), Vector3::new(-x, 0.1 * x, -z))
+            Rigid3::from_axis_angle(
+                Vector3::new(0.0, 0.05 * x, 0.01),
+                Vector3::new(-x, 0.1 * x, -z),
+            )
         };
         let poses = [(0, pose(0.0, 0.0)), (0, pose(0.1, 0.8)), (1, pose(0.5, 0.0))];
         for (index, (camera, pose)) in poses.into_iter().enumerate() {
             let seen = points.iter().map(|xyz| intrinsics.project(&(pose * *xyz)).unwrap());
             let keypoint = |pixel: Vector2<f64>| ScenePoint { pixel, scale_px: 2.0 };
             let keypoints = seen.map(keypoint).collect();
-            let image = model.add_image(Image::new(format!("{index}.png"), cameras[camera], keypoints));
+            let image =
+                model.add_image(Image::new(format!("{index}.png"), cameras[camera], keypoints));
             model.register(image, pose);
         }
         let matches = (0..POINTS as u32).map(|k| Match { a: k, b: k }).collect();

@@ -1,18 +1,19 @@
-//! A finished model made rigid, whatever it was: each further camera with one calibration, exactly, at every moment.
+//! A finished model made rigid, whatever it was: each further camera with one calibration, exactly,
+//! at every moment.
 //!
-//! The further cameras are moved to where the calibration has them; then everything is adjusted, calibration, lenses and points included,
-//! with their poses being no variables at all.
+//! The further cameras are moved to where the calibration has them; then everything is adjusted,
+//! calibration, lenses and points included, with their poses being no variables at all.
 
 use tiepoint_ba::Summary;
 use tiepoint_geometry::Rigid3;
 use tiepoint_rig::Clock;
 use tiepoint_scene::{CameraId, Reconstruction};
 
-use super::companion::{Companion, Left, Moment, Timing};
+use super::extrinsics::{RigConstraint, RigExtrinsics};
+use super::extrinsics_term::adjust_with_extrinsics;
 use super::frames::make_frames;
-use super::mounting::{Hold, Mounting};
-use super::mounting_term::adjust_mounted;
 use super::pairs::RigPair;
+use super::rig_sensor::{ClockState, ReferencePose, ReferencedImage, RigSensor};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, filter_all_points};
@@ -30,8 +31,9 @@ pub struct RigidCamera {
     pub pairs: Vec<RigPair>,
 }
 
-/// Holds cameras exactly, adjusts the model, drops observations that no longer fit, and makes the moments the model's frames.
-pub fn hold_rigidly(
+/// Holds cameras exactly, adjusts the model, drops observations that no longer fit, and makes the
+/// moments the model's frames.
+pub fn constrain_rigidly(
     model: &mut Reconstruction,
     cameras: &mut [RigidCamera],
     options: &AdjustOptions,
@@ -39,35 +41,39 @@ pub fn hold_rigidly(
 ) -> Result<Summary, Error> {
     model.frames.clear();
     model.rigs.clear();
-    let mut mountings: Vec<Mounting> = cameras.iter().map(RigidCamera::mounting).collect();
-    for mounting in &mountings {
-        mounting.place(model, &mounting.right_from_left);
+    let mut all_extrinsics: Vec<RigExtrinsics> =
+        cameras.iter().map(RigidCamera::extrinsics).collect();
+    for extrinsics in &all_extrinsics {
+        extrinsics.place(model, &extrinsics.right_from_left);
     }
-    adjust_mounted(model, options, &mut mountings)?;
+    adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
     filter_all_points(model, filter);
-    let summary = adjust_mounted(model, options, &mut mountings)?;
-    make_frames(model, &mountings);
-    for (camera, mounting) in cameras.iter_mut().zip(&mountings) {
-        camera.right_from_left = mounting.right_from_left;
+    let summary = adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
+    make_frames(model, &all_extrinsics);
+    for (camera, extrinsics) in cameras.iter_mut().zip(&all_extrinsics) {
+        camera.right_from_left = extrinsics.right_from_left;
     }
     Ok(summary)
 }
 
 impl RigidCamera {
-    fn mounting(&self) -> Mounting {
-        let moment = |pair: &RigPair| Moment { right: pair.right, left: Left::At(pair.left) };
-        Mounting {
-            companion: Companion {
+    fn extrinsics(&self) -> RigExtrinsics {
+        let referenced = |pair: &RigPair| ReferencedImage {
+            right: pair.right,
+            reference: ReferencePose::Synchronous(pair.left),
+        };
+        RigExtrinsics {
+            rig_sensor: RigSensor {
                 left: self.left,
                 right: self.right,
                 clock: Clock::default(),
-                timing: Timing::Together,
-                unit: None,
-                blind: None,
+                clock_state: ClockState::Synchronised,
+                assumed_baseline: None,
+                unobservable_direction: None,
             },
-            moments: self.pairs.iter().map(moment).collect(),
+            referenced_images: self.pairs.iter().map(referenced).collect(),
             right_from_left: self.right_from_left,
-            hold: Hold::Rigid,
+            constraint: RigConstraint::Rigid,
             closed: Vec::new(),
         }
     }

@@ -26,8 +26,9 @@ struct Motion {
     angular_velocity: Vector3<f64>,
 }
 
-/// Of the images of which times and neighbours are known, and that do not stand where their camera cannot have been: next to one that was
-/// registered at the wrong place cameras fly, and a few such images outweigh thousands in what the readout is.
+/// Of the images of which times and neighbours are known, and that do not stand where their camera
+/// cannot have been: next to one that was registered at the wrong place cameras fly, and a few such
+/// images outweigh thousands in what the readout is.
 fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
     let mut motions = Vec::new();
     for (camera, _) in model.cameras() {
@@ -39,7 +40,8 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
             let knots = trajectory.knots(first);
             let [before, after] = [-0.5, 0.5].map(|side| knots.at(time_s + side * DIFFERENCE_S));
             let velocity = (after.origin_in_a() - before.origin_in_a()) / DIFFERENCE_S;
-            let angular_velocity = so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
+            let angular_velocity =
+                so3::log(&(after.rotation * before.rotation.inverse())) / DIFFERENCE_S;
             of_camera.push((id, Motion { velocity, angular_velocity }));
         }
         let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
@@ -65,7 +67,10 @@ pub(super) fn shifted(
 }
 
 pub(super) fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
-    shutters.iter().find(|shutter| shutter.camera == camera).map_or(0.0, |shutter| shutter.readout_s)
+    shutters
+        .iter()
+        .find(|shutter| shutter.camera == camera)
+        .map_or(0.0, |shutter| shutter.readout_s)
 }
 
 /// The same of an image. What sees no point is taken to be as far away as the median of what does.
@@ -82,7 +87,8 @@ fn shifts(
         let track = model.track(image.point_of(keypoint as u32)?)?;
         Some(*pose? * track.xyz)
     };
-    let mut distances: Vec<f64> = (0..pixels.len()).filter_map(|k| Some(in_camera(k)?.norm())).collect();
+    let mut distances: Vec<f64> =
+        (0..pixels.len()).filter_map(|k| Some(in_camera(k)?.norm())).collect();
     let distance = median(&mut distances);
     let shift = |k: usize, pixel: &Vector2<f64>| {
         let point = match in_camera(k) {
@@ -115,7 +121,8 @@ pub struct RowPoses {
 }
 
 impl RowPoses {
-    /// The pose when the row at `y_px` was exposed, from that of the image, which is its middle row's.
+    /// The pose when the row at `y_px` was exposed, from that of the image, which is its middle
+    /// row's.
     pub fn cam_from_world(&self, middle: &Rigid3, y_px: f64) -> Rigid3 {
         let time_s = (y_px / self.height_px - 0.5) * self.readout_s;
         let shift = middle.rotation * self.velocity_in_world * time_s;
@@ -125,7 +132,10 @@ impl RowPoses {
 }
 
 /// Of the images of which the motion is known, whose camera has a rolling shutter.
-pub(crate) fn row_poses(model: &Reconstruction, shutters: &[RollingShutter]) -> BTreeMap<ImageId, RowPoses> {
+pub(crate) fn row_poses(
+    model: &Reconstruction,
+    shutters: &[RollingShutter],
+) -> BTreeMap<ImageId, RowPoses> {
     let of_image = |(id, motion): (ImageId, Motion)| {
         let readout_s = readout_s(shutters, model.image(id).camera);
         let rows = RowPoses {
@@ -156,13 +166,17 @@ mod tests {
     fn drive(off_by: f64) -> Reconstruction {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         for i in 0..IMAGES {
             let id = model.add_image(Image::new(format!("{i}.png"), camera, Vec::new()));
             let time_s = i as f64 / RATE_HZ;
             let along = SPEED * time_s + if i == MISPLACED { off_by } else { 0.0 };
             model.set_time(id, Some(time_s));
-            model.register(id, Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-along, 0.0, 0.0)));
+            model.register(
+                id,
+                Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-along, 0.0, 0.0)),
+            );
         }
         model
     }
@@ -180,8 +194,10 @@ mod tests {
             velocity: Vector3::new(SPEED, 0.3, -0.2),
             angular_velocity: Vector3::new(0.1, -0.4, 0.05),
         };
-        model
-            .register(id, Rigid3::from_axis_angle(Vector3::new(0.2, -0.1, 0.3), Vector3::new(1.0, 2.0, 0.5)));
+        model.register(
+            id,
+            Rigid3::from_axis_angle(Vector3::new(0.2, -0.1, 0.3), Vector3::new(1.0, 2.0, 0.5)),
+        );
         let (image, camera) = (model.image(id), *model.camera_of(id));
         let middle = *image.cam_from_world().unwrap();
         let rows = RowPoses {
@@ -198,14 +214,18 @@ mod tests {
             let camera = one.add_camera(camera);
             let id = one.add_image(tiepoint_scene::Image::new("a", camera, vec![keypoint; 2]));
             one.register(id, middle);
-            let observations =
-                (0..2).map(|keypoint| tiepoint_scene::Observation { image: id, keypoint }).collect();
+            let observations = (0..2)
+                .map(|keypoint| tiepoint_scene::Observation { image: id, keypoint })
+                .collect();
             let xyz = middle.inverse() * point_in_cam;
             one.add_track(tiepoint_scene::Track::new(xyz, observations));
             let shifted = shifts(&one, id, &[pixel], &motion, READOUT_S)[0].shift * READOUT_S;
             let seen = rows.cam_from_world(&middle, y_px) * xyz;
             let seen = one.camera(camera).intrinsics.project(&seen).unwrap();
-            assert!((seen - pixel - shifted).norm() < ROUNDING_PX, "{y_px}: {seen} {pixel} {shifted}");
+            assert!(
+                (seen - pixel - shifted).norm() < ROUNDING_PX,
+                "{y_px}: {seen} {pixel} {shifted}"
+            );
         }
     }
 
@@ -213,7 +233,10 @@ mod tests {
     fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
         let of = |off_by: f64| {
             let motions = motions(&drive(off_by));
-            motions.into_iter().map(|(id, motion)| (id.index(), motion.velocity.x)).collect::<Vec<_>>()
+            motions
+                .into_iter()
+                .map(|(id, motion)| (id.index(), motion.velocity.x))
+                .collect::<Vec<_>>()
         };
         assert_eq!(of(0.0).len(), IMAGES);
         let around: Vec<usize> = of(30.0).into_iter().map(|(index, _)| index).collect();

@@ -14,7 +14,8 @@ pub enum Readout {
 pub struct RollingShutter {
     /// Which camera.
     pub camera: CameraId,
-    /// Time from the first row to the last one, in seconds; negative where the last row comes first.
+    /// Time from the first row to the last one, in seconds; negative where the last row comes
+    /// first.
     pub readout_s: f64,
     /// Its standard deviation, where it was found; infinite where the images tell nothing.
     pub readout_sd_s: Option<f64>,

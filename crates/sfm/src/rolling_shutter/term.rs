@@ -1,4 +1,5 @@
-//! The readouts of rolling shutters in an adjustment: each keypoint is shifted in proportion to its camera's.
+//! The readouts of rolling shutters in an adjustment: each keypoint is shifted in proportion to its
+//! camera's.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +11,17 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
 use crate::Error;
-use crate::adjust::{AdjustOptions, Scope, Shifted, Term, TermContext, Variables, adjust, build, keep_going};
+use crate::adjust::{
+    AdjustOptions, Scope, Shifted, Term, TermContext, Variables, adjust, build, keep_going,
+};
 use crate::noise::noise_of_fit;
 use crate::tracks::without_points_at_infinity;
 
 /// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;
 
-/// The shutters of the cameras, and all keypoints of the images of which they are known to shift any.
+/// The shutters of the cameras, and all keypoints of the images of which they are known to shift
+/// any.
 pub(super) struct ShutterTerm<'a> {
     shutters: &'a [RollingShutter],
     keypoints: &'a BTreeMap<ImageId, Vec<Shifted>>,
@@ -49,7 +53,7 @@ impl Term for ShutterTerm<'_> {
     ) -> Result<(), Error> {
         if let Some(shutter) = self.shutters.iter().find(|shutter| shutter.camera == camera) {
             let problem = variables.problem_mut();
-            let key = problem.keep(Vector1::new(shutter.readout_s), Order::Shared);
+            let key = problem.add_parameter(Vector1::new(shutter.readout_s), Order::Shared);
             let prior = Prior::new(Vector1::zeros(), &[READOUT_SIGMA_S / context.noise])?;
             problem.add(key, prior, Loss::Trivial)?;
             self.keys.insert(camera, key);
@@ -57,7 +61,11 @@ impl Term for ShutterTerm<'_> {
         Ok(())
     }
 
-    fn shifts_of(&self, camera: CameraId, image: ImageId) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
+    fn shifts_of(
+        &self,
+        camera: CameraId,
+        image: ImageId,
+    ) -> Option<(Key<Vector1<f64>>, &[Shifted])> {
         Some((*self.keys.get(&camera)?, self.keypoints.get(&image)?))
     }
 

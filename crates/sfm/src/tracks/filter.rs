@@ -1,5 +1,5 @@
-//! Dropping what does not fit: observations that project too far from their keypoint, points seen under too small an angle,
-//! images left with nothing.
+//! Dropping what does not fit: observations that project too far from their keypoint, points seen
+//! under too small an angle, images left with nothing.
 
 use std::collections::BTreeSet;
 
@@ -23,7 +23,11 @@ impl Default for FilterOptions {
 }
 
 /// Filters the given points; returns how many observations were dropped.
-pub fn filter_points(model: &mut Reconstruction, points: &[PointId], options: &FilterOptions) -> usize {
+pub fn filter_points(
+    model: &mut Reconstruction,
+    points: &[PointId],
+    options: &FilterOptions,
+) -> usize {
     let mut dropped = 0;
     for &point in points {
         let Some(track) = model.track(point) else { continue };
@@ -51,8 +55,9 @@ pub fn filter_points(model: &mut Reconstruction, points: &[PointId], options: &F
     dropped
 }
 
-/// A point this much nearer to a camera than half of what that sees is none: matches between two images of a stop meet anywhere, also
-/// in the lens, and there they would tell more of the two poses than all others together.
+/// A point this much nearer to a camera than half of what that sees is none: matches between two
+/// images of a stop meet anywhere, also in the lens, and there they would tell more of the two
+/// poses than all others together.
 const MIN_RELATIVE_DISTANCE: f64 = 1e-3;
 
 /// Filters all points, also those that are in a camera.
@@ -68,10 +73,14 @@ pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) ->
             .collect();
         let mut distances: Vec<f64> = seen.iter().map(|(distance, _)| *distance).collect();
         let least = MIN_RELATIVE_DISTANCE * median(&mut distances).unwrap_or(0.0);
-        inside.extend(seen.iter().filter(|(distance, _)| *distance < least).map(|(_, point)| *point));
+        inside
+            .extend(seen.iter().filter(|(distance, _)| *distance < least).map(|(_, point)| *point));
     }
-    let dropped: usize =
-        inside.iter().filter_map(|point| model.track(*point)).map(|track| track.observations.len()).sum();
+    let dropped: usize = inside
+        .iter()
+        .filter_map(|point| model.track(*point))
+        .map(|track| track.observations.len())
+        .sum();
     inside.into_iter().for_each(|point| model.delete_track(point));
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     dropped + filter_points(model, &points, options)
@@ -90,7 +99,10 @@ fn has_angle(
         .filter_map(|o| model.image(o.image).cam_from_world())
         .map(|pose| (pose.origin_in_a() - xyz).normalize())
         .collect();
-    directions.iter().enumerate().any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
+    directions
+        .iter()
+        .enumerate()
+        .any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
 }
 
 /// Takes the pose of images that see fewer than `min_points` points; returns them.
@@ -112,18 +124,24 @@ mod tests {
 
     use super::*;
 
-    /// Two images that hardly differ, as at a stop, and a third from elsewhere; each point projects exactly to its keypoints.
+    /// Two images that hardly differ, as at a stop, and a third from elsewhere; each point projects
+    /// exactly to its keypoints.
     #[test]
     fn points_inside_a_lens_are_dropped_and_near_ones_stay() {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 1000, 1000);
-        let places =
-            [0.0, 1e-6, 1.0].map(|x| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-x, 0.0, 0.0)));
+        let places = [0.0, 1e-6, 1.0]
+            .map(|x| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-x, 0.0, 0.0)));
         // In metres: ordinary ones, one on the bonnet, and one in the lens of the first two.
-        let points: Vec<Vector3<f64>> = (0..5).map(|k| Vector3::new(0.3 * f64::from(k), 0.2, 10.0)).collect();
+        let points: Vec<Vector3<f64>> =
+            (0..5).map(|k| Vector3::new(0.3 * f64::from(k), 0.2, 10.0)).collect();
         let (bonnet, lens) = (Vector3::new(0.4, 0.1, 0.6), Vector3::new(5e-7, 2e-7, 1e-6));
         let mut model = Reconstruction::default();
-        let camera =
-            model.add_camera(Camera { intrinsics, width: 1000, height: 1000, has_focal_prior: true });
+        let camera = model.add_camera(Camera {
+            intrinsics,
+            width: 1000,
+            height: 1000,
+            has_focal_prior: true,
+        });
         let all: Vec<Vector3<f64>> = points.iter().copied().chain([bonnet, lens]).collect();
         let images = places.map(|pose| {
             let keypoint = |xyz: &Vector3<f64>| Keypoint {
@@ -137,7 +155,8 @@ mod tests {
         });
         for (index, xyz) in all.iter().enumerate() {
             let seen_by = if index + 1 == all.len() { &images[..2] } else { &images[..] };
-            let observations = seen_by.iter().map(|&image| Observation { image, keypoint: index as u32 });
+            let observations =
+                seen_by.iter().map(|&image| Observation { image, keypoint: index as u32 });
             model.add_track(Track::new(*xyz, observations.collect()));
         }
         let dropped = filter_all_points(&mut model, &FilterOptions::default());

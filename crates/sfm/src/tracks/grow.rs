@@ -1,5 +1,5 @@
-//! Tracks: create, continue, complete, merge. Each is a verb of its own that can be called again at any time; each leaves a
-//! consistent model behind and says how many observations it changed.
+//! Tracks: create, continue, complete, merge. Each is a verb of its own that can be called again at
+//! any time; each leaves a consistent model behind and says how many observations it changed.
 //!
 //! After Schönberger & Frahm 2016, sections 4.3 and 4.4.
 
@@ -8,19 +8,21 @@ use std::collections::{BTreeSet, VecDeque};
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction, Track};
 
-use super::triangulation::{self, Sight};
+use super::triangulation::{self, ViewRay};
 
 /// When observations belong to one point.
 #[derive(Clone, Copy, Debug)]
 pub struct TrackOptions {
-    /// Largest distance between keypoint and projection when a point is created or continued, in pixels.
+    /// Largest distance between keypoint and projection when a point is created or continued, in
+    /// pixels.
     pub max_create_error_px: f64,
     /// The same when tracks are completed and merged, between poses that have been adjusted.
     pub max_merge_error_px: f64,
     /// Smallest angle between two rays of a new point, in radians.
     pub min_angle_rad: f64,
-    /// Whether keypoints that match nothing but each other become points. They are many, their points are the least certain,
-    /// and nothing contradicts them; with two images there is nothing else.
+    /// Whether keypoints that match nothing but each other become points. They are many, their
+    /// points are the least certain, and nothing contradicts them; with two images there is nothing
+    /// else.
     pub two_view: bool,
     /// How many correspondences away from a track its further observations are looked for.
     pub max_transitivity: usize,
@@ -38,8 +40,8 @@ impl Default for TrackOptions {
     }
 }
 
-/// Lets each keypoint of a registered image see a point: one that its correspondences see, or a new one triangulated with
-/// them. Returns how many observations were added.
+/// Lets each keypoint of a registered image see a point: one that its correspondences see, or a new
+/// one triangulated with them. Returns how many observations were added.
 pub fn triangulate_image(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -62,13 +64,19 @@ pub fn triangulate_image(
             continue;
         }
         if model.image(image).point_of(keypoint).is_none() {
-            added += usize::from(continue_track(model, observation, &targets, options.max_create_error_px));
+            added += usize::from(continue_track(
+                model,
+                observation,
+                &targets,
+                options.max_create_error_px,
+            ));
         }
         let mut free: Vec<Observation> = std::iter::once(observation)
             .chain(targets)
             .filter(|o| model.image(o.image).point_of(o.keypoint).is_none())
             .collect();
-        // What one point leaves over may belong to another, where a keypoint was matched to two things.
+        // What one point leaves over may belong to another, where a keypoint was matched to two
+        // things.
         while free.len() >= 2 {
             let Some((xyz, members)) = create(model, &free, options) else { break };
             added += members.len();
@@ -107,20 +115,22 @@ fn create(
     free: &[Observation],
     options: &TrackOptions,
 ) -> Option<(Vector3<f64>, Vec<Observation>)> {
-    let (members, sights): (Vec<Observation>, Vec<Sight>) =
-        free.iter().filter_map(|o| Some((*o, Sight::of(model, o)?))).unzip();
-    let found = triangulation::triangulate(&sights, options.max_create_error_px, options.min_angle_rad)?;
+    let (members, sights): (Vec<Observation>, Vec<ViewRay>) =
+        free.iter().filter_map(|o| Some((*o, ViewRay::of(model, o)?))).unzip();
+    let found =
+        triangulation::triangulate(&sights, options.max_create_error_px, options.min_angle_rad)?;
     Some((found.xyz, found.inliers.into_iter().map(|index| members[index]).collect()))
 }
 
-/// Tries [`triangulate_image`] again on every registered image: what failed between the poses of an earlier day may succeed
-/// between those of today.
+/// Tries [`triangulate_image`] again on every registered image: what failed between the poses of an
+/// earlier day may succeed between those of today.
 pub fn retriangulate(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     options: &TrackOptions,
 ) -> usize {
-    // Between adjusted poses, what is off by more than a merge allows would be filtered right after.
+    // Between adjusted poses, what is off by more than a merge allows would be filtered right
+    // after.
     let options = &TrackOptions { max_create_error_px: options.max_merge_error_px, ..*options };
     let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
     images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
@@ -138,7 +148,8 @@ pub(crate) fn recreate_tracks(
     merge_tracks(graph, model, &points, options);
 }
 
-/// Adds to each of `points` the keypoints that are connected to its track by correspondences, see no point yet and fit.
+/// Adds to each of `points` the keypoints that are connected to its track by correspondences, see
+/// no point yet and fit.
 pub fn complete_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -149,7 +160,8 @@ pub fn complete_tracks(
     for &point in points {
         let Some(track) = model.track(point) else { continue };
         let xyz = track.xyz;
-        let mut queue: VecDeque<(Observation, usize)> = track.observations.iter().map(|o| (*o, 0)).collect();
+        let mut queue: VecDeque<(Observation, usize)> =
+            track.observations.iter().map(|o| (*o, 0)).collect();
         let mut visited: BTreeSet<Observation> = track.observations.iter().copied().collect();
         while let Some((observation, distance)) = queue.pop_front() {
             if distance == options.max_transitivity {
@@ -157,7 +169,9 @@ pub fn complete_tracks(
             }
             for &next in graph.correspondences(observation) {
                 if model.image(next.image).point_of(next.keypoint).is_none()
-                    && model.error_of_px(&next, &xyz).is_some_and(|e| e <= options.max_merge_error_px)
+                    && model
+                        .error_of_px(&next, &xyz)
+                        .is_some_and(|e| e <= options.max_merge_error_px)
                     && visited.insert(next)
                 {
                     model.add_observation(point, next);
@@ -170,8 +184,8 @@ pub fn complete_tracks(
     added
 }
 
-/// Merges points that a correspondence connects and that all their observations agree on. Returns how many observations found
-/// themselves in a longer track.
+/// Merges points that a correspondence connects and that all their observations agree on. Returns
+/// how many observations found themselves in a longer track.
 pub fn merge_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -218,7 +232,8 @@ fn mergeable(
             }
             let Some(other_track) = model.track(other) else { continue };
             let xyz = middle(track, other_track);
-            let fits = |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
+            let fits =
+                |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
             if track.observations.iter().chain(&other_track.observations).all(fits) {
                 return Some((other, xyz));
             }

@@ -12,6 +12,6 @@ pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, trian
 pub(crate) use grow::{middle, recreate_tracks};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
-pub(crate) use selection::spread_points;
+pub(crate) use selection::select_points;
 pub(crate) use triangulation::seen_at;
-pub use triangulation::{Sight, Triangulated, triangulate};
+pub use triangulation::{Triangulated, ViewRay, triangulate};

@@ -1,33 +1,40 @@
 //! Points that are enough to place the images: those seen most often, all over every image.
 //!
-//! What a point tells of the poses grows with how often it is seen, and points beside each other in an image tell the same. While a
-//! model grows, some hundreds an image place it as well as ten thousand do, and a step of the adjustment costs as much less.
+//! What a point tells of the poses grows with how often it is seen, and points beside each other in
+//! an image tell the same. While a model grows, some hundreds an image place it as well as ten
+//! thousand do, and a step of the adjustment costs as much less.
 
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
 use crate::image_grid;
 
-/// Each image is divided into so many cells on a side; a cell that sees anything has one of the points.
+/// Each image is divided into so many cells on a side; a cell that sees anything has one of the
+/// points.
 const CELLS: usize = 10;
 /// So many points are taken of every image that has them.
 const MIN_POINTS: u32 = 200;
 
-/// Of `points`, those that every image that `moves` needs, in the order given: the longest tracks first, of equal ones the first.
-pub(crate) fn spread_points(
+/// Of `points`, those that every image that `moves` needs, in the order given: the longest tracks
+/// first, of equal ones the first.
+pub(crate) fn select_points(
     model: &Reconstruction,
     points: Vec<PointId>,
     moves: impl Fn(ImageId) -> bool,
 ) -> Vec<PointId> {
-    let mut tracks: Vec<_> =
-        points.iter().enumerate().filter_map(|(place, point)| Some((place, model.track(*point)?))).collect();
+    let mut tracks: Vec<_> = points
+        .iter()
+        .enumerate()
+        .filter_map(|(place, point)| Some((place, model.track(*point)?)))
+        .collect();
     tracks.sort_by_key(|(place, track)| (std::cmp::Reverse(track.observations.len()), *place));
     let mut is_covered = vec![false; CELLS * CELLS * model.images().count()];
     let mut num_taken = vec![0; model.images().count()];
     let mut is_taken = vec![false; points.len()];
     for (place, track) in tracks {
         let moving = || track.observations.iter().filter(|o| moves(o.image));
-        let is_needed =
-            |o: &Observation| num_taken[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)];
+        let is_needed = |o: &Observation| {
+            num_taken[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
+        };
         is_taken[place] = moving().any(is_needed);
         if is_taken[place] {
             for observation in moving() {
@@ -36,7 +43,11 @@ pub(crate) fn spread_points(
             }
         }
     }
-    points.into_iter().zip(is_taken).filter_map(|(point, is_taken)| is_taken.then_some(point)).collect()
+    points
+        .into_iter()
+        .zip(is_taken)
+        .filter_map(|(point, is_taken)| is_taken.then_some(point))
+        .collect()
 }
 
 /// The number of the cell that a keypoint is in, among those of all images.
@@ -55,7 +66,8 @@ mod tests {
     use super::*;
 
     const SEED: u64 = 1;
-    /// Points, and of how many in a hundred each image sees one; the last image sees fewer than are taken.
+    /// Points, and of how many in a hundred each image sees one; the last image sees fewer than are
+    /// taken.
     const POINTS: usize = 3000;
     const SEEN: [f64; 4] = [0.9, 0.6, 0.5, 0.03];
 
@@ -63,19 +75,23 @@ mod tests {
         let mut rng = Rng::stream(SEED, &[]);
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-        let camera = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let camera =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         for (index, seen) in SEEN.iter().enumerate() {
             // Squares crowd the keypoints into a corner.
-            let keypoint =
-                |u: f64, v: f64| Keypoint { pixel: Vector2::new(640.0 * u * u, 480.0 * v), scale_px: 2.0 };
+            let keypoint = |u: f64, v: f64| Keypoint {
+                pixel: Vector2::new(640.0 * u * u, 480.0 * v),
+                scale_px: 2.0,
+            };
             let keypoints = (0..POINTS).map(|_| keypoint(rng.uniform(), rng.uniform())).collect();
             let image = model.add_image(Image::new(format!("{index}.png"), camera, keypoints));
             assert_eq!((image.index(), *seen > 0.0), (index, true));
         }
         for keypoint in 0..POINTS as u32 {
             let seen = SEEN.iter().enumerate().filter(|(_, share)| rng.uniform() < **share);
-            let observations: Vec<Observation> =
-                seen.map(|(index, _)| Observation { image: ImageId(index as u32), keypoint }).collect();
+            let observations: Vec<Observation> = seen
+                .map(|(index, _)| Observation { image: ImageId(index as u32), keypoint })
+                .collect();
             if observations.len() > 1 {
                 model.add_track(Track::new(Vector3::zeros(), observations));
             }
@@ -102,8 +118,13 @@ mod tests {
     fn every_image_keeps_its_cells_and_some_hundreds_of_points() {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-        let taken = spread_points(&model, all.clone(), |_| true);
-        assert!(taken.is_sorted() && taken.len() < all.len() / 2, "{} of {}", taken.len(), all.len());
+        let taken = select_points(&model, all.clone(), |_| true);
+        assert!(
+            taken.is_sorted() && taken.len() < all.len() / 2,
+            "{} of {}",
+            taken.len(),
+            all.len()
+        );
         for (image, _) in model.images() {
             let (count, cells) = seen(&model, &taken, image);
             let (all_count, all_cells) = seen(&model, &all, image);
@@ -112,7 +133,8 @@ mod tests {
         }
         // Longer tracks go before shorter ones.
         let mean = |points: &[PointId]| {
-            let lengths = points.iter().filter_map(|p| model.track(*p)).map(|track| track.observations.len());
+            let lengths =
+                points.iter().filter_map(|p| model.track(*p)).map(|track| track.observations.len());
             lengths.sum::<usize>() as f64 / points.len() as f64
         };
         assert!(mean(&taken) > mean(&all));
@@ -123,7 +145,7 @@ mod tests {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
         let moving = ImageId(3);
-        let taken = spread_points(&model, all.clone(), |image| image == moving);
+        let taken = select_points(&model, all.clone(), |image| image == moving);
         let expected = seen(&model, &all, moving);
         assert_eq!((taken.len(), seen(&model, &taken, moving)), (expected.0, expected));
     }

@@ -6,7 +6,7 @@ use tiepoint_scene::{Observation, Reconstruction};
 
 /// A keypoint of a posed image.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight<'a> {
+pub struct ViewRay<'a> {
     /// The image's pose.
     pub cam_from_world: &'a Rigid3,
     /// The image's camera.
@@ -19,9 +19,13 @@ pub struct Sight<'a> {
     ray_in_world: Vector3<f64>,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> ViewRay<'a> {
     /// `None` where no ray leads through the pixel.
-    pub fn new(cam_from_world: &'a Rigid3, intrinsics: &'a Intrinsics, pixel: Vector2<f64>) -> Option<Self> {
+    pub fn new(
+        cam_from_world: &'a Rigid3,
+        intrinsics: &'a Intrinsics,
+        pixel: Vector2<f64>,
+    ) -> Option<Self> {
         let ray_in_world = cam_from_world.rotation.inverse() * intrinsics.unproject(&pixel)?;
         Some(Self {
             cam_from_world,
@@ -39,7 +43,8 @@ impl<'a> Sight<'a> {
         Self::new(image.cam_from_world()?, &model.camera(image.camera).intrinsics, pixel)
     }
 
-    /// Squared distance between keypoint and projection, in pixels²; infinite where the camera does not see the point.
+    /// Squared distance between keypoint and projection, in pixels²; infinite where the camera does
+    /// not see the point.
     fn squared_error(&self, xyz: &Vector3<f64>) -> f64 {
         let projected = self.intrinsics.project(&(*self.cam_from_world * *xyz));
         projected.map_or(f64::INFINITY, |pixel| (pixel - self.pixel).norm_squared())
@@ -58,9 +63,14 @@ pub struct Triangulated {
 /// Above this many sightings, not every pair is tried but those with the first ones.
 const MAX_EXHAUSTIVE: usize = 12;
 
-/// The point that most sightings agree on to `max_error_px`, at least two of them with an angle of `min_angle_rad` between their
-/// rays. Hypotheses are the midpoints of pairs; the best is refined on all that agree.
-pub fn triangulate(sights: &[Sight], max_error_px: f64, min_angle_rad: f64) -> Option<Triangulated> {
+/// The point that most sightings agree on to `max_error_px`, at least two of them with an angle of
+/// `min_angle_rad` between their rays. Hypotheses are the midpoints of pairs; the best is refined
+/// on all that agree.
+pub fn triangulate(
+    sights: &[ViewRay],
+    max_error_px: f64,
+    min_angle_rad: f64,
+) -> Option<Triangulated> {
     let max_squared = max_error_px * max_error_px;
     let max_cosine = min_angle_rad.cos();
     let mut best: Option<(f64, Vector3<f64>)> = None;
@@ -94,27 +104,34 @@ pub fn triangulate(sights: &[Sight], max_error_px: f64, min_angle_rad: f64) -> O
     (inliers.len() >= 2 && has_angle).then_some(Triangulated { xyz, inliers })
 }
 
-/// Where the poses of now see a point, by all its observations; `None` where their rays do not meet.
-pub(crate) fn seen_at(model: &Reconstruction, observations: &[Observation]) -> Option<Vector3<f64>> {
-    let sights: Vec<Sight> = observations.iter().filter_map(|o| Sight::of(model, o)).collect();
+/// Where the poses of now see a point, by all its observations; `None` where their rays do not
+/// meet.
+pub(crate) fn seen_at(
+    model: &Reconstruction,
+    observations: &[Observation],
+) -> Option<Vector3<f64>> {
+    let sights: Vec<ViewRay> = observations.iter().filter_map(|o| ViewRay::of(model, o)).collect();
     nearest_to_rays(sights.iter())
 }
 
 /// Cosine of the angle under which two cameras see a point.
-fn angle_cosine(a: &Sight, b: &Sight, xyz: &Vector3<f64>) -> f64 {
+fn angle_cosine(a: &ViewRay, b: &ViewRay, xyz: &Vector3<f64>) -> f64 {
     (a.centre_in_world - xyz).normalize().dot(&(b.centre_in_world - xyz).normalize())
 }
 
-/// The point nearest to all rays, each weighed by the inverse square of its distance once that is known, so that what is small
-/// is the angle and not the length: Σ w (I − d dᵀ)(x − c) = 0, twice.
-fn nearest_to_rays<'a>(sights: impl Iterator<Item = &'a Sight<'a>> + Clone) -> Option<Vector3<f64>> {
+/// The point nearest to all rays, each weighed by the inverse square of its distance once that is
+/// known, so that what is small is the angle and not the length: Σ w (I − d dᵀ)(x − c) = 0, twice.
+fn nearest_to_rays<'a>(
+    sights: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
+) -> Option<Vector3<f64>> {
     let mut xyz: Option<Vector3<f64>> = None;
     for _ in 0..2 {
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
         for sight in sights.clone() {
             let weight = xyz.map_or(1.0, |x| 1.0 / (x - sight.centre_in_world).norm_squared());
-            let projector =
-                (Matrix3::identity() - sight.ray_in_world * sight.ray_in_world.transpose()) * weight;
+            let projector = (Matrix3::identity()
+                - sight.ray_in_world * sight.ray_in_world.transpose())
+                * weight;
             a += projector;
             b += projector * sight.centre_in_world;
         }

@@ -1,11 +1,13 @@
 //! Focal lengths from pairs of images, before any pose is known.
 //!
-//! For each candidate focal length, the relative pose of every pair is estimated; the candidate's cost is the sum of the Sampson
-//! errors that are left, truncated (MSAC). Conditions on the singular values of the fundamental matrices (Mendonça & Cipolla 1999)
-//! are quicker and fail on the road: where a camera moves without turning, any focal length explains a pair, so that they see
-//! only its noise, and where texture repeats, half of the matches that a fundamental matrix explains may be wrong. In pixels, the
-//! first kind of pair says nothing and the second little, and the pairs in which the camera turns decide. The cost has several
-//! minima, so a grid is searched, camera by camera.
+//! For each candidate focal length, the relative pose of every pair is estimated; the candidate's
+//! cost is the sum of the Sampson errors that are left, truncated (MSAC). Conditions on the
+//! singular values of the fundamental matrices (Mendonça & Cipolla 1999) are quicker and fail on
+//! the road: where a camera moves without turning, any focal length explains a pair, so that they
+//! see only its noise, and where texture repeats, half of the matches that a fundamental matrix
+//! explains may be wrong. In pixels, the first kind of pair says nothing and the second little, and
+//! the pairs in which the camera turns decide. The cost has several minima, so a grid is searched,
+//! camera by camera.
 
 use std::collections::BTreeMap;
 
@@ -17,24 +19,28 @@ use tiepoint_scene::{
     CameraId, CorrespondenceGraph, ImageId, ImagePair, Reconstruction, TwoView, TwoViewKind,
 };
 
-/// Range of focal lengths considered, relative to the larger side of the image: 130° to 10° of view.
+/// Range of focal lengths considered, relative to the larger side of the image: 130° to 10° of
+/// view.
 const RANGE: (f64, f64) = (0.25, 6.0);
 /// Steps of the grid: 14 % each over that range.
 const NUM_STEPS: usize = 25;
 /// Steps of the search within the best cell of the grid: 2 % are left.
 const NUM_GOLDEN_STEPS: usize = 6;
-/// Largest Sampson error of a match that a relative pose explains, in pixels: several times what a keypoint is off by, and less than
-/// what verification allows.
+/// Largest Sampson error of a match that a relative pose explains, in pixels: several times what a
+/// keypoint is off by, and less than what verification allows.
 const MAX_ERROR_PX: f64 = 1.0;
-/// Samples drawn for a relative pose, at most; where more were needed, the pair would not have been verified.
+/// Samples drawn for a relative pose, at most; where more were needed, the pair would not have been
+/// verified.
 const MAX_SAMPLES: usize = 200;
-/// The minimum counts when half as large and twice as large focal lengths cost this much more. In degenerate motions the cost is flat.
+/// The minimum counts when half as large and twice as large focal lengths cost this much more. In
+/// degenerate motions the cost is flat.
 const MIN_RELATIVE_RISE: f64 = 1.05;
 /// Pairs with fewer matches say little; more of a pair than this, or more pairs, add little.
 const MIN_MATCHES: usize = 30;
 const MAX_MATCHES: usize = 100;
 const MAX_PAIRS: usize = 80;
-/// Pairs whose matches move less than this share of the image's side say little; more than the second one adds nothing.
+/// Pairs whose matches move less than this share of the image's side say little; more than the
+/// second one adds nothing.
 const FLOW: (f64, f64) = (0.01, 0.05);
 /// Rounds over the cameras where each depends on the others' focal lengths.
 const NUM_ROUNDS: usize = 3;
@@ -46,18 +52,20 @@ pub struct FocalPrior {
     pub camera: CameraId,
     /// Value, in pixels.
     pub mean_px: f64,
-    /// Standard deviation, in pixels. It is wide enough to yield to any model that determines the focal length, and keeps a model that
-    /// does not (a few images of straight motion) from wandering off.
+    /// Standard deviation, in pixels. It is wide enough to yield to any model that determines the
+    /// focal length, and keeps a model that does not (a few images of straight motion) from
+    /// wandering off.
     pub sigma_px: f64,
 }
 
-/// Standard deviation of a prior, relative to its value: of a focal length that was estimated from pairs, one from EXIF or the user,
-/// and a mere guess.
+/// Standard deviation of a prior, relative to its value: of a focal length that was estimated from
+/// pairs, one from EXIF or the user, and a mere guess.
 const FOUND_SIGMA: f64 = 0.03;
 const GIVEN_SIGMA: f64 = 0.1;
 const GUESSED_SIGMA: f64 = 0.1;
 
-/// The priors of all cameras at their present focal lengths, `found` being those from [`estimate_focal_lengths`].
+/// The priors of all cameras at their present focal lengths, `found` being those from
+/// [`estimate_focal_lengths`].
 pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrior> {
     let prior = |(camera, c): (CameraId, &tiepoint_scene::Camera)| {
         let relative = match (found.contains(&camera), c.has_focal_prior) {
@@ -71,8 +79,12 @@ pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrio
     model.cameras().map(prior).collect()
 }
 
-/// Estimates the focal length of each camera that has none from elsewhere; returns those that were found.
-pub fn estimate_focal_lengths(graph: &CorrespondenceGraph, model: &mut Reconstruction) -> Vec<CameraId> {
+/// Estimates the focal length of each camera that has none from elsewhere; returns those that were
+/// found.
+pub fn estimate_focal_lengths(
+    graph: &CorrespondenceGraph,
+    model: &mut Reconstruction,
+) -> Vec<CameraId> {
     let unknown: Vec<CameraId> =
         model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
     let mut found = vec![false; unknown.len()];
@@ -117,7 +129,8 @@ impl Pair {
             .step_by(step)
             .map(|m| (pixel(images.a, m.a), pixel(images.b, m.b)))
             .unzip();
-        let mut flow_px: Vec<f64> = pixels1.iter().zip(&pixels2).map(|(a, b)| (b - a).norm()).collect();
+        let mut flow_px: Vec<f64> =
+            pixels1.iter().zip(&pixels2).map(|(a, b)| (b - a).norm()).collect();
         let camera = model.camera_of(images.a);
         let flow = median(&mut flow_px)? / f64::from(camera.width.max(camera.height));
         (flow >= FLOW.0).then(|| Self {
@@ -145,8 +158,13 @@ impl Pair {
     }
 }
 
-/// The pairs that tell of a camera, the best one of each image; those within the camera alone where there are enough of them.
-fn pairs_of(graph: &CorrespondenceGraph, model: &Reconstruction, camera: CameraId) -> (Vec<Pair>, bool) {
+/// The pairs that tell of a camera, the best one of each image; those within the camera alone where
+/// there are enough of them.
+fn pairs_of(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    camera: CameraId,
+) -> (Vec<Pair>, bool) {
     let choose = |is_wanted: &dyn Fn(CameraId, CameraId) -> bool| -> Vec<Pair> {
         let mut best: BTreeMap<ImageId, Pair> = BTreeMap::new();
         for (images, two_view) in graph.pairs() {
@@ -198,7 +216,8 @@ fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Op
         beyond.min_by(f64::total_cmp).is_none_or(|cost| cost >= MIN_RELATIVE_RISE * least)
     };
     let is_determined = rise(&|f| f >= 2.0 * focal_px) && rise(&|f| f <= 0.5 * focal_px);
-    is_determined.then(|| golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS))
+    is_determined
+        .then(|| golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS))
 }
 
 /// The same with another focal length, in both directions.

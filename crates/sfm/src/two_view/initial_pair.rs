@@ -49,12 +49,18 @@ pub fn initial_pairs(
     rated
 }
 
-/// The relative pose that the verification found, or the one that its fundamental matrix means for the present intrinsics.
-pub(crate) fn relative_pose(model: &Reconstruction, pair: &ImagePair, two_view: &TwoView) -> Option<Rigid3> {
+/// The relative pose that the verification found, or the one that its fundamental matrix means for
+/// the present intrinsics.
+pub(crate) fn relative_pose(
+    model: &Reconstruction,
+    pair: &ImagePair,
+    two_view: &TwoView,
+) -> Option<Rigid3> {
     if let Some(pose) = two_view.cam2_from_cam1 {
         return Some(pose);
     }
-    let (rays1, rays2) = rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_RATED_MATCHES));
+    let (rays1, rays2) =
+        rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_RATED_MATCHES));
     let calibration1 = model.camera_of(pair.a).intrinsics.calibration_matrix();
     let calibration2 = model.camera_of(pair.b).intrinsics.calibration_matrix();
     let essential =
@@ -98,7 +104,8 @@ fn rays(
         .unzip()
 }
 
-/// Σ over matches that triangulate in front of both cameras and project back, of min(angle / 16°, 1).
+/// Σ over matches that triangulate in front of both cameras and project back, of min(angle / 16°,
+/// 1).
 fn rate(
     model: &Reconstruction,
     pair: &ImagePair,

@@ -1,7 +1,7 @@
 //! Two-view geometry: which matches of an image pair a single rigid scene explains, and how.
 //!
-//! After Schönberger & Frahm 2016, section 4.1: an essential matrix where both cameras are calibrated, a fundamental matrix
-//! otherwise, and a homography to tell planes and pure rotations.
+//! After Schönberger & Frahm 2016, section 4.1: an essential matrix where both cameras are
+//! calibrated, a fundamental matrix otherwise, and a homography to tell planes and pure rotations.
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
@@ -15,7 +15,8 @@ pub struct VerifyOptions {
     pub max_error_px: f64,
     /// Fewer inliers are no relation.
     pub min_num_inliers: usize,
-    /// The essential matrix must hold this share of the fundamental matrix's inliers; otherwise the calibration is wrong.
+    /// The essential matrix must hold this share of the fundamental matrix's inliers; otherwise the
+    /// calibration is wrong.
     pub min_essential_share: f64,
     /// A homography that holds this share of the inliers means a plane or a rotation.
     pub max_homography_share: f64,
@@ -23,7 +24,12 @@ pub struct VerifyOptions {
 
 impl Default for VerifyOptions {
     fn default() -> Self {
-        Self { max_error_px: 4.0, min_num_inliers: 15, min_essential_share: 0.95, max_homography_share: 0.8 }
+        Self {
+            max_error_px: 4.0,
+            min_num_inliers: 15,
+            min_essential_share: 0.95,
+            max_homography_share: 0.8,
+        }
     }
 }
 
@@ -48,9 +54,12 @@ pub fn verify_pair(
     if matches.len() < options.min_num_inliers {
         return degenerate;
     }
-    let points1: Vec<Vector2<f64>> = matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
-    let points2: Vec<Vector2<f64>> = matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
-    let ransac = RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
+    let points1: Vec<Vector2<f64>> =
+        matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
+    let points2: Vec<Vector2<f64>> =
+        matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
+    let ransac =
+        RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
 
     let essential = if view1.camera.has_focal_prior && view2.camera.has_focal_prior {
         estimate::relative_pose(
@@ -63,8 +72,8 @@ pub fn verify_pair(
     } else {
         None
     };
-    // No fundamental matrix holds more matches than there are, so where the essential matrix holds nearly all of them the
-    // question whether the calibration is right is settled.
+    // No fundamental matrix holds more matches than there are, so where the essential matrix holds
+    // nearly all of them the question whether the calibration is right is settled.
     let enough = options.min_essential_share * matches.len() as f64;
     let fundamental = match &essential {
         Some(report) if report.num_inliers as f64 >= enough => None,
@@ -72,7 +81,9 @@ pub fn verify_pair(
     };
     let num_fundamental = fundamental.as_ref().map_or(0, |report| report.num_inliers);
     let mut two_view = match (essential, fundamental) {
-        (Some(e), _) if e.num_inliers as f64 >= options.min_essential_share * num_fundamental as f64 => {
+        (Some(e), _)
+            if e.num_inliers as f64 >= options.min_essential_share * num_fundamental as f64 =>
+        {
             let essential = epipolar::essential_from_pose(&e.model);
             TwoView {
                 kind: TwoViewKind::Calibrated,

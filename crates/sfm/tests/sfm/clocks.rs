@@ -1,4 +1,5 @@
-//! Cameras whose clocks disagree, on the street of the synthetic world seen as features: every clock, pose and calibration is known.
+//! Cameras whose clocks disagree, on the street of the synthetic world seen as features: every
+//! clock, pose and calibration is known.
 
 use std::ops::{ControlFlow, Range};
 
@@ -6,7 +7,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
-    Hold, MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, companions, map,
+    CalibratedCamera, ClockState, MappedModel, MapperOptions, RefineIntrinsics, RigConstraint,
+    RigTerm, map, rig_sensors,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -30,7 +32,7 @@ struct Run {
     drive: Drive,
     truth: Reconstruction,
     model: Reconstruction,
-    camera: Option<MountedCamera>,
+    camera: Option<CalibratedCamera>,
 }
 
 /// A quarter of a block, with its stop and its turn, at 5 images a second.
@@ -43,10 +45,13 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let matching = MatchOptions { window: Some(6), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
-    let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
-    let MappedModel { reconstruction: model, rig, .. } = models.expect("the scene is easy").remove(0);
+    let mapper =
+        MapperOptions { refine: RefineIntrinsics::NONE, rig, seed, ..MapperOptions::default() };
+    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| {
+        ControlFlow::Continue(())
+    });
+    let MappedModel { reconstruction: model, rig, .. } =
+        models.expect("the scene is easy").remove(0);
     let camera = rig.and_then(|rig| rig.cameras.into_iter().next());
     Run { drive, truth: scene.truth().clone(), model, camera }
 }
@@ -65,17 +70,19 @@ fn scale(run: &Run) -> f64 {
     length(&run.model) / length(&run.truth)
 }
 
-/// Errors of rotation (radians), translation (metres), offset at the pivot (seconds) and drift, and their standard deviations.
+/// Errors of rotation (radians), translation (metres), offset at the pivot (seconds) and drift, and
+/// their standard deviations.
 fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
     let camera = run.camera.as_ref().expect("the right camera was held");
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let scale = scale(run);
-    let found = Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
+    let found =
+        Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
     let turn = so3::log(&(found.rotation * truth.rotation.inverse()));
     let shift = found.translation - truth.translation;
-    let pivot_s = camera.companion.clock.pivot_s;
-    let offset_s = camera.companion.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
-    let drift = camera.companion.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
+    let pivot_s = camera.rig_sensor.clock.pivot_s;
+    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let drift = camera.rig_sensor.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
     let covariance = camera.covariance.expect("all is determined");
     let sd = std::array::from_fn(|k| {
         let sd: f64 = covariance[(k, k)].sqrt();
@@ -90,7 +97,8 @@ const MAX_ROTATION_RAD: f64 = 0.05 / 57.3;
 const MAX_DIRECTION_RAD: f64 = 0.5 / 57.3;
 /// Distance of the cameras, in metres.
 const BASELINE_M: f64 = 0.5;
-/// Of which a seed has six. The mean square of so many independent numbers is within this with 99 % (χ²), and that of three seeds'.
+/// Of which a seed has six. The mean square of so many independent numbers is within this with 99 %
+/// (χ²), and that of three seeds'.
 const NORMALISED_OF_6: Range<f64> = 0.113..3.09;
 const NORMALISED_OF_18: Range<f64> = 0.348..2.06;
 
@@ -100,16 +108,23 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     for &seed in sample(&[1, 2, 3]) {
         let run = run(seed, CLOCKS, RigTerm::Auto);
         let camera = run.camera.as_ref().expect("the right camera was held");
-        assert_eq!(camera.companion.timing, Timing::Free);
-        assert!(matches!(camera.hold, Hold::Soft { .. }), "images of different instants are not rigid");
+        assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
+        assert!(
+            matches!(camera.constraint, RigConstraint::Soft { .. }),
+            "images of different instants are not rigid"
+        );
         let (error, sd) = errors(&run);
         eprintln!("seed {seed}: errors {error:.6?}\n        deviations {sd:.6?}");
         assert!(error[6].abs() < MAX_OFFSET_S, "seed {seed}: offset {} ± {} s", error[6], sd[6]);
-        assert!(error[..3].iter().map(|e| e * e).sum::<f64>().sqrt() < MAX_ROTATION_RAD, "{error:?}");
+        assert!(
+            error[..3].iter().map(|e| e * e).sum::<f64>().sqrt() < MAX_ROTATION_RAD,
+            "{error:?}"
+        );
         // Along the cameras' distance is its length, across it the direction.
         let across = error[4].hypot(error[5]);
         assert!(across < MAX_DIRECTION_RAD * BASELINE_M, "seed {seed}: {error:?} ± {sd:?}");
-        // Without the length, which goes with the scale that is taken from the truth, and the drift, which is the prior's.
+        // Without the length, which goes with the scale that is taken from the truth, and the
+        // drift, which is the prior's.
         for k in [0, 1, 2, 4, 5, 6] {
             sum += (error[k] / sd[k]).powi(2);
             count += 1;
@@ -121,7 +136,8 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     assert!(chance.contains(&normalised), "{normalised}");
 }
 
-/// How far below the truth a spread of some 90 stamps may be told, from the median of their second differences.
+/// How far below the truth a spread of some 90 stamps may be told, from the median of their second
+/// differences.
 const TOLD: f64 = 0.8;
 /// Chance leaves one in fifteen thousand beyond.
 const MAX_DEVIATIONS: f64 = 4.0;
@@ -132,7 +148,7 @@ fn no_clock_is_known_better_than_its_stamps() {
     let jitter_s = 0.002;
     let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigTerm::Auto);
     let camera = run.camera.as_ref().expect("the right camera was held");
-    let floor_s = 2f64.sqrt() * jitter_s / (camera.num_moments as f64).sqrt();
+    let floor_s = 2f64.sqrt() * jitter_s / (camera.num_referenced_images as f64).sqrt();
     let (error, sd) = errors(&run);
     assert!(sd[6] > TOLD * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
     assert!(error[6].abs() < MAX_DEVIATIONS * sd[6], "{} ± {}", error[6], sd[6]);
@@ -143,13 +159,14 @@ fn cameras_that_are_triggered_together_are_rigid_frames() {
     let run = run(2, ClockEffects::default(), RigTerm::Hard);
     let camera = run.camera.as_ref().expect("the right camera was held");
     assert_eq!(
-        (camera.companion.timing, camera.companion.clock.offset_s, camera.hold),
-        (Timing::Together, 0.0, Hold::Rigid)
+        (camera.rig_sensor.clock_state, camera.rig_sensor.clock.offset_s, camera.constraint),
+        (ClockState::Synchronised, 0.0, RigConstraint::Rigid)
     );
     assert_eq!(run.model.frames.len(), FRAMES);
 }
 
-/// At one speed straight on, a wrong clock is a mounting further ahead: nothing tells the two apart, and the stamps are believed.
+/// At one speed straight on, a wrong clock is a mounting further ahead: nothing tells the two
+/// apart, and the stamps are believed.
 #[test]
 fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
     let at = |camera: u32, time_s: f64| {
@@ -161,7 +178,8 @@ fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
     let mut model = Reconstruction::default();
     for camera in 0..2 {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
-        let id = model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        let id =
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         for k in 0..40 {
             let time_s = 0.2 * f64::from(k) + 0.07 * f64::from(camera);
             let image = model.add_image(Image::new(format!("{camera}/{k:03}.png"), id, Vec::new()));
@@ -171,12 +189,17 @@ fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
             model.register(image, pose);
         }
     }
-    let found = companions(&model);
-    assert_eq!((found[0].timing, found[0].clock.offset_s), (Timing::NotObservable, 0.0), "{found:?}");
+    let found = rig_sensors(&model);
+    assert_eq!(
+        (found[0].clock_state, found[0].clock.offset_s),
+        (ClockState::Unobservable, 0.0),
+        "{found:?}"
+    );
     // The right images at the first one's times: triggered together.
-    let rights: Vec<_> = model.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
+    let rights: Vec<_> =
+        model.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
     for (k, right) in rights.into_iter().enumerate() {
         model.set_time(right, Some(0.2 * k as f64));
     }
-    assert_eq!(companions(&model)[0].timing, Timing::Together);
+    assert_eq!(rig_sensors(&model)[0].clock_state, ClockState::Synchronised);
 }

@@ -3,8 +3,8 @@
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::Reconstruction;
 
-/// The seeds of a test: the first of the grid, or with `TIEPOINT_ALL_SEEDS` in the environment all of them, as `bench/seeds.py` has
-/// it.
+/// The seeds of a test: the first of the grid, or with `TIEPOINT_ALL_SEEDS` in the environment all
+/// of them, as `bench/seeds.py` has it.
 pub(crate) fn sample(grid: &[u64]) -> &[u64] {
     if std::env::var_os("TIEPOINT_ALL_SEEDS").is_some() { grid } else { &grid[..1] }
 }
@@ -12,8 +12,10 @@ pub(crate) fn sample(grid: &[u64]) -> &[u64] {
 /// ATE: the root mean square distance of the camera centres from the true ones, after a similarity.
 pub(crate) fn ate_m(model: &Reconstruction, truth: &Reconstruction) -> f64 {
     let found: Vec<_> = model.images().map(|(_, image)| image.cam_from_world().copied()).collect();
-    let true_poses: Vec<_> =
-        truth.images().map(|(_, image)| *image.cam_from_world().expect("the truth has all poses")).collect();
+    let true_poses: Vec<_> = truth
+        .images()
+        .map(|(_, image)| *image.cam_from_world().expect("the truth has all poses"))
+        .collect();
     let compared = compare_poses(&found, &true_poses, Alignment::Similarity).expect("a trajectory");
     let errors: Vec<f64> = compared.centre_errors.into_iter().flatten().collect();
     Statistics::of(&errors).expect("images with poses").rmse

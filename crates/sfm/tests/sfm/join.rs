@@ -1,14 +1,16 @@
-//! A camera that looks ahead and one that looks back, whose images share nothing, on the street of the synthetic world seen as features.
+//! A camera that looks ahead and one that looks back, whose images share nothing, on the street of
+//! the synthetic world seen as features.
 
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::{Rigid3, so3};
 use tiepoint_scene::CorrespondenceGraph;
 use tiepoint_sfm::{
-    Event, MappedModel, MapperOptions, MountedCamera, RefineIntrinsics, RigTerm, Timing, map,
+    CalibratedCamera, ClockState, Event, MappedModel, MapperOptions, RefineIntrinsics, RigTerm, map,
 };
 use tiepoint_synth::{
-    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
+    ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount,
+    Mounting,
 };
 
 /// Distance of the cameras, in metres.
@@ -28,7 +30,7 @@ const CLOCKS: ClockEffects = ClockEffects {
 struct Run {
     drive: Drive,
     models: usize,
-    camera: Option<MountedCamera>,
+    camera: Option<CalibratedCamera>,
     was_joined: bool,
     /// Metres in a unit of the model, from the first camera's path.
     metres: f64,
@@ -40,9 +42,14 @@ fn run(rig: RigTerm) -> Run {
     let [_, back] = Mount::stereo(Mounting::Rear, BASELINE_M);
     let effects = Effects { clocks: CLOCKS, ..Effects::default() };
     let mounts = vec![ahead, back];
-    let mut drive =
-        Drive::new(&DriveOptions { seed: 3, rate_hz: 4.0, effects, mounts, ..DriveOptions::default() })
-            .expect("a street of 200 m");
+    let mut drive = Drive::new(&DriveOptions {
+        seed: 3,
+        rate_hz: 4.0,
+        effects,
+        mounts,
+        ..DriveOptions::default()
+    })
+    .expect("a street of 200 m");
     drive.keep_first(FRAMES);
     let features = FeatureOptions { seed: 3, observations: 40_000, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
@@ -53,7 +60,8 @@ fn run(rig: RigTerm) -> Run {
         .filter(|found| camera(found.pair.a) == camera(found.pair.b))
         .map(|found| (found.pair, found.two_view))
         .collect();
-    let counts: Vec<usize> = scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+    let counts: Vec<usize> =
+        scene.truth().images().map(|(_, image)| image.keypoints.len()).collect();
     let graph = CorrespondenceGraph::new(&counts, two_views);
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
     let mut was_joined = false;
@@ -66,18 +74,21 @@ fn run(rig: RigTerm) -> Run {
     let camera = rig.as_ref().and_then(|rig| rig.cameras.first().cloned());
     let path = |scene: &tiepoint_scene::Reconstruction| {
         let of_first = reconstruction.registered().filter(|(_, image, _)| image.camera.0 == 0);
-        let centres: Vec<_> =
-            of_first.filter_map(|(id, ..)| Some(scene.image(id).cam_from_world()?.origin_in_a())).collect();
+        let centres: Vec<_> = of_first
+            .filter_map(|(id, ..)| Some(scene.image(id).cam_from_world()?.origin_in_a()))
+            .collect();
         centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>()
     };
     let metres = path(scene.truth()) / path(reconstruction);
     Run { drive, models: models.len(), camera, was_joined, metres }
 }
 
-/// Two models know each other by their motion alone: what is asked of cameras that see the same, six times over.
+/// Two models know each other by their motion alone: what is asked of cameras that see the same,
+/// six times over.
 const MAX_ROTATION_RAD: f64 = 0.3 / 57.3;
 const MAX_OFFSET_S: f64 = 0.005;
-/// Of the mounting's place along the road and across it, in metres; upwards nothing tells it on a flat road, and it stays at zero, where it is.
+/// Of the mounting's place along the road and across it, in metres; upwards nothing tells it on a
+/// flat road, and it stays at zero, where it is.
 const MAX_PLACE_M: f64 = 0.1;
 const MAX_HEIGHT_M: f64 = 0.01;
 
@@ -87,7 +98,7 @@ fn cameras_without_a_common_view_become_one_model() {
     assert!(run.was_joined);
     assert_eq!(run.models, 1);
     let camera = run.camera.expect("it is held");
-    assert_eq!(camera.companion.timing, Timing::Free);
+    assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let Rigid3 { rotation, translation } = camera.right_from_left;
     let turn_rad = so3::log(&(rotation * truth.rotation.inverse())).norm();
@@ -95,12 +106,14 @@ fn cameras_without_a_common_view_become_one_model() {
     let found = -(rotation.inverse() * translation) * run.metres;
     let expected = truth.origin_in_a();
     let off = found - expected;
-    let pivot_s = camera.companion.clock.pivot_s;
-    let offset_s = camera.companion.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
-    eprintln!("turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}");
+    let pivot_s = camera.rig_sensor.clock.pivot_s;
+    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    eprintln!(
+        "turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}"
+    );
     assert!(turn_rad < MAX_ROTATION_RAD, "{turn_rad} rad");
     assert!(off.x.hypot(off.z) < MAX_PLACE_M, "{off:?}");
-    let blind = camera.companion.blind.expect("the road is flat");
+    let blind = camera.rig_sensor.unobservable_direction.expect("the road is flat");
     assert!(blind.y.abs() > 0.9, "{blind:?}");
     assert!((found - blind * found.dot(&blind)).norm() > found.norm() - MAX_HEIGHT_M, "{found:?}");
     assert!(offset_s.abs() < MAX_OFFSET_S, "{offset_s} s");

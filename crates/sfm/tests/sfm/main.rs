@@ -8,7 +8,7 @@ mod join;
 mod lens;
 mod loop_closure;
 mod mapper;
+mod point_selection;
 mod repetition;
 mod rig;
 mod shutter;
-mod spread;

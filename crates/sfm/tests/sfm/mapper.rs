@@ -1,5 +1,5 @@
-//! The mapper on scenes of which everything is known: points in a box, cameras on an arc around it, keypoints with noise,
-//! matches of which some are wrong.
+//! The mapper on scenes of which everything is known: points in a box, cameras on an arc around it,
+//! keypoints with noise, matches of which some are wrong.
 
 use std::ops::ControlFlow;
 
@@ -7,11 +7,12 @@ use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector2, Vector3};
 use tiepoint_geometry::triangulate::triangulate;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
 use tiepoint_scene::{
-    Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation, Reconstruction,
-    Track, TwoView,
+    Camera, CorrespondenceGraph, Image, ImageId, ImagePair, Keypoint, Match, Observation,
+    Reconstruction, Track, TwoView,
 };
 use tiepoint_sfm::{
-    AdjustOptions, MapperOptions, RefineIntrinsics, Scope, VerifyOptions, View, adjust, map, verify_pair,
+    AdjustOptions, MapperOptions, RefineIntrinsics, Scope, VerifyOptions, View, adjust, map,
+    verify_pair,
 };
 
 use crate::common::sample;
@@ -63,7 +64,8 @@ fn truth_of(
     let mut seen: Vec<Vec<usize>> = Vec::new();
     for index in 0..NUM_IMAGES {
         let angle = 0.15 * index as f64;
-        let centre = Vector3::new(RADIUS * angle.sin(), 0.3 * (3.0 * angle).sin(), -RADIUS * angle.cos());
+        let centre =
+            Vector3::new(RADIUS * angle.sin(), 0.3 * (3.0 * angle).sin(), -RADIUS * angle.cos());
         let forward = (-centre).normalize();
         let world_from_cam = UnitQuaternion::face_towards(&forward, &Vector3::new(0.0, 1.0, 0.0));
         let rotation = world_from_cam.inverse();
@@ -93,7 +95,8 @@ fn truth_of(
                 }
             }
             let pair = ImagePair::new(ImageId(a as u32), ImageId(b as u32)).expect("two images");
-            let view = |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
+            let view =
+                |id| View { keypoints: &scene.image(id).keypoints, camera: scene.camera_of(id) };
             two_views.push((
                 pair,
                 verify_pair(view(pair.a), view(pair.b), &matches, &VerifyOptions::default(), seed),
@@ -104,8 +107,8 @@ fn truth_of(
     Truth { graph: CorrespondenceGraph::new(&counts, two_views), scene, poses, seen }
 }
 
-/// Largest error of a distance between two camera centres, relative to the largest distance, after scaling the model to the
-/// truth by the sum of all distances.
+/// Largest error of a distance between two camera centres, relative to the largest distance, after
+/// scaling the model to the truth by the sum of all distances.
 fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
     let centres: Vec<(Vector3<f64>, Vector3<f64>)> = model
         .registered()
@@ -122,14 +125,15 @@ fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
 }
 
 fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
-    let mut models =
-        map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| ControlFlow::Continue(()))
-            .expect("the scene is easy");
+    let mut models = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), options, &mut |_| {
+        ControlFlow::Continue(())
+    })
+    .expect("the scene is easy");
     models.remove(0).reconstruction
 }
 
-/// Noise of 0.5 px at 900 px and 4 m is 2 mm a sighting; some hundred sightings an image leave well under a millimetre of
-/// 4.4 m, and the intrinsics some more.
+/// Noise of 0.5 px at 900 px and 4 m is 2 mm a sighting; some hundred sightings an image leave well
+/// under a millimetre of 4.4 m, and the intrinsics some more.
 const MAX_SHAPE_ERROR_CALIBRATED: f64 = 1e-3;
 const MAX_SHAPE_ERROR_UNCALIBRATED: f64 = 4e-3;
 /// The focal length is seen through the arc's parallax.
@@ -139,8 +143,10 @@ const MAX_RELATIVE_FOCAL_ERROR: f64 = 0.01;
 fn calibrated_images_come_out_in_the_right_shape() {
     for &seed in sample(&[0, 1, 2]) {
         let truth = truth(seed, FOCAL_PX, true);
-        let model =
-            run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, seed, ..Default::default() });
+        let model = run(
+            &truth,
+            &MapperOptions { refine: RefineIntrinsics::NONE, seed, ..Default::default() },
+        );
         model.validate().unwrap();
         assert_eq!(model.num_registered(), NUM_IMAGES);
         let error = shape_error(&model, &truth.poses);
@@ -163,11 +169,13 @@ fn an_unknown_focal_length_is_found() {
     }
 }
 
-/// Two standard deviations of the prior on the principal point (10 px for 1000) off the middle, in each direction.
+/// Two standard deviations of the prior on the principal point (10 px for 1000) off the middle, in
+/// each direction.
 const FAR_CENTRE: Vector2<f64> = Vector2::new(520.0, 355.0);
 /// Corners of a chessboard are good to this, ten times better than residuals are weighed by.
 const PRECISE_NOISE_PX: f64 = 0.05;
-/// Seen: 0.2 to 1.4 px. Weighed against keypoints of 1 px, the prior keeps it 14 px nearer to the middle.
+/// Seen: 0.2 to 1.4 px. Weighed against keypoints of 1 px, the prior keeps it 14 px nearer to the
+/// middle.
 const MAX_CENTRE_ERROR_PX: f64 = 3.0;
 
 #[test]
@@ -189,20 +197,24 @@ fn two_scenes_that_share_nothing_become_two_models() {
     let mut scene = one.scene.clone();
     let camera = scene.cameras().next().unwrap().0;
     for (_, image) in other.scene.images() {
-        scene.add_image(Image::new(format!("other/{}", image.name), camera, image.keypoints.to_vec()));
+        scene.add_image(Image::new(
+            format!("other/{}", image.name),
+            camera,
+            image.keypoints.to_vec(),
+        ));
     }
     let shift = |id: ImageId| ImageId(id.0 + NUM_IMAGES as u32);
-    let shifted = other
-        .graph
-        .pairs()
-        .iter()
-        .map(|(pair, two_view)| (ImagePair { a: shift(pair.a), b: shift(pair.b) }, two_view.clone()));
+    let shifted = other.graph.pairs().iter().map(|(pair, two_view)| {
+        (ImagePair { a: shift(pair.a), b: shift(pair.b) }, two_view.clone())
+    });
     let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
-    let pairs = one.graph.pairs().iter().map(|(pair, two_view)| (*pair, two_view.clone())).chain(shifted);
+    let pairs =
+        one.graph.pairs().iter().map(|(pair, two_view)| (*pair, two_view.clone())).chain(shifted);
     let graph = CorrespondenceGraph::new(&counts, pairs);
     let options = MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
     let models =
-        map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(())).unwrap();
+        map(&graph, &scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()))
+            .unwrap();
     assert_eq!(
         models.iter().map(|model| model.reconstruction.num_registered()).collect::<Vec<_>>(),
         [NUM_IMAGES, NUM_IMAGES]
@@ -222,17 +234,23 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn the_callback_stops_the_mapper() {
     let truth = truth(8, FOCAL_PX, true);
-    let error = map(&truth.graph, &truth.scene, &mut |_| Vec::new(), &MapperOptions::default(), &mut |_| {
-        ControlFlow::Break(())
-    });
+    let error = map(
+        &truth.graph,
+        &truth.scene,
+        &mut |_| Vec::new(),
+        &MapperOptions::default(),
+        &mut |_| ControlFlow::Break(()),
+    );
     assert!(matches!(error, Err(tiepoint_sfm::Error::Cancelled)));
 }
 
-/// Of keypoints this precise a share is off by so much in any direction: less than what the filters take for wrong.
+/// Of keypoints this precise a share is off by so much in any direction: less than what the filters
+/// take for wrong.
 const FINE_NOISE_PX: f64 = 0.1;
 const OFF_PX: f64 = 2.5;
 const OFF_SHARE: f64 = 0.3;
-/// Three seeds end at 2.3e-4 to 3.3e-4; with a loss that is not measured by the noise, at 5.6e-4 to 8.9e-4.
+/// Three seeds end at 2.3e-4 to 3.3e-4; with a loss that is not measured by the noise, at 5.6e-4 to
+/// 8.9e-4.
 const MAX_SHAPE_ERROR_OFF: f64 = 4.5e-4;
 
 #[test]
@@ -254,7 +272,8 @@ fn keypoints_off_by_many_standard_deviations_count_little() {
             scene.add_image(Image::new(image.name.clone(), image.camera, keypoints));
         }
         truth.scene = scene;
-        let model = run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() });
+        let model =
+            run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() });
         let error = shape_error(&model, &truth.poses);
         assert!(error < MAX_SHAPE_ERROR_OFF, "{error}");
     }
@@ -264,10 +283,11 @@ fn keypoints_off_by_many_standard_deviations_count_little() {
 const HELD_OUT_ONE_IN: usize = 5;
 /// Chance leaves one in fifteen thousand beyond.
 const MAX_DEVIATIONS: f64 = 4.0;
-/// Where held-out points are put to show that nobody looks at them: off by a quarter of the box, some 100 px.
+/// Where held-out points are put to show that nobody looks at them: off by a quarter of the box,
+/// some 100 px.
 const NOWHERE: Vector3<f64> = Vector3::new(0.5, 0.5, 0.5);
 
-/// The mapper never sees the matches of the points that judge its poses.
+/// The mapper never sees the matches of the points that held_out its poses.
 #[test]
 fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
     let truth = truth(9, FOCAL_PX, true);
@@ -275,12 +295,15 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
     let without = truth.graph.pairs().iter().map(|(pair, two_view)| {
         let shows = |image: ImageId, keypoint: u32| truth.seen[image.index()][keypoint as usize];
         let mut two_view = two_view.clone();
-        two_view.matches.retain(|m| !is_held_out(shows(pair.a, m.a)) && !is_held_out(shows(pair.b, m.b)));
+        two_view
+            .matches
+            .retain(|m| !is_held_out(shows(pair.a, m.a)) && !is_held_out(shows(pair.b, m.b)));
         (*pair, two_view)
     });
     let counts: Vec<usize> = truth.scene.images().map(|(_, image)| image.keypoints.len()).collect();
     let truth = Truth { graph: CorrespondenceGraph::new(&counts, without), ..truth };
-    let mut model = run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() });
+    let mut model =
+        run(&truth, &MapperOptions { refine: RefineIntrinsics::NONE, ..Default::default() });
     assert_eq!(model.num_registered(), NUM_IMAGES);
 
     let (mut held_out, mut num_observations, mut degrees_of_freedom) = (Vec::new(), 0, 0);
@@ -307,8 +330,8 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
         let track = Track { is_held_out: true, ..Track::new(xyz, observations) };
         held_out.push(model.add_track(track));
     }
-    // Each observation has two coordinates with NOISE_PX; each point takes three of them up. The poses, from four times as many
-    // points, add less than half a percent.
+    // Each observation has two coordinates with NOISE_PX; each point takes three of them up. The
+    // poses, from four times as many points, add less than half a percent.
     let rms_px = tiepoint_sfm::held_out_rms_px(&model).unwrap();
     let expected_px = NOISE_PX * (degrees_of_freedom as f64 / num_observations as f64).sqrt();
     let max_share = MAX_DEVIATIONS / (2.0 * degrees_of_freedom as f64).sqrt();
@@ -320,7 +343,8 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
             model.track_mut(*point).unwrap().xyz += offset;
         }
         let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..Default::default() };
-        adjust(&mut model, &Scope::Global, &options, &mut [], &mut |_| ControlFlow::Continue(())).unwrap();
+        adjust(&mut model, &Scope::Global, &options, &mut [], &mut |_| ControlFlow::Continue(()))
+            .unwrap();
         model
     };
     // No pose moves, and in the end they are where the poses see them, wherever they were.

@@ -1,12 +1,15 @@
-//! A street whose facade repeats: a camera that drives along it sees the same windows again and again, and what it matches a few frames on
-//! are mostly those of another period. Where images are registered by what they see alone, it is folded at every period.
+//! A street whose facade repeats: a camera that drives along it sees the same windows again and
+//! again, and what it matches a few frames on are mostly those of another period. Where images are
+//! registered by what they see alone, it is folded at every period.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
-use tiepoint_scene::{Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction};
+use tiepoint_scene::{
+    Camera, CorrespondenceGraph, Image, ImagePair, Keypoint, Match, Reconstruction,
+};
 use tiepoint_sfm::{MapperOptions, RefineIntrinsics, VerifyOptions, View, map, verify_pair};
 
 use crate::common::sample;
@@ -14,11 +17,13 @@ use crate::common::sample;
 const FRAMES: usize = 60;
 /// Of the facade.
 const SEEDS: [u64; 3] = [0, 1, 2];
-/// In metres: the camera's way from frame to frame, how far it is from the facade, and after what the facade repeats.
+/// In metres: the camera's way from frame to frame, how far it is from the facade, and after what
+/// the facade repeats.
 const STEP: f64 = 0.6;
 const DISTANCE: f64 = 5.0;
 const PERIOD: f64 = 4.2;
-/// Frames that are matched with each other are at most so far apart; the facade repeats every seven.
+/// Frames that are matched with each other are at most so far apart; the facade repeats every
+/// seven.
 const WINDOW: usize = 8;
 /// Of each period's features, and those that only one of them has.
 const REPEATED: usize = 200;
@@ -27,7 +32,8 @@ const UNIQUE: usize = 10;
 const VARIED: usize = 5;
 /// Of keypoints, in pixels.
 const NOISE_PX: f64 = 0.3;
-/// The camera drives on evenly; a period on, it would be six times as far from one frame to the next.
+/// The camera drives on evenly; a period on, it would be six times as far from one frame to the
+/// next.
 const TOLERANCE: f64 = 0.2;
 
 /// What a keypoint shows: the same of each period, unless it is unique.
@@ -38,12 +44,15 @@ struct Street {
     graph: CorrespondenceGraph,
 }
 
-/// A feature matches where the other image sees its like once: its like of another period, if it sees that alone.
+/// A feature matches where the other image sees its like once: its like of another period, if it
+/// sees that alone.
 fn street(seed: u64) -> Street {
     let mut rng = Rng::stream(seed, &[]);
-    let intrinsics = Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 200.0, 150.0]).expect("sound");
+    let intrinsics =
+        Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 200.0, 150.0]).expect("sound");
     let mut scene = Reconstruction::default();
-    let camera = scene.add_camera(Camera { intrinsics, width: 400, height: 300, has_focal_prior: true });
+    let camera =
+        scene.add_camera(Camera { intrinsics, width: 400, height: 300, has_focal_prior: true });
     let mut draw = |length: f64| {
         let [x, y, z] = [0; 3].map(|_| rng.uniform());
         Vector3::new(length * x, 3.0 * y - 1.5, DISTANCE + z - 0.5)
@@ -54,8 +63,11 @@ fn street(seed: u64) -> Street {
     for period in 0..periods {
         let begin = Vector3::new((period as f64 - 2.0) * PERIOD, 0.0, 0.0);
         let of = (period < VARIED).then_some(period);
-        facade.extend(repeated.iter().enumerate().map(|(feature, xyz)| (begin + xyz, (feature, of))));
-        facade.extend((0..UNIQUE).map(|feature| (begin + draw(PERIOD), (REPEATED + feature, Some(period)))));
+        facade
+            .extend(repeated.iter().enumerate().map(|(feature, xyz)| (begin + xyz, (feature, of))));
+        facade.extend(
+            (0..UNIQUE).map(|feature| (begin + draw(PERIOD), (REPEATED + feature, Some(period)))),
+        );
     }
     let mut seen: Vec<BTreeMap<Appearance, Vec<u32>>> = Vec::new();
     for frame in 0..FRAMES {
@@ -96,14 +108,17 @@ fn street(seed: u64) -> Street {
 
 /// The way from each frame to the next, over the median; frames that are missing count as jumps.
 fn steps(street: &Street, seed: u64) -> Vec<f64> {
-    let options = MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
-    let models =
-        map(&street.graph, &street.scene, &mut |_| Vec::new(), &options, &mut |_| ControlFlow::Continue(()));
+    let options =
+        MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
+    let models = map(&street.graph, &street.scene, &mut |_| Vec::new(), &options, &mut |_| {
+        ControlFlow::Continue(())
+    });
     let model = models.expect("a street").remove(0).reconstruction;
     let centres: Vec<Option<Vector3<f64>>> =
         model.images().map(|(_, image)| image.cam_from_world().map(Rigid3::origin_in_a)).collect();
     let step = |pair: &[Option<Vector3<f64>>]| Some((pair[1]? - pair[0]?).norm());
-    let steps: Vec<f64> = centres.windows(2).map(|pair| step(pair).unwrap_or(f64::INFINITY)).collect();
+    let steps: Vec<f64> =
+        centres.windows(2).map(|pair| step(pair).unwrap_or(f64::INFINITY)).collect();
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
     let median = sorted[sorted.len() / 2];

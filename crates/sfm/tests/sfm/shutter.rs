@@ -1,4 +1,5 @@
-//! A camera whose rows are exposed one after the other, on the street of the synthetic world seen as features.
+//! A camera whose rows are exposed one after the other, on the street of the synthetic world seen
+//! as features.
 
 use std::ops::ControlFlow;
 use std::sync::LazyLock;
@@ -31,16 +32,19 @@ struct Outcome {
 fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
     let effects = Effects { readout_s: READOUT_S, ..Effects::default() };
     let mounts = Mount::stereo(mounting, BASELINE_M).to_vec();
-    let options = DriveOptions { seed: 2, rate_hz: 5.0, effects, mounts, ..DriveOptions::default() };
+    let options =
+        DriveOptions { seed: 2, rate_hz: 5.0, effects, mounts, ..DriveOptions::default() };
     let mut drive = Drive::new(&options).expect("a street of 200 m");
     drive.keep_first(FRAMES);
     let features = FeatureOptions { seed: 2, observations: 20_000, ..FeatureOptions::default() };
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let matching = MatchOptions { window: Some(4), ..MatchOptions::default() };
     let graph = scene.graph(&matching);
-    let mapper = MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
-    let models =
-        map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| ControlFlow::Continue(()));
+    let mapper =
+        MapperOptions { refine: RefineIntrinsics::NONE, readout, ..MapperOptions::default() };
+    let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |_| {
+        ControlFlow::Continue(())
+    });
     let model = models.expect("the scene is easy").remove(0);
     assert_eq!(model.reconstruction.num_registered(), 2 * FRAMES);
     let is_of_shutter = |failure: &&Failure| failure.stage == OptionalStage::RollingShutter;
@@ -69,7 +73,8 @@ fn a_shutter_that_leaves_nothing_leaves_the_model_as_it_was() {
     assert_eq!(absurd.error_m, without.error_m);
 }
 
-/// A readout is known to this, in seconds: a twentieth of it; and off by no more than so many standard deviations.
+/// A readout is known to this, in seconds: a twentieth of it; and off by no more than so many
+/// standard deviations.
 const MAX_READOUT_SD_S: f64 = 0.001;
 const MAX_DEVIATIONS: f64 = 3.0;
 /// Knowing the shutter takes away most of what not knowing it costs.

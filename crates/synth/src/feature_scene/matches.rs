@@ -1,10 +1,12 @@
-//! Matches between the images of a scene: mostly right, some wrong, with the two-view geometries that a verification would find.
+//! Matches between the images of a scene: mostly right, some wrong, with the two-view geometries
+//! that a verification would find.
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use tiepoint_geometry::{Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{
-    CorrespondenceGraph, ImageId, ImagePair, Match, Observation, Reconstruction, TwoView, TwoViewKind,
+    CorrespondenceGraph, ImageId, ImagePair, Match, Observation, Reconstruction, TwoView,
+    TwoViewKind,
 };
 
 use super::scene::FeatureScene;
@@ -17,8 +19,8 @@ const MIN_BASELINE_M: f64 = 1e-3;
 pub struct MatchOptions {
     /// Only pairs with at least so many points in common.
     pub min_common: usize,
-    /// Only pairs of images at most so many images apart in time (counted within each camera), or so many times that many: the
-    /// ends of a loop. `None` for all.
+    /// Only pairs of images at most so many images apart in time (counted within each camera), or
+    /// so many times that many: the ends of a loop. `None` for all.
     pub window: Option<usize>,
     /// Share of the common points that are matched.
     pub recall: f64,
@@ -41,14 +43,16 @@ pub struct PairMatches {
     pub pair: ImagePair,
     /// All matches, right and wrong.
     pub matches: Vec<Match>,
-    /// The true relation (of a pair that only looks alike: the one that it pretends), with the matches that agree with it.
+    /// The true relation (of a pair that only looks alike: the one that it pretends), with the
+    /// matches that agree with it.
     pub two_view: TwoView,
 }
 
 impl FeatureScene {
     /// What a mapper is given beside [`FeatureScene::without_poses`]: the verified matches.
     pub fn graph(&self, options: &MatchOptions) -> CorrespondenceGraph {
-        let counts: Vec<usize> = self.truth().images().map(|(_, image)| image.keypoints.len()).collect();
+        let counts: Vec<usize> =
+            self.truth().images().map(|(_, image)| image.keypoints.len()).collect();
         let found = self.matches(options).into_iter();
         CorrespondenceGraph::new(&counts, found.map(|found| (found.pair, found.two_view)))
     }
@@ -107,7 +111,9 @@ impl FeatureScene {
         let pair = ImagePair { a: ImageId::from_index(a), b: ImageId::from_index(b) };
         let mut rng = Rng::stream(self.seed, &[33, a as u64, b as u64]);
         let (one, other) = (truth.image(pair.a), truth.image(pair.b));
-        let pose = |image: ImageId| *truth.image(image).cam_from_world().expect("the truth has every pose");
+        let pose = |image: ImageId| {
+            *truth.image(image).cam_from_world().expect("the truth has every pose")
+        };
         let mut two_view = relation(truth, pair, &(pose(pair.b) * pose(pair.a).inverse()));
         let mut matches: Vec<Match> =
             common.iter().filter(|_| rng.uniform() < options.recall).map(|(_, m)| *m).collect();
@@ -171,7 +177,8 @@ fn relation(truth: &Reconstruction, pair: ImagePair, cam2_from_cam1: &Rigid3) ->
     }
     let direction = cam2_from_cam1.translation / baseline;
     let essential = so3::hat(&direction) * rotation;
-    let fundamental = invert(calibration(pair.b)).transpose() * essential * invert(calibration(pair.a));
+    let fundamental =
+        invert(calibration(pair.b)).transpose() * essential * invert(calibration(pair.a));
     TwoView {
         kind: TwoViewKind::Calibrated,
         fundamental: Some(fundamental),

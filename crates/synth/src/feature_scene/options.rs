@@ -7,7 +7,8 @@ pub struct FeatureOptions {
     pub seed: u64,
     /// About so many observations in tracks, over all images.
     pub observations: usize,
-    /// Standard deviation of a keypoint of scale 2 px, along each axis, in pixels; it goes with the root of the scale.
+    /// Standard deviation of a keypoint of scale 2 px, along each axis, in pixels; it goes with the
+    /// root of the scale.
     pub noise_px: f64,
     /// Chance that an image detects a feature that it could.
     pub detection: f64,
@@ -17,7 +18,8 @@ pub struct FeatureOptions {
     pub max_view_angle_rad: f64,
     /// Keypoints of each image that nothing else corresponds to.
     pub clutter: usize,
-    /// Pairs of images that look alike without seeing the same: consistent matches with a wrong geometry.
+    /// Pairs of images that look alike without seeing the same: consistent matches with a wrong
+    /// geometry.
     pub wrong_pairs: usize,
 }
 

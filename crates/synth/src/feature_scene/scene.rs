@@ -12,7 +12,8 @@ use crate::error::{Error, require};
 
 /// Points of each image that are tried out to learn how many observations a point has.
 const PILOT_POINTS: usize = 12;
-/// A wrong pair borrows at most so many keypoints, and not from an image nearer than this, in metres.
+/// A wrong pair borrows at most so many keypoints, and not from an image nearer than this, in
+/// metres.
 const WRONG_PAIR_MATCHES: usize = 80;
 const WRONG_PAIR_DISTANCE_M: f64 = 25.0;
 
@@ -38,8 +39,18 @@ type Point = (Vector3<f64>, usize);
 impl FeatureScene {
     /// Sees the street of a drive. Images are those of [`Drive::truth`], in that order.
     pub fn new(drive: &Drive, options: &FeatureOptions) -> Result<Self, Error> {
-        require((0.0..=1.0).contains(&options.detection), "detection", options.detection, "0 to 1")?;
-        require((0.0..=50.0).contains(&options.noise_px), "noise_px", options.noise_px, "0 to 50 px")?;
+        require(
+            (0.0..=1.0).contains(&options.detection),
+            "detection",
+            options.detection,
+            "0 to 1",
+        )?;
+        require(
+            (0.0..=50.0).contains(&options.noise_px),
+            "noise_px",
+            options.noise_px,
+            "0 to 50 px",
+        )?;
         require(
             (1.0..=200.0).contains(&options.max_range_m),
             "max_range_m",
@@ -59,20 +70,25 @@ impl FeatureScene {
         Ok(assemble(&posed, &points, &sightings, options))
     }
 
-    /// Everything as it is: keypoints, poses, points, tracks. The intrinsics equal the lens only if that is ideal, and poses
-    /// hold for every row only with a global shutter.
+    /// Everything as it is: keypoints, poses, points, tracks. The intrinsics equal the lens only if
+    /// that is ideal, and poses hold for every row only with a global shutter.
     pub fn truth(&self) -> &Reconstruction {
         &self.truth
     }
 
-    /// What a mapper is given: cameras, and images with times and keypoints; neither poses nor points.
+    /// What a mapper is given: cameras, and images with times and keypoints; neither poses nor
+    /// points.
     pub fn without_poses(&self) -> Reconstruction {
         let mut blank = Reconstruction::default();
         for (_, camera) in self.truth.cameras() {
             blank.add_camera(*camera);
         }
         for (_, image) in self.truth.images() {
-            let copy = tiepoint_scene::Image::new(image.name.clone(), image.camera, image.keypoints.to_vec());
+            let copy = tiepoint_scene::Image::new(
+                image.name.clone(),
+                image.camera,
+                image.keypoints.to_vec(),
+            );
             let id = blank.add_image(copy);
             blank.set_time(id, image.time_s);
         }
@@ -149,7 +165,11 @@ fn assemble(
         truth.add_camera(*camera);
     }
     for ((_, image), keypoints) in posed.images().zip(keypoints) {
-        let id = truth.add_image(tiepoint_scene::Image::new(image.name.clone(), image.camera, keypoints));
+        let id = truth.add_image(tiepoint_scene::Image::new(
+            image.name.clone(),
+            image.camera,
+            keypoints,
+        ));
         truth.set_time(id, image.time_s);
         truth.register(id, *image.cam_from_world().expect("the true model has every pose"));
     }
@@ -159,7 +179,8 @@ fn assemble(
     FeatureScene { truth, wrong_pairs, seed: options.seed }
 }
 
-/// Lets an image somewhere else show what the neighbour of an image shows, so that the two agree on a wrong geometry.
+/// Lets an image somewhere else show what the neighbour of an image shows, so that the two agree on
+/// a wrong geometry.
 fn wrong_pairs(
     posed: &Reconstruction,
     tracks: &[Track],
@@ -181,10 +202,14 @@ fn wrong_pairs(
             camera(image) == camera(other)
         };
         let distance_m = (poses[image].origin_in_a() - poses[elsewhere].origin_in_a()).norm();
-        if neighbour >= poses.len() || !is_same_camera(neighbour) || distance_m < WRONG_PAIR_DISTANCE_M {
+        if neighbour >= poses.len()
+            || !is_same_camera(neighbour)
+            || distance_m < WRONG_PAIR_DISTANCE_M
+        {
             continue;
         }
-        let Some(pair) = ImagePair::new(ImageId::from_index(image), ImageId::from_index(elsewhere)) else {
+        let Some(pair) = ImagePair::new(ImageId::from_index(image), ImageId::from_index(elsewhere))
+        else {
             continue;
         };
         let in_image = |track: &Track, index: usize| {
@@ -204,10 +229,15 @@ fn wrong_pairs(
             let copy = keypoints[neighbour][theirs as usize];
             keypoints[elsewhere].push(copy);
             let copied = keypoints[elsewhere].len() as u32 - 1;
-            matches.push(if is_first { Match { a: mine, b: copied } } else { Match { a: copied, b: mine } });
+            matches.push(if is_first {
+                Match { a: mine, b: copied }
+            } else {
+                Match { a: copied, b: mine }
+            });
         }
         let neighbour_from_image = poses[neighbour] * poses[image].inverse();
-        let cam2_from_cam1 = if is_first { neighbour_from_image } else { neighbour_from_image.inverse() };
+        let cam2_from_cam1 =
+            if is_first { neighbour_from_image } else { neighbour_from_image.inverse() };
         pairs.push(WrongPair { pair, matches, cam2_from_cam1 });
     }
     pairs

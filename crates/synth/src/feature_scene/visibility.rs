@@ -15,7 +15,8 @@ use crate::world::Ray;
 const SCALE_PX: [f64; 2] = [1.2, 16.0];
 /// A descriptor survives a change of scale up to this factor.
 const MAX_SCALE_RATIO: f64 = 2.5;
-/// Surfaces seen more obliquely than this (cosine to their normal) show nothing that can be matched.
+/// Surfaces seen more obliquely than this (cosine to their normal) show nothing that can be
+/// matched.
 const MIN_INCIDENCE: f64 = 0.25;
 /// Nothing nearer than this is looked at, in metres.
 const MIN_RANGE_M: f64 = 1.5;
@@ -79,7 +80,8 @@ impl<'d> SceneImages<'d> {
         self.images.len()
     }
 
-    /// Takes what a random pixel of an image sees for a feature, and appends every image that sees it, in order.
+    /// Takes what a random pixel of an image sees for a feature, and appends every image that sees
+    /// it, in order.
     pub(super) fn see(
         &self,
         source: usize,
@@ -89,12 +91,15 @@ impl<'d> SceneImages<'d> {
     ) -> Option<Vector3<f64>> {
         let from = &self.images[source];
         let camera = &self.drive.cameras()[from.camera];
-        let pixel =
-            Vector2::new(f64::from(camera.width) * rng.uniform(), f64::from(camera.height) * rng.uniform());
+        let pixel = Vector2::new(
+            f64::from(camera.width) * rng.uniform(),
+            f64::from(camera.height) * rng.uniform(),
+        );
         let scale_px = sample_scale_px(rng);
         let pose = self.drive.row_pose(from.camera, from.time_s, pixel.y);
         let surface = surface_at(self.drive.world(), &camera.lens, &pose, &pixel)?;
-        let is_usable = !surface.is_moving && (MIN_RANGE_M..options.max_range_m).contains(&surface.distance);
+        let is_usable =
+            !surface.is_moving && (MIN_RANGE_M..options.max_range_m).contains(&surface.distance);
         if !is_usable {
             return None;
         }
@@ -145,9 +150,11 @@ impl<'d> SceneImages<'d> {
         let mut centre = image.centre;
         if camera.readout_s > 0.0 {
             pixel = self.drive.project(image.camera, image.time_s, xyz)?;
-            centre = self.drive.row_pose(image.camera, image.time_s, pixel.y).world_from_cam.translation;
+            centre =
+                self.drive.row_pose(image.camera, image.time_s, pixel.y).world_from_cam.translation;
         }
-        // Everything random is drawn before anything is looked at, so that what is in the way changes one image only.
+        // Everything random is drawn before anything is looked at, so that what is in the way
+        // changes one image only.
         let is_detected = rng.uniform() < options.detection;
         let noise_px = options.noise_px * (scale_px / NOISE_SCALE_PX).sqrt();
         let noise = Vector2::new(rng.normal(), rng.normal()) * noise_px;
@@ -155,6 +162,7 @@ impl<'d> SceneImages<'d> {
         let is_inside = (0.0..f64::from(camera.width)).contains(&noisy.x)
             && (0.0..f64::from(camera.height)).contains(&noisy.y);
         let ray = Ray { origin: centre, direction: xyz - centre };
-        (is_detected && is_inside && self.drive.world().is_clear(&ray, image.time_s, SLACK)).then_some(noisy)
+        (is_detected && is_inside && self.drive.world().is_clear(&ray, image.time_s, SLACK))
+            .then_some(noisy)
     }
 }

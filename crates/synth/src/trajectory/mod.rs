@@ -1,11 +1,12 @@
 //! Where the vehicle is at any time: the dense output of its own integration.
 //!
-//! The car is integrated at 1 kHz (`vehicle`); between two steps the pose follows the cubic Hermite polynomial of the states
-//! and their rates, which is the integrator's dense output. A millisecond is far below anything that moves here, so this is
-//! exact to well under a micrometre, and it shares nothing with the splines that estimators put through image times.
+//! The car is integrated at 1 kHz (`vehicle`); between two steps the pose follows the cubic Hermite
+//! polynomial of the states and their rates, which is the integrator's dense output. A millisecond
+//! is far below anything that moves here, so this is exact to well under a micrometre, and it
+//! shares nothing with the splines that estimators put through image times.
 //!
-//! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z forward, with its origin on the
-//! road under the rear axle.
+//! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z
+//! forward, with its origin on the road under the rear axle.
 
 mod motion;
 mod vehicle;
@@ -43,8 +44,18 @@ pub struct Trajectory {
 impl Trajectory {
     /// Drives a route from end to end, or once round and a little further.
     pub fn drive(route: &Route, motion: &Motion, rng: &mut Rng) -> Result<Self, Error> {
-        require((1.0..=40.0).contains(&motion.speed_mps), "speed_mps", motion.speed_mps, "1 to 40 m/s")?;
-        require(motion.stop_duration_s >= 0.0, "stop_duration_s", motion.stop_duration_s, "at least 0")?;
+        require(
+            (1.0..=40.0).contains(&motion.speed_mps),
+            "speed_mps",
+            motion.speed_mps,
+            "1 to 40 m/s",
+        )?;
+        require(
+            motion.stop_duration_s >= 0.0,
+            "stop_duration_s",
+            motion.stop_duration_s,
+            "at least 0",
+        )?;
         require(motion.lane_left_m.abs() <= 3.0, "lane_left_m", motion.lane_left_m, "-3 to 3 m")?;
         require(motion.overlap_m >= 0.0, "overlap_m", motion.overlap_m, "at least 0 m")?;
         let distance_m = route.length_m() + if route.is_closed() { motion.overlap_m } else { 0.0 };
@@ -67,7 +78,11 @@ impl Trajectory {
     fn bracket(&self, time_s: f64) -> (&State, &State, f64) {
         let steps = (time_s / STEP_S).clamp(0.0, (self.states.len() - 1) as f64);
         let index = (steps as usize).min(self.states.len().saturating_sub(2));
-        (&self.states[index], &self.states[(index + 1).min(self.states.len() - 1)], steps - index as f64)
+        (
+            &self.states[index],
+            &self.states[(index + 1).min(self.states.len() - 1)],
+            steps - index as f64,
+        )
     }
 
     /// x, y, yaw, pitch, roll, heave and their rates.
@@ -76,7 +91,8 @@ impl Trajectory {
         let (rates0, rates1) = (vehicle::pose_rates(before), vehicle::pose_rates(after));
         let (mut values, mut rates) = ([0.0; 6], [0.0; 6]);
         for (k, &channel) in [X, Y, YAW, PITCH, ROLL, HEAVE].iter().enumerate() {
-            (values[k], rates[k]) = hermite(before[channel], after[channel], rates0[k], rates1[k], u);
+            (values[k], rates[k]) =
+                hermite(before[channel], after[channel], rates0[k], rates1[k], u);
             if k >= 3 {
                 values[k] *= self.suspension;
                 rates[k] *= self.suspension;
@@ -87,7 +103,8 @@ impl Trajectory {
 
     /// The vibration's axis-angle and its rate.
     fn vibration(&self, time_s: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let (omega, beat) = (std::f64::consts::TAU * VIBRATION_HZ, std::f64::consts::TAU * VIBRATION_BEAT_HZ);
+        let (omega, beat) =
+            (std::f64::consts::TAU * VIBRATION_HZ, std::f64::consts::TAU * VIBRATION_BEAT_HZ);
         let (beat_sin, beat_cos) = (beat * time_s + self.vibration_phases[3]).sin_cos();
         let (strength, strength_rate) = (0.8 + 0.2 * beat_sin, 0.2 * beat * beat_cos);
         let (mut angle, mut rate) = (Vector3::zeros(), Vector3::zeros());
@@ -111,9 +128,10 @@ impl Trajectory {
     pub fn velocity(&self, time_s: f64) -> Velocity {
         let (values, rates) = self.body(time_s);
         let (vibration, vibration_rate) = self.vibration(time_s);
-        // Yaw turns about the world's z, which is the upright vehicle's −y; then outwards through the other rotations.
-        let in_pitched =
-            about_x(values[3]).inverse() * Vector3::new(0.0, -rates[2], 0.0) + Vector3::x() * rates[3];
+        // Yaw turns about the world's z, which is the upright vehicle's −y; then outwards through
+        // the other rotations.
+        let in_pitched = about_x(values[3]).inverse() * Vector3::new(0.0, -rates[2], 0.0)
+            + Vector3::x() * rates[3];
         let in_rolled = about_z(values[4]).inverse() * in_pitched + Vector3::z() * rates[4];
         let angular_in_vehicle = so3::exp(&vibration).inverse() * in_rolled
             + so3::left_jacobian(&vibration).transpose() * vibration_rate;
@@ -169,7 +187,11 @@ mod tests {
                 Route::open_street(260.0, &mut rng)
             };
             let route = route.unwrap();
-            let motion = Motion { suspension: 1.0, vibration_rad: 0.05f64.to_radians(), ..Motion::default() };
+            let motion = Motion {
+                suspension: 1.0,
+                vibration_rad: 0.05f64.to_radians(),
+                ..Motion::default()
+            };
             let trajectory = Trajectory::drive(&route, &motion, &mut rng).unwrap();
             (route, trajectory)
         })
@@ -177,21 +199,31 @@ mod tests {
 
     #[test]
     fn velocity_is_the_derivative_of_the_pose() {
-        // Central differences of step h: truncation h²/6 · |pose'''| ≈ (1e-4)²/6 · 0.05° · (75/s)³ ≈ 1e-6 rad/s.
+        // Central differences of step h: truncation h²/6 · |pose'''| ≈ (1e-4)²/6 · 0.05° · (75/s)³
+        // ≈ 1e-6 rad/s.
         const H_S: f64 = 1e-4;
         const TOLERANCE: f64 = 1e-5;
         for (_, trajectory) in drives() {
             for k in 1..200 {
-                // Mid-step, so that no difference reaches across a step (the third derivative jumps there).
-                let time =
-                    (trajectory.duration_s() * k as f64 / 200.0 / STEP_S).floor() * STEP_S + 0.5 * STEP_S;
-                let (before, after) =
-                    (trajectory.world_from_vehicle(time - H_S), trajectory.world_from_vehicle(time + H_S));
+                // Mid-step, so that no difference reaches across a step (the third derivative jumps
+                // there).
+                let time = (trajectory.duration_s() * k as f64 / 200.0 / STEP_S).floor() * STEP_S
+                    + 0.5 * STEP_S;
+                let (before, after) = (
+                    trajectory.world_from_vehicle(time - H_S),
+                    trajectory.world_from_vehicle(time + H_S),
+                );
                 let velocity = trajectory.velocity(time);
                 let linear = (after.translation - before.translation) / (2.0 * H_S);
-                assert!((linear - velocity.linear_in_world).norm() < TOLERANCE, "{linear} {velocity:?}");
+                assert!(
+                    (linear - velocity.linear_in_world).norm() < TOLERANCE,
+                    "{linear} {velocity:?}"
+                );
                 let angular = so3::log(&(before.rotation.inverse() * after.rotation)) / (2.0 * H_S);
-                assert!((angular - velocity.angular_in_vehicle).norm() < TOLERANCE, "{angular} {velocity:?}");
+                assert!(
+                    (angular - velocity.angular_in_vehicle).norm() < TOLERANCE,
+                    "{angular} {velocity:?}"
+                );
             }
         }
     }
@@ -204,7 +236,8 @@ mod tests {
         for (_, trajectory) in drives() {
             for k in 1..500 {
                 let step = (trajectory.duration_s() / STEP_S * k as f64 / 500.0).floor() * STEP_S;
-                let (before, after) = (trajectory.velocity(step - DT_S), trajectory.velocity(step + DT_S));
+                let (before, after) =
+                    (trajectory.velocity(step - DT_S), trajectory.velocity(step + DT_S));
                 assert!((before.linear_in_world - after.linear_in_world).norm() < TOLERANCE);
                 assert!((before.angular_in_vehicle - after.angular_in_vehicle).norm() < TOLERANCE);
             }
@@ -223,8 +256,9 @@ mod tests {
                 let position = route.locate(trajectory.world_from_vehicle(time).translation.xy());
                 off_lane = off_lane.max((position.left_m - Motion::default().lane_left_m).abs());
                 slowest = slowest.min(trajectory.speed_mps(time));
-                hardest = hardest
-                    .max((trajectory.speed_mps(time + 0.05) - trajectory.speed_mps(time)).abs() / 0.05);
+                hardest = hardest.max(
+                    (trajectory.speed_mps(time + 0.05) - trajectory.speed_mps(time)).abs() / 0.05,
+                );
             }
             assert!(off_lane < MAX_OFF_LANE_M, "{off_lane} m off the lane");
             assert!(slowest < 0.05, "never stopped: {slowest} m/s");

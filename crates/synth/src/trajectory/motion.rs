@@ -11,7 +11,8 @@ pub struct Motion {
     pub stop_duration_s: f64,
     /// The lane: metres to the left of the centre line.
     pub lane_left_m: f64,
-    /// A loop is driven this much further than once round, so that its ends see the same, in metres.
+    /// A loop is driven this much further than once round, so that its ends see the same, in
+    /// metres.
     pub overlap_m: f64,
     /// How far body pitch, roll and heave go: 1 as a car's, 0 not at all.
     pub suspension: f64,

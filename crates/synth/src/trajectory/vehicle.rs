@@ -1,11 +1,14 @@
-//! The car: a kinematic bicycle that a driver steers along the route, on springs over an uneven road.
+//! The car: a kinematic bicycle that a driver steers along the route, on springs over an uneven
+//! road.
 //!
-//! State and forces are integrated by Runge-Kutta of order 4 at 1 kHz; what the driver commands is held within a step.
-//! - Bicycle (rear axle): ẋ = v cos ψ, ẏ = v sin ψ, ψ̇ = v tan δ / L, with lags between command and steering angle or
-//!   acceleration.
+//! State and forces are integrated by Runge-Kutta of order 4 at 1 kHz; what the driver commands is
+//! held within a step.
+//! - Bicycle (rear axle): ẋ = v cos ψ, ẏ = v sin ψ, ψ̇ = v tan δ / L, with lags between command and
+//!   steering angle or acceleration.
 //! - Steering: pure pursuit (Coulter 1992), of a lane that wanders a little, as drivers do.
 //! - Speed: what the curvature ahead, the next stop and the driver's mood allow.
-//! - Body: damped springs for pitch, roll and heave, moved by acceleration and by the road under the axles.
+//! - Body: damped springs for pitch, roll and heave, moved by acceleration and by the road under
+//!   the axles.
 
 use tiepoint_geometry::{Rng, nalgebra::SVector};
 
@@ -36,7 +39,8 @@ const ROAD_WAVES_M: [(f64, f64); 6] =
 const WANDER_M: f64 = 0.12;
 const WANDER_WAVELENGTHS_M: [f64; 3] = [71.0, 43.0, 29.0];
 
-/// x, y, yaw, speed, acceleration, steering angle, travelled distance, then value and rate of pitch, roll, heave.
+/// x, y, yaw, speed, acceleration, steering angle, travelled distance, then value and rate of
+/// pitch, roll, heave.
 pub(super) type State = SVector<f64, 13>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
@@ -166,8 +170,8 @@ impl Driver<'_> {
                 }
             }
         }
-        let acceleration =
-            acceleration.unwrap_or_else(|| (1.5 * (wanted - speed)).clamp(-MAX_BRAKING, MAX_ACCELERATION));
+        let acceleration = acceleration
+            .unwrap_or_else(|| (1.5 * (wanted - speed)).clamp(-MAX_BRAKING, MAX_ACCELERATION));
 
         let look_ahead = 4.0 + 0.35 * speed;
         let along_m = self.along_m + look_ahead;
@@ -177,7 +181,8 @@ impl Driver<'_> {
         }
         let target = self.route.point_beside(RoutePosition { along_m, left_m }) - position;
         let (sin, cos) = state[YAW].sin_cos();
-        let (forward, sideways) = (target.x * cos + target.y * sin, target.y * cos - target.x * sin);
+        let (forward, sideways) =
+            (target.x * cos + target.y * sin, target.y * cos - target.x * sin);
         let distance2 = forward * forward + sideways * sideways;
         Command { acceleration, steering_rad: (2.0 * WHEELBASE_M * sideways / distance2).atan() }
     }
@@ -198,7 +203,8 @@ pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut R
     let mut state = State::zeros();
     (state[X], state[Y], state[YAW]) = (start.x, start.y, route.heading_rad(0.0));
     state[SPEED] = driver.cruise_mps();
-    // Let the springs and the steering settle before the clock starts: otherwise the drive begins with a jolt.
+    // Let the springs and the steering settle before the clock starts: otherwise the drive begins
+    // with a jolt.
     (state[HEAVE], _) = car.road(0.0);
     let max_steps = (3600.0 / STEP_S) as usize;
     let mut states = vec![state];

@@ -12,8 +12,8 @@ pub(crate) struct Builder {
     pub(crate) surfaces: Vec<Surface>,
 }
 
-/// A box that stands upright: its front left bottom corner as seen from its front, the direction to the right and the one
-/// towards the beholder, and width, depth, height in metres.
+/// A box that stands upright: its front left bottom corner as seen from its front, the direction to
+/// the right and the one towards the beholder, and width, depth, height in metres.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Block {
     pub(crate) corner: Vector3<f64>,
@@ -46,7 +46,8 @@ impl Block {
         self.corner + self.right * right + Vector3::z() * up + self.out * out
     }
 
-    /// A box on the front of this one, or near it: offsets of its corner as in [`Block::point`], and its size.
+    /// A box on the front of this one, or near it: offsets of its corner as in [`Block::point`],
+    /// and its size.
     pub(crate) fn attached(&self, right: f64, up: f64, out: f64, size: [f64; 3]) -> Self {
         Self { corner: self.point(right, up, out), size, ..*self }
     }

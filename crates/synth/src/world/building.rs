@@ -33,7 +33,8 @@ impl Style {
     }
 }
 
-/// Builds a house on a lot: `lot` gives its place, width and depth; the height follows from the style.
+/// Builds a house on a lot: `lot` gives its place, width and depth; the height follows from the
+/// style.
 pub(crate) fn house(world: &mut Builder, lot: &Block, style: Style) {
     let mut rng = Rng::stream(style.seed, &[]);
     let (material, color) = WALLS[rng.below(WALLS.len())];
@@ -108,20 +109,33 @@ pub(crate) fn house(world: &mut Builder, lot: &Block, style: Style) {
     let has_balconies = rng.below(3) == 0 && style.floors >= 2;
     for column in 0..front_relief.columns {
         for floor in 0..style.floors {
-            let left = front_relief.margin_m + f64::from(column) * width_m + front_relief.opening_m[0];
+            let left =
+                front_relief.margin_m + f64::from(column) * width_m + front_relief.opening_m[0];
             let bottom = ground_m + f64::from(floor) * floor_m;
             if has_balconies && (column + 2 * floor) % balcony_every == 0 {
                 fixed(world, left - 0.3, bottom + 0.05, [opening_width + 0.6, 0.9, 0.14], trim);
                 fixed(world, left - 0.3, bottom + 0.45, [opening_width + 0.6, 0.05, 0.55], trim);
             } else if has_sills {
-                fixed(world, left - 0.1, bottom + sill - 0.09, [opening_width + 0.2, 0.14, 0.09], trim);
+                fixed(
+                    world,
+                    left - 0.1,
+                    bottom + sill - 0.09,
+                    [opening_width + 0.2, 0.14, 0.09],
+                    trim,
+                );
             }
         }
     }
     if is_shop {
-        let sign_color =
-            [[0.05, 0.12, 0.3], [0.4, 0.05, 0.05], [0.06, 0.2, 0.1], [0.1, 0.1, 0.1], [0.5, 0.35, 0.05]];
-        let sign = world.surface(Surface::new(Material::Sign, sign_color[rng.below(5)], seed(&mut rng)));
+        let sign_color = [
+            [0.05, 0.12, 0.3],
+            [0.4, 0.05, 0.05],
+            [0.06, 0.2, 0.1],
+            [0.1, 0.1, 0.1],
+            [0.5, 0.35, 0.05],
+        ];
+        let sign =
+            world.surface(Surface::new(Material::Sign, sign_color[rng.below(5)], seed(&mut rng)));
         let length = in_range(&mut rng, 0.4, 0.9) * width;
         let left = in_range(&mut rng, 0.0, width - length);
         let board = block.attached(left, ground_m - 0.75, 0.12, [length, 0.12, 0.62]);

@@ -1,6 +1,7 @@
-//! Finding what a ray meets first: a tree of boxes over the quads, built by the surface area heuristic (Wald 2007, "On fast
-//! construction of SAH-based bounding volume hierarchies"), walked by one ray in double precision, or by sixteen at once in
-//! single precision, whose arithmetic the compiler turns into vector instructions.
+//! Finding what a ray meets first: a tree of boxes over the quads, built by the surface area
+//! heuristic (Wald 2007, "On fast construction of SAH-based bounding volume hierarchies"), walked
+//! by one ray in double precision, or by sixteen at once in single precision, whose arithmetic the
+//! compiler turns into vector instructions.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
@@ -11,7 +12,8 @@ pub(crate) const LANES: usize = 16;
 /// A leaf holds at most this many quads.
 const LEAF: usize = 4;
 const BINS: usize = 12;
-/// No side of a split has less than an eighth of the quads, so 2³² of them make a tree of at most log 2³² / log 8/7 = 166 levels.
+/// No side of a split has less than an eighth of the quads, so 2³² of them make a tree of at most
+/// log 2³² / log 8/7 = 166 levels.
 const STACK: usize = 168;
 /// Quads nearer than this to the eye, in units of the ray's direction, are not seen.
 const NEAREST: f32 = 0.05;
@@ -132,8 +134,10 @@ impl Packet {
             distance[lane] = (plane.offset - dot(&plane.normal, &self.origin, lane)) / towards;
             // Where it meets the plane; written so that NaN and infinity are no hit.
             let t = distance[lane];
-            let a = dot(&plane.a, &self.origin, lane) + t * dot(&plane.a, &self.direction, lane) - plane.a0;
-            let b = dot(&plane.b, &self.origin, lane) + t * dot(&plane.b, &self.direction, lane) - plane.b0;
+            let a = dot(&plane.a, &self.origin, lane) + t * dot(&plane.a, &self.direction, lane)
+                - plane.a0;
+            let b = dot(&plane.b, &self.origin, lane) + t * dot(&plane.b, &self.direction, lane)
+                - plane.b0;
             let inside = if plane.is_ellipse {
                 (a - 0.5) * (a - 0.5) + (b - 0.5) * (b - 0.5) <= 0.25
             } else {
@@ -142,7 +146,8 @@ impl Packet {
             is_nearer[lane] = u32::from(inside & (t > NEAREST) & (t < self.nearest[lane]));
         }
         for lane in 0..LANES {
-            self.nearest[lane] = if is_nearer[lane] != 0 { distance[lane] } else { self.nearest[lane] };
+            self.nearest[lane] =
+                if is_nearer[lane] != 0 { distance[lane] } else { self.nearest[lane] };
             self.id[lane] = if is_nearer[lane] != 0 { id } else { self.id[lane] };
         }
     }
@@ -160,7 +165,8 @@ impl Bvh {
         Self { nodes, order, planes }
     }
 
-    /// The first quad that a ray meets between the distances `least` and `most`: its index, the distance, (u, v).
+    /// The first quad that a ray meets between the distances `least` and `most`: its index, the
+    /// distance, (u, v).
     pub(crate) fn cast(
         &self,
         quads: &[Quad],
@@ -210,8 +216,9 @@ impl Bvh {
         best
     }
 
-    /// What each ray of a packet meets before what it has met already; ids are quad indices plus `first_id`. The same source is
-    /// compiled for wider vectors too; nothing is contracted or reordered, so every processor gets the same bits.
+    /// What each ray of a packet meets before what it has met already; ids are quad indices plus
+    /// `first_id`. The same source is compiled for wider vectors too; nothing is contracted or
+    /// reordered, so every processor gets the same bits.
     pub(crate) fn cast_packet(&self, packet: &mut Packet, first_id: u32) {
         if self.nodes.is_empty() {
             return;
@@ -295,14 +302,16 @@ fn build(bounds: &[Bounds], order: &mut [u32], start: usize, nodes: &mut Vec<Nod
     };
     let mut best = (f32::INFINITY, 0, 0.0);
     for axis in 0..3 {
-        let (low, high) = order.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &index| {
-            (low.min(centre(index, axis)), high.max(centre(index, axis)))
-        });
+        let (low, high) =
+            order.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &index| {
+                (low.min(centre(index, axis)), high.max(centre(index, axis)))
+            });
         if high <= low {
             continue;
         }
-        let bin_of =
-            |index: u32| (((centre(index, axis) - low) / (high - low) * BINS as f32) as usize).min(BINS - 1);
+        let bin_of = |index: u32| {
+            (((centre(index, axis) - low) / (high - low) * BINS as f32) as usize).min(BINS - 1)
+        };
         let mut bins = [(EMPTY, 0usize); BINS];
         for &index in order.iter() {
             let bin = &mut bins[bin_of(index)];
@@ -359,7 +368,8 @@ mod tests {
 
     #[test]
     fn one_ray_and_sixteen_meet_what_a_search_of_all_quads_finds() {
-        // Single precision may decide differently within this of an edge or of an equally near quad, in metres.
+        // Single precision may decide differently within this of an edge or of an equally near
+        // quad, in metres.
         const SINGLE_M: f64 = 1e-4;
         let mut rng = Rng::stream(11, &[]);
         let quads = scene(&mut rng);
@@ -371,8 +381,12 @@ mod tests {
                 direction: direction(&mut rng),
             });
             let mut packet = Packet::new(
-                std::array::from_fn(|axis| std::array::from_fn(|lane| rays[lane].origin[axis] as f32)),
-                std::array::from_fn(|axis| std::array::from_fn(|lane| rays[lane].direction[axis] as f32)),
+                std::array::from_fn(|axis| {
+                    std::array::from_fn(|lane| rays[lane].origin[axis] as f32)
+                }),
+                std::array::from_fn(|axis| {
+                    std::array::from_fn(|lane| rays[lane].direction[axis] as f32)
+                }),
             );
             let mut portable = packet;
             bvh.cast_packet_portable(&mut portable, 100);
@@ -381,12 +395,16 @@ mod tests {
             for (lane, ray) in rays.iter().enumerate() {
                 let least = f64::from(NEAREST);
                 let slow = (0..QUADS as u32)
-                    .filter_map(|k| quads[k as usize].intersect(ray, least).map(|(t, uv)| (k, t, uv)))
+                    .filter_map(|k| {
+                        quads[k as usize].intersect(ray, least).map(|(t, uv)| (k, t, uv))
+                    })
                     .min_by(|a, b| a.1.total_cmp(&b.1));
                 assert_eq!(bvh.cast(&quads, ray, least, f64::INFINITY), slow);
                 let fast = (packet.id[lane] != NOTHING).then(|| packet.id[lane] - 100);
                 let agrees = fast == slow.map(|hit| hit.0)
-                    && slow.is_none_or(|hit| (hit.1 - f64::from(packet.nearest[lane])).abs() < SINGLE_M);
+                    && slow.is_none_or(|hit| {
+                        (hit.1 - f64::from(packet.nearest[lane])).abs() < SINGLE_M
+                    });
                 disagreements += usize::from(!agrees);
             }
         }

@@ -38,7 +38,8 @@ impl World {
         })
     }
 
-    /// Whether nothing lies between the origin of a ray and the end of its direction, but for `slack` of its length.
+    /// Whether nothing lies between the origin of a ray and the end of its direction, but for
+    /// `slack` of its length.
     pub(crate) fn is_clear(&self, ray: &Ray, time_s: f64, slack: f64) -> bool {
         self.cast_within(ray, time_s, 1.0).is_none_or(|hit| hit.distance > 1.0 - slack)
     }
@@ -64,7 +65,8 @@ impl World {
         self.resolve(best?, ray, |mover| self.movers[mover].pose(time_s))
     }
 
-    /// What sixteen rays meet: ids for [`World::resolve`]. `movers` are the moving cars to look at, with their poses by lane.
+    /// What sixteen rays meet: ids for [`World::resolve`]. `movers` are the moving cars to look at,
+    /// with their poses by lane.
     pub(crate) fn cast_packet(&self, packet: &mut Packet, movers: &[(usize, [MoverPose; LANES])]) {
         if self.ground.is_some() {
             for lane in 0..LANES {

@@ -58,7 +58,8 @@ pub(crate) fn car(rng: &mut Rng) -> Builder {
     car.block(&slab(-half + 0.5, 0.45, middle, roof_height, side - 0.16), Cladding::all(paint));
     for face in [-1.0, 1.0] {
         let (right, out) = (-Vector3::y() * -face, Vector3::x() * face);
-        let at = |across: f64, height: f64| out * (half + 0.01) + right * across + Vector3::z() * height;
+        let at =
+            |across: f64, height: f64| out * (half + 0.01) + right * across + Vector3::z() * height;
         let lamp = if face > 0.0 { light } else { red };
         for across in [-0.75, 0.4] {
             car.quad(at(across, body_height - 0.25), right, Vector3::z(), [0.35, 0.16], lamp);
@@ -76,7 +77,13 @@ pub(crate) fn car(rng: &mut Rng) -> Builder {
         for along in [-1.0, -0.1] {
             let outwards = Vector3::y() * face;
             let origin = Vector3::new(along, 0.0, body_height) + outwards * (side - 0.075);
-            car.quad(origin, Vector3::x() * -face, Vector3::z(), [0.08, middle - body_height], paint);
+            car.quad(
+                origin,
+                Vector3::x() * -face,
+                Vector3::z(),
+                [0.08, middle - body_height],
+                paint,
+            );
         }
     }
     car
@@ -130,7 +137,12 @@ pub(crate) fn hedge(length_m: f64, rng: &mut Rng) -> Builder {
 }
 
 /// Clusters of leaves, turned anyhow.
-fn foliage(plant: &mut Builder, rng: &mut Rng, count: usize, place: impl Fn(&mut Rng) -> Vector3<f64>) {
+fn foliage(
+    plant: &mut Builder,
+    rng: &mut Rng,
+    count: usize,
+    place: impl Fn(&mut Rng) -> Vector3<f64>,
+) {
     let hue = [
         in_range(rng, 0.05, 0.12) as f32,
         in_range(rng, 0.11, 0.19) as f32,
@@ -152,8 +164,12 @@ pub(crate) fn lamp(rng: &mut Rng) -> Builder {
     let mut lamp = Builder::default();
     let steel = lamp.surface(Surface::new(Material::Plain, [0.24, 0.26, 0.25], seed(rng)));
     let bill = lamp.surface(Surface::new(Material::Sign, [0.5, 0.2, 0.1], seed(rng)));
-    let post =
-        |corner: Vector3<f64>, size: [f64; 3]| Block { corner, right: Vector3::y(), out: Vector3::x(), size };
+    let post = |corner: Vector3<f64>, size: [f64; 3]| Block {
+        corner,
+        right: Vector3::y(),
+        out: Vector3::x(),
+        size,
+    };
     lamp.block(&post(Vector3::new(0.06, -0.06, 0.0), [0.12, 0.12, 5.2]), Cladding::all(steel));
     let arm = post(Vector3::new(1.3, -0.12, 5.2), [0.24, 1.4, 0.1]);
     lamp.block(&arm, Cladding::all(steel));

@@ -1,5 +1,6 @@
-//! The ground: a plane at height 0 that carries the street's paint, all of it a function of where a place lies relative to
-//! the centre line, which is exact (lines and arcs). An index of cells says which pieces of the route can be nearest.
+//! The ground: a plane at height 0 that carries the street's paint, all of it a function of where a
+//! place lies relative to the centre line, which is exact (lines and arcs). An index of cells says
+//! which pieces of the route can be nearest.
 
 use tiepoint_geometry::nalgebra::Vector2;
 
@@ -9,7 +10,8 @@ use super::noise::{
 };
 use crate::route::{Route, RoutePosition};
 
-/// Distances from the centre line, in metres: where the lane ends, the parking strip, and the pavement.
+/// Distances from the centre line, in metres: where the lane ends, the parking strip, and the
+/// pavement.
 const LANE_M: f64 = 3.6;
 pub(crate) const KERB_M: f64 = 5.8;
 pub(crate) const PAVEMENT_M: f64 = 8.6;
@@ -34,7 +36,8 @@ pub(crate) struct Ground {
     seed: u32,
     corner: Vector2<f64>,
     columns: usize,
-    /// For each cell, the pieces of the route that may be nearest to a place in it; empty far from the street.
+    /// For each cell, the pieces of the route that may be nearest to a place in it; empty far from
+    /// the street.
     cells: Vec<Vec<u16>>,
 }
 
@@ -44,22 +47,28 @@ impl Ground {
             (0..=route.length_m() as usize / 4).map(|k| route.point(4.0 * k as f64)).collect();
         let margin = Vector2::repeat(REACH_M + CELL_M);
         let low = samples.iter().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(p)) - margin;
-        let high = samples.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(p)) + margin;
-        let [columns, rows] = [0, 1].map(|axis| ((high[axis] - low[axis]) / CELL_M).ceil() as usize);
+        let high =
+            samples.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(p)) + margin;
+        let [columns, rows] =
+            [0, 1].map(|axis| ((high[axis] - low[axis]) / CELL_M).ceil() as usize);
         let mut index = Vec::with_capacity(columns * rows);
         for k in 0..columns * rows {
-            let centre = low + Vector2::new((k % columns) as f64 + 0.5, (k / columns) as f64 + 0.5) * CELL_M;
+            let centre =
+                low + Vector2::new((k % columns) as f64 + 0.5, (k / columns) as f64 + 0.5) * CELL_M;
             let distances: Vec<f64> = route.piece_distances(centre).collect();
             let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-            // A piece that is nearest somewhere in the cell is at most a diagonal further from its centre than the nearest.
-            let candidates = (0..distances.len()).filter(|&p| distances[p] <= nearest + CELL_M * 1.4143);
+            // A piece that is nearest somewhere in the cell is at most a diagonal further from its
+            // centre than the nearest.
+            let candidates =
+                (0..distances.len()).filter(|&p| distances[p] <= nearest + CELL_M * 1.4143);
             let candidates = candidates.map(|p| p as u16).collect();
             index.push(if nearest < REACH_M { candidates } else { Vec::new() });
         }
         Self { route: route.clone(), seed, corner: low, columns, cells: index }
     }
 
-    /// Where a place lies relative to the street, and the street's direction there; `None` far from it.
+    /// Where a place lies relative to the street, and the street's direction there; `None` far from
+    /// it.
     fn foot(&self, place: Vector2<f64>) -> Option<(RoutePosition, Vector2<f64>)> {
         let cell = (place - self.corner) / CELL_M;
         if cell.x < 0.0 || cell.y < 0.0 || cell.x as usize >= self.columns {
@@ -74,18 +83,32 @@ impl Ground {
         let at = [place.x, place.y];
         let Some((position, tangent)) = self.foot(place) else { return self.grass(at, footprint) };
         let (beside, width) = (position.left_m.abs(), footprint.reach());
-        let grain = Fractal { coarsest: 0.25, octaves: 4, persistence: 1.0 }.at(at, footprint, self.seed ^ 3);
-        let spots = |size: f64, share: f32, salt: u32| spots(at, footprint, size, share, self.seed ^ salt);
+        let grain = Fractal { coarsest: 0.25, octaves: 4, persistence: 1.0 }.at(
+            at,
+            footprint,
+            self.seed ^ 3,
+        );
+        let spots =
+            |size: f64, share: f32, salt: u32| spots(at, footprint, size, share, self.seed ^ salt);
         let mut color = ASPHALT;
         if beside - width < KERB_M {
-            let wear =
-                Fractal { coarsest: 3.0, octaves: 2, persistence: 0.7 }.at(at, footprint, self.seed ^ 4);
-            let marks = 0.22 * (spots(1.1, 0.5, 6) + spots(0.37, 0.6, 7)) + 0.3 * spots(0.11, 0.3, 13);
+            let wear = Fractal { coarsest: 3.0, octaves: 2, persistence: 0.7 }.at(
+                at,
+                footprint,
+                self.seed ^ 4,
+            );
+            let marks =
+                0.22 * (spots(1.1, 0.5, 6) + spots(0.37, 0.6, 7)) + 0.3 * spots(0.11, 0.3, 13);
             color = scale(color, (1.0 + 0.25 * wear + marks).max(0.2));
         }
         let has_pavement = beside + width > KERB_M;
-        let stain = if has_pavement { 0.25 * spots(0.8, 0.5, 9) + 0.2 * spots(0.13, 0.35, 10) } else { 0.0 };
-        // The rest is made of straight edges: along the street and across it, which is locally a turned copy of the plane.
+        let stain = if has_pavement {
+            0.25 * spots(0.8, 0.5, 9) + 0.2 * spots(0.13, 0.35, 10)
+        } else {
+            0.0
+        };
+        // The rest is made of straight edges: along the street and across it, which is locally a
+        // turned copy of the plane.
         let color = footprint.mean(0.0, |offset, width, _| {
             let along = position.along_m + offset[0] * tangent.x + offset[1] * tangent.y;
             let left = position.left_m + offset[1] * tangent.x - offset[0] * tangent.y;
@@ -100,26 +123,39 @@ impl Ground {
     }
 
     fn grass(&self, at: [f64; 2], footprint: &Footprint) -> [f32; 3] {
-        let patches =
-            Fractal { coarsest: 6.0, octaves: 3, persistence: 0.7 }.at(at, footprint, self.seed ^ 1);
-        let blades =
-            Fractal { coarsest: 0.30, octaves: 4, persistence: 1.0 }.at(at, footprint, self.seed ^ 2);
+        let patches = Fractal { coarsest: 6.0, octaves: 3, persistence: 0.7 }.at(
+            at,
+            footprint,
+            self.seed ^ 1,
+        );
+        let blades = Fractal { coarsest: 0.30, octaves: 4, persistence: 1.0 }.at(
+            at,
+            footprint,
+            self.seed ^ 2,
+        );
         let soil = smoothstep(patches * 0.8 + 0.15);
         scale(mix(GRASS, SOIL, 0.7 * soil), (1.0 + 0.35 * blades).max(0.15))
     }
 
     /// The carriageway and the pavement at (metres along the street, metres to its left).
-    fn paved(&self, asphalt: [f32; 3], stain: f32, [along, left]: [f64; 2], width: f64) -> [f32; 3] {
+    fn paved(
+        &self,
+        asphalt: [f32; 3],
+        stain: f32,
+        [along, left]: [f64; 2],
+        width: f64,
+    ) -> [f32; 3] {
         let (beside, seed) = (left.abs(), self.seed);
         // Share of the footprint beyond a distance from the centre line.
         let beyond = |edge: f64| ((beside - edge) / width + 0.5).clamp(0.0, 1.0) as f32;
         let mut color = asphalt;
         if beside - width < KERB_M {
             // Repairs: rectangles of newer or older asphalt.
-            let patch = cells([along / 3.1, left / 1.3], [width / 3.1, width / 1.3], 0.0, |x, y| {
-                let bits = hash(x, y, seed ^ 5);
-                if bits & 7 == 0 { unsigned(bits) - 0.5 } else { 0.0 }
-            });
+            let patch =
+                cells([along / 3.1, left / 1.3], [width / 3.1, width / 1.3], 0.0, |x, y| {
+                    let bits = hash(x, y, seed ^ 5);
+                    if bits & 7 == 0 { unsigned(bits) - 0.5 } else { 0.0 }
+                });
             let parking = mix(asphalt, PARKING, 0.6);
             color = mix(scale(color, 1.0 + 0.7 * patch), parking, beyond(LANE_M));
             color = mix(color, PAINT, 0.8 * self.paint(along, left, width));
@@ -138,7 +174,8 @@ impl Ground {
         color
     }
 
-    /// Share of the footprint under paint: the middle line, edge lines, parking bays, zebra crossings.
+    /// Share of the footprint under paint: the middle line, edge lines, parking bays, zebra
+    /// crossings.
     fn paint(&self, along: f64, left: f64, width: f64) -> f32 {
         let beside = left.abs();
         let middle = lines(along, width, 6.0, 3.0) * interval(beside, width, -0.06, 0.06);
@@ -173,7 +210,9 @@ mod tests {
                     Some((found, tangent)) => {
                         assert_eq!(found, slow);
                         let heading = route.heading_rad(found.along_m);
-                        assert!((tangent - Vector2::new(heading.cos(), heading.sin())).norm() < 1e-9);
+                        assert!(
+                            (tangent - Vector2::new(heading.cos(), heading.sin())).norm() < 1e-9
+                        );
                     }
                     None => {
                         far += 1;

@@ -45,7 +45,15 @@ impl World {
             let point = ray.at(distance);
             let tangents = [Vector3::x(), Vector3::y()];
             let uv = [point.x, point.y];
-            return Some(Hit { id, distance, point, normal: Vector3::z(), part: Part::Face, tangents, uv });
+            return Some(Hit {
+                id,
+                distance,
+                point,
+                normal: Vector3::z(),
+                part: Part::Face,
+                tangents,
+                uv,
+            });
         }
         if id >= MOVERS {
             let (mover, quad) = ((id - MOVERS) / MOVER_QUADS, (id - MOVERS) % MOVER_QUADS);
@@ -55,7 +63,8 @@ impl World {
             let quad = &mover.quads[quad as usize];
             let (distance, uv) = quad.intersect_plane(&local)?;
             let side = -quad.normal().dot(&local.direction).signum();
-            let [normal, u, v] = [quad.normal() * side, quad.u, quad.v].map(|d| pose.direction_in_world(&d));
+            let [normal, u, v] =
+                [quad.normal() * side, quad.u, quad.v].map(|d| pose.direction_in_world(&d));
             return Some(Hit {
                 id,
                 distance,
@@ -79,7 +88,8 @@ impl World {
             tangents: [quad.u, quad.v],
             uv: wall_uv,
         };
-        if let (Some(relief), true) = (&self.surfaces[quad.surface as usize].relief, inwards > 0.0) {
+        if let (Some(relief), true) = (&self.surfaces[quad.surface as usize].relief, inwards > 0.0)
+        {
             let slope = [quad.u, quad.v].map(|axis| axis.dot(&ray.direction) / inwards);
             let (depth, part) = relief.follow(wall_uv, slope);
             hit.distance += depth / inwards;
@@ -97,7 +107,12 @@ impl World {
     }
 
     /// Key of what a ray is known to meet (see [`Hit::key`]), the id in its upper half.
-    pub(crate) fn key(&self, id: u32, ray: &Ray, mover_pose: impl Fn(usize) -> Option<MoverPose>) -> u64 {
+    pub(crate) fn key(
+        &self,
+        id: u32,
+        ray: &Ray,
+        mover_pose: impl Fn(usize) -> Option<MoverPose>,
+    ) -> u64 {
         let has_parts = (id as usize) < self.quads.len()
             && self.surfaces[self.quads[id as usize].surface as usize].relief.is_some();
         let hit = if has_parts { self.resolve(id, ray, mover_pose) } else { None };

@@ -1,6 +1,9 @@
-//! What surfaces look like: patterns of `noise`, composed per material, each a mean over the footprint of the pixel.
+//! What surfaces look like: patterns of `noise`, composed per material, each a mean over the
+//! footprint of the pixel.
 
-use super::noise::{Footprint, Fractal, cells, floor, hash, interval, lines, signed, spots, unsigned};
+use super::noise::{
+    Footprint, Fractal, cells, floor, hash, interval, lines, signed, spots, unsigned,
+};
 use super::quad::{Part, Relief};
 
 /// A kind of surface.
@@ -75,7 +78,12 @@ impl Surface {
     }
 
     /// Mean albedo over a footprint, and how much of the surroundings is mirrored.
-    pub(crate) fn albedo(&self, part: &Part, uv: [f64; 2], footprint: &Footprint) -> ([f32; 3], f32) {
+    pub(crate) fn albedo(
+        &self,
+        part: &Part,
+        uv: [f64; 2],
+        footprint: &Footprint,
+    ) -> ([f32; 3], f32) {
         match *part {
             Part::Face => {
                 let mirror = match self.material {
@@ -94,13 +102,15 @@ impl Surface {
         }
     }
 
-    /// Sharp patterns are averaged over the parts of a long footprint; noise on top of them looks after itself.
+    /// Sharp patterns are averaged over the parts of a long footprint; noise on top of them looks
+    /// after itself.
     fn face(&self, at: [f64; 2], footprint: &Footprint) -> [f32; 3] {
         let ([u, v], seed) = (at, self.seed);
         let fine = |coarsest: f64, octaves: u32, persistence: f32, salt: u32| {
             Fractal { coarsest, octaves, persistence }.at(at, footprint, seed ^ salt)
         };
-        let spots = |size: f64, share: f32, salt: u32| spots(at, footprint, size, share, seed ^ salt);
+        let spots =
+            |size: f64, share: f32, salt: u32| spots(at, footprint, size, share, seed ^ salt);
         match self.material {
             Material::Brick => {
                 let wall = self.courses(
@@ -112,11 +122,15 @@ impl Surface {
                 scale(wall, (1.0 + 0.22 * fine(1.2, 5, 0.85, 22) + 0.25 * marks).max(0.1))
             }
             Material::Plaster => {
-                let marks = spots(1.3, 0.5, 23) + 0.8 * spots(0.41, 0.45, 24) + 0.8 * spots(0.11, 0.3, 25);
+                let marks =
+                    spots(1.3, 0.5, 23) + 0.8 * spots(0.41, 0.45, 24) + 0.8 * spots(0.11, 0.3, 25);
                 // Water runs down from the top of walls.
                 let runs = Fractal { coarsest: 0.35, octaves: 2, persistence: 0.7 };
                 let runs = runs.at([u, 0.12 * v], footprint, seed ^ 26);
-                scale(self.color, (1.0 + 0.2 * fine(1.6, 5, 0.85, 27) + 0.2 * marks + 0.12 * runs).max(0.1))
+                scale(
+                    self.color,
+                    (1.0 + 0.2 * fine(1.6, 5, 0.85, 27) + 0.2 * marks + 0.12 * runs).max(0.1),
+                )
             }
             Material::Stone => {
                 let wall = self.courses(
@@ -147,8 +161,8 @@ impl Surface {
                 scale(wall, (1.0 + 0.2 * grain + 0.25 * spots(0.3, 0.3, 35)).max(0.1))
             }
             Material::Sign => {
-                let [ink] =
-                    footprint.mean(0.0, |offset, _, axes| [self.ink([u + offset[0], v + offset[1]], axes)]);
+                let [ink] = footprint
+                    .mean(0.0, |offset, _, axes| [self.ink([u + offset[0], v + offset[1]], axes)]);
                 let wear = 1.0 + 0.12 * fine(0.4, 4, 0.8, 42);
                 scale(mix(self.color, [0.85, 0.85, 0.8], ink), wear)
             }
@@ -163,9 +177,10 @@ impl Surface {
                 let grain = Fractal { coarsest: 0.12, octaves: 4, persistence: 0.9 };
                 scale(self.color, (1.0 + 0.45 * grain.at([u, 0.25 * v], footprint, seed)).max(0.1))
             }
-            Material::Plain => {
-                scale(self.color, (1.0 + 0.2 * fine(0.9, 5, 0.8, 39) + 0.15 * spots(0.7, 0.4, 38)).max(0.1))
-            }
+            Material::Plain => scale(
+                self.color,
+                (1.0 + 0.2 * fine(0.9, 5, 0.8, 39) + 0.15 * spots(0.7, 0.4, 38)).max(0.1),
+            ),
             Material::Paint => scale(self.color, 1.0 + 0.04 * fine(0.6, 3, 0.8, 40)),
             Material::Glass => scale(self.color, 1.0 + 0.3 * fine(0.5, 2, 0.8, 41)),
             Material::Checker => {
@@ -184,10 +199,16 @@ impl Surface {
         footprint.mean(0.0, |offset, _, axes| {
             let (u, v) = (u + offset[0], v + offset[1]);
             let shifted = u / length + courses.shift * f64::from(floor(v / height));
-            let tint = cells([shifted, v / height], [axes[0] / length, axes[1] / height], 0.0, |x, y| {
-                signed(hash(x, y, self.seed))
-            });
-            let gaps = lines(v, axes[1], height, joint).max(lines(shifted * length, axes[0], length, joint));
+            let tint =
+                cells([shifted, v / height], [axes[0] / length, axes[1] / height], 0.0, |x, y| {
+                    signed(hash(x, y, self.seed))
+                });
+            let gaps = lines(v, axes[1], height, joint).max(lines(
+                shifted * length,
+                axes[0],
+                length,
+                joint,
+            ));
             let wall = scale(self.color, 1.0 + courses.tint * tint);
             mix(wall, scale(MORTAR, if joint > 0.015 { 0.4 } else { 1.0 }), 0.75 * gaps)
         })
@@ -208,7 +229,13 @@ impl Surface {
     }
 
     /// A window (or, on the ground floor, a shop window or a door) at the bottom of an opening.
-    fn pane(&self, cell: [i32; 2], uv: [f64; 2], size: [f64; 2], footprint: &Footprint) -> ([f32; 3], f32) {
+    fn pane(
+        &self,
+        cell: [i32; 2],
+        uv: [f64; 2],
+        size: [f64; 2],
+        footprint: &Footprint,
+    ) -> ([f32; 3], f32) {
         let bits = hash(cell[0], cell[1], self.seed ^ 50);
         let is_door = cell[1] == 0 && bits.is_multiple_of(5);
         let frame_color = if bits & 64 == 0 { [0.7, 0.7, 0.68] } else { [0.16, 0.1, 0.07] };
@@ -224,7 +251,8 @@ impl Surface {
                     * interval(at[1], axes[1], margin, size[1] - margin)
             };
             if is_door {
-                let panels = lines(at[0] - 0.1, axes[0], 0.5, 0.06).max(lines(at[1], axes[1], 0.7, 0.06));
+                let panels =
+                    lines(at[0] - 0.1, axes[0], 0.5, 0.06).max(lines(at[1], axes[1], 0.7, 0.06));
                 let wood = scale(frame_color, (0.7 + 0.25 * clutter) * (1.0 - 0.5 * panels));
                 return mix([0.3, 0.3, 0.3], wood, inside(0.05));
             }
@@ -233,12 +261,8 @@ impl Surface {
             let curtain = scale([0.42, 0.4, 0.36], 1.0 - 0.25 * folds);
             let drawn = interval(at[1], axes[1], size[1] - curtain_height, size[1]);
             let behind = if bits & 1 == 0 { mix(dark, curtain, drawn) } else { dark };
-            let bar = interval(at[0], axes[0], 0.5 * size[0] - 0.03, 0.5 * size[0] + 0.03).max(interval(
-                at[1],
-                axes[1],
-                0.66 * size[1],
-                0.66 * size[1] + 0.05,
-            ));
+            let bar = interval(at[0], axes[0], 0.5 * size[0] - 0.03, 0.5 * size[0] + 0.03)
+                .max(interval(at[1], axes[1], 0.66 * size[1], 0.66 * size[1] + 0.05));
             mix(frame_color, behind, inside(0.06) * (1.0 - bar))
         });
         (color, if is_door { 0.0 } else { 0.16 })

@@ -32,7 +32,8 @@ pub struct World {
 }
 
 impl World {
-    /// A street along a route, with everything that stands and drives there; another world for every seed.
+    /// A street along a route, with everything that stands and drives there; another world for
+    /// every seed.
     pub fn street(route: &Route, options: &StreetOptions, seed: u64) -> Result<Self, Error> {
         for (name, value) in [
             ("repeated_fraction", options.repeated_fraction),
@@ -48,9 +49,13 @@ impl World {
         let mut world = Self::from_quads(built.quads, built.surfaces);
         world.ground = Some(ground);
         world.sky_seed = furniture::seed(&mut rng);
-        let (azimuth, elevation) = (std::f64::consts::TAU * rng.uniform(), 0.5 + 0.5 * rng.uniform());
-        world.towards_sun =
-            Vector3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+        let (azimuth, elevation) =
+            (std::f64::consts::TAU * rng.uniform(), 0.5 + 0.5 * rng.uniform());
+        world.towards_sun = Vector3::new(
+            azimuth.cos() * elevation.cos(),
+            azimuth.sin() * elevation.cos(),
+            elevation.sin(),
+        );
         world.movers = mover::traffic(route, options.moving_cars, &mut rng);
         Ok(world)
     }
@@ -85,8 +90,8 @@ impl World {
         Mover::is_near(pose, ray, slack)
     }
 
-    /// Whether a point lies on something that stands still, or in one of its openings, to within `slack_m`: looked up the slow
-    /// way.
+    /// Whether a point lies on something that stands still, or in one of its openings, to within
+    /// `slack_m`: looked up the slow way.
     #[cfg(test)]
     pub(crate) fn touches(&self, point: &Vector3<f64>, slack_m: f64) -> bool {
         let is_on_ground = self.ground.is_some() && point.z.abs() < slack_m;
@@ -99,7 +104,9 @@ impl World {
                     .iter()
                     .zip(quad.size)
                     .all(|(axis, size)| (-slack_m..size + slack_m).contains(&local.dot(axis)));
-                is_beside && out < slack_m && out > -relief.map_or(0.0, |relief| relief.depth_m) - slack_m
+                is_beside
+                    && out < slack_m
+                    && out > -relief.map_or(0.0, |relief| relief.depth_m) - slack_m
             })
     }
 }

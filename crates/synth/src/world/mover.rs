@@ -1,4 +1,5 @@
-//! Cars that drive along the street. They are rigid, so rays are taken into the car's frame instead of the car into the world.
+//! Cars that drive along the street. They are rigid, so rays are taken into the car's frame instead
+//! of the car into the world.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -48,7 +49,10 @@ impl MoverPose {
 
     pub(super) fn ray_in_car(&self, ray: &Ray) -> Ray {
         let from_car = ray.origin - self.place.push(0.0);
-        Ray { origin: self.direction_in_car(&from_car), direction: self.direction_in_car(&ray.direction) }
+        Ray {
+            origin: self.direction_in_car(&from_car),
+            direction: self.direction_in_car(&ray.direction),
+        }
     }
 }
 
@@ -66,10 +70,13 @@ impl Mover {
 
     /// What a ray of the car's frame meets.
     pub(super) fn cast(&self, ray_in_car: &Ray, least: f64, most: f64) -> Option<(u32, f64)> {
-        self.bvh.cast(&self.quads, ray_in_car, least, most).map(|(quad, distance, _)| (quad, distance))
+        self.bvh
+            .cast(&self.quads, ray_in_car, least, most)
+            .map(|(quad, distance, _)| (quad, distance))
     }
 
-    /// Whether rays near this one may meet the car where it is: `slack` is how far they may be apart, per metre.
+    /// Whether rays near this one may meet the car where it is: `slack` is how far they may be
+    /// apart, per metre.
     pub(super) fn is_near(pose: &MoverPose, ray: &Ray, slack: f64) -> bool {
         let towards = pose.place.push(0.0) - ray.origin;
         let (along, distance2) = (towards.dot(&ray.direction), towards.norm_squared());
@@ -78,12 +85,20 @@ impl Mover {
     }
 
     /// The same for a packet, given where the car is for each of its rays.
-    pub(super) fn cast_packet(&self, packet: &mut Packet, poses: &[MoverPose; LANES], first_id: u32) {
+    pub(super) fn cast_packet(
+        &self,
+        packet: &mut Packet,
+        poses: &[MoverPose; LANES],
+        first_id: u32,
+    ) {
         let mut local = *packet;
         for (lane, pose) in poses.iter().enumerate() {
-            let vector = |part: &[[f32; LANES]; 3]| Vector3::from_fn(|axis, _| f64::from(part[axis][lane]));
-            let ray = pose
-                .ray_in_car(&Ray { origin: vector(&packet.origin), direction: vector(&packet.direction) });
+            let vector =
+                |part: &[[f32; LANES]; 3]| Vector3::from_fn(|axis, _| f64::from(part[axis][lane]));
+            let ray = pose.ray_in_car(&Ray {
+                origin: vector(&packet.origin),
+                direction: vector(&packet.direction),
+            });
             for axis in 0..3 {
                 local.origin[axis][lane] = ray.origin[axis] as f32;
                 local.direction[axis][lane] = ray.direction[axis] as f32;
@@ -94,7 +109,8 @@ impl Mover {
     }
 }
 
-/// Cars in the lane of those who come towards us, each at a speed of its own but not through one another.
+/// Cars in the lane of those who come towards us, each at a speed of its own but not through one
+/// another.
 pub(super) fn traffic(route: &Route, count: usize, rng: &mut Rng) -> Vec<Mover> {
     let mut along = in_range(rng, 30.0, 60.0);
     // One speed for all: they keep their distances.

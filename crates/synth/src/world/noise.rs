@@ -1,8 +1,9 @@
 //! Patterns on a plane, averaged over the footprint of a pixel.
 //!
-//! Every pattern takes the width of the footprint and returns its mean over it, exactly where a closed form exists (lines,
-//! cells) and by fading each octave out before it could alias where not (noise). So textures are anti-aliased at every
-//! distance without a texture in memory, and an edge lies where its geometry says.
+//! Every pattern takes the width of the footprint and returns its mean over it, exactly where a
+//! closed form exists (lines, cells) and by fading each octave out before it could alias where not
+//! (noise). So textures are anti-aliased at every distance without a texture in memory, and an edge
+//! lies where its geometry says.
 
 /// What stands for "nothing": the mean of patterns in −1..1.
 const MEAN: f32 = 0.0;
@@ -32,14 +33,16 @@ pub(crate) fn smoothstep(x: f32) -> f32 {
     x * x * (3.0 - 2.0 * x)
 }
 
-/// `x.floor()` for numbers that fit 32 bits: processors without SSE 4.1 would call a function for it.
+/// `x.floor()` for numbers that fit 32 bits: processors without SSE 4.1 would call a function for
+/// it.
 #[inline(always)]
 pub(crate) fn floor(x: f64) -> i32 {
     whole(x).0
 }
 
-/// The whole number below `x`, twice: added to a number so large that its last bit counts ones, `x` is rounded, and the result is among
-/// the last bits of the sum. A cast would look for numbers that do not fit.
+/// The whole number below `x`, twice: added to a number so large that its last bit counts ones, `x`
+/// is rounded, and the result is among the last bits of the sum. A cast would look for numbers that
+/// do not fit.
 #[inline(always)]
 fn whole(x: f64) -> (i32, f64) {
     const LARGE: f64 = 1.5 * (1u64 << 52) as f64;
@@ -55,7 +58,8 @@ fn lattice(x: f64) -> (i32, f32) {
     (whole, (x - below) as f32)
 }
 
-/// A footprint longer than this many times its width is split along its length, into at most so many parts.
+/// A footprint longer than this many times its width is split along its length, into at most so
+/// many parts.
 const SPLIT: f64 = 2.0;
 const MAX_PARTS: f64 = 4.0;
 
@@ -77,7 +81,12 @@ impl Footprint {
         if long.1 < short.1 {
             (long, short) = (short, long);
         }
-        Self { long: long.0, length: long.1, width: short.1.max(1e-6), short: short.0.map(f64::abs) }
+        Self {
+            long: long.0,
+            length: long.1,
+            width: short.1.max(1e-6),
+            short: short.0.map(f64::abs),
+        }
     }
 
     /// How far it reaches, at most.
@@ -85,8 +94,8 @@ impl Footprint {
         self.length + self.width
     }
 
-    /// Into how many parts along its length it is divided: as many as its shape asks for, but none finer than `fineness`. And the width
-    /// of a part.
+    /// Into how many parts along its length it is divided: as many as its shape asks for, but none
+    /// finer than `fineness`. And the width of a part.
     fn divide(&self, fineness: f64) -> (usize, f64) {
         let undivided = (SPLIT * self.width).max(fineness);
         if self.length <= undivided {
@@ -101,7 +110,8 @@ impl Footprint {
         (part as f64 + 0.5) / parts as f64 - 0.5
     }
 
-    /// Mean of a function of (offset, width, width along each axis) over the parts of the footprint.
+    /// Mean of a function of (offset, width, width along each axis) over the parts of the
+    /// footprint.
     #[inline(always)]
     pub(crate) fn mean<const N: usize>(
         &self,
@@ -146,8 +156,8 @@ fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
 /// Places that noise is evaluated at together: a vector of the widest processors.
 const LANES: usize = 8;
 
-/// Value noise at eight places. The same source is compiled for wider vectors too; nothing is contracted or reordered, so every processor
-/// gets the same bits.
+/// Value noise at eight places. The same source is compiled for wider vectors too; nothing is
+/// contracted or reordered, so every processor gets the same bits.
 fn value_noises(places: &Places) -> [f32; LANES] {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
@@ -192,7 +202,8 @@ const MAX_BATCHES: usize = 3;
 /// Size of an octave's blobs relative to the one before.
 const LACUNARITY: f64 = 0.43;
 
-/// Several octaves, from blobs of `coarsest` size downwards; an octave is gone before its blobs are as small as the footprint.
+/// Several octaves, from blobs of `coarsest` size downwards; an octave is gone before its blobs are
+/// as small as the footprint.
 pub(crate) struct Fractal {
     pub(crate) coarsest: f64,
     /// At most [`MAX_OCTAVES`].
@@ -202,7 +213,8 @@ pub(crate) struct Fractal {
 }
 
 impl Fractal {
-    /// About −1..1. Coarse octaves look at the middle of a long footprint only: they do not change along it.
+    /// About −1..1. Coarse octaves look at the middle of a long footprint only: they do not change
+    /// along it.
     pub(crate) fn at(&self, [u, v]: [f64; 2], footprint: &Footprint, seed: u32) -> f32 {
         const { assert!(MAX_OCTAVES * MAX_PARTS as usize <= MAX_BATCHES * LANES) };
         debug_assert!(self.octaves as usize <= MAX_OCTAVES);
@@ -219,8 +231,11 @@ impl Fractal {
             let (parts, width) = footprint.divide(size * (1.0 / 3.0));
             if size > width {
                 // Full above three footprints, nothing at one.
-                let fade =
-                    if size >= 3.0 * width { 1.0 } else { smoothstep(((size / width - 1.0) * 0.5) as f32) };
+                let fade = if size >= 3.0 * width {
+                    1.0
+                } else {
+                    smoothstep(((size / width - 1.0) * 0.5) as f32)
+                };
                 for part in 0..parts {
                     let along = if parts == 1 { 0.0 } else { Footprint::middle(part, parts) };
                     let [x, y] = [u + footprint.long[0] * along, v + footprint.long[1] * along];
@@ -250,7 +265,8 @@ impl Fractal {
     }
 }
 
-/// Share of the interval `x ± width/2` that lies in lines of thickness `line` which begin at every multiple of `period`.
+/// Share of the interval `x ± width/2` that lies in lines of thickness `line` which begin at every
+/// multiple of `period`.
 pub(crate) fn lines(x: f64, width: f64, period: f64, line: f64) -> f32 {
     let integral = |x: f64| {
         let turns = f64::from(floor(x / period));
@@ -267,8 +283,8 @@ pub(crate) fn interval(x: f64, width: f64, from: f64, to: f64) -> f32 {
     ((high - low).max(0.0) / width) as f32
 }
 
-/// Mean over the footprint of a function that is constant on unit cells. Exact up to a footprint of one cell; beyond it the
-/// result fades to `mean`.
+/// Mean over the footprint of a function that is constant on unit cells. Exact up to a footprint of
+/// one cell; beyond it the result fades to `mean`.
 pub(crate) fn cells(
     [x, y]: [f64; 2],
     [width_x, width_y]: [f64; 2],
@@ -298,8 +314,15 @@ pub(crate) fn cells(
     mean + fade * (sum - mean)
 }
 
-/// Round spots, at most one in each cell of `size`, in a share of the cells: darker or lighter, −1..1.
-pub(crate) fn spots([u, v]: [f64; 2], footprint: &Footprint, size: f64, share: f32, seed: u32) -> f32 {
+/// Round spots, at most one in each cell of `size`, in a share of the cells: darker or lighter,
+/// −1..1.
+pub(crate) fn spots(
+    [u, v]: [f64; 2],
+    footprint: &Footprint,
+    size: f64,
+    share: f32,
+    seed: u32,
+) -> f32 {
     if footprint.width > size {
         return MEAN;
     }
@@ -324,8 +347,9 @@ fn spot([u, v]: [f64; 2], width: f64, share: f32, seed: u32) -> f32 {
     let (dx, dy) = (fx - place(more >> 8), fy - place(more >> 16));
     let edge = width as f32;
     let stretch = 0.6 + 0.8 * (more >> 24) as f32 / 255.0;
-    let inside =
-        (radius - (dx * dx + dy * dy * stretch * stretch).sqrt() / stretch.max(1.0)) / edge.max(1e-4) + 0.5;
+    let inside = (radius - (dx * dx + dy * dy * stretch * stretch).sqrt() / stretch.max(1.0))
+        / edge.max(1e-4)
+        + 0.5;
     // Small spots lose contrast as the pixel outgrows them.
     let fade = smoothstep(2.0 - edge / radius);
     fade * inside.clamp(0.0, 1.0) * signed(bits.wrapping_mul(0x9E37_79B9))
@@ -341,7 +365,8 @@ mod tests {
     const TOLERANCE: f32 = 0.01;
 
     fn slow_mean(x: f64, width: f64, f: impl Fn(f64) -> f32) -> f32 {
-        let sum: f32 = (0..SAMPLES).map(|k| f(x + width * ((k as f64 + 0.5) / SAMPLES as f64 - 0.5))).sum();
+        let sum: f32 =
+            (0..SAMPLES).map(|k| f(x + width * ((k as f64 + 0.5) / SAMPLES as f64 - 0.5))).sum();
         sum / SAMPLES as f32
     }
 
@@ -349,7 +374,12 @@ mod tests {
         #[test]
         fn floor_is_floor(x in -2e9..2e9, near in -9i32..9) {
             prop_assert_eq!(floor(x), x.floor() as i32);
-            for at in [f64::from(near), f64::from(near) + 0.5, f64::from(near).next_down(), f64::from(near).next_up()] {
+            for at in [
+                f64::from(near),
+                f64::from(near) + 0.5,
+                f64::from(near).next_down(),
+                f64::from(near).next_up(),
+            ] {
                 prop_assert_eq!(floor(at), at.floor() as i32);
             }
         }
@@ -368,19 +398,35 @@ mod tests {
         fn cells_are_means(x in -5.0..5.0, y in -5.0..5.0, wx in 0.01..1.0, wy in 0.01..1.0) {
             let value = |ix: i32, iy: i32| signed(hash(ix, iy, 3));
             let exact = cells([x, y], [wx, wy], 0.0, value);
-            let slow = slow_mean(y, wy, |y| slow_mean(x, wx, |x| value(x.floor() as i32, y.floor() as i32)));
+            let slow = slow_mean(y, wy, |y| {
+                slow_mean(x, wx, |x| value(x.floor() as i32, y.floor() as i32))
+            });
             prop_assert!((exact - slow).abs() < 2.0 * TOLERANCE, "{exact} {slow}");
         }
 
         #[test]
-        fn vectors_have_the_same_bits(x: [i16; LANES], y: [i16; LANES], seed: [u32; LANES], size in 0.01..3.0) {
-            let places = Places { x: x.map(|x| f64::from(x) * size), y: y.map(|y| f64::from(y) * size), seed };
-            let alone: [f32; LANES] = std::array::from_fn(|k| value_noise(places.x[k], places.y[k], seed[k]));
+        fn vectors_have_the_same_bits(
+            x: [i16; LANES],
+            y: [i16; LANES],
+            seed: [u32; LANES],
+            size in 0.01..3.0,
+        ) {
+            let places = Places {
+                x: x.map(|x| f64::from(x) * size),
+                y: y.map(|y| f64::from(y) * size),
+                seed,
+            };
+            let alone: [f32; LANES] =
+                std::array::from_fn(|k| value_noise(places.x[k], places.y[k], seed[k]));
             prop_assert_eq!(value_noises(&places).map(f32::to_bits), alone.map(f32::to_bits));
         }
 
         #[test]
-        fn nothing_is_left_of_noise_when_the_footprint_is_coarser(u in -9.0..9.0, v in -9.0..9.0, seed: u32) {
+        fn nothing_is_left_of_noise_when_the_footprint_is_coarser(
+            u in -9.0..9.0,
+            v in -9.0..9.0,
+            seed: u32,
+        ) {
             let fractal = Fractal { coarsest: 0.5, octaves: 6, persistence: 0.8 };
             let footprint = Footprint::new([0.6, 0.0], [0.0, 0.6]);
             prop_assert_eq!(fractal.at([u, v], &footprint, seed), 0.0);

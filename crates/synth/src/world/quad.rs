@@ -73,7 +73,8 @@ impl Quad {
     }
 }
 
-/// A grid of openings in a wall, all set back by the same depth: windows, and doors or shop windows on the ground floor.
+/// A grid of openings in a wall, all set back by the same depth: windows, and doors or shop windows
+/// on the ground floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relief {
     /// How many columns of openings.
@@ -99,14 +100,16 @@ pub struct Relief {
 pub(crate) enum Part {
     /// The surface itself.
     Face,
-    /// The bottom of an opening: its column and floor (0 is the ground floor), the place within it, and its size.
+    /// The bottom of an opening: its column and floor (0 is the ground floor), the place within it,
+    /// and its size.
     Pane { cell: [i32; 2], uv: [f64; 2], size: [f64; 2] },
     /// A side of an opening: 0 left, 1 right, 2 sill, 3 lintel.
     Jamb { side: u8 },
 }
 
 impl Relief {
-    /// The opening at a place of the wall: its cell and its edges (left, bottom, right, top) in the wall's coordinates.
+    /// The opening at a place of the wall: its cell and its edges (left, bottom, right, top) in the
+    /// wall's coordinates.
     fn opening(&self, [u, v]: [f64; 2]) -> Option<([i32; 2], [f64; 4])> {
         let column = floor((u - self.margin_m) / self.cell_m[0]);
         if !(0..self.columns).contains(&column) {
@@ -119,19 +122,22 @@ impl Relief {
             let storey = floor((v - self.ground_m) / self.cell_m[1]);
             (storey + 1, self.ground_m + f64::from(storey) * self.cell_m[1], &self.opening_m)
         };
-        let edges = [left + opening[0], bottom + opening[1], left + opening[2], bottom + opening[3]];
-        let is_inside = storey <= self.floors && edges[0] < u && u < edges[2] && edges[1] < v && v < edges[3];
+        let edges =
+            [left + opening[0], bottom + opening[1], left + opening[2], bottom + opening[3]];
+        let is_inside =
+            storey <= self.floors && edges[0] < u && u < edges[2] && edges[1] < v && v < edges[3];
         is_inside.then_some(([column, storey], edges))
     }
 
-    /// Follows a ray that met the wall at `uv` into an opening, if one is there: how much further it goes, relative to the
-    /// distance so far along the wall's normal, and what it meets. `slope` is the ray's movement in u and v for each metre
-    /// into the wall.
+    /// Follows a ray that met the wall at `uv` into an opening, if one is there: how much further
+    /// it goes, relative to the distance so far along the wall's normal, and what it meets. `slope`
+    /// is the ray's movement in u and v for each metre into the wall.
     pub(crate) fn follow(&self, uv: [f64; 2], slope: [f64; 2]) -> (f64, Part) {
         let Some((cell, edges)) = self.opening(uv) else { return (0.0, Part::Face) };
         let (mut depth, mut side) = (self.depth_m, None);
         for axis in 0..2 {
-            let (edge, index) = if slope[axis] < 0.0 { (edges[axis], 0) } else { (edges[axis + 2], 1) };
+            let (edge, index) =
+                if slope[axis] < 0.0 { (edges[axis], 0) } else { (edges[axis + 2], 1) };
             let reach = (edge - uv[axis]) / slope[axis];
             if reach < depth {
                 (depth, side) = (reach, Some(2 * axis as u8 + index));
@@ -166,7 +172,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn following_a_ray_equals_marching_along_it(u in 0.0..9.0, v in 0.0..12.0, su in -2.0..2.0, sv in -2.0..2.0) {
+        fn following_a_ray_equals_marching_along_it(
+            u in 0.0..9.0,
+            v in 0.0..12.0,
+            su in -2.0..2.0,
+            sv in -2.0..2.0,
+        ) {
             let (depth, part) = RELIEF.follow([u, v], [su, sv]);
             let first = RELIEF.opening([u, v]);
             prop_assert_eq!(first.is_none(), part == Part::Face);
@@ -180,7 +191,10 @@ mod tests {
                         break;
                     }
                 }
-                prop_assert!((marched - depth).abs() <= 2.0 * RELIEF.depth_m / STEPS as f64, "{marched} {depth}");
+                prop_assert!(
+                    (marched - depth).abs() <= 2.0 * RELIEF.depth_m / STEPS as f64,
+                    "{marched} {depth}"
+                );
                 let is_pane = matches!(part, Part::Pane { .. });
                 prop_assert_eq!(is_pane, depth == RELIEF.depth_m);
             }
@@ -198,10 +212,13 @@ mod tests {
             surface: 0,
         };
         assert_eq!(quad.normal(), -Vector3::y());
-        let ray = Ray { origin: Vector3::new(0.0, 0.0, 1.0), direction: Vector3::new(0.0, 2.0, 0.0) };
+        let ray =
+            Ray { origin: Vector3::new(0.0, 0.0, 1.0), direction: Vector3::new(0.0, 2.0, 0.0) };
         assert_eq!(quad.intersect(&ray, 0.0), Some((2.5, [1.0, 1.0])));
         let ellipse = Quad { is_ellipse: true, ..quad };
         let corner = Ray { origin: Vector3::new(-0.9, 0.0, 0.1), ..ray };
-        assert!(quad.intersect(&corner, 0.0).is_some() && ellipse.intersect(&corner, 0.0).is_none());
+        assert!(
+            quad.intersect(&corner, 0.0).is_some() && ellipse.intersect(&corner, 0.0).is_none()
+        );
     }
 }

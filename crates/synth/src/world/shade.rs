@@ -9,7 +9,8 @@ use super::noise::Footprint;
 use super::quad::{Part, Ray};
 use super::sky;
 
-/// Light of the sky on a level and on an upright surface, and of the sun at right angles, relative to white.
+/// Light of the sky on a level and on an upright surface, and of the sun at right angles, relative
+/// to white.
 const SKY_LIGHT: [f32; 2] = [0.62, 0.46];
 const SUN_LIGHT: f32 = 0.75;
 /// Walls darken towards the ground, over about this height, in metres.
@@ -28,11 +29,16 @@ pub(crate) struct Pixel {
 }
 
 impl World {
-    /// The light that a pixel receives from what its ray met, or from the sky: linear red, green, blue, white about 1.
+    /// The light that a pixel receives from what its ray met, or from the sky: linear red, green,
+    /// blue, white about 1.
     pub(crate) fn radiance(&self, hit: Option<&Hit>, pixel: &Pixel) -> [f32; 3] {
         let direction = &pixel.ray.direction;
         let Some(hit) = hit else {
-            return sky::radiance(direction, pixel.right.norm().max(pixel.down.norm()), self.sky_seed);
+            return sky::radiance(
+                direction,
+                pixel.right.norm().max(pixel.down.norm()),
+                self.sky_seed,
+            );
         };
         // A step of the direction moves the point on its plane: dp = t (dd − d (n·dd)/(n·d)).
         let facing = hit.normal.dot(direction);

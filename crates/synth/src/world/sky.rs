@@ -24,7 +24,8 @@ pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [
         // Clouds lie on a plane overhead.
         let plane = [direction.x / (direction.z + 0.08), direction.y / (direction.z + 0.08)];
         let width = width_rad / (direction.z + 0.08).powi(2);
-        let noise = Fractal { coarsest: 1.1, octaves: 5, persistence: 0.55 }.at(plane, &round(width), seed);
+        let noise =
+            Fractal { coarsest: 1.1, octaves: 5, persistence: 0.55 }.at(plane, &round(width), seed);
         color = mix(color, CLOUD, 0.75 * smoothstep(noise * 0.9));
     }
     if elevation > 0.12 {

@@ -1,4 +1,5 @@
-//! Lays out a street along a route: houses wall to wall or apart, gardens between them, trees, lamps and cars.
+//! Lays out a street along a route: houses wall to wall or apart, gardens between them, trees,
+//! lamps and cars.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -21,7 +22,8 @@ const BACKDROP_M: [f64; 2] = [38.0, 75.0];
 /// Sides of the street: positive is left.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// A lot seen from above: corner, the directions to the right and towards the street, width and depth.
+/// A lot seen from above: corner, the directions to the right and towards the street, width and
+/// depth.
 #[derive(Clone, Copy, Debug)]
 struct Lot {
     corner: Vector2<f64>,
@@ -65,8 +67,10 @@ impl Lot {
         let steps = |length: f64| (length / 2.0).ceil() as usize;
         (0..=steps(width)).all(|i| {
             (0..=steps(depth)).all(|j| {
-                let place =
-                    self.at(width * i as f64 / steps(width) as f64, depth * j as f64 / steps(depth) as f64);
+                let place = self.at(
+                    width * i as f64 / steps(width) as f64,
+                    depth * j as f64 / steps(depth) as f64,
+                );
                 route.locate(place).left_m.abs() > CLEARANCE_M
             })
         })
@@ -83,11 +87,13 @@ impl Lot {
     }
 }
 
-/// A lot of `width_m` beside the route, its front parallel to the street; `left_m` is where its front stands.
+/// A lot of `width_m` beside the route, its front parallel to the street; `left_m` is where its
+/// front stands.
 fn lot_beside(route: &Route, along_m: f64, left_m: f64, width_m: f64) -> Lot {
-    let ends =
-        [along_m, along_m + width_m].map(|along_m| route.point_beside(RoutePosition { along_m, left_m }));
-    // Who looks at the left side of the street has its direction to the right; at the right side, to the left.
+    let ends = [along_m, along_m + width_m]
+        .map(|along_m| route.point_beside(RoutePosition { along_m, left_m }));
+    // Who looks at the left side of the street has its direction to the right; at the right side,
+    // to the left.
     let [corner, end] = if left_m > 0.0 { ends } else { [ends[1], ends[0]] };
     let across = end - corner;
     Lot { corner, right: across.normalize(), size: [across.norm(), 0.0] }
@@ -97,7 +103,14 @@ pub(super) fn build(route: &Route, options: &StreetOptions, seed: u64) -> Builde
     let mut world = Builder::default();
     let mut lots: Vec<Lot> = Vec::new();
     for (index, side) in SIDES.into_iter().enumerate() {
-        houses(&mut world, &mut lots, route, side, options, &mut Rng::stream(seed, &[1, index as u64]));
+        houses(
+            &mut world,
+            &mut lots,
+            route,
+            side,
+            options,
+            &mut Rng::stream(seed, &[1, index as u64]),
+        );
     }
     for (index, side) in SIDES.into_iter().enumerate() {
         backdrop(&mut world, &mut lots, route, side, &mut Rng::stream(seed, &[2, index as u64]));
@@ -123,17 +136,21 @@ fn houses(
             width = in_range(rng, 7.0, 16.0);
             setback = if rng.below(3) == 0 { in_range(rng, 0.5, 3.0) } else { 0.0 };
             let is_terrace = rng.uniform() < options.repeated_fraction;
-            (repeats, width) = if is_terrace { (3 + rng.below(4), width.min(9.0)) } else { (1, width) };
+            (repeats, width) =
+                if is_terrace { (3 + rng.below(4), width.min(9.0)) } else { (1, width) };
         }
         // In a bend the middle of the front comes nearer than its ends: further back it may fit.
-        let fits = SETBACKS_M.into_iter().flat_map(|more| DEPTHS_M.map(|depth| (more, depth))).find_map(
-            |(more, depth)| {
-                let mut lot = lot_beside(route, along, side * (CLEARANCE_M + 0.1 + setback + more), width);
+        let fits = SETBACKS_M
+            .into_iter()
+            .flat_map(|more| DEPTHS_M.map(|depth| (more, depth)))
+            .find_map(|(more, depth)| {
+                let mut lot =
+                    lot_beside(route, along, side * (CLEARANCE_M + 0.1 + setback + more), width);
                 lot.size[1] = depth;
-                let is_free = lot.is_clear_of(route) && !lots.iter().any(|other| lot.overlaps(other));
+                let is_free =
+                    lot.is_clear_of(route) && !lots.iter().any(|other| lot.overlaps(other));
                 is_free.then_some(lot)
-            },
-        );
+            });
         match fits {
             Some(lot) => {
                 house(world, &lot.block(), style);
@@ -156,7 +173,8 @@ fn backdrop(world: &mut Builder, lots: &mut Vec<Lot>, route: &Route, side: f64, 
     let mut along = 0.0;
     while along < route.length_m() {
         let width = in_range(rng, 14.0, 30.0);
-        let mut lot = lot_beside(route, along, side * in_range(rng, BACKDROP_M[0], BACKDROP_M[1]), width);
+        let mut lot =
+            lot_beside(route, along, side * in_range(rng, BACKDROP_M[0], BACKDROP_M[1]), width);
         lot.size = [width, in_range(rng, 10.0, 20.0)];
         if lot.is_clear_of(route) && !lots.iter().any(|other| lot.overlaps(other)) {
             let style = Style { floors: 3 + rng.below(6) as i32, ..Style::sample(rng) };
@@ -180,8 +198,9 @@ fn beside(
         let position = RoutePosition { along_m, left_m: side * left_m };
         (on_ground(route.point_beside(position), 0.0), route.heading_rad(along_m))
     };
-    let is_straight =
-        |along: f64| [-4.0, 0.0, 4.0].iter().all(|step| route.curvature_per_m(along + step).abs() < 0.05);
+    let is_straight = |along: f64| {
+        [-4.0, 0.0, 4.0].iter().all(|step| route.curvature_per_m(along + step).abs() < 0.05)
+    };
     // Cars park in the bays that the ground paints: every 6.2 m.
     let mut bay = 0.0;
     while bay + 6.2 < route.length_m() {
@@ -221,7 +240,8 @@ fn beside(
         // A lot looks along −y where its right is +x.
         let corner = point.xy() - Vector2::repeat(radius);
         let probe = Lot { corner, right: Vector2::x(), size: [2.0 * radius, 2.0 * radius] };
-        route.locate(point.xy()).left_m.abs() > PAVEMENT_M && !lots.iter().any(|lot| lot.overlaps(&probe))
+        route.locate(point.xy()).left_m.abs() > PAVEMENT_M
+            && !lots.iter().any(|lot| lot.overlaps(&probe))
     };
     let mut along = 0.0;
     while along < route.length_m() {

@@ -9,7 +9,8 @@ const OBSERVATIONS: usize = 30_000;
 
 fn drive(mounting: Mounting) -> Drive {
     let mounts = Mount::stereo(mounting, 0.5).to_vec();
-    let options = DriveOptions { mounts, rate_hz: 3.0, width: 2000, height: 1500, ..DriveOptions::default() };
+    let options =
+        DriveOptions { mounts, rate_hz: 3.0, width: 2000, height: 1500, ..DriveOptions::default() };
     Drive::new(&options).expect("the options are valid")
 }
 
@@ -19,32 +20,43 @@ fn scene(drive: &Drive, options: &FeatureOptions) -> FeatureScene {
 
 fn sees_same_point(truth: &Reconstruction, made: &PairMatches, index: usize) -> bool {
     let m = made.matches[index];
-    let [a, b] = [(made.pair.a, m.a), (made.pair.b, m.b)].map(|(image, k)| truth.image(image).point_of(k));
+    let [a, b] =
+        [(made.pair.a, m.a), (made.pair.b, m.b)].map(|(image, k)| truth.image(image).point_of(k));
     a.is_some() && a == b
 }
 
 #[test]
 fn tracks_are_what_images_see() {
     let drive = drive(Mounting::FrontRight);
-    let exact =
-        scene(&drive, &FeatureOptions { noise_px: 0.0, observations: OBSERVATIONS, ..Default::default() });
+    let exact = scene(
+        &drive,
+        &FeatureOptions { noise_px: 0.0, observations: OBSERVATIONS, ..Default::default() },
+    );
     let truth = exact.truth();
     truth.validate().unwrap();
     assert!((truth.num_observations() as f64 / OBSERVATIONS as f64 - 1.0).abs() < 0.1);
-    assert_eq!(truth.num_registered(), drive.cameras().iter().map(|c| c.exposures.len()).sum::<usize>());
+    assert_eq!(
+        truth.num_registered(),
+        drive.cameras().iter().map(|c| c.exposures.len()).sum::<usize>()
+    );
     // Projection in double precision.
     assert!(truth.mean_reprojection_error_px() < 1e-9, "{}", truth.mean_reprojection_error_px());
     let exposures = drive.cameras().iter().enumerate();
-    let exposures: Vec<(usize, f64)> =
-        exposures.flat_map(|(c, camera)| camera.exposures.iter().map(move |e| (c, e.time_s))).collect();
+    let exposures: Vec<(usize, f64)> = exposures
+        .flat_map(|(c, camera)| camera.exposures.iter().map(move |e| (c, e.time_s)))
+        .collect();
     for (_, track) in truth.tracks().step_by(7) {
         for observation in &track.observations {
             let (camera, time_s) = exposures[observation.image.index()];
-            let pixel = truth.image(observation.image).keypoints[observation.keypoint as usize].pixel;
+            let pixel =
+                truth.image(observation.image).keypoints[observation.keypoint as usize].pixel;
             let seen = drive.surface_at(camera, time_s, &pixel).expect("something");
             // The slack of the test for what is in the way: 2 ‰ of at most 60 m.
             let apart = (seen.point_in_world - track.xyz).norm();
-            assert!(apart < 0.13 || seen.distance > (track.xyz - seen.point_in_world).norm(), "{apart} m");
+            assert!(
+                apart < 0.13 || seen.distance > (track.xyz - seen.point_in_world).norm(),
+                "{apart} m"
+            );
             assert!(apart < 0.5, "{apart} m");
         }
     }
@@ -52,14 +64,16 @@ fn tracks_are_what_images_see() {
 
 #[test]
 fn noise_is_what_was_asked_for() {
-    let options = FeatureOptions { noise_px: 0.8, observations: OBSERVATIONS, ..Default::default() };
+    let options =
+        FeatureOptions { noise_px: 0.8, observations: OBSERVATIONS, ..Default::default() };
     let truth = scene(&drive(Mounting::Right), &options);
     let truth = truth.truth();
     let (mut sum, mut count) = (0.0, 0);
     for (point, track) in truth.tracks() {
         for (index, observation) in track.observations.iter().enumerate() {
             let keypoint = truth.image(observation.image).keypoints[observation.keypoint as usize];
-            let error = truth.reprojection_error_px(point, index).expect("the truth sees its points");
+            let error =
+                truth.reprojection_error_px(point, index).expect("the truth sees its points");
             sum += error * error / (2.0 * f64::from(keypoint.scale_px) / 2.0);
             count += 1;
         }
@@ -71,7 +85,8 @@ fn noise_is_what_was_asked_for() {
 
 #[test]
 fn matches_are_right_but_for_the_share_that_was_asked_for() {
-    let options = FeatureOptions { observations: OBSERVATIONS, wrong_pairs: 3, ..Default::default() };
+    let options =
+        FeatureOptions { observations: OBSERVATIONS, wrong_pairs: 3, ..Default::default() };
     let scene = scene(&drive(Mounting::Front), &options);
     let made = scene.matches(&MatchOptions { wrong_fraction: 0.25, ..MatchOptions::default() });
     assert!(made.is_sorted_by_key(|made| made.pair) && made.len() > 500, "{} pairs", made.len());
@@ -80,7 +95,8 @@ fn matches_are_right_but_for_the_share_that_was_asked_for() {
     let (mut all, mut right, mut verified, mut verified_right) = (0, 0, 0, 0);
     for pair in made.iter().filter(|made| !wrong_pairs.contains(&made.pair)) {
         all += pair.matches.len();
-        right += (0..pair.matches.len()).filter(|&k| sees_same_point(scene.truth(), pair, k)).count();
+        right +=
+            (0..pair.matches.len()).filter(|&k| sees_same_point(scene.truth(), pair, k)).count();
         verified += pair.two_view.matches.len();
         let kept = PairMatches { matches: pair.two_view.matches.clone(), ..pair.clone() };
         verified_right +=
@@ -100,7 +116,11 @@ fn matches_are_right_but_for_the_share_that_was_asked_for() {
     for pair in wrong_pairs {
         let index = made.binary_search_by_key(&pair, |made| made.pair).expect("it is listed");
         assert!(made[index].two_view.matches.len() >= 40);
-        assert!((0..made[index].matches.len()).all(|k| !sees_same_point(scene.truth(), &made[index], k)));
+        assert!((0..made[index].matches.len()).all(|k| !sees_same_point(
+            scene.truth(),
+            &made[index],
+            k
+        )));
         check_geometry(scene.truth(), &made[index]);
     }
     for pair in made.iter().step_by(50) {
@@ -118,7 +138,8 @@ fn check_geometry(truth: &Reconstruction, made: &PairMatches) {
     };
     assert!((pose.translation.norm() - 1.0).abs() < 1e-9);
     for m in &made.two_view.matches {
-        let pixel = |image: ImageId, k: u32| truth.image(image).keypoints[k as usize].pixel.push(1.0);
+        let pixel =
+            |image: ImageId, k: u32| truth.image(image).keypoints[k as usize].pixel.push(1.0);
         let line = f * pixel(made.pair.a, m.a);
         let distance = line.dot(&pixel(made.pair.b, m.b)).abs() / line.xy().norm();
         assert!(distance < 3.0 * LIMIT_PX, "{distance} px");
@@ -127,7 +148,10 @@ fn check_geometry(truth: &Reconstruction, made: &PairMatches) {
 
 #[test]
 fn a_mapper_is_given_neither_poses_nor_points() {
-    let scene = scene(&drive(Mounting::Left), &FeatureOptions { observations: 5_000, ..Default::default() });
+    let scene = scene(
+        &drive(Mounting::Left),
+        &FeatureOptions { observations: 5_000, ..Default::default() },
+    );
     let blank = scene.without_poses();
     assert_eq!((blank.num_registered(), blank.num_tracks()), (0, 0));
     for ((_, image), (_, known)) in blank.images().zip(scene.truth().images()) {
@@ -147,8 +171,9 @@ fn the_same_scene_on_one_thread_and_on_many() {
         let scene = scene(&drive, &options);
         (scene.matches(&MatchOptions::default()), scene.truth().clone())
     };
-    let on =
-        |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(make);
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(make)
+    };
     let one = on(1);
     assert_eq!(one, on(2));
     assert_eq!(one, on(5));

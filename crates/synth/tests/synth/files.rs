@@ -5,7 +5,8 @@ use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, Mounting, image, write
 
 fn drive(effects: Effects) -> Drive {
     let mounts = Mount::stereo(Mounting::Right, 0.5).to_vec();
-    let options = DriveOptions { mounts, width: 160, height: 120, effects, ..DriveOptions::default() };
+    let options =
+        DriveOptions { mounts, width: 160, height: 120, effects, ..DriveOptions::default() };
     Drive::new(&options).expect("the options are valid")
 }
 
@@ -37,8 +38,13 @@ fn tables_hold_the_stamps_and_the_true_poses() {
     let stamps = read("timestamps.csv");
     let poses = read("truth/poses.csv");
     assert_eq!(stamps.lines().next(), Some("image,seconds"));
-    assert_eq!((stamps.lines().count(), poses.lines().count()), (exposures.len() + 1, exposures.len() + 1));
-    for ((stamp, pose), (camera, exposure)) in stamps.lines().zip(poses.lines()).skip(1).zip(exposures) {
+    assert_eq!(
+        (stamps.lines().count(), poses.lines().count()),
+        (exposures.len() + 1, exposures.len() + 1)
+    );
+    for ((stamp, pose), (camera, exposure)) in
+        stamps.lines().zip(poses.lines()).skip(1).zip(exposures)
+    {
         let (name, seconds) = stamp.split_once(',').unwrap();
         assert_eq!(name, exposure.name);
         // Six decimals are written.
@@ -47,7 +53,10 @@ fn tables_hold_the_stamps_and_the_true_poses() {
         let n: Vec<f64> = numbers.split(',').map(|number| number.parse().unwrap()).collect();
         let truth = drive.cam_from_world(camera, exposure.time_s);
         assert_eq!((name, n[0]), (exposure.name.as_str(), exposure.time_s));
-        assert_eq!(UnitQuaternion::new_unchecked(Quaternion::new(n[1], n[2], n[3], n[4])), truth.rotation);
+        assert_eq!(
+            UnitQuaternion::new_unchecked(Quaternion::new(n[1], n[2], n[3], n[4])),
+            truth.rotation
+        );
         assert_eq!(Vector3::new(n[5], n[6], n[7]), truth.translation);
     }
     assert_eq!(read("truth/left.tum").lines().count(), drive.cameras()[0].exposures.len());
@@ -62,7 +71,8 @@ fn a_cloud_is_a_binary_ply() {
     write_ply(&path, &[Vector3::new(1.0, 2.0, 3.0), Vector3::new(-4.0, 0.5, 0.25)]).unwrap();
     let bytes = std::fs::read(path).unwrap();
     let header = b"end_header\n";
-    let body = bytes.windows(header.len()).position(|window| window == header).unwrap() + header.len();
+    let body =
+        bytes.windows(header.len()).position(|window| window == header).unwrap() + header.len();
     let numbers: Vec<f32> =
         bytes[body..].chunks(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
     assert_eq!(numbers, [1.0, 2.0, 3.0, -4.0, 0.5, 0.25]);

@@ -6,7 +6,8 @@ use tiepoint_synth::{Drive, DriveOptions};
 #[test]
 fn every_image_is_found_and_no_other() {
     let drive =
-        Drive::new(&DriveOptions { effects: "clocks".parse().unwrap(), ..Default::default() }).unwrap();
+        Drive::new(&DriveOptions { effects: "clocks".parse().unwrap(), ..Default::default() })
+            .unwrap();
     for (index, camera) in drive.cameras().iter().enumerate() {
         assert!(camera.exposures.len() > 10);
         for exposure in &camera.exposures {

@@ -4,8 +4,8 @@ use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_synth::{
-    ActionLens, Drive, DriveOptions, Effects, Lens, Material, Mount, Mounting, Quad, Radiance, Renderer,
-    RowPose, Surface, World, image,
+    ActionLens, Drive, DriveOptions, Effects, Lens, Material, Mount, Mounting, Quad, Radiance,
+    Renderer, RowPose, Surface, World, image,
 };
 
 const WIDTH: u32 = 640;
@@ -14,8 +14,9 @@ const HEIGHT: u32 = 480;
 const MAX_GLOBAL_ERROR_PX: f64 = 0.05;
 const MAX_ROLLING_ERROR_PX: f64 = 0.1;
 
-/// The corner of a checker pattern near a pixel. A Gaussian keeps the point symmetry of a corner, so the blurred picture has a
-/// saddle there: where the derivative of a quadratic through it vanishes (Lucchese & Mitra 2002).
+/// The corner of a checker pattern near a pixel. A Gaussian keeps the point symmetry of a corner,
+/// so the blurred picture has a saddle there: where the derivative of a quadratic through it
+/// vanishes (Lucchese & Mitra 2002).
 fn refine_corner(image: &Radiance, guess: Vector2<f64>) -> Vector2<f64> {
     const SIGMA_PX: f64 = 2.5;
     const RADIUS: i64 = 10;
@@ -60,7 +61,8 @@ fn checker() -> (World, Quad) {
 
 /// Looks along +y with x to the right, a little askew.
 fn world_from_cam(centre: Vector3<f64>) -> Rigid3 {
-    let level = Rigid3::from_axis_angle(Vector3::x() * -std::f64::consts::FRAC_PI_2, Vector3::zeros());
+    let level =
+        Rigid3::from_axis_angle(Vector3::x() * -std::f64::consts::FRAC_PI_2, Vector3::zeros());
     let askew = Rigid3::from_axis_angle(Vector3::new(0.05, 0.12, 0.08), Vector3::zeros());
     Rigid3::new((level * askew).rotation, centre)
 }
@@ -79,7 +81,8 @@ fn corner_errors_px(
     };
     for i in 1..63 {
         for j in 1..31 {
-            let (Some(pixel), Some(right), Some(above)) = (corner(i, j), corner(i + 1, j), corner(i, j + 1))
+            let (Some(pixel), Some(right), Some(above)) =
+                (corner(i, j), corner(i + 1, j), corner(i, j + 1))
             else {
                 continue;
             };
@@ -98,8 +101,10 @@ fn corner_errors_px(
 #[test]
 fn checker_corners_lie_where_the_lens_says() {
     let mut rng = Rng::stream(1, &[]);
-    let lenses =
-        [Lens::pinhole(380.0, WIDTH, HEIGHT), Lens::Action(ActionLens::sample(WIDTH, HEIGHT, &mut rng))];
+    let lenses = [
+        Lens::pinhole(380.0, WIDTH, HEIGHT),
+        Lens::Action(ActionLens::sample(WIDTH, HEIGHT, &mut rng)),
+    ];
     for lens in lenses {
         for x in [0.0, 0.37, 1.1] {
             let pose = world_from_cam(Vector3::new(x, 0.21 * x, 50.1));
@@ -124,7 +129,10 @@ fn a_rolling_shutter_shears_as_the_row_poses_say() {
         let time_s = (y / f64::from(HEIGHT) - 0.5) * READOUT_S;
         let turn = Rigid3::from_axis_angle(Vector3::new(0.1, 0.4, 0.2) * time_s, Vector3::zeros());
         let pose = world_from_cam(Vector3::new(11.0 * time_s, 0.5 * time_s, 50.0));
-        RowPose { world_from_cam: Rigid3::new(pose.rotation * turn.rotation, pose.translation), time_s }
+        RowPose {
+            world_from_cam: Rigid3::new(pose.rotation * turn.rotation, pose.translation),
+            time_s,
+        }
     };
     let from_row =
         |y: f64, point: Vector3<f64>| lens.project(&(row_pose(y).world_from_cam.inverse() * point));
@@ -143,8 +151,14 @@ fn a_rolling_shutter_shears_as_the_row_poses_say() {
 
 fn drive(mounting: Mounting, effects: Effects, seed: u64) -> Drive {
     let mounts = vec![Mount::of(mounting)];
-    let options =
-        DriveOptions { seed, mounts, width: WIDTH, height: HEIGHT, effects, ..DriveOptions::default() };
+    let options = DriveOptions {
+        seed,
+        mounts,
+        width: WIDTH,
+        height: HEIGHT,
+        effects,
+        ..DriveOptions::default()
+    };
     Drive::new(&options).expect("the options are valid")
 }
 
@@ -159,7 +173,8 @@ fn what_a_pixel_sees_projects_to_the_pixel() {
         for _ in 0..300 {
             let exposures = &drive.cameras()[0].exposures;
             let time_s = exposures[rng.below(exposures.len())].time_s;
-            let pixel = Vector2::new(f64::from(WIDTH) * rng.uniform(), f64::from(HEIGHT) * rng.uniform());
+            let pixel =
+                Vector2::new(f64::from(WIDTH) * rng.uniform(), f64::from(HEIGHT) * rng.uniform());
             let Some(surface) = drive.surface_at(0, time_s, &pixel) else { continue };
             let back = drive.project(0, time_s, &surface.point_in_world).unwrap();
             assert!((back - pixel).norm() < TOLERANCE_PX, "{pixel} became {back}");
@@ -178,8 +193,8 @@ fn grey(image: &RgbImage, x: f64, y: f64) -> f64 {
         + fy * ((1.0 - fx) * at(0.0, 1.0) + fx * at(1.0, 1.0))
 }
 
-/// Patches of one image of the street, carried by the true surface, poses, shutter and lens into the next: how far each must
-/// be shifted there to agree with the picture (Lucas & Kanade 1981).
+/// Patches of one image of the street, carried by the true surface, poses, shutter and lens into
+/// the next: how far each must be shifted there to agree with the picture (Lucas & Kanade 1981).
 fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<Vector2<f64>> {
     const RADIUS: i32 = 6;
     const MARGIN: f64 = 12.0;
@@ -195,7 +210,8 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
         let there = drive.project(0, exposures[second].time_s, &surface.point_in_world)?;
         // Seen there too, and not something in front of it.
         let seen = drive.surface_at(0, exposures[second].time_s, &there)?;
-        let is_same = (seen.point_in_world - surface.point_in_world).norm() < 0.01 && !surface.is_moving;
+        let is_same =
+            (seen.point_in_world - surface.point_in_world).norm() < 0.01 && !surface.is_moving;
         (is_same && is_inside(&there)).then_some(there)
     };
     let mut shifts = Vec::new();
@@ -215,7 +231,8 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
                     right += gradient * difference;
                 }
             }
-            // Texture in both directions: one grey level of noise moves such a patch by less than 0.02 px.
+            // Texture in both directions: one grey level of noise moves such a patch by less than
+            // 0.02 px.
             if normal.symmetric_eigenvalues().min() > 3000.0
                 && let Some(inverse) = normal.try_inverse()
             {
@@ -229,14 +246,17 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
 #[test]
 fn the_street_moves_through_the_picture_as_the_truth_says() {
     let rolling = Effects { readout_s: 0.016, has_action_lens: true, ..Effects::default() };
-    for (effects, limit) in [(Effects::default(), MAX_GLOBAL_ERROR_PX), (rolling, MAX_ROLLING_ERROR_PX)] {
+    for (effects, limit) in
+        [(Effects::default(), MAX_GLOBAL_ERROR_PX), (rolling, MAX_ROLLING_ERROR_PX)]
+    {
         let shifts = shifts_between_images_px(&drive(Mounting::Right, effects, 1), 30, 31);
         assert!(shifts.len() > 20, "{} patches", shifts.len());
         for axis in 0..2 {
             let mut along: Vec<f64> = shifts.iter().map(|shift| shift[axis]).collect();
             along.sort_by(f64::total_cmp);
             let median = along[along.len() / 2];
-            // Pictures of different resolution of one texture differ, patch by patch; the truth must not.
+            // Pictures of different resolution of one texture differ, patch by patch; the truth
+            // must not.
             assert!(median.abs() < limit, "median shift along axis {axis}: {median} px");
         }
     }
@@ -258,8 +278,9 @@ fn the_same_bytes_on_one_thread_and_on_many() {
 #[test]
 fn seeds_give_other_worlds_and_routes() {
     let of = |seed: u64| drive(Mounting::Front, Effects::default(), seed);
-    let picture =
-        |drive: &Drive| drive.render(0, &drive.cameras()[0].exposures[5], &drive.renderer(0)).into_raw();
+    let picture = |drive: &Drive| {
+        drive.render(0, &drive.cameras()[0].exposures[5], &drive.renderer(0)).into_raw()
+    };
     let (one, again, other) = (of(1), of(1), of(2));
     assert_eq!(picture(&one), picture(&again));
     assert_ne!(picture(&one), picture(&other));
@@ -276,7 +297,11 @@ fn switching_an_effect_on_changes_nothing_else() {
         let (camera, plain_camera) = (&with.cameras()[0], &plain.cameras()[0]);
         assert_eq!(camera.lens == plain_camera.lens, name != "lens", "{name}");
         assert_eq!(camera.readout_s == 0.0, name != "rolling-shutter", "{name}");
-        assert_eq!(camera.cam_from_vehicle == plain_camera.cam_from_vehicle, name != "mounting", "{name}");
+        assert_eq!(
+            camera.cam_from_vehicle == plain_camera.cam_from_vehicle,
+            name != "mounting",
+            "{name}"
+        );
         let moves_alike =
             with.trajectory().world_from_vehicle(3.0) == plain.trajectory().world_from_vehicle(3.0);
         assert_eq!(moves_alike, name != "vibration", "{name}");

@@ -1,10 +1,11 @@
 //! With the vector instructions of x86-64.
 
 use std::arch::x86_64::{
-    __m256d, __m512d, _mm_loadu_ps, _mm_storeu_ps, _mm256_cvtpd_ps, _mm256_cvtps_pd, _mm256_fmadd_pd,
-    _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_mul_pd, _mm256_set1_pd, _mm256_storeu_pd,
-    _mm256_storeu_ps, _mm512_cvtpd_ps, _mm512_cvtps_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_loadu_pd,
-    _mm512_mul_pd, _mm512_set1_pd, _mm512_storeu_pd,
+    __m256d, __m512d, _mm_loadu_ps, _mm_storeu_ps, _mm256_cvtpd_ps, _mm256_cvtps_pd,
+    _mm256_fmadd_pd, _mm256_fnmadd_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_mul_pd,
+    _mm256_set1_pd, _mm256_storeu_pd, _mm256_storeu_ps, _mm512_cvtpd_ps, _mm512_cvtps_pd,
+    _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_loadu_pd, _mm512_mul_pd, _mm512_set1_pd,
+    _mm512_storeu_pd,
 };
 
 use super::vector::{Isa, LANES, Task, Vector, WIDE, first, first_mut};
@@ -52,10 +53,14 @@ impl Isa for Fused512 {
 }
 
 macro_rules! vector {
-    ($name:ident, $inner:ty, $len:ident, $load:ident, $store:ident, $widen:expr, $narrow:expr, $splat:ident, $mul:ident, $fma:ident, $fnma:ident) => {
+    (
+        $name:ident, $inner:ty, $len:ident, $load:ident, $store:ident, $widen:expr, $narrow:expr,
+        $splat:ident, $mul:ident, $fma:ident, $fnma:ident
+    ) => {
         #[derive(Clone, Copy)]
         pub(super) struct $name($inner);
-        // In each of these the instruction exists where the type may be used, and reads or writes what the reference covers.
+        // In each of these the instruction exists where the type may be used, and reads or writes
+        // what the reference covers.
         impl Vector for $name {
             #[inline(always)]
             fn load(from: &[f64]) -> Self {

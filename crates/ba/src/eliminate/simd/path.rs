@@ -52,7 +52,8 @@ fn path() -> Path {
     *BEST.get_or_init(|| Path::available().last().copied().unwrap_or(Path::Portable))
 }
 
-/// Lets `task` choose what is compiled for the best instructions of this machine: what it passes to [`Isa::run`].
+/// Lets `task` choose what is compiled for the best instructions of this machine: what it passes to
+/// [`Isa::run`].
 pub(crate) fn dispatch(task: impl Task) {
     match path() {
         #[cfg(target_arch = "x86_64")]
@@ -87,12 +88,15 @@ mod tests {
 
     /// Rounding, after a step on normal equations with a condition number of some 1e6.
     const SAME: f64 = 1e-8;
-    /// Under Miri few points, and no factorisation: faer's asks the processor for its caches, which Miri does not have.
+    /// Under Miri few points, and no factorisation: faer's asks the processor for its caches, which
+    /// Miri does not have.
     const POINTS: usize = if cfg!(miri) { 12 } else { 60 };
-    const SOLVER: LinearSolver = if cfg!(miri) { LinearSolver::Iterative } else { LinearSolver::Dense };
+    const SOLVER: LinearSolver =
+        if cfg!(miri) { LinearSolver::Iterative } else { LinearSolver::Dense };
 
-    /// The values after a step of a problem of one chunk, which stays on this thread: points seen by cameras, with blocks as wide
-    /// as a pose and the parameters, or apart; factors between poses; and partly held variables.
+    /// The values after a step of a problem of one chunk, which stays on this thread: points seen
+    /// by cameras, with blocks as wide as a pose and the parameters, or apart; factors between
+    /// poses; and partly held variables.
     fn step<M: CameraModel<Params = SVector<f64, N>>, const N: usize>(
         params: [f64; N],
         shared: bool,
@@ -109,21 +113,26 @@ mod tests {
                 Vector3::new(-(i as f64), 0.1, 8.0),
             )
         };
-        let lens = problem.keep(params, Order::Shared);
+        let lens = problem.add_parameter(params, Order::Shared);
         let cameras: Vec<_> = (0..6)
             .map(|i| {
-                let pose = problem.keep(true_pose(i), Order::At(i as u32));
-                (if shared { lens } else { problem.keep(params, Order::At(i as u32)) }, pose)
+                let pose = problem.add_parameter(true_pose(i), Order::At(i as u32));
+                (
+                    if shared { lens } else { problem.add_parameter(params, Order::At(i as u32)) },
+                    pose,
+                )
             })
             .collect();
         problem.fix(cameras[0].1);
-        problem.fix_tangent(cameras[1].1, &[0, 4]).unwrap();
-        problem.fix_tangent(cameras[2].0, &[1]).unwrap();
+        problem.fix_dofs(cameras[1].1, &[0, 4]).unwrap();
+        problem.fix_dofs(cameras[2].0, &[1]).unwrap();
         let mut points = Vec::new();
         for j in 0..POINTS {
-            let point = Vector3::new(rng.uniform() * 4.0, rng.uniform() * 4.0 - 2.0, rng.uniform() * 4.0);
-            let key =
-                problem.eliminate(point + Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.02);
+            let point =
+                Vector3::new(rng.uniform() * 4.0, rng.uniform() * 4.0 - 2.0, rng.uniform() * 4.0);
+            let key = problem.add_landmark(
+                point + Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.02,
+            );
             points.push(key);
             for (i, &(lens, pose)) in cameras.iter().enumerate().skip(j % 3).take(2 + j % 4) {
                 let pixel = M::project(&params, &(true_pose(i) * point)).unwrap();
@@ -132,13 +141,17 @@ mod tests {
                 problem.add((lens, pose, key), factor, Loss::Huber(1.0)).unwrap();
             }
         }
-        problem.fix_tangent(points[7], &[2]).unwrap();
+        problem.fix_dofs(points[7], &[2]).unwrap();
         let between = Between::new(true_pose(4) * true_pose(1).inverse(), &[0.01; 6]).unwrap();
         problem.add((cameras[1].1, cameras[4].1), between, Loss::Trivial).unwrap();
         let prior = Prior::new(true_pose(3), &[0.1; 6]).unwrap();
         problem.add(cameras[3].1, prior, Loss::Trivial).unwrap();
-        let options =
-            Options { linear_solver: SOLVER, max_iterations: 1, refinements: 0, ..Options::default() };
+        let options = Options {
+            linear_solver: SOLVER,
+            max_iterations: 1,
+            refinements: 0,
+            ..Options::default()
+        };
         FORCED.set(Some(path));
         let summary = Solver::new(&problem, &options)
             .and_then(|mut solver| solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())));
@@ -160,7 +173,8 @@ mod tests {
         for shared in [false, true] {
             let [portable, others @ ..] = &Path::available()[..] else { return };
             let expected = step::<M, N>(params, shared, *portable);
-            let found: Vec<_> = others.iter().map(|&path| step::<M, N>(params, shared, path)).collect();
+            let found: Vec<_> =
+                others.iter().map(|&path| step::<M, N>(params, shared, path)).collect();
             for found in &found {
                 for (a, b) in expected.iter().zip(found) {
                     assert!((a - b).abs() < SAME * a.abs().max(1.0), "{a} {b}");

@@ -63,10 +63,12 @@ pub(crate) trait Task {
     fn run<I: Isa>(self);
 }
 
-/// How to work on numbers. Functions are safe although their instructions may not exist on the machine: the types that implement this
-/// are private to `simd`, and other code gets one from [`dispatch`](super::dispatch) alone, as a type parameter, once its instructions
-/// have been found. Products `a·b + c` are fused where the machine can, so that results differ in the last bits between
-/// machines with and without, and not otherwise: the order of operations is the same for all widths.
+/// How to work on numbers. Functions are safe although their instructions may not exist on the
+/// machine: the types that implement this are private to `simd`, and other code gets one from
+/// [`dispatch`](super::dispatch) alone, as a type parameter, once its instructions have been found.
+/// Products `a·b + c` are fused where the machine can, so that results differ in the last bits
+/// between machines with and without, and not otherwise: the order of operations is the same for
+/// all widths.
 pub(crate) trait Isa: Sized {
     /// [`LANES`] numbers.
     type Narrow: Vector;
@@ -76,8 +78,8 @@ pub(crate) trait Isa: Sized {
     const MANY_REGISTERS: bool;
     /// a b + c for single numbers.
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64;
-    /// Runs what was compiled for these instructions, as a function of its own: one of all loops in one would take the compiler
-    /// minutes.
+    /// Runs what was compiled for these instructions, as a function of its own: one of all loops in
+    /// one would take the compiler minutes.
     fn run<T: Task>(task: T);
 }
 

@@ -10,7 +10,8 @@ use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, RigCamera, reconstruct,
+    CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, RigCamera,
+    reconstruct,
 };
 use tiepoint_synth::Drive;
 
@@ -53,7 +54,8 @@ pub(super) struct Cell {
     /// Why there is no result, in one sentence.
     pub(super) failure: Option<String>,
     pub(super) result: Option<Measured>,
-    /// COLMAP's model of the same matches, where somebody put one into the folder `colmap` of the workspace.
+    /// COLMAP's model of the same matches, where somebody put one into the folder `colmap` of the
+    /// workspace.
     pub(super) colmap: Option<Measured>,
 }
 
@@ -75,7 +77,8 @@ pub(super) struct Measured {
     pub(super) ate_m: f64,
     pub(super) horizontal_m: f64,
     pub(super) vertical_m: f64,
-    /// Distance of two cameras over all moments: mean, largest, and the root mean square deviation of the second camera's place.
+    /// Distance of two cameras over all moments: mean, largest, and the root mean square deviation
+    /// of the second camera's place.
     pub(super) baseline_m: Option<f64>,
     pub(super) largest_baseline_m: Option<f64>,
     pub(super) baseline_spread_m: Option<f64>,
@@ -100,7 +103,8 @@ impl From<CloudEvaluation> for Distance {
     }
 }
 
-/// What a laser scanner sees of the street: the same for all cells, and made for the first that needs it.
+/// What a laser scanner sees of the street: the same for all cells, and made for the first that
+/// needs it.
 pub(super) struct Scan(OnceCell<Vec<Vector3<f64>>>);
 
 impl Scan {
@@ -122,7 +126,12 @@ impl Scan {
 
 impl Task<'_> {
     /// The result of an earlier run, or a new one, of what is on one side of the way.
-    pub(super) fn run(&self, side: &Side, scan: &Scan, progress: &mut Progress) -> Result<Cell, Failure> {
+    pub(super) fn run(
+        &self,
+        side: &Side,
+        scan: &Scan,
+        progress: &mut Progress,
+    ) -> Result<Cell, Failure> {
         let cell = self.own(side, scan, progress)?;
         let folder = self.workspace.join(COLMAP);
         if !folder.join("sparse/0").is_dir() {
@@ -161,12 +170,18 @@ impl Task<'_> {
             colmap: None,
         };
         let report = self.reconstruct(progress);
-        let cell = match report.and_then(|report| Ok((report, self.judge(&self.workspace, side, scan)?))) {
-            Ok((report, judged)) => Cell { result: Some(Measured::new(Some(&report), judged?)), ..cell },
-            // Too few common views, or none that tell a scale, are a result too.
-            Err(error @ (Error::NoOverlap { .. } | Error::Evaluation { .. } | Error::NoMoments { .. })) => {
-                Cell { failure: Some(error.to_string()), ..cell }
+        let cell = match report
+            .and_then(|report| Ok((report, self.judge(&self.workspace, side, scan)?)))
+        {
+            Ok((report, judged)) => {
+                Cell { result: Some(Measured::new(Some(&report), judged?)), ..cell }
             }
+            // Too few common views, or none that tell a scale, are a result too.
+            Err(
+                error @ (Error::NoOverlap { .. }
+                | Error::Evaluation { .. }
+                | Error::NoMoments { .. }),
+            ) => Cell { failure: Some(error.to_string()), ..cell },
             Err(error) => return Err(error.into()),
         };
         write(&path, &json(&cell))?;
@@ -174,7 +189,12 @@ impl Task<'_> {
     }
 
     /// The outer error may be an outcome, the inner one is none.
-    fn judge(&self, model: &Path, side: &Side, scan: &Scan) -> Result<Result<Judged, Failure>, Error> {
+    fn judge(
+        &self,
+        model: &Path,
+        side: &Side,
+        scan: &Scan,
+    ) -> Result<Result<Judged, Failure>, Error> {
         let reference = match scan.beside(self.drive, side) {
             Ok(reference) => reference,
             Err(failure) => return Ok(Err(failure)),
@@ -195,7 +215,12 @@ impl Task<'_> {
             },
             matching: MatchOptions { pairs: *pairs, seed: *seed, ..MatchOptions::default() },
             mapping: MapOptions {
-                mapper: MapperOptions { rig: self.rig, readout, seed: *seed, ..MapperOptions::default() },
+                mapper: MapperOptions {
+                    rig: self.rig,
+                    readout,
+                    seed: *seed,
+                    ..MapperOptions::default()
+                },
                 baseline_m: None,
             },
             ..Options::default()
@@ -211,9 +236,11 @@ fn json(value: &impl Serialize) -> String {
 
 impl Measured {
     fn new(report: Option<&Report>, judged: Judged) -> Self {
-        let Judged { poses, model, whereabouts, baseline, surface, cloud, exact_cloud, .. } = judged;
+        let Judged { poses, model, whereabouts, baseline, surface, cloud, exact_cloud, .. } =
+            judged;
         let rms = |squares: &dyn Fn(&Vector3<f64>) -> f64| {
-            let sum: f64 = whereabouts.iter().map(|place| squares(&(place.found - place.truth))).sum();
+            let sum: f64 =
+                whereabouts.iter().map(|place| squares(&(place.found - place.truth))).sum();
             (sum / whereabouts.len().max(1) as f64).sqrt()
         };
         let seconds = report.map(|Report { stages, .. }| {

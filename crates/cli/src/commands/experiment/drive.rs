@@ -27,13 +27,20 @@ pub(super) fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> R
     write(&mark, &plan.record())
 }
 
-/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is refined like everything else.
+/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is
+/// refined like everything else.
 pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     let has_action_lens = scenery.effects.has_action_lens;
-    let model =
-        if has_action_lens { CameraModelKind::ThinPrismFisheye } else { CameraModelKind::SimpleRadial };
+    let model = if has_action_lens {
+        CameraModelKind::ThinPrismFisheye
+    } else {
+        CameraModelKind::SimpleRadial
+    };
     let focal_px: Vec<f64> = drive.cameras().iter().map(|camera| camera.lens.focal_px()).collect();
-    Calibration::Unknown { model, focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64) }
+    Calibration::Unknown {
+        model,
+        focal_px: Some(focal_px.iter().sum::<f64>() / focal_px.len() as f64),
+    }
 }
 
 /// Writes a file, whole or not at all.

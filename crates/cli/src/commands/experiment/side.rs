@@ -3,7 +3,8 @@
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_synth::Drive;
 
-/// The vehicle's way is looked at this often: it moves by a metre or two in between, and stands tens of metres from what it passes.
+/// The vehicle's way is looked at this often: it moves by a metre or two in between, and stands
+/// tens of metres from what it passes.
 const STEP_S: f64 = 0.2;
 
 /// One side of the vehicle's way, or all of it.
@@ -60,7 +61,8 @@ mod tests {
         let drive = Drive::new(&DriveOptions::default()).unwrap();
         let trajectory = drive.trajectory();
         for k in 0..20 {
-            let place = trajectory.world_from_vehicle(f64::from(k) * trajectory.duration_s() / 20.0);
+            let place =
+                trajectory.world_from_vehicle(f64::from(k) * trajectory.duration_s() / 20.0);
             for sign in [1.0, -1.0] {
                 let point = place * Vector3::new(sign * BESIDE_M, -1.0, 0.0);
                 assert_eq!(Side::right(&drive).has(&point), sign > 0.0);

@@ -1,10 +1,13 @@
-//! How a camera is mounted, as a variable: the relative pose at every moment equals it, up to a little play.
+//! How a camera is mounted, as a variable: the relative pose at every moment equals it, up to a
+//! little play.
 //!
-//! With T = `right_from_left` = (R_T, t_T), c_T = −R_Tᵀ t_T the right camera's centre in the left camera's frame, and (c, R) the same
-//! of the poses at one moment, the residual is ((c − c_T) / (|c_T| σ_t), Log(R R_Tᵀ) / σ_R). The translation is measured in
-//! baselines, and the baseline is differentiated with the rest: a model gains nothing by shrinking, neither as a whole nor
-//! where the clocks scatter c. (Dividing by a constant instead lets it shrink. It is needed where cameras see nothing in common, though: a baseline
-//! of which only the motion tells a part grows for as long as that makes everything else small.) With the perturbations of CONVENTIONS.md, D = R R_Tᵀ,
+//! With T = `right_from_left` = (R_T, t_T), c_T = −R_Tᵀ t_T the right camera's centre in the left
+//! camera's frame, and (c, R) the same of the poses at one moment, the residual is ((c − c_T) /
+//! (|c_T| σ_t), Log(R R_Tᵀ) / σ_R). The translation is measured in baselines, and the baseline is
+//! differentiated with the rest: a model gains nothing by shrinking, neither as a whole nor where
+//! the clocks scatter c. (Dividing by a constant instead lets it shrink. It is needed where cameras
+//! see nothing in common, though: a baseline of which only the motion tells a part grows for as
+//! long as that makes everything else small.) With the perturbations of CONVENTIONS.md, D = R R_Tᵀ,
 //! φ = Log D, e = c − c_T:
 //!
 //! | | left (δ, τ) | right (δ, τ) | T: δ | T: τ |
@@ -13,7 +16,8 @@
 //! | c_T | 0 | 0 | 0 | −R_Tᵀ |
 //! | φ | −J_l⁻¹(φ) R, 0 | J_l⁻¹(φ), 0 | −J_l⁻¹(φ) D | 0 |
 //!
-//! and d(e/|c_T|) = (d c − d c_T)/|c_T| − e (c_T · d c_T)/|c_T|³, the last part missing where a constant stands for |c_T|.
+//! and d(e/|c_T|) = (d c − d c_T)/|c_T| − e (c_T · d c_T)/|c_T|³, the last part missing where a
+//! constant stands for |c_T|.
 
 use tiepoint_ba::{Factor, Linear, Refs};
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, SVector};
@@ -21,23 +25,29 @@ use tiepoint_geometry::{Rigid3, so3};
 
 use crate::relative_pose::RelativePose;
 
-/// Two cameras are mounted on one rig: variables `left_from_world` and `right_from_world` at one moment, and `right_from_left`. Does not
-/// exist where the two centres of the mounting coincide and no unit is given: then there is nothing to measure by.
+/// Two cameras are mounted on one rig: variables `left_from_world` and `right_from_world` at one
+/// moment, and `right_from_left`. Does not exist where the two centres of the mounting coincide and
+/// no unit is given: then there is nothing to measure by.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mounted {
+pub struct SynchronousExtrinsics {
     /// Standard deviation of each coordinate of the centre, in baselines or in the unit.
     pub sigma_translation: f64,
     /// Standard deviation of each component of the rotation, in radians.
     pub sigma_rotation_rad: f64,
     /// What stands for a baseline, in units of the model, where the images do not tell it.
-    pub unit: Option<f64>,
+    pub assumed_baseline: Option<f64>,
 }
 
-impl Mounted {
-    fn errors(&self, left: &Rigid3, right: &Rigid3, mount: &Rigid3) -> Option<(SVector<f64, 6>, f64)> {
+impl SynchronousExtrinsics {
+    fn errors(
+        &self,
+        left: &Rigid3,
+        right: &Rigid3,
+        mount: &Rigid3,
+    ) -> Option<(SVector<f64, 6>, f64)> {
         let centre = *left * right.origin_in_a();
         let mount_centre = mount.origin_in_a();
-        let baseline = self.unit.unwrap_or_else(|| mount_centre.norm());
+        let baseline = self.assumed_baseline.unwrap_or_else(|| mount_centre.norm());
         if baseline <= f64::MIN_POSITIVE {
             return None;
         }
@@ -51,10 +61,13 @@ impl Mounted {
     }
 }
 
-impl Factor<6> for Mounted {
+impl Factor<6> for SynchronousExtrinsics {
     type Vars = (Rigid3, Rigid3, Rigid3);
 
-    fn linearize(&self, (left, right, mount): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 6>> {
+    fn linearize(
+        &self,
+        (left, right, mount): Refs<'_, Self::Vars>,
+    ) -> Option<Linear<Self::Vars, 6>> {
         let (residual, baseline) = self.errors(left, right, mount)?;
         let linear = RelativePose::linearize(left, right);
         let relative = matrix(&(right.rotation * left.rotation.inverse()));
@@ -70,7 +83,7 @@ impl Factor<6> for Mounted {
         d_right.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
         // d r_t / d c_T, with the baseline's part.
         let error = residual.fixed_rows::<3>(0) / scale;
-        let by_baseline = match self.unit {
+        let by_baseline = match self.assumed_baseline {
             None => error * mount_centre.transpose() / (baseline * baseline),
             Some(_) => Matrix3::zeros(),
         };

@@ -1,23 +1,25 @@
 //! A mounting held between images of two cameras that were not taken at one instant.
 //!
-//! The residual is that of [`Mounted`] with the left camera's pose interpolated ([`Knots`]) at the time that the right camera's clock
-//! gives it: the clock is a variable too, and the chain rule does the rest. What is doubtful about an interpolated pose (stamps that
-//! jitter, motion that the cubic cannot know) is part of the residual's covariance, I + Σ g gᵀ with g what each doubt does to the
-//! residual of a right camera that is exactly where the mounting has it; the residual is whitened with it, so that along the way
-//! the mounting holds as firmly as the stamps deserve, and across it as firmly as the mount.
+//! The residual is that of [`SynchronousExtrinsics`] with the left camera's pose interpolated
+//! ([`Knots`]) at the time that the right camera's clock gives it: the clock is a variable too, and
+//! the chain rule does the rest. What is doubtful about an interpolated pose (stamps that jitter,
+//! motion that the cubic cannot know) is part of the residual's covariance, I + Σ g gᵀ with g what
+//! each perturbation does to the residual of a right camera that is exactly where the mounting has
+//! it; the residual is whitened with it, so that along the way the mounting holds as firmly as the
+//! stamps deserve, and across it as firmly as the mount.
 
 use tiepoint_ba::{Factor, Linear, Refs};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector2};
 
-use crate::{Clock, Knots, Mounted};
+use crate::{Clock, Knots, SynchronousExtrinsics};
 
-/// Two cameras are mounted on one rig: variables four consecutive `left_from_world`, one `right_from_world`, `right_from_left`, and
-/// the right camera's clock.
+/// Two cameras are mounted on one rig: variables four consecutive `left_from_world`, one
+/// `right_from_world`, `right_from_left`, and the right camera's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MountedInTime {
+pub struct InterpolatedExtrinsics {
     /// How firmly.
-    pub mounted: Mounted,
+    pub mounted: SynchronousExtrinsics,
     /// When the four left images were taken, on the left camera's clock.
     pub left_times_s: [f64; 4],
     /// When the right image was taken, on its own clock.
@@ -26,18 +28,21 @@ pub struct MountedInTime {
     pub whitening: SMatrix<f64, 6, 6>,
 }
 
-impl MountedInTime {
-    /// The whitening where the left camera is at `left_from_world`, and may be off by each of `doubts`, motions of one standard deviation.
+impl InterpolatedExtrinsics {
+    /// The whitening where the left camera is at `left_from_world`, and may be off by each of
+    /// `pose_perturbations`, motions of one standard deviation.
     pub fn whitening(
-        mounted: &Mounted,
+        mounted: &SynchronousExtrinsics,
         left_from_world: &Rigid3,
         right_from_left: &Rigid3,
-        doubts: &[Rigid3],
+        pose_perturbations: &[Rigid3],
     ) -> SMatrix<f64, 6, 6> {
         let right = *right_from_left * *left_from_world;
         let mut covariance = SMatrix::<f64, 6, 6>::identity();
-        for doubt in doubts {
-            if let Some(g) = mounted.residual((&(*doubt * *left_from_world), &right, right_from_left)) {
+        for perturbation in pose_perturbations {
+            if let Some(g) =
+                mounted.residual((&(*perturbation * *left_from_world), &right, right_from_left))
+            {
                 covariance += g * g.transpose();
             }
         }
@@ -47,7 +52,7 @@ impl MountedInTime {
     }
 }
 
-impl Factor<6> for MountedInTime {
+impl Factor<6> for InterpolatedExtrinsics {
     type Vars = (Rigid3, Rigid3, Rigid3, Rigid3, Rigid3, Rigid3, Clock);
 
     fn linearize(
@@ -56,7 +61,8 @@ impl Factor<6> for MountedInTime {
     ) -> Option<Linear<Self::Vars, 6>> {
         let knots = Knots { poses: [a, b, c, d], times_s: self.left_times_s };
         let left = knots.linearize(clock.reference_time_s(self.right_time_s));
-        let (residual, (d_left, d_right, d_mount)) = self.mounted.linearize((&left.pose, right, mount))?;
+        let (residual, (d_left, d_right, d_mount)) =
+            self.mounted.linearize((&left.pose, right, mount))?;
         let w = &self.whitening;
         let d_left = w * d_left;
         let [a, b, c, d] = left.d_knots.map(|d_knot| d_left * d_knot);
@@ -66,7 +72,10 @@ impl Factor<6> for MountedInTime {
         Some((w * residual, (a, b, c, d, w * d_right, w * d_mount, d_clock)))
     }
 
-    fn residual(&self, (a, b, c, d, right, mount, clock): Refs<'_, Self::Vars>) -> Option<SVector<f64, 6>> {
+    fn residual(
+        &self,
+        (a, b, c, d, right, mount, clock): Refs<'_, Self::Vars>,
+    ) -> Option<SVector<f64, 6>> {
         let knots = Knots { poses: [a, b, c, d], times_s: self.left_times_s };
         let left = knots.at(clock.reference_time_s(self.right_time_s));
         self.mounted.residual((&left, right, mount)).map(|residual| self.whitening * residual)

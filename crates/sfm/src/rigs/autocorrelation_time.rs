@@ -2,10 +2,12 @@
 
 use tiepoint_geometry::nalgebra::Vector3;
 
-/// By how much the variance of the mean of what is left is larger than if moments were independent: the integrated autocorrelation time, summed
-/// for as long as the autocorrelation is positive (after Geyer 1992, section 3.3). `left` is in standard deviations of each component;
-/// where it is far within them it is the images' noise that the mounting takes away, and no property of the mount.
-pub(super) fn persistence(left: &[Vector3<f64>]) -> f64 {
+/// By how much the variance of the mean of what is left is larger than if moments were independent:
+/// the integrated autocorrelation time, summed for as long as the autocorrelation is positive
+/// (after Geyer 1992, section 3.3). `left` is in standard deviations of each component; where it is
+/// far within them it is the images' noise that the mounting takes away, and no property of the
+/// mount.
+pub(super) fn autocorrelation_time(left: &[Vector3<f64>]) -> f64 {
     let together = |lag: usize| left.iter().zip(&left[lag..]).map(|(a, b)| a.dot(b)).sum::<f64>();
     let all = together(0);
     if all <= 0.0 {
@@ -34,7 +36,11 @@ mod tests {
     fn independent_moments_count_fully() {
         let mut rng = Rng::stream(1, &[]);
         let left: Vec<_> = (0..MOMENTS).map(|_| noise(&mut rng)).collect();
-        assert!((persistence(&left) - 1.0).abs() < TOLERANCE, "{}", persistence(&left));
+        assert!(
+            (autocorrelation_time(&left) - 1.0).abs() < TOLERANCE,
+            "{}",
+            autocorrelation_time(&left)
+        );
     }
 
     /// Of x' = a x + √(1 - a²) noise the integrated autocorrelation time is (1 + a)/(1 - a).
@@ -50,15 +56,23 @@ mod tests {
             })
             .collect();
         let expected = (1.0 + A) / (1.0 - A);
-        assert!((persistence(&left) / expected - 1.0).abs() < TOLERANCE, "{}", persistence(&left));
+        assert!(
+            (autocorrelation_time(&left) / expected - 1.0).abs() < TOLERANCE,
+            "{}",
+            autocorrelation_time(&left)
+        );
         // What is far within the deviations says nothing of the mount.
         let little: Vec<_> = left.iter().map(|x| x * 0.1).collect();
-        assert!((persistence(&little) - 1.0).abs() < TOLERANCE, "{}", persistence(&little));
+        assert!(
+            (autocorrelation_time(&little) - 1.0).abs() < TOLERANCE,
+            "{}",
+            autocorrelation_time(&little)
+        );
     }
 
     #[test]
     fn nothing_left_is_fine() {
-        assert_eq!(persistence(&[]), 1.0);
-        assert_eq!(persistence(&[Vector3::zeros(); 3]), 1.0);
+        assert_eq!(autocorrelation_time(&[]), 1.0);
+        assert_eq!(autocorrelation_time(&[Vector3::zeros(); 3]), 1.0);
     }
 }

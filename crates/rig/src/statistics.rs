@@ -8,7 +8,7 @@ use crate::RelativePose;
 
 /// Statistics of relative poses over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
+pub struct RelativePoseStatistics {
     /// Pairs.
     pub count: usize,
     /// Median distance between the two cameras, in model units.
@@ -21,12 +21,13 @@ pub struct Spread {
     pub rms_translation: f64,
     /// Root mean square angle of the rotations from their mean, in radians.
     pub rms_rotation_rad: f64,
-    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale does not drift.
+    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale
+    /// does not drift.
     pub second_over_first_half: f64,
 }
 
 /// Statistics of the relative poses in order of time; `None` for fewer than two.
-pub fn spread(poses: &[RelativePose]) -> Option<Spread> {
+pub fn relative_pose_statistics(poses: &[RelativePose]) -> Option<RelativePoseStatistics> {
     if poses.len() < 2 {
         return None;
     }
@@ -34,18 +35,22 @@ pub fn spread(poses: &[RelativePose]) -> Option<Spread> {
     let baselines: Vec<f64> = poses.iter().map(|p| p.translation.norm()).collect();
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let mean_baseline = mean(&baselines);
-    let variance = baselines.iter().map(|b| (b - mean_baseline).powi(2)).sum::<f64>() / count as f64;
-    let centre: Vector3<f64> = poses.iter().map(|p| p.translation).sum::<Vector3<f64>>() / count as f64;
+    let variance =
+        baselines.iter().map(|b| (b - mean_baseline).powi(2)).sum::<f64>() / count as f64;
+    let centre: Vector3<f64> =
+        poses.iter().map(|p| p.translation).sum::<Vector3<f64>>() / count as f64;
     let rms_translation =
-        (poses.iter().map(|p| (p.translation - centre).norm_squared()).sum::<f64>() / count as f64).sqrt();
-    // Deviations are small except where a pair is wrong; the mean in the tangent space of the median pair serves.
+        (poses.iter().map(|p| (p.translation - centre).norm_squared()).sum::<f64>() / count as f64)
+            .sqrt();
+    // Deviations are small except where a pair is wrong; the mean in the tangent space of the
+    // median pair serves.
     let reference = so3::exp(&poses[count / 2].axis_angle);
     let tangents: Vec<Vector3<f64>> =
         poses.iter().map(|p| so3::log(&(reference.inverse() * so3::exp(&p.axis_angle)))).collect();
     let middle: Vector3<f64> = tangents.iter().sum::<Vector3<f64>>() / count as f64;
     let rms_rotation_rad =
         (tangents.iter().map(|t| (t - middle).norm_squared()).sum::<f64>() / count as f64).sqrt();
-    Some(Spread {
+    Some(RelativePoseStatistics {
         count,
         median_baseline: median(&mut baselines.clone()).unwrap_or(f64::NAN),
         mean_baseline,

@@ -4,7 +4,7 @@ use tiepoint_scene::{Observation, Reconstruction};
 
 use crate::tracks::seen_at;
 
-/// Held-out observations count up to this error, in pixels.
+/// ConstrainedModel-out observations count up to this error, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 
 /// Observations of the tracks that are held out and can contradict the poses.
@@ -17,20 +17,20 @@ pub(super) fn held_out(model: &Reconstruction) -> Vec<Vec<Observation>> {
 }
 
 /// Tracks that took no part, and how well a model without any term explains them.
-pub(super) struct Judge {
+pub(super) struct HeldOutComparison {
     tracks: Vec<Vec<Observation>>,
     pub(super) error_off_px: f64,
 }
 
-impl Judge {
+impl HeldOutComparison {
     pub(super) fn new(tracks: Vec<Vec<Observation>>, off: &Reconstruction) -> Self {
-        let mut judge = Self { tracks, error_off_px: 0.0 };
-        judge.error_off_px = judge.error_px(off);
-        judge
+        let mut held_out = Self { tracks, error_off_px: 0.0 };
+        held_out.error_off_px = held_out.error_px(off);
+        held_out
     }
 
-    /// Root mean square of the truncated errors of the tracks, triangulated anew between the poses of now: the same observations
-    /// whatever the model did with them.
+    /// Root mean square of the truncated errors of the tracks, triangulated anew between the poses
+    /// of now: the same observations whatever the model did with them.
     pub(super) fn error_px(&self, model: &Reconstruction) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);
         for observations in &self.tracks {
@@ -50,7 +50,7 @@ impl Judge {
     }
 
     /// Whether an error is larger than that without any term by more than a share of it.
-    pub(super) fn objects(&self, error_px: f64, tolerance: f64) -> bool {
+    pub(super) fn is_worse(&self, error_px: f64, tolerance: f64) -> bool {
         error_px > (1.0 + tolerance) * self.error_off_px
     }
 }
