@@ -1,5 +1,5 @@
 //! Kills, full disks and failing writes at chosen changes of the file system: nothing of the user is lost, what a workspace
-//! says of itself is true, and the same command goes on to the same result. With `TIEPOINT_ALL_FAULTS` every write is taken; `bench/durability.py`
+//! says of itself is true, and the same command goes on to the same result. With `TIEPOINT_ALL_FAULTS` every change is taken; `bench/durability.py`
 //! does that, and kills the program from outside.
 
 use std::collections::BTreeMap;
@@ -26,9 +26,11 @@ use crate::photos;
 const COUNT: usize = 4;
 /// Small enough for a run in a tenth of a second, large enough for a model.
 const SIZE: (u32, u32) = (144, 108);
-/// Writes of each of the ten commands that are drawn, beside all renames, commits and syncs.
-const DRAWN_WRITES: usize = 4;
-/// With this variable in the environment, all writes are taken.
+/// Writes of each of the ten commands that are drawn.
+const DRAWN_WRITES: usize = 2;
+/// Renames, commits and syncs of each command that are drawn: all of a small export, a tenth of those of the longest run.
+const DRAWN_DECISIVE: usize = 12;
+/// With this variable in the environment, every change is taken.
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
 const MAX_TRIES: usize = 100;
 const BETWEEN_TRIES: Duration = Duration::from_millis(20);
@@ -277,12 +279,16 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
         let mut writes: Vec<usize> = (0..log.len()).filter(|at| log[*at].0 == Operation::Write).collect();
         let mut rng = Rng::stream(SEED, &[log.len() as u64]);
         let is_whole = std::env::var_os(WHOLE).is_some();
-        while writes.len() > DRAWN_WRITES && !is_whole {
-            writes.swap_remove(rng.below(writes.len()));
-        }
+        let mut draw = |changes: &mut Vec<usize>, count: usize| {
+            while changes.len() > count && !is_whole {
+                changes.swap_remove(rng.below(changes.len()));
+            }
+        };
+        draw(&mut writes, DRAWN_WRITES);
         let decides =
             |at: &usize| matches!(log[*at].0, Operation::Rename | Operation::Commit | Operation::Sync);
-        let decisive: Vec<usize> = (0..log.len()).filter(decides).collect();
+        let mut decisive: Vec<usize> = (0..log.len()).filter(decides).collect();
+        draw(&mut decisive, DRAWN_DECISIVE);
         let mut cases: Vec<(usize, Kind)> = Vec::new();
         for at in writes {
             cases.extend([Kind::Stop, Kind::Full, Kind::Fail].map(|kind| (at, kind)));
