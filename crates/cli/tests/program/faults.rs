@@ -29,8 +29,7 @@ const COUNT: usize = 4;
 const SIZE: (u32, u32) = (144, 108);
 /// Writes of each of the ten commands that are drawn.
 const DRAWN_WRITES: usize = 2;
-/// Renames, commits and syncs of each command that are drawn: all of a small export, a tenth of
-/// those of the longest run.
+/// Renames, commits and syncs of each command that are drawn.
 const DRAWN_DECISIVE: usize = 12;
 /// With this variable in the environment, every change is taken.
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
