@@ -16,6 +16,7 @@ least), so where it may the script runs both programs in the real-time class, as
 """
 
 import argparse
+import json
 import os
 import pathlib
 import subprocess
@@ -126,6 +127,7 @@ def main():
     parser.add_argument("problems", nargs="*", type=pathlib.Path)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--results", type=pathlib.Path, help="where raw results go, as JSON")
     parser.add_argument(
         "--stress",
         action="store_true",
@@ -168,8 +170,10 @@ def main():
                     changes,
                 )
             return
-        for problem in problems + [made(folder / "made-16-22106.txt")] * (not options.problems):
-            compare(problem, ceres, folder, options)
+        made_problems = [] if options.problems else [made(folder / "made-16-22106.txt")]
+        rows = [compare(problem, ceres, folder, options) for problem in problems + made_problems]
+        if options.results:
+            options.results.write_text(json.dumps(rows, indent=1))
 
 
 def compare(problem, ceres, folder, options, changes=None):
@@ -221,11 +225,17 @@ def compare(problem, ceres, folder, options, changes=None):
         f"{'':28} {'final cost':>14} {'steps':>6} {'set-up ms':>10} {'ms a step':>10}"
         f" {'ms to goal':>11}"
     )
-    to_goal = {}
+    to_goal, row = {}, {"problem": problem.stem, "solvers": {}}
     for name, steps in runs.items():
         to_goal[name] = 1e3 * min(time_to(run, goal) for run in steps)
         setup = 1e3 * min(run[0, 0] for run in steps)
         step = 1e3 * min((run[-1, 0] - run[0, 0]) / (len(run) - 1) for run in steps)
+        row["solvers"][name] = {
+            "final_cost": costs[name],
+            "ms_a_step": step,
+            "ms_to_goal": to_goal[name],
+            "runs_ms_to_goal": [1e3 * time_to(run, goal) for run in steps],
+        }
         print(
             f"{name:28} {costs[name]:14.6e} {len(steps[0]) - 1:6} {setup:10.1f} {step:10.2f}"
             f" {to_goal[name]:11.1f}"
@@ -233,6 +243,7 @@ def compare(problem, ceres, folder, options, changes=None):
     for kind in ("analytic", "automatic"):
         best = min((time, name) for name, time in to_goal.items() if name.endswith(kind))
         print(f"quickest {best[1]}: tiepoint is {best[0] / to_goal['tiepoint']:.1f} times faster")
+    return row
 
 
 if __name__ == "__main__":

@@ -1,0 +1,308 @@
+#!/usr/bin/env python3
+"""Measures a table of docs/benchmarks and writes it.
+
+    pip install numpy pycolmap==4.2.1
+    cargo build --release && cargo build --release -p tiepoint-ba --example bal
+    TIEPOINT_DATA=... python bench/run.py photos kitti ba-ceres     measures, writes, generates
+    python bench/run.py --refresh                                   generates all pages again
+
+A measurement writes docs/benchmarks/results/NAME.json: the commit, whether files differed from it,
+the processor and its instruction sets, the date, the seeds and every run. The page gets the table
+between `<!-- table: NAME -->` and `<!-- end -->`, generated from that file alone. Below the table
+stands what it was measured on, and, if the code that it measures has changed since, that it is
+older than the code. Let nothing else run while times are measured.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+
+from program import ROOT, program_of
+
+PAGES = ROOT / "docs/benchmarks"
+RESULTS = PAGES / "results"
+SEEDS = [0, 1, 2]
+# Instruction sets on which times depend.
+INSTRUCTION_SETS = ["avx2", "fma", "avx512f", "avx512_vnni", "avx_vnni"]
+LIBRARIES = ["geometry", "features", "matching", "ba", "rig", "scene", "sfm", "io", "pipeline"]
+
+
+def data():
+    folder = os.environ.get("TIEPOINT_DATA")
+    if folder is None:
+        sys.exit("TIEPOINT_DATA is not set: it is the folder of the reference data")
+    return pathlib.Path(folder)
+
+
+def git(*words):
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def script(name, *words):
+    """Runs a script beside this one; its raw results as JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / "results.json"
+        command = [sys.executable, ROOT / "bench" / name, *words, "--results", path]
+        subprocess.run(list(map(str, command)), check=True)
+        return json.loads(path.read_text())
+
+
+def tiepoint(*words):
+    command = [str(word) for word in (program_of(), *words)]
+    done = subprocess.run(command + ["--json"], capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+    return json.loads(done.stdout)
+
+
+def middle(values, digits):
+    return f"{statistics.median(values):.{digits}f}"
+
+
+def grouped(value):
+    return f"{round(value):,}"
+
+
+# ---- photos: from photos to a model, beside COLMAP ----------------------------------------------
+
+
+def measure_photos():
+    sets = ["fountain-P11", "Herz-Jesus-P8", "sceaux"]
+    words = ["--seeds", len(SEEDS), "--colmap-seeds", len(SEEDS)]
+    return script("colmap.py", *sets, *words)["cases"]
+
+
+def table_photos(cases):
+    head = (
+        "input | registered | mean centre error (mm): COLMAP | COLMAP, equal freedom | tiepoint"
+        " | reprojection error (px): COLMAP / tiepoint | observations: COLMAP / tiepoint"
+        " | wall time (s): COLMAP / tiepoint | ratio"
+    )
+    rows = [head.split(" | ")]
+    for case in cases:
+        colmap, ours = case["colmap"], case["tiepoint"]
+
+        def error(runs):
+            found = [run["mean_centre_error_mm"] for run in runs if "mean_centre_error_mm" in run]
+            return middle(found, 2) if found else "no truth"
+
+        def both(key, digits):
+            return " / ".join(middle([run[key] for run in runs], digits) for runs in (colmap, ours))
+
+        equal = [run["equal_freedom"] for run in colmap if "equal_freedom" in run]
+        observations = " / ".join(
+            grouped(statistics.median(run["observations"] for run in runs))
+            for runs in (colmap, ours)
+        )
+        walls = [statistics.median(run["wall_s"] for run in runs) for runs in (colmap, ours)]
+        is_known = case["calibration"] == "known"
+        rows.append(
+            [
+                f"{case['data']}, {'K' if is_known else 'uncalibrated'}",
+                f"{min(run['registered'] for run in ours)} / {ours[0]['images']}",
+                error(colmap),
+                "the same" if is_known else error(equal),
+                error(ours),
+                both("mean_reprojection_error_px", 3),
+                observations,
+                f"{walls[0]:.1f} / {walls[1]:.1f}",
+                f"{walls[1] / walls[0]:.3f}",
+            ]
+        )
+    return rows
+
+
+# ---- kitti: the modes of --rig on clips of 51 frames --------------------------------------------
+
+KITTI_MODES = ["off", "paper", "soft", "auto", "hard"]
+
+
+def measure_kitti():
+    runs = []
+    for drive in ["kitti04", "kitti01"]:
+        folder = data() / drive
+        first = (folder / "calib.txt").read_text().splitlines()[0].split()[1:]
+        k = [float(value) for value in first]
+        # The centre of the first pixel is (0, 0) in KITTI's files.
+        intrinsics = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
+        with tempfile.TemporaryDirectory() as scratch:
+            workspace = pathlib.Path(scratch) / "ws"
+            images = folder / "images"
+            tiepoint("features", images, "-o", workspace, "--intrinsics", intrinsics)
+            tiepoint("match", workspace, "--pairs", "sequential:10")
+            for mode in KITTI_MODES:
+                for seed in SEEDS:
+                    options = ["--rig", mode, "--seed", seed, "--redo", "map"]
+                    tiepoint("map", workspace, *options)
+                    truth = ["--truth", f"kitti:{folder / 'poses.txt'}"]
+                    found = tiepoint("evaluate", "poses", workspace, *truth)
+                    runs.append(
+                        {
+                            "drive": drive,
+                            "mode": mode,
+                            "seed": seed,
+                            "registered": found["registered"],
+                            "images": found["images"],
+                            "ate_cm": 100 * found["centre_error"]["rmse"],
+                        }
+                    )
+                    print(runs[-1], flush=True)
+    return runs
+
+
+def table_kitti(runs):
+    rows = [["drive, 2 × 51 frames", *(f"`{mode}`" for mode in KITTI_MODES)]]
+    for drive in dict.fromkeys(run["drive"] for run in runs):
+        cells = []
+        for mode in KITTI_MODES:
+            errors = [r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)]
+            cells.append(f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})")
+        rows.append([drive, *cells])
+    return rows
+
+
+# ---- ba-ceres: bundle adjustment beside Ceres ---------------------------------------------------
+
+
+def measure_ba_ceres():
+    return script("ba.py")
+
+
+def table_ba_ceres(problems):
+    head = (
+        "problem | final cost, Ceres | tiepoint-ba | ms a step, Ceres | tiepoint-ba"
+        " | ms to Ceres' cost + 0.1 %, Ceres | tiepoint-ba | ratio"
+    )
+    rows = [head.split(" | ")]
+    for problem in problems:
+        solvers = dict(problem["solvers"])
+        ours = solvers.pop("tiepoint")
+        analytic = {name: s for name, s in solvers.items() if name.endswith("analytic")}
+        quickest = min(analytic.values(), key=lambda solver: solver["ms_to_goal"])
+        best = min(solver["final_cost"] for solver in solvers.values())
+        rows.append(
+            [
+                problem["problem"],
+                f"{best:.6e}",
+                f"{ours['final_cost']:.6e}",
+                f"{quickest['ms_a_step']:.1f}",
+                f"{ours['ms_a_step']:.1f}",
+                f"{quickest['ms_to_goal']:.1f}",
+                f"{ours['ms_to_goal']:.1f}",
+                f"{quickest['ms_to_goal'] / ours['ms_to_goal']:.1f}",
+            ]
+        )
+    return rows
+
+
+# ---- the tables ---------------------------------------------------------------------------------
+
+# Of each: its page, the crates that it measures, how to measure and how to show it.
+TABLES = {
+    "photos": ("photos.md", LIBRARIES, measure_photos, table_photos),
+    "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti),
+    "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres),
+}
+
+
+def machine():
+    lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+    fields = dict(line.split(":", 1) for line in reversed(lines) if ":" in line)
+    fields = {name.strip(): value.strip() for name, value in fields.items()}
+    flags = fields.get("flags", "").split()
+    return {
+        "processor": fields.get("model name", "unknown"),
+        "family": fields.get("cpu family"),
+        "model": fields.get("model"),
+        "instruction_sets": [name for name in INSTRUCTION_SETS if name in flags],
+        "cores": os.cpu_count(),
+    }
+
+
+def measure(name):
+    _, crates, run, _ = TABLES[name]
+    paths = [f"crates/{crate}/src" for crate in crates]
+    result = {
+        "table": name,
+        "commit": git("rev-parse", "HEAD"),
+        "has_local_changes": bool(git("status", "--porcelain", "--", *paths)),
+        "date": datetime.date.today().isoformat(),
+        "machine": machine(),
+        "seeds": SEEDS,
+        "load_before": os.getloadavg()[0],
+        "runs": run(),
+    }
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+
+
+def note(name, result):
+    """What a table was measured on, and whether the code has changed since."""
+    paths = [f"crates/{crate}/src" for crate in TABLES[name][1]]
+    where = result["machine"]
+    text = (
+        f"Measured at {result['commit'][:7]} on {result['date']}: {where['processor']},"
+        f" {where['cores']} cores, {', '.join(where['instruction_sets'])}; seeds"
+        f" {', '.join(map(str, result['seeds']))}, medians."
+    )
+    if result["has_local_changes"]:
+        text += " The files differed from that commit."
+    changed = git("diff", "--stat", "--shortstat", result["commit"], "HEAD", "--", *paths)
+    if changed:
+        count = git("rev-list", "--count", f"{result['commit']}..HEAD", "--", *paths)
+        text += f" **Older than the code**: {count} commits have changed it since."
+    return wrapped(text)
+
+
+def wrapped(text, columns=100):
+    lines = [""]
+    for word in text.split(" "):
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > columns:
+            lines.append("")
+        lines[-1] += (" " if lines[-1] else "") + word
+    return "\n".join(lines)
+
+
+def generate(name):
+    path = RESULTS / f"{name}.json"
+    if not path.is_file():
+        return
+    page, _, _, show = TABLES[name]
+    result = json.loads(path.read_text())
+    head, *rows = show(result["runs"])
+    lines = [head, ["---"] * len(head), *rows]
+    table = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    text = (PAGES / page).read_text()
+    begin, end = f"<!-- table: {name} -->\n", "<!-- end -->"
+    before, rest = text.split(begin, 1)
+    after = rest.split(end, 1)[1]
+    text = f"{before}{begin}{table}\n\n{note(name, result)}\n{end}{after}"
+    (PAGES / page).write_text(text)
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("tables", nargs="*", metavar="NAME", help=", ".join(TABLES))
+    parser.add_argument("--refresh", action="store_true", help="generates pages, measures nothing")
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.tables if name not in TABLES]
+    if unknown or not arguments.tables and not arguments.refresh:
+        parser.error(f"name one or more of {', '.join(TABLES)}")
+    for name in arguments.tables:
+        if not arguments.refresh:
+            measure(name)
+    for name in arguments.tables or TABLES:
+        generate(name)
+
+
+if __name__ == "__main__":
+    main()
