@@ -181,7 +181,7 @@ def run_colmap(work, images, known, pairs, threads, seed):
     map_database(database, images, work / "sparse", known, threads, seed)
     lap("map")
     if not known:
-        # The freedom that ours has: the principal point is refined as well. Only the default is timed.
+        # The freedom that ours has: the principal point is refined too. Only the default is timed.
         map_database(database, images, work / "equal", known, threads, seed, principal_point=True)
     return seconds
 
