@@ -1,19 +1,21 @@
-//! Laws that a factor must obey, as plain functions on values: a new factor costs one line in a
-//! test.
+//! Checks that every factor has to pass, as plain functions on values: one line in a test for a new
+//! factor.
 
 use tiepoint_geometry::{Block, Manifold};
 
 use crate::factor::{Factor, Linear, Refs, Vars};
 
-/// A tuple of variables that can be moved one direction at a time. Implemented for all of [`Vars`].
+/// A tuple of variables that can be perturbed one direction at a time. Implemented for all
+/// [`Vars`].
 pub trait MoveVars: Vars {
-    /// The values themselves: `(Rigid3, Vector3<f64>)`.
+    /// Tuple of values: `(Rigid3, Vector3<f64>)`.
     type Owned: Copy;
-    /// References to them.
+    /// Tuple of references to the values.
     fn refs_of(values: &Self::Owned) -> Refs<'_, Self>;
-    /// The values with one direction of all variables' tangents, side by side, moved by `step`.
+    /// The values with one tangent direction perturbed by `step`; directions are counted over all
+    /// variables.
     fn moved(values: &Self::Owned, direction: usize, step: f64) -> Self::Owned;
-    /// A column of the Jacobian of all variables, side by side.
+    /// One column of the Jacobian over all variables.
     fn column<const R: usize>(jacobians: &Self::Jacobians<R>, direction: usize) -> Vec<f64>;
 }
 
@@ -65,14 +67,17 @@ impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5);
 impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6);
 impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7);
 
-/// Step of the numeric derivative. The error of Richardson's extrapolation is of order step⁴, that
-/// of rounding ε / step: 1e-3 makes both about 1e-12.
+/// Step of the numeric derivative. The error of Richardson extrapolation is of order step⁴, that of
+/// rounding ε / step: 1e-3 makes both about 1e-12.
 const STEP: f64 = 1e-3;
 
-/// Checks a factor's Jacobian against numeric derivatives (central differences, extrapolated once)
-/// and its `residual` against its `linearize`. `tolerance` is relative to the largest number in the
-/// Jacobian and the residual. `Err` says which column differs and by how much; a factor that does
-/// not exist near these values is an error too.
+/// Checks a factor's Jacobian against numeric derivatives (central differences, extrapolated once),
+/// and its `residual` against its `linearize`. `tolerance` is relative to the largest element of
+/// the Jacobian and the residual.
+///
+/// # Errors
+/// A message with the column that differs and its difference, or that the factor is invalid near
+/// these values.
 pub fn check_jacobians<F, const R: usize>(
     factor: &F,
     values: <F::Vars as MoveVars>::Owned,

@@ -1,4 +1,4 @@
-//! The problems of "Bundle adjustment in the large" end where Ceres ends.
+//! Problems of "Bundle adjustment in the large" reach the final cost of Ceres.
 
 use proptest::prelude::*;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
@@ -11,14 +11,15 @@ use crate::scene::{solve, solve_as};
 use crate::skipped;
 use crate::snavely::{Snavely, SnavelyResidual};
 
-/// Ceres, 50 iterations, dense Schur; the same starting costs by two independent programs.
+/// Initial and final cost of Ceres, 50 iterations, dense Schur. Two independent programs gave the
+/// same initial cost.
 const LADYBUG_49: (&str, f64, f64) = ("bal/problem-49-7776-pre.txt", 8.50912e5, 1.334430e4);
 const TRAFALGAR_21: (&str, f64, f64) = ("bal/problem-21-11315-pre.txt", 4.41324e6, 3.037864e4);
-/// The starting costs are given to six digits; final costs may differ by a tenth of a percent.
+/// Initial costs are given to six digits. Final costs may differ by a tenth of a percent.
 const START_TOLERANCE: f64 = 2e-6;
 const END_TOLERANCE: f64 = 1e-3;
-/// The order of operations differs between derivatives by hand and by dual numbers, and four steps
-/// amplify that.
+/// Derivatives by hand and by dual numbers differ in the order of operations, which four steps
+/// amplify.
 const SAME_COST: f64 = 1e-8;
 
 fn read(file: &str) -> Option<Bal> {
@@ -27,7 +28,7 @@ fn read(file: &str) -> Option<Bal> {
 }
 
 #[test]
-fn as_low_as_ceres() {
+fn ladybug_49_reaches_the_cost_of_ceres() {
     for (file, start, end) in [LADYBUG_49, TRAFALGAR_21] {
         let Some(mut bal) = read(file) else { return };
         let (mut problem, keys) = bal.problem(Derivatives::ByHand).unwrap();
