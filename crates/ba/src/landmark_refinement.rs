@@ -210,7 +210,8 @@ impl LandmarkRefinement {
         work_items
     }
 
-    /// Excludes a landmark from the first round, because it has moved since [`LandmarkRefinement::evaluate`].
+    /// Excludes a landmark from the first round, because it has moved since
+    /// [`LandmarkRefinement::evaluate`].
     pub(crate) fn exclude(&mut self, task: usize, landmark: usize, structure: &Structure) {
         if let Some(active) = self.tasks[task].active.get_mut(landmark) {
             *active = false;

@@ -345,7 +345,9 @@ mod tests {
 
         #[test]
         fn it_agrees_with_the_straight_step_to_first_order(
-            perturbations in perturbations(), step in proptest::collection::vec(-SHORT..SHORT, 9 * POSES), fix_first: bool,
+            perturbations in perturbations(),
+            step in proptest::collection::vec(-SHORT..SHORT, 9 * POSES),
+            fix_first: bool,
         ) {
             let chain = chain(&perturbations, fix_first);
             let difference = |step: &[f64]| {

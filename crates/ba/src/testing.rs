@@ -7,26 +7,26 @@ use crate::factor::{Factor, Linear, Refs, Vars};
 
 /// A tuple of variables that can be perturbed one direction at a time. Implemented for all
 /// [`Vars`].
-pub trait MoveVars: Vars {
+pub trait PerturbVars: Vars {
     /// Tuple of values: `(Rigid3, Vector3<f64>)`.
     type Owned: Copy;
     /// Tuple of references to the values.
     fn refs_of(values: &Self::Owned) -> Refs<'_, Self>;
     /// The values with one tangent direction perturbed by `step`; directions are counted over all
     /// variables.
-    fn moved(values: &Self::Owned, direction: usize, step: f64) -> Self::Owned;
+    fn perturbed(values: &Self::Owned, direction: usize, step: f64) -> Self::Owned;
     /// One column of the Jacobian over all variables.
     fn column<const R: usize>(jacobians: &Self::Jacobians<R>, direction: usize) -> Vec<f64>;
 }
 
-macro_rules! impl_move_vars {
+macro_rules! impl_perturb_vars {
     ($($V:ident $i:tt),*) => {
-        impl<$($V: Manifold),*> MoveVars for ($($V,)*) {
+        impl<$($V: Manifold),*> PerturbVars for ($($V,)*) {
             type Owned = ($($V,)*);
             fn refs_of(values: &Self::Owned) -> Refs<'_, Self> {
                 ($(&values.$i,)*)
             }
-            fn moved(values: &Self::Owned, direction: usize, step: f64) -> Self::Owned {
+            fn perturbed(values: &Self::Owned, direction: usize, step: f64) -> Self::Owned {
                 let mut values = *values;
                 let mut first = 0;
                 $(
@@ -58,14 +58,14 @@ macro_rules! impl_move_vars {
     };
 }
 
-impl_move_vars!(A 0);
-impl_move_vars!(A 0, B 1);
-impl_move_vars!(A 0, B 1, C 2);
-impl_move_vars!(A 0, B 1, C 2, D 3);
-impl_move_vars!(A 0, B 1, C 2, D 3, E 4);
-impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5);
-impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6);
-impl_move_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7);
+impl_perturb_vars!(A 0);
+impl_perturb_vars!(A 0, B 1);
+impl_perturb_vars!(A 0, B 1, C 2);
+impl_perturb_vars!(A 0, B 1, C 2, D 3);
+impl_perturb_vars!(A 0, B 1, C 2, D 3, E 4);
+impl_perturb_vars!(A 0, B 1, C 2, D 3, E 4, F 5);
+impl_perturb_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6);
+impl_perturb_vars!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7);
 
 /// Step of the numeric derivative. The error of Richardson extrapolation is of order step⁴, that of
 /// rounding ε / step: 1e-3 makes both about 1e-12.
@@ -80,14 +80,14 @@ const STEP: f64 = 1e-3;
 /// these values.
 pub fn check_jacobians<F, const R: usize>(
     factor: &F,
-    values: <F::Vars as MoveVars>::Owned,
+    values: <F::Vars as PerturbVars>::Owned,
     tolerance: f64,
 ) -> Result<(), String>
 where
     F: Factor<R>,
-    F::Vars: MoveVars,
+    F::Vars: PerturbVars,
 {
-    let residual_at = |values: &<F::Vars as MoveVars>::Owned| {
+    let residual_at = |values: &<F::Vars as PerturbVars>::Owned| {
         factor
             .residual(F::Vars::refs_of(values))
             .ok_or("the factor does not exist near these values".to_owned())
@@ -107,8 +107,8 @@ where
     }
     for (direction, column) in columns.iter().enumerate() {
         let central = |step: f64| -> Result<_, String> {
-            let plus = residual_at(&F::Vars::moved(&values, direction, step))?;
-            let minus = residual_at(&F::Vars::moved(&values, direction, -step))?;
+            let plus = residual_at(&F::Vars::perturbed(&values, direction, step))?;
+            let minus = residual_at(&F::Vars::perturbed(&values, direction, -step))?;
             Ok((plus - minus) / (2.0 * step))
         };
         let numeric = (central(STEP / 2.0)? * 4.0 - central(STEP)?) / 3.0;

@@ -144,8 +144,8 @@ impl Sums {
 /// the same pattern.
 fn most_at_once(task: &Task, need: impl Fn(&LandmarkBlock) -> usize) -> usize {
     let batches = task.batches.iter();
-    let groups = batches.flat_map(|batch| {
+    let clusters = batches.flat_map(|batch| {
         task.landmarks[batch.landmarks.clone()].chunk_by(|a, b| a.pattern == b.pattern)
     });
-    groups.map(|landmarks| landmarks.iter().map(&need).sum()).max().unwrap_or(0)
+    clusters.map(|landmarks| landmarks.iter().map(&need).sum()).max().unwrap_or(0)
 }

@@ -19,7 +19,8 @@ pub struct Between<V = Rigid3, const N: usize = 6> {
 
 impl<V: Difference<N>, const N: usize> Between<V, N> {
     /// `sigmas` are the standard deviations of the rotation (radians, about the axes of b), of the
-    /// position of b's origin (along the axes of b), and of the other directions of the tangent. Infinite ones
+    /// position of b's origin (along the axes of b), and of the other directions of the tangent.
+    /// Infinite ones
     /// remove a direction.
     ///
     /// # Errors

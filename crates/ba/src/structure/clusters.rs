@@ -139,14 +139,14 @@ mod tests {
     /// Images with shared intrinsics. `points` are the images that see each point.
     fn seen_by(points: &[&[usize]], elimination: Elimination) -> (Structure, Vec<BTreeSet<u32>>) {
         let mut problem = Problem::new();
-        let lens = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
+        let intrinsics = problem.add_parameter(Vector3::new(600.0, 320.0, 240.0), Order::Shared);
         let poses: Vec<_> =
             (0..6).map(|i| problem.add_parameter(Rigid3::identity(), Order::At(i))).collect();
         for images in points {
             let point = problem.add_landmark(Vector3::new(0.0, 0.0, 5.0));
             for &image in *images {
                 let factor = Reprojection::<SimplePinhole>::new(Vector2::new(320.0, 240.0), 1.0);
-                problem.add((lens, poses[image], point), factor, Loss::Trivial).unwrap();
+                problem.add((intrinsics, poses[image], point), factor, Loss::Trivial).unwrap();
             }
         }
         let structure = Structure::new(&problem, elimination).unwrap();

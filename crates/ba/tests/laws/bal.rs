@@ -72,12 +72,12 @@ proptest! {
         let pose = Rigid3::from_axis_angle(Vector3::from(turn), Vector3::from(shift));
         let point = pose.inverse() * Vector3::new(x * z, y * z, z);
         let factor = Snavely { pixel: Vector2::new(20.0, -40.0) };
-        let lens = Vector3::new(f, k1, k2);
-        let law = check_jacobians(&factor, (pose, lens, point), 1e-7);
+        let intrinsics = Vector3::new(f, k1, k2);
+        let law = check_jacobians(&factor, (pose, intrinsics, point), 1e-7);
         prop_assert_eq!(law, Ok(()));
-        let (residual, by_hand) = factor.linearize((&pose, &lens, &point)).unwrap();
+        let (residual, by_hand) = factor.linearize((&pose, &intrinsics, &point)).unwrap();
         let (twin_residual, by_dual) =
-            AutoDiff(SnavelyResidual(factor)).linearize((&pose, &lens, &point)).unwrap();
+            AutoDiff(SnavelyResidual(factor)).linearize((&pose, &intrinsics, &point)).unwrap();
         prop_assert!((residual - twin_residual).norm() < 1e-9);
         prop_assert!((by_hand.0 - by_dual.0).norm() < 1e-9 * by_hand.0.norm());
         prop_assert!((by_hand.1 - by_dual.1).norm() < 1e-9 * by_hand.1.norm());
@@ -98,13 +98,13 @@ fn a_file_can_be_read_back() {
             pixel: Vector2::new(-3.5, 4.25),
         }],
         poses: vec![pose],
-        lenses: vec![Vector3::new(500.0, -1e-7, 1e-13)],
+        intrinsics: vec![Vector3::new(500.0, -1e-7, 1e-13)],
         points: vec![Vector3::zeros(), Vector3::new(1.0, 0.1, -3e10)],
     };
     let again = Bal::parse(&bal.to_text()).unwrap();
     assert_eq!(
-        (&again.observations, &again.lenses, &again.points),
-        (&bal.observations, &bal.lenses, &bal.points)
+        (&again.observations, &again.intrinsics, &again.points),
+        (&bal.observations, &bal.intrinsics, &bal.points)
     );
     assert!((again.poses[0].rotation.angle_to(&pose.rotation)) < 1e-15);
     for (text, problem) in [

@@ -150,8 +150,8 @@ fn rig_covariance_matches_the_scatter_of_estimates() {
     for run in 0..RUNS {
         let mut rng = Rng::stream(11, &[u64::from(run)]);
         let mut problem = Problem::new();
-        let lens = Vector4::from(PARAMS);
-        let params = problem.add_parameter(lens, Order::Shared);
+        let true_params = Vector4::from(PARAMS);
+        let params = problem.add_parameter(true_params, Order::Shared);
         problem.fix(params);
         let first = problem.add_parameter(Rigid3::identity(), Order::Shared);
         problem.fix(first);
@@ -182,7 +182,7 @@ fn rig_covariance_matches_the_scatter_of_estimates() {
                 for (cam_from_rig, camera) in [(Rigid3::identity(), first), (cam_from_rig, second)]
                 {
                     let in_cam = cam_from_rig * *rig_from_world * point;
-                    let pixel = SimpleRadial::project(&lens, &in_cam).unwrap();
+                    let pixel = SimpleRadial::project(&true_params, &in_cam).unwrap();
                     let noise = Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
                     let factor = RigReprojection::<SimpleRadial>::new(pixel + noise, NOISE_PX);
                     problem.add((params, camera, rig, key), factor, Loss::Trivial).unwrap();

@@ -100,43 +100,43 @@ proptest! {
     }
 
     #[test]
-    fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), perturbation in rigid(MAX_ANGLE_RAD)) {
+    fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), error in rigid(MAX_ANGLE_RAD)) {
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
-        prop_assert_eq!(check_jacobians(&factor, (a, perturbation * b_from_a * a), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&factor, (a, error * b_from_a * a), TOLERANCE), Ok(()));
     }
 
     #[test]
     fn relative_similarities(
         (a, b_from_a) in (rigid(3.0), rigid(2.0)),
-        perturbation in rigid(MAX_ANGLE_RAD),
-        [scale_of_a, scale_of_b, scale_off] in prop::array::uniform3(0.5..2.0f64),
+        error in rigid(MAX_ANGLE_RAD),
+        [scale_of_a, scale_of_b, scale_error] in prop::array::uniform3(0.5..2.0f64),
     ) {
         let (a, b_from_a) = (similarity(a, scale_of_a), similarity(b_from_a, scale_of_b));
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
         prop_assert_eq!(
-            check_jacobians(&factor, (a, similarity(perturbation, scale_off) * b_from_a * a), TOLERANCE),
+            check_jacobians(&factor, (a, similarity(error, scale_error) * b_from_a * a), TOLERANCE),
             Ok(())
         );
     }
 
     #[test]
-    fn priors(mean in rigid(3.0), perturbation in rigid(MAX_ANGLE_RAD), scale in 0.5..2.0f64) {
+    fn priors(mean in rigid(3.0), error in rigid(MAX_ANGLE_RAD), scale in 0.5..2.0f64) {
         let pose = Prior::new(mean, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
-        prop_assert_eq!(check_jacobians(&pose, (perturbation * mean,), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&pose, (error * mean,), TOLERANCE), Ok(()));
         let rotation =
             Prior::<UnitQuaternion<f64>, 3>::new(mean.rotation, &[0.1, f64::INFINITY, 0.3])
                 .unwrap();
         prop_assert_eq!(
-            check_jacobians(&rotation, (perturbation.rotation * mean.rotation,), TOLERANCE),
+            check_jacobians(&rotation, (error.rotation * mean.rotation,), TOLERANCE),
             Ok(())
         );
         let vector = Prior::<SVector<f64, 3>, 3>::new(mean.translation, &[1.0, 2.0, 0.5]).unwrap();
-        prop_assert_eq!(check_jacobians(&vector, (perturbation.translation,), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&vector, (error.translation,), TOLERANCE), Ok(()));
         let prior =
             Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1])
                 .unwrap();
         prop_assert_eq!(
-            check_jacobians(&prior, (similarity(perturbation * mean, scale),), TOLERANCE),
+            check_jacobians(&prior, (similarity(error * mean, scale),), TOLERANCE),
             Ok(())
         );
     }

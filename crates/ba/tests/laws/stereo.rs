@@ -6,7 +6,7 @@
 
 use tiepoint_ba::{Loss, Options};
 
-use crate::rig::{Right, Stereo, distance, true_poses};
+use crate::rig::{RightIntrinsics, StereoData, pose_errors, true_poses};
 use crate::scene::solve_as;
 use crate::skipped;
 
@@ -25,30 +25,31 @@ const SHIFT_PX: f64 = -0.12;
 fn adjustment_reduces_the_pose_errors_of_kitti_00() {
     let Some(data) = skipped::data() else { return };
     let read = |file: &str| std::fs::read_to_string(data.join(file)).unwrap();
-    let stereo = Stereo::parse(
+    let stereo = StereoData::parse(
         &read("stereo_vo_kitti00/VO_calibration00s.txt"),
         &read("stereo_vo_kitti00/VO_camera_poses00s.txt"),
         &read("stereo_vo_kitti00/VO_stereo_factors00s.txt"),
     )
     .unwrap();
     let truth = true_poses(&read("kitti_poses/00.txt")).unwrap();
-    let before = distance(&stereo.poses, &truth, FRAMES_APART);
-    for right in [Right::Held, Right::ColumnFree] {
+    let before = pose_errors(&stereo.poses, &truth, FRAMES_APART);
+    for right in [RightIntrinsics::Fixed, RightIntrinsics::PrincipalPointFree] {
         let mut adjustment = stereo.problem(Loss::Cauchy(2.0), right).unwrap();
         let summary = solve_as(&mut adjustment.problem, &Options::default());
         assert!(summary.termination.converged(), "{summary}");
-        let after = distance(&adjustment.poses(), &truth, FRAMES_APART);
+        let after = pose_errors(&adjustment.poses(), &truth, FRAMES_APART);
         let found = format!("{right:?} {:.4} px {before:?} {after:?}", adjustment.right_shift_px());
-        assert!(after.turn_rad < MAX_ROTATION_RATIO * before.turn_rad, "{found}");
-        if right == Right::Held {
+        assert!(after.rotation_rad < MAX_ROTATION_RATIO * before.rotation_rad, "{found}");
+        if right == RightIntrinsics::Fixed {
             assert_eq!(adjustment.right_shift_px(), 0.0);
             continue;
         }
         assert!((adjustment.right_shift_px() - SHIFT_PX).abs() < 0.01, "{found}");
-        let errors =
-            [before, after].map(|it| [it.as_they_are_m, it.aligned_m, it.ahead_m, it.turn_rad]);
-        for ((before, after), nearer) in errors[0].iter().zip(errors[1]).zip(MAX_ERROR_RATIOS) {
-            assert!(after < nearer * before, "{found}");
+        let errors = [before, after].map(|errors| {
+            [errors.unaligned_m, errors.aligned_m, errors.relative_m, errors.rotation_rad]
+        });
+        for ((before, after), max_ratio) in errors[0].iter().zip(errors[1]).zip(MAX_ERROR_RATIOS) {
+            assert!(after < max_ratio * before, "{found}");
         }
     }
 }
