@@ -46,7 +46,7 @@ pub(crate) struct TaskRefinement {
     rows: Vec<f64>,
     /// Costs after a round, of the factors of a batch.
     next_costs: Vec<f64>,
-    /// Whether a landmark takes part in the next round.
+    /// Whether a landmark takes state in the next round.
     active: Vec<bool>,
     /// Landmark blocks whose step is undone.
     rejected: Vec<u32>,
@@ -54,13 +54,13 @@ pub(crate) struct TaskRefinement {
 
 impl LandmarkRefinement {
     pub(crate) fn new(problem: &Problem, structure: &Structure, rounds: usize) -> Self {
-        let part = |task: &Task| TaskRefinement {
+        let state = |task: &Task| TaskRefinement {
             costs: vec![0.0; task.factors.indices.len()],
             ..TaskRefinement::default()
         };
         let mut this = Self {
             rounds,
-            tasks: structure.tasks.iter().map(part).collect(),
+            tasks: structure.tasks.iter().map(state).collect(),
             step_at: Vec::new(),
             steps: Vec::new(),
             base: Values::default(),
@@ -87,18 +87,18 @@ impl LandmarkRefinement {
                 at.clear();
             }
         }
-        for (part, task) in self.tasks.iter_mut().zip(&structure.tasks) {
+        for (state, task) in self.tasks.iter_mut().zip(&structure.tasks) {
             let longest = task
                 .batches
                 .iter()
                 .map(|batch| batch_len(problem, task, batch.factor_ranges.clone()));
-            part.rows = vec![0.0; longest.max().unwrap_or(0)];
+            state.rows = vec![0.0; longest.max().unwrap_or(0)];
             let factors = |batch: &Batch| {
                 let factor_ranges = &task.factor_ranges[batch.factor_ranges.clone()];
                 factor_ranges.iter().map(|factor_range| factor_range.end - factor_range.start).sum()
             };
-            part.next_costs = vec![0.0; task.batches.iter().map(factors).max().unwrap_or(0)];
-            part.active = vec![false; task.landmarks.len()];
+            state.next_costs = vec![0.0; task.batches.iter().map(factors).max().unwrap_or(0)];
+            state.active = vec![false; task.landmarks.len()];
         }
         self.steps = vec![0.0; structure.step_len - structure.kept_len];
         self.base = problem.values.clone();
@@ -115,13 +115,14 @@ impl LandmarkRefinement {
     ) {
         let refine = self.rounds > 0;
         let mut work_items = Self::work_items(&mut self.tasks, &mut self.steps, structure, sums);
-        for_each_task(&structure.tasks, &mut work_items, |task, (part, steps, sums)| {
+        for_each_task(&structure.tasks, &mut work_items, |task, (state, steps, sums)| {
             if refine {
-                part.active
+                state
+                    .active
                     .iter_mut()
                     .zip(&task.landmarks)
                     .for_each(|(active, landmark)| *active = landmark.dof > 0);
-                part.step(problem, trial, task, steps, true);
+                state.compute_steps(problem, trial, task, steps, true);
             }
             for factor_range in task
                 .factor_ranges
@@ -130,15 +131,15 @@ impl LandmarkRefinement {
             {
                 let range = factor_range.start..factor_range.end;
                 let group = &problem.factor_groups[factor_range.group as usize];
-                group.costs(trial, &task.factors.indices[range.start..], &mut part.costs[range]);
+                group.costs(trial, &task.factors.indices[range.start..], &mut state.costs[range]);
             }
-            part.sum(&sums.costs);
+            state.sum(&sums.costs);
         });
     }
 
     /// Total cost.
     pub(crate) fn cost(&self) -> f64 {
-        self.tasks.iter().fold(0.0, |sum, part| sum + part.cost)
+        self.tasks.iter().fold(0.0, |sum, state| sum + state.cost)
     }
 
     /// Refines the landmarks from `trial` on, after [`LandmarkRefinement::evaluate`] there.
@@ -160,8 +161,8 @@ impl LandmarkRefinement {
                 let mut work_items =
                     Self::work_items(&mut self.tasks, &mut self.steps, structure, sums);
                 let from: &Values = trial;
-                for_each_task(&structure.tasks, &mut work_items, |task, (part, steps, _)| {
-                    part.step(problem, from, task, steps, false);
+                for_each_task(&structure.tasks, &mut work_items, |task, (state, steps, _)| {
+                    state.compute_steps(problem, from, task, steps, false);
                 });
             }
             let min_gain = MIN_RELATIVE_GAIN * self.cost() / landmarks.max(1) as f64;
@@ -176,18 +177,18 @@ impl LandmarkRefinement {
             let to: &Values = trial;
             let mut work_items =
                 Self::work_items(&mut self.tasks, &mut self.steps, structure, sums);
-            for_each_task(&structure.tasks, &mut work_items, |task, (part, _, sums)| {
-                part.keep_improvements(problem, to, task, &sums.costs, min_gain);
+            for_each_task(&structure.tasks, &mut work_items, |task, (state, _, sums)| {
+                state.keep_improvements(problem, to, task, &sums.costs, min_gain);
             });
-            for (part, task) in self.tasks.iter().zip(&structure.tasks) {
-                for &landmark in &part.rejected {
+            for (state, task) in self.tasks.iter().zip(&structure.tasks) {
+                for &landmark in &state.rejected {
                     let LandmarkBlock { store, slot, .. } = task.landmarks[landmark as usize];
                     let (trial, base) =
                         (&mut trial.stores[store as usize], &self.base.stores[store as usize]);
                     trial.copy_one(&**base, slot as usize);
                 }
             }
-            if !self.tasks.iter().any(|part| part.active.contains(&true)) {
+            if !self.tasks.iter().any(|state| state.active.contains(&true)) {
                 break;
             }
         }
@@ -195,16 +196,16 @@ impl LandmarkRefinement {
 
     /// State, steps and sums of each task.
     fn work_items<'a>(
-        parts: &'a mut [TaskRefinement],
+        states: &'a mut [TaskRefinement],
         steps: &'a mut [f64],
         structure: &Structure,
         sums: &'a [Sums],
     ) -> Vec<(&'a mut TaskRefinement, &'a mut [f64], &'a Sums)> {
         let mut rest = steps;
-        let mut work_items = Vec::with_capacity(parts.len());
-        for ((part, task), sums) in parts.iter_mut().zip(&structure.tasks).zip(sums) {
+        let mut work_items = Vec::with_capacity(states.len());
+        for ((state, task), sums) in states.iter_mut().zip(&structure.tasks).zip(sums) {
             let (steps, others) = rest.split_at_mut(task.steps.len().min(rest.len()));
-            work_items.push((part, steps, sums));
+            work_items.push((state, steps, sums));
             rest = others;
         }
         work_items
@@ -275,7 +276,7 @@ impl TaskRefinement {
 
     /// Computes the steps of a task's active landmarks, zero for the others; and their factors'
     /// costs, if `costs` is set.
-    fn step(
+    fn compute_steps(
         &mut self,
         problem: &Problem,
         from: &Values,
@@ -312,12 +313,12 @@ impl TaskRefinement {
                 for landmark in &task.landmarks[landmarks] {
                     let to = &mut steps[landmark.step - task.steps.start..];
                     let count = match landmark.dof {
-                        1 => step::<1>(task, landmark, factor, rows, to),
-                        2 => step::<2>(task, landmark, factor, rows, to),
-                        3 => step::<3>(task, landmark, factor, rows, to),
-                        4 => step::<4>(task, landmark, factor, rows, to),
-                        5 => step::<5>(task, landmark, factor, rows, to),
-                        _ => step::<6>(task, landmark, factor, rows, to),
+                        1 => gauss_newton_step::<1>(task, landmark, factor, rows, to),
+                        2 => gauss_newton_step::<2>(task, landmark, factor, rows, to),
+                        3 => gauss_newton_step::<3>(task, landmark, factor, rows, to),
+                        4 => gauss_newton_step::<4>(task, landmark, factor, rows, to),
+                        5 => gauss_newton_step::<5>(task, landmark, factor, rows, to),
+                        _ => gauss_newton_step::<6>(task, landmark, factor, rows, to),
                     };
                     rows = &mut rows[count..];
                     factor = landmark.end as usize;
@@ -376,7 +377,7 @@ impl TaskRefinement {
 }
 
 /// Gauss-Newton step of one landmark. Returns the length of its factors' rows.
-fn step<const P: usize>(
+fn gauss_newton_step<const P: usize>(
     task: &Task,
     landmark: &LandmarkBlock,
     first: usize,
@@ -388,13 +389,13 @@ fn step<const P: usize>(
         let shape = &task.factors.shapes[shape as usize];
         let rows = &mut rows[at..][..shape.rows * (P + 1)];
         at += rows.len();
-        for held in shape
+        for fixed in shape
             .fixed_columns
             .iter()
             .filter_map(|column| column.checked_sub(shape.eliminated))
             .filter(|&i| i < P)
         {
-            rows.chunks_exact_mut(P + 1).for_each(|row| row[held] = 0.0);
+            rows.chunks_exact_mut(P + 1).for_each(|row| row[fixed] = 0.0);
         }
         for row in rows.chunks_exact(P + 1) {
             for i in 0..P {

@@ -249,7 +249,7 @@ impl LinearSystem for SchurSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         Self::on_pool(self.shared(), || {
-            let predicted_reduction = self.step(lambda, times)?;
+            let predicted_reduction = self.solve_step(lambda, times)?;
             let begin = Instant::now();
             let Self { structure, step, .. } = self;
             let step = Step { values, numbers: step, at: &structure.step_at };
@@ -310,7 +310,7 @@ impl SchurSystem {
     }
 
     /// Solves for the step. Returns the predicted reduction of the cost (model cost change).
-    fn step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
+    fn solve_step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let structure = &self.structure;
         let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);

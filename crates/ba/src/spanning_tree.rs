@@ -57,13 +57,13 @@ impl SpanningTree {
             observations.iter().map(|(pose, point)| (pose.slot, point.slot)).collect();
         let poses = problem.values.find(TypeId::of::<Rigid3>()).map(|store| &problem.metas[store]);
         let is_fixed = |slot: u32| poses.is_some_and(|poses| poses[slot as usize].free == 0);
-        Ok(Self::over(&slots, is_fixed))
+        Ok(Self::from_slots(&slots, is_fixed))
     }
 
-    /// Builds the maximum spanning tree (Prim 1957) of poses, weighted by the number of shared
-    /// points, with the fixed poses as roots. A point moves relative to the first pose that
-    /// observes it. `observations` are (pose, point).
-    fn over(observations: &[(u32, u32)], is_fixed: impl Fn(u32) -> bool) -> Self {
+    /// Builds the maximum spanning tree (Prim 1957) of poses, weighted by the number of points of
+    /// which they are consecutive observers, with the fixed poses as roots. A point moves relative
+    /// to the first pose that observes it. `observations` are (pose, point).
+    fn from_slots(observations: &[(u32, u32)], is_fixed: impl Fn(u32) -> bool) -> Self {
         let mut by_point: Vec<(u32, u32)> =
             observations.iter().map(|&(pose, point)| (point, pose)).collect();
         by_point.par_sort_unstable();
@@ -395,7 +395,7 @@ mod tests {
         observe([1, 4], 3);
         observe([4, 0], 1);
         observe([7, 7], 4);
-        let tree = SpanningTree::over(&observations, |pose| pose == 1);
+        let tree = SpanningTree::from_slots(&observations, |pose| pose == 1);
         assert_eq!(tree.poses, [(4, 1), (0, 4), (2, 0), (3, 2)]);
         assert_eq!(tree.pose_of(0), Some(0));
         assert_eq!(tree.pose_of(12), Some(0));

@@ -90,10 +90,10 @@ where
     let residual_at = |values: &<F::Vars as PerturbVars>::Owned| {
         factor
             .residual(F::Vars::refs_of(values))
-            .ok_or("the factor does not exist near these values".to_owned())
+            .ok_or("the factor is invalid (None) near these values".to_owned())
     };
     let linear: Option<Linear<F::Vars, R>> = factor.linearize(F::Vars::refs_of(&values));
-    let (residual, jacobians) = linear.ok_or("the factor does not exist at these values")?;
+    let (residual, jacobians) = linear.ok_or("the factor is invalid (None) at these values")?;
     let again = residual_at(&values)?;
     let directions: usize = F::Vars::DOFS.iter().sum();
     let columns: Vec<Vec<f64>> = (0..directions).map(|i| F::Vars::column(&jacobians, i)).collect();

@@ -5,7 +5,7 @@ use crate::structure::PatternBlock;
 
 /// step += Y δ_c of one landmark.
 #[inline(always)]
-fn multiply_on<I: Isa, T: Stored>(
+fn multiply_with<I: Isa, T: Stored>(
     y: &[T],
     pattern_blocks: &[PatternBlock],
     kept: &[f64],
@@ -60,7 +60,7 @@ pub(super) fn multiply<T: Stored>(
     impl<T: Stored> Kernel for Multiply<'_, T> {
         #[inline(always)]
         fn run<I: Isa>(self) {
-            multiply_on::<I, T>(self.0, self.1, self.2, self.3);
+            multiply_with::<I, T>(self.0, self.1, self.2, self.3);
         }
     }
     run_narrow(Multiply(y, pattern_blocks, kept, step));

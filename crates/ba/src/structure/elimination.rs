@@ -7,6 +7,6 @@ pub(crate) enum Elimination {
     Ignore,
     /// EliminatedSystem.
     Do,
-    /// EliminatedSystem, and the reduced system is never formed: tiles hold C alone.
+    /// Eliminated, and the reduced system is never formed: tiles hold C alone.
     Implicit,
 }

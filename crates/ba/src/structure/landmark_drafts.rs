@@ -26,7 +26,7 @@ pub(super) struct FactorRef {
 #[derive(Clone, Copy)]
 pub(super) struct Draft {
     /// Its [`DraftSet`], and its first column block there.
-    part: u32,
+    set: u32,
     first_block: u32,
     pub(super) num_blocks: u32,
     first_factor: u32,
@@ -54,11 +54,11 @@ pub(super) struct GroupView<'a> {
 impl<'a> GroupView<'a> {
     /// Views of all groups.
     pub(super) fn all(problem: &'a Problem, locations: &'a [Vec<Location>]) -> Vec<Self> {
-        let places_of =
+        let locations_of =
             |stores: &[u16]| stores.iter().map(|&store| &locations[store as usize][..]).collect();
         let factor_groups = problem.factor_groups.iter();
         factor_groups
-            .map(|group| Self { slots: group.all_slots(), locations: places_of(group.stores()) })
+            .map(|group| Self { slots: group.all_slots(), locations: locations_of(group.stores()) })
             .collect()
     }
 
@@ -73,7 +73,7 @@ impl<'a> GroupView<'a> {
 
 /// All landmark blocks before they are assigned to tasks.
 pub(super) struct LandmarkDrafts<'a> {
-    parts: Vec<DraftSet>,
+    sets: Vec<DraftSet>,
     pub(super) factor_refs: Vec<FactorRef>,
     pub(super) views: Vec<GroupView<'a>>,
 }
@@ -158,9 +158,9 @@ impl<'a> LandmarkDrafts<'a> {
                 firsts.map(|first| (store, first..ends[1].min(first + VARIABLES_PER_JOB as u32))),
             );
         }
-        let part = |(number, (store, range)): (usize, (u32, Range<u32>))| {
+        let set = |(number, (store, range)): (usize, (u32, Range<u32>))| {
             let ends = [start[range.start as usize], start[range.end as usize]];
-            let mut part = DraftSet::with_capacity(range.len(), (ends[1] - ends[0]) as usize);
+            let mut set = DraftSet::with_capacity(range.len(), (ends[1] - ends[0]) as usize);
             let dof = problem.values.stores[store as usize].dof() as u32;
             for landmark in range {
                 let ends = [start[landmark as usize], start[landmark as usize + 1]];
@@ -169,9 +169,9 @@ impl<'a> LandmarkDrafts<'a> {
                     continue;
                 }
                 let factor_refs = &factor_refs[ends[0] as usize..ends[1] as usize];
-                let blocks = collect_blocks(&views, factor_refs, &mut part.blocks);
-                part.push(Draft {
-                    part: number as u32,
+                let blocks = collect_blocks(&views, factor_refs, &mut set.blocks);
+                set.push(Draft {
+                    set: number as u32,
                     first_block: blocks.start as u32,
                     num_blocks: blocks.len() as u32,
                     first_factor: ends[0],
@@ -181,28 +181,28 @@ impl<'a> LandmarkDrafts<'a> {
                     slot: landmark - variables.first[store as usize],
                 });
             }
-            part.done()
+            set.done()
         };
-        let parts = work_items.into_par_iter().enumerate().map(part).collect();
-        let mut landmarks = Self { parts, factor_refs, views };
+        let sets = work_items.into_par_iter().enumerate().map(set).collect();
+        let mut landmarks = Self { sets, factor_refs, views };
         landmarks.draft_kept(start[total] as usize..start[total + 1] as usize);
         landmarks
     }
 
     /// Collects the factors without a landmark by the column blocks that they share.
     fn draft_kept(&mut self, factor_refs: Range<usize>) {
-        let mut part = DraftSet::default();
+        let mut set = DraftSet::default();
         let mut singles: Vec<_> = factor_refs
             .clone()
             .map(|i| {
                 (
-                    collect_blocks(&self.views, &self.factor_refs[i..=i], &mut part.blocks),
+                    collect_blocks(&self.views, &self.factor_refs[i..=i], &mut set.blocks),
                     self.factor_refs[i],
                 )
             })
             .collect();
         singles.sort_by(|a, b| {
-            let blocks = part.blocks[a.0.clone()].cmp(&part.blocks[b.0.clone()]);
+            let blocks = set.blocks[a.0.clone()].cmp(&set.blocks[b.0.clone()]);
             blocks.then((a.1.group, a.1.factor).cmp(&(b.1.group, b.1.factor)))
         });
         for (i, single) in factor_refs.clone().zip(&singles) {
@@ -212,11 +212,11 @@ impl<'a> LandmarkDrafts<'a> {
         while at < singles.len() {
             let blocks = singles[at].0.clone();
             let same = |other: &&(Range<usize>, FactorRef)| {
-                part.blocks[other.0.clone()] == part.blocks[blocks.clone()]
+                set.blocks[other.0.clone()] == set.blocks[blocks.clone()]
             };
             let len = singles[at..].iter().take(FACTORS_PER_KEPT_BLOCK).take_while(same).count();
-            part.push(Draft {
-                part: self.parts.len() as u32,
+            set.push(Draft {
+                set: self.sets.len() as u32,
                 first_block: blocks.start as u32,
                 num_blocks: blocks.len() as u32,
                 first_factor: (factor_refs.start + at) as u32,
@@ -227,12 +227,12 @@ impl<'a> LandmarkDrafts<'a> {
             });
             at += len;
         }
-        self.parts.push(part.done());
+        self.sets.push(set.done());
     }
 
     /// The sorted column blocks of a draft.
     pub(super) fn blocks_of(&self, draft: &Draft) -> &[u32] {
-        &self.parts[draft.part as usize].blocks[draft.first_block as usize..]
+        &self.sets[draft.set as usize].blocks[draft.first_block as usize..]
             [..draft.num_blocks as usize]
     }
 
@@ -245,12 +245,12 @@ impl<'a> LandmarkDrafts<'a> {
     /// keeps tiles, points and factors local in memory, and makes equal patterns neighbours, which
     /// are then eliminated together.
     pub(super) fn sorted_drafts(&self) -> Vec<Draft> {
-        let count = self.parts.iter().map(|part| part.drafts.len()).sum();
+        let count = self.sets.iter().map(|set| set.drafts.len()).sum();
         let (mut keys, mut drafts) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        for part in &self.parts {
+        for set in &self.sets {
             let first = drafts.len() as u128;
-            keys.extend(part.keys.iter().map(|key| key + first));
-            drafts.extend(&part.drafts);
+            keys.extend(set.keys.iter().map(|key| key + first));
+            drafts.extend(&set.drafts);
         }
         // A merge of sorted runs.
         keys.par_sort();

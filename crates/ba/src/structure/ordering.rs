@@ -68,12 +68,14 @@ const UNSEEN: u32 = NONE;
 const NO_NEIGHBOUR: u32 = NONE - 1;
 const DIFFERS: u32 = NONE - 2;
 
+/// Records that `variable` is the neighbour in one more factor.
 fn update_link(link: &mut u32, variable: u32) {
     if *link != variable {
         *link = if *link == UNSEEN { variable } else { DIFFERS };
     }
 }
 
+/// Finds the landmark of each factor, and kept variables that always occur together.
 pub(super) fn scan(problem: &Problem, variables: &Variables) -> Result<FactorScan, Error> {
     let statuses = &variables.statuses;
     let no_landmark = statuses.len() as u32;
