@@ -69,7 +69,7 @@ pub struct Summary {
     pub num_residuals: usize,
     /// Columns of the linear system.
     pub num_columns: usize,
-    /// EliminatedSystem columns.
+    /// Eliminated columns.
     pub num_eliminated: usize,
     /// Name of the linear solver.
     pub linear_solver: &'static str,

@@ -5,7 +5,7 @@
 pub(crate) enum Elimination {
     /// Kept like the others, for solvers that need the whole Jacobian.
     Ignore,
-    /// EliminatedSystem.
+    /// Eliminated.
     Do,
     /// Eliminated, and the reduced system is never formed: tiles hold C alone.
     Implicit,
