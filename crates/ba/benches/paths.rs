@@ -1,6 +1,5 @@
-//! The paths that a solve spends its time on: the analysis, a step with all that belongs to it, the
-//! cost alone, and covariances. A short drive of two cameras with intrinsics of their own that are
-//! held, as most adjustments have them.
+//! Time of the parts of a solve: analysis, one step, the cost alone, and covariances. The problem
+//! is a short drive of two cameras with fixed intrinsics.
 
 use std::ops::ControlFlow;
 
@@ -11,48 +10,51 @@ use tiepoint_ba::{Key, LinearSolver, Loss, Options, Order, Problem, Solver};
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 
-const MOMENTS: usize = 40;
-const POINTS_PER_MOMENT: usize = 100;
-/// For how many moments a point is seen.
-const SIGHT: usize = 5;
+const FRAMES: usize = 40;
+const POINTS_PER_FRAME: usize = 100;
+/// Number of frames that see a point.
+const TRACK_LENGTH: usize = 5;
 
 fn drive() -> (Problem, Vec<Key<Rigid3>>) {
     let (mut problem, mut rng) = (Problem::new(), Rng::stream(1, &[]));
-    let lens = Vector4::new(900.0, 900.0, 960.0, 540.0);
-    let lens_key = problem.add_parameter(lens, Order::Shared);
-    problem.fix(lens_key);
+    let intrinsics = Vector4::new(900.0, 900.0, 960.0, 540.0);
+    let intrinsics_key = problem.add_parameter(intrinsics, Order::Shared);
+    problem.fix(intrinsics_key);
     let at = |i: usize, side: usize| {
         Rigid3::from_axis_angle(
             Vector3::zeros(),
             Vector3::new(-(i as f64) - 0.8 * side as f64, 0.0, 0.0),
         )
     };
-    let poses: Vec<_> = (0..MOMENTS)
+    let poses: Vec<_> = (0..FRAMES)
         .flat_map(|i| [0, 1].map(|side| (i, side)))
         .map(|(i, side)| problem.add_parameter(at(i, side), Order::At(i as u32)))
         .collect();
     problem.fix(poses[0]);
     problem.fix(poses[1]);
-    for i in 0..MOMENTS {
-        for _ in 0..POINTS_PER_MOMENT {
+    for i in 0..FRAMES {
+        for _ in 0..POINTS_PER_FRAME {
             let point = Vector3::new(
                 i as f64 + 4.0 * rng.uniform() - 2.0,
                 6.0 * rng.uniform() - 3.0,
                 6.0 + 6.0 * rng.uniform(),
             );
-            let off = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
-            let key = problem.add_landmark(point + off);
-            for j in i..(i + SIGHT).min(MOMENTS) {
+            let perturbation = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
+            let key = problem.add_landmark(point + perturbation);
+            for j in i..(i + TRACK_LENGTH).min(FRAMES) {
                 for side in 0..2 {
-                    let Some(pixel) = Pinhole::project(&lens, &(at(j, side) * point)) else {
+                    let Some(pixel) = Pinhole::project(&intrinsics, &(at(j, side) * point)) else {
                         continue;
                     };
                     let factor = Reprojection::<Pinhole>::new(
                         pixel + Vector2::new(rng.normal(), rng.normal()),
                         1.0,
                     );
-                    let added =
-                        problem.add((lens_key, poses[2 * j + side], key), factor, Loss::Huber(2.0));
+                    let added = problem.add(
+                        (intrinsics_key, poses[2 * j + side], key),
+                        factor,
+                        Loss::Huber(2.0),
+                    );
                     assert!(added.is_ok());
                 }
             }

@@ -1,11 +1,10 @@
-//! How time and memory grow with the length of a drive: two cameras that ride together, some
-//! thousand moments, tracks of a few moments each, intrinsics that all images of a camera share.
+//! Time and memory over the length of a drive: two cameras on one vehicle, some thousand frames,
+//! tracks of a few frames, intrinsics that all images of a camera share.
 //!
-//! `cargo run --release --example drive -- [MOMENTS [POINTS_PER_MOMENT]] [--no-rig] [--loop]`
+//! `cargo run --release --example drive -- [FRAMES [POINTS_PER_FRAME]] [--no-rig] [--loop]`
 //!
-//! Consecutive moments are joined by a factor of four poses that wants the rig to stay as it is;
-//! `--no-rig` leaves it out. With `--loop` the drive is a circle whose end sees the points of its
-//! beginning.
+//! A factor of four poses between consecutive frames keeps the baseline constant; `--no-rig` leaves
+//! it out. With `--loop` the drive is a circle whose end sees the points of its start.
 #![allow(clippy::print_stdout)] // a program may
 
 use std::ops::ControlFlow;
@@ -17,14 +16,14 @@ use tiepoint_ba::{Error, Factor, Linear, Loss, Options, Order, Problem, Refs, So
 use tiepoint_geometry::cameras::Pinhole;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng, so3};
 
-/// The position of the right camera in the left one's frame at one moment, minus that at the next.
-/// Variables: left and right `cam_from_world`, then those of the next moment.
-struct SameBaseline {
+/// The right camera's centre in the left camera frame, minus the same at the next frame. Variables:
+/// left and right `cam_from_world`, then those of the next frame.
+struct ConstantBaseline {
     sigma: f64,
 }
 
-/// The right camera's centre in the left frame, t_l − R_l R_rᵀ t_r, with its derivatives by both
-/// poses.
+/// The right camera's centre in the left camera frame, t_l − R_l R_rᵀ t_r, and its Jacobians with
+/// respect to both poses.
 fn baseline(
     left: &Rigid3,
     right: &Rigid3,
@@ -39,7 +38,7 @@ fn baseline(
     (centre, d_left, d_right)
 }
 
-impl Factor<3> for SameBaseline {
+impl Factor<3> for ConstantBaseline {
     type Vars = (Rigid3, Rigid3, Rigid3, Rigid3);
 
     fn linearize(&self, (l0, r0, l1, r1): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 3>> {
@@ -49,28 +48,29 @@ impl Factor<3> for SameBaseline {
     }
 }
 
-/// Moments for which a point stays in sight, and the metres between two of them.
-const SIGHT: usize = 5;
+/// Number of frames that see a point, and metres between frames.
+const TRACK_LENGTH: usize = 5;
 const STEP_M: f64 = 0.5;
 const NOISE_PX: f64 = 0.5;
 
 fn drive(
-    moments: usize,
-    points_per_moment: usize,
+    frames: usize,
+    points_per_frame: usize,
     rig: bool,
     closed: bool,
 ) -> Result<Problem, Error> {
     let mut rng = Rng::stream(5, &[]);
     let mut problem = Problem::new();
-    let lens = Vector4::new(900.0, 900.0, 960.0, 540.0);
-    let lenses = [0, 1]
-        .map(|_| problem.add_parameter(lens + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared));
-    lenses.iter().try_for_each(|&lens| problem.fix_dofs(lens, &[2, 3]))?;
-    let radius = STEP_M * moments as f64 / std::f64::consts::TAU;
+    let intrinsics = Vector4::new(900.0, 900.0, 960.0, 540.0);
+    let intrinsics_keys = [0, 1].map(|_| {
+        problem.add_parameter(intrinsics + Vector4::new(3.0, 3.0, 0.0, 0.0), Order::Shared)
+    });
+    intrinsics_keys.iter().try_for_each(|&key| problem.fix_dofs(key, &[2, 3]))?;
+    let radius = STEP_M * frames as f64 / std::f64::consts::TAU;
     let right_from_left = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.8, 0.0, 0.0));
-    // Driving along x, looking to the side, along z; around a circle when it closes.
+    // The vehicle drives along x or around a circle; the cameras look sideways, along z.
     let left_at = |i: usize| {
-        let angle = if closed { i as f64 / moments as f64 * std::f64::consts::TAU } else { 0.0 };
+        let angle = if closed { i as f64 / frames as f64 * std::f64::consts::TAU } else { 0.0 };
         let centre = match closed {
             true => Vector3::new(radius * angle.sin(), 0.0, radius * (1.0 - angle.cos())),
             false => Vector3::new(STEP_M * i as f64, 0.0, 0.0),
@@ -78,59 +78,66 @@ fn drive(
         let rotation = so3::exp(&Vector3::new(0.0, angle, 0.0));
         Rigid3::new(rotation, -(rotation * centre))
     };
-    let mut poses = Vec::with_capacity(moments);
-    let mut truth = Vec::with_capacity(moments);
-    for i in 0..moments {
+    let mut poses = Vec::with_capacity(frames);
+    let mut truth = Vec::with_capacity(frames);
+    for i in 0..frames {
         let left = left_at(i);
         let both = [left, right_from_left * left];
-        let mut off = || {
+        let mut perturbation = || {
             let mut three = || Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.002;
             Rigid3::from_axis_angle(three(), three() * 5.0)
         };
         poses.push(both.map(|pose| {
-            problem.add_parameter(if i < 2 { pose } else { off() * pose }, Order::At(i as u32))
+            problem.add_parameter(
+                if i < 2 { pose } else { perturbation() * pose },
+                Order::At(i as u32),
+            )
         }));
         truth.push(both);
     }
     poses[0].iter().chain(&poses[1]).for_each(|&pose| problem.fix(pose));
-    for i in 0..moments {
-        for _ in 0..points_per_moment {
+    for i in 0..frames {
+        for _ in 0..points_per_frame {
             let in_left = Vector3::new(
                 6.0 * rng.uniform() - 2.0,
                 6.0 * rng.uniform() - 3.0,
                 6.0 + 6.0 * rng.uniform(),
             );
             let point = truth[i][0].inverse() * in_left;
-            let off = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
-            let key = problem.add_landmark(point + off);
-            for j in i..i + SIGHT {
+            let perturbation = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.05;
+            let key = problem.add_landmark(point + perturbation);
+            for j in i..i + TRACK_LENGTH {
                 let j = match closed {
-                    true => j % moments,
-                    false if j < moments => j,
+                    true => j % frames,
+                    false if j < frames => j,
                     false => break,
                 };
                 for side in 0..2 {
-                    // One keypoint in five is not found.
-                    let seen = Pinhole::project(&lens, &(truth[j][side] * point))
+                    // One in five keypoints is not detected.
+                    let seen = Pinhole::project(&intrinsics, &(truth[j][side] * point))
                         .filter(|_| rng.below(5) > 0);
                     let Some(pixel) = seen else { continue };
                     let pixel = pixel + Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
                     let factor = Reprojection::<Pinhole>::new(pixel, NOISE_PX);
-                    problem.add((lenses[side], poses[j][side], key), factor, Loss::Huber(2.0))?;
+                    problem.add(
+                        (intrinsics_keys[side], poses[j][side], key),
+                        factor,
+                        Loss::Huber(2.0),
+                    )?;
                 }
             }
         }
     }
-    let end = if closed { moments } else { moments - 1 };
+    let end = if closed { frames } else { frames - 1 };
     for i in (0..end).filter(|_| rig) {
-        let ([l0, r0], [l1, r1]) = (poses[i], poses[(i + 1) % moments]);
-        problem.add((l0, r0, l1, r1), SameBaseline { sigma: 0.01 }, Loss::Trivial)?;
+        let ([l0, r0], [l1, r1]) = (poses[i], poses[(i + 1) % frames]);
+        problem.add((l0, r0, l1, r1), ConstantBaseline { sigma: 0.01 }, Loss::Trivial)?;
     }
     Ok(problem)
 }
 
-/// Mean squared residual, as a plain check that the solve went where it should.
-fn mean_square(problem: &Problem) -> f64 {
+/// Mean squared residual, as a check of the solution.
+fn mean_squared_residual(problem: &Problem) -> f64 {
     let residuals = problem.residuals::<2, Reprojection<Pinhole>>();
     let norms: SVector<f64, 2> = residuals
         .iter()
@@ -139,7 +146,7 @@ fn mean_square(problem: &Problem) -> f64 {
     norms.x / norms.y
 }
 
-/// Largest resident memory of this process so far, in GiB, where the system tells.
+/// Peak resident memory of this process in GiB; NaN if the system does not report it.
 fn peak_gib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -148,42 +155,41 @@ fn peak_gib() -> f64 {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (mut rig, mut closed, mut numbers) = (true, false, Vec::new());
+    let (mut rig, mut closed, mut sizes) = (true, false, Vec::new());
     for argument in std::env::args().skip(1) {
         match argument.as_str() {
             "--no-rig" => rig = false,
             "--loop" => closed = true,
-            number => numbers.push(number.parse::<usize>()?),
+            number => sizes.push(number.parse::<usize>()?),
         }
     }
-    let moments = numbers.first().copied().unwrap_or(250).max(SIGHT + 1);
-    let points = numbers.get(1).copied().unwrap_or(500);
-    let mut problem = drive(moments, points, rig, closed)?;
+    let frames = sizes.first().copied().unwrap_or(250).max(TRACK_LENGTH + 1);
+    let points = sizes.get(1).copied().unwrap_or(500);
+    let mut problem = drive(frames, points, rig, closed)?;
     let built = peak_gib();
     let begin = Instant::now();
     let mut solver = Solver::new(&problem, &Options { max_iterations: 10, ..Options::default() })?;
     let analysis = begin.elapsed();
     let summary = solver.solve(&mut problem, &mut |_| ControlFlow::Continue(()))?;
     let steps = summary.iterations.len().max(1) as f64;
-    // From the end of one step to that of the next, without the first linearisation and what memory
-    // costs that is new.
-    let mut lasted: Vec<f64> = summary
+    // Time from step to step, without the first linearisation and its memory allocation.
+    let mut durations: Vec<f64> = summary
         .iterations
         .windows(2)
         .map(|two| (two[1].elapsed - two[0].elapsed).as_secs_f64())
         .collect();
-    lasted.sort_by(f64::total_cmp);
-    let median = lasted.get(lasted.len() / 2).copied().unwrap_or(f64::NAN);
+    durations.sort_by(f64::total_cmp);
+    let median = durations.get(durations.len() / 2).copied().unwrap_or(f64::NAN);
     println!("{summary}");
     println!(
         "{} cameras, {} factors: analysis {:.2} s, {:.3} s a step (median {median:.3}); {:.2} \
         GiB, {built:.2} of it the problem; mean square {:.3}\n{:?}",
-        2 * moments,
+        2 * frames,
         problem.num_factors(),
         analysis.as_secs_f64(),
         summary.times.total.as_secs_f64() / steps,
         peak_gib(),
-        mean_square(&problem),
+        mean_squared_residual(&problem),
         summary.times,
     );
     Ok(())

@@ -1,5 +1,5 @@
-//! The smallest problem: a damped oscillation through noisy samples with some gross errors, from
-//! residuals alone.
+//! The smallest problem: a damped oscillation is fit to noisy samples with gross errors. Only the
+//! residual is written; derivatives are automatic.
 //!
 //! `cargo run --example fit_curve`
 
@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use tiepoint_ba::nalgebra::Vector4;
 use tiepoint_ba::{AutoDiff, Error, Loss, Options, Order, Problem, Residual, Scalar, Solver};
 
-/// a e^(−b t) cos(c t + d) was measured at `t`.
+/// Measurement of a e^(−b t) cos(c t + d) at time `t`.
 struct Sample {
     t: f64,
     value: f64,

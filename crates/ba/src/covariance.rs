@@ -1,29 +1,29 @@
-//! How well variables are determined: blocks of (JᵀJ)⁻¹ at the current values.
+//! Covariance of variables: blocks of (JᵀJ)⁻¹ at the current values.
 //!
-//! A step of the eliminated variable p follows that of the kept ones as δ_p = A_p δ_c with A_p =
-//! −L⁻ᵀY (see `eliminate`), so with the reduced system S and A the selection of columns for a kept
-//! variable, `cov(a, b) = A_a S⁻¹ A_bᵀ`, and `(LLᵀ)⁻¹` on top where a and b are the same eliminated
-//! variable.
+//! The step of an eliminated variable p is δ_p = A_p δ_c with A_p = −L⁻ᵀY (see `eliminate`). With
+//! the reduced system S, and A the selection of columns for a kept variable, `cov(a, b) = A_a S⁻¹
+//! A_bᵀ`, plus `(LLᵀ)⁻¹` if a and b are the same eliminated variable.
 
 use nalgebra::DMatrix;
 
-use crate::eliminate::CellStash;
+use crate::eliminate::LandmarkStash;
 use crate::error::Error;
+use crate::linear_system::LinearSystem;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::Eliminated;
+use crate::reduced::EliminatedSystem;
 use crate::schur::SchurSystem;
-use crate::structure::{Cell, NONE};
+use crate::structure::{LandmarkBlock, NONE};
 use crate::summary::Times;
-use crate::system::System;
 use crate::variable::{AnyKey, Role};
 
-/// A direction whose variance is larger than it would be were all other variables known by this
-/// factor is not determined: of the 16 digits of a double, the condition number has eaten 13.
+/// A direction is undetermined if its variance is larger by this factor than its conditional
+/// variance given all other variables: the condition number has consumed 13 of the 16 digits of a
+/// double.
 const MAX_INFLATION: f64 = 1e13;
 
-/// Covariances of some variables, in tangent coordinates. Right when the factors' residuals have
-/// unit variance and their losses are trivial, or nearly.
+/// Joint covariance of some variables, in tangent coordinates. It is valid if the residuals have
+/// unit variance and losses are close to trivial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
     keys: Vec<AnyKey>,
@@ -32,13 +32,13 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// Of one variable.
+    /// Covariance of one variable: DOF × DOF. `None` if it was not requested.
     pub fn of(&self, key: impl Into<AnyKey>) -> Option<DMatrix<f64>> {
         let key = key.into();
         self.between(key, key)
     }
 
-    /// Of two variables: rows belong to `a`.
+    /// Cross-covariance of two variables. Rows belong to `a`, columns to `b`.
     pub fn between(&self, a: impl Into<AnyKey>, b: impl Into<AnyKey>) -> Option<DMatrix<f64>> {
         let range = |key: AnyKey| {
             let at = self.keys.iter().position(|other| *other == key)?;
@@ -48,15 +48,20 @@ impl Covariance {
         Some(self.matrix.view((row, column), (rows, columns)).into_owned())
     }
 
-    /// Of all variables that were asked for, side by side.
+    /// Joint covariance of all requested variables, in the order of the request.
     pub fn matrix(&self) -> &DMatrix<f64> {
         &self.matrix
     }
 }
 
 impl Problem {
-    /// The covariance of some variables at the current values. Directions that are fixed have none:
-    /// zeros.
+    /// The covariance of some variables at the current values. Fixed directions have zero rows and
+    /// columns.
+    ///
+    /// # Errors
+    /// [`Error::UnknownVariable`] for a key that the problem does not have, [`Error::Undetermined`]
+    /// if the factors do not determine a variable, [`Error::NotFinite`] if a factor is not finite,
+    /// and the errors of [`Solver::new`](crate::Solver::new) about the structure.
     pub fn covariance(&self, keys: &[AnyKey]) -> Result<Covariance, Error> {
         let mut first = vec![0];
         for key in keys {
@@ -72,26 +77,27 @@ impl Problem {
         let Some(first_key) = keys.first() else {
             return Ok(Covariance { keys: Vec::new(), first, matrix: DMatrix::zeros(0, 0) });
         };
-        // All of the system has to be solvable, wherever the trouble is.
-        let rest = Eliminated { structure: &system.structure, memory: &system.memory };
-        system.reduced.factorise(rest).map_err(|_| undetermined(first_key))?;
-        let mut parts = Parts::new(columns, first[keys.len()]);
+        // The whole system has to be solvable, whichever variable is undetermined.
+        let eliminated_system =
+            EliminatedSystem { structure: &system.structure, memory: &system.memory };
+        system.reduced.factorise(eliminated_system).map_err(|_| undetermined(first_key))?;
+        let mut terms = CovarianceTerms::new(columns, first[keys.len()]);
         for (key, &at) in keys.iter().zip(&first) {
             let (store, slot) = self.locate(key)?;
             let meta = self.metas[store][slot];
             let is_determined = if meta.role == Role::Eliminated && meta.free != 0 {
-                parts.add_eliminated(&system, (store, slot), meta.free, at)
+                terms.add_eliminated(&system, (store, slot), meta.free, at)
             } else {
-                parts.add_kept(&system, (store, slot), self.values.stores[store].dof(), at)
+                terms.add_kept(&system, (store, slot), self.values.stores[store].dof(), at)
             };
             is_determined.ok_or_else(|| undetermined(key))?;
         }
-        let Parts { a, own, information } = parts;
+        let CovarianceTerms { a, conditional, information } = terms;
         let mut x = a.clone();
-        system.reduced.solve_columns(rest, x.as_mut_slice());
-        let matrix = a.transpose() * x + own;
+        system.reduced.solve_columns(eliminated_system, x.as_mut_slice());
+        let matrix = a.transpose() * x + conditional;
         for (key, ends) in keys.iter().zip(first.windows(2)) {
-            // Not a number is no variance either.
+            // NaN is not a variance either.
             let determined = |i: usize| matrix[(i, i)] * information[i] < MAX_INFLATION;
             if !(ends[0]..ends[1]).all(determined) {
                 return Err(undetermined(key));
@@ -101,28 +107,28 @@ impl Problem {
     }
 }
 
-/// What covariances are put together from.
-struct Parts {
-    /// Aᵀ, a column for each direction that was asked for.
+/// Terms of the covariance.
+struct CovarianceTerms {
+    /// Aᵀ, one column for each requested direction.
     a: DMatrix<f64>,
-    /// What is the eliminated variables' own.
-    own: DMatrix<f64>,
-    /// Of each direction, were all other variables known.
+    /// (LLᵀ)⁻¹ of eliminated variables: their covariance given the kept variables.
+    conditional: DMatrix<f64>,
+    /// Information of each direction given all other variables.
     information: Vec<f64>,
 }
 
-impl Parts {
-    /// For a reduced system of so many columns, and so many directions.
+impl CovarianceTerms {
+    /// For a reduced system of `columns` columns and for `directions` requested directions.
     fn new(columns: usize, directions: usize) -> Self {
         Self {
             a: DMatrix::zeros(columns, directions),
-            own: DMatrix::zeros(directions, directions),
+            conditional: DMatrix::zeros(directions, directions),
             information: vec![0.0; directions],
         }
     }
 
-    /// The columns of a kept variable, whose directions begin at `at`. `None` when nothing
-    /// determines one of them.
+    /// Adds the columns of a kept variable, whose directions begin at `at`. `None` if no factor
+    /// depends on one of its directions.
     fn add_kept(
         &mut self,
         system: &SchurSystem,
@@ -130,17 +136,17 @@ impl Parts {
         dof: usize,
         at: usize,
     ) -> Option<()> {
-        let place = system.structure.places[store][slot];
-        if place.block == NONE {
+        let location = system.structure.locations[store][slot];
+        if location.block == NONE {
             return Some(());
         }
-        let block = &system.structure.blocks[place.block as usize];
+        let block = &system.structure.blocks[location.block as usize];
         for (column, i) in block.free_columns().enumerate() {
             let direction =
-                i.checked_sub(place.offset as usize).filter(|&direction| direction < dof);
+                i.checked_sub(location.offset as usize).filter(|&direction| direction < dof);
             if let Some(direction) = direction {
-                self.a[(block.reduced + column, at + direction)] = 1.0;
-                let diagonal = system.reduced.diagonal[block.at + i];
+                self.a[(block.first_column + column, at + direction)] = 1.0;
+                let diagonal = system.reduced.diagonal[block.padded_start + i];
                 if diagonal <= 0.0 {
                     return None;
                 }
@@ -150,8 +156,8 @@ impl Parts {
         Some(())
     }
 
-    /// A_pᵀ of an eliminated variable, its own (LLᵀ)⁻¹ and the diagonal of its V. `None` when
-    /// nothing determines it.
+    /// Adds A_pᵀ, (LLᵀ)⁻¹ and the diagonal of V of an eliminated variable. `None` if no factor
+    /// depends on one of its directions.
     fn add_eliminated(
         &mut self,
         system: &SchurSystem,
@@ -160,18 +166,18 @@ impl Parts {
         at: usize,
     ) -> Option<()> {
         let structure = &system.structure;
-        let (chunk, cell) = structure.chunks.iter().find_map(|chunk| {
-            let is_it = |cell: &&Cell| {
-                cell.dof > 0 && (cell.store as usize, cell.slot as usize) == (store, slot)
+        let (task, landmark) = structure.tasks.iter().find_map(|task| {
+            let is_it = |landmark: &&LandmarkBlock| {
+                landmark.dof > 0
+                    && (landmark.store as usize, landmark.slot as usize) == (store, slot)
             };
-            chunk.cells.iter().find(is_it).map(|cell| (chunk, cell))
+            task.landmarks.iter().find(is_it).map(|landmark| (task, landmark))
         })?;
-        let p = cell.dof as usize;
-        let stash = CellStash::of(&system.memory, cell, chunk);
+        let p = landmark.dof as usize;
+        let stash = LandmarkStash::of(&system.memory, landmark, task);
         let factor = DMatrix::from_fn(p, p, |i, j| if j <= i { stash.factor(i, j) } else { 0.0 });
         let inverse = factor.solve_lower_triangular(&DMatrix::identity(p, p))?;
-        // A direction that is held has a one on V's diagonal, for want of anything else, and no
-        // variance.
+        // A fixed direction has a one on V's diagonal as a placeholder, and no variance.
         let moves = |k: usize| free >> k & 1 == 1;
         for k in (0..p).filter(|&k| moves(k)) {
             let diagonal = stash.diagonal(k, 0.0);
@@ -180,23 +186,29 @@ impl Parts {
             }
             self.information[at + k] = diagonal;
         }
-        for local in chunk.patterns.locals_of(cell) {
-            let touched = chunk.blocks.binary_search_by_key(&local.at, |block| block.1);
-            let block = chunk.blocks[touched.expect("a cell's blocks are among its chunk's")].0;
+        for pattern_block in task.patterns.blocks_of(landmark) {
+            let touched =
+                task.blocks.binary_search_by_key(&pattern_block.vector_offset, |block| block.1);
+            let block = task.blocks[touched.expect("a landmark's blocks are among its task's")].0;
             let block = &structure.blocks[block as usize];
             for (column, i) in block.free_columns().enumerate() {
                 for k in 0..p {
                     let sum: f64 = (k..p)
-                        .map(|j| inverse[(j, k)] * stash.y.get(p * local.dense + j * local.dof + i))
+                        .map(|j| {
+                            inverse[(j, k)]
+                                * stash.y.get(
+                                    p * pattern_block.packed_offset + j * pattern_block.dof + i,
+                                )
+                        })
                         .sum();
-                    self.a[(block.reduced + column, at + k)] = -sum;
+                    self.a[(block.first_column + column, at + k)] = -sum;
                 }
             }
         }
         let v = inverse.transpose() * inverse;
         for i in (0..p).filter(|&i| moves(i)) {
             for j in (0..p).filter(|&j| moves(j)) {
-                self.own[(at + i, at + j)] = v[(i, j)];
+                self.conditional[(at + i, at + j)] = v[(i, j)];
             }
         }
         Some(())

@@ -1,5 +1,5 @@
-/// What can be wrong with a problem or with a question about it. A solve that ends without success
-/// is no error: see [`Termination`](crate::Termination).
+/// Invalid problems and requests. A solve that ends without convergence is not an error, see
+/// [`Termination`](crate::Termination).
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A factor names a variable that the problem does not have.
@@ -9,22 +9,22 @@ pub enum Error {
     UnknownKey {
         /// The factor's type.
         factor: &'static str,
-        /// Which of the factor's variables, from 0.
+        /// Position among the factor's variables, from 0.
         position: usize,
-        /// The slot it names.
+        /// The slot in the key.
         slot: u32,
-        /// How many there are.
+        /// Number of variables of that type.
         len: usize,
     },
-    /// A key that the problem does not have.
+    /// A key of a variable that the problem does not have.
     #[error("slot {slot} of {kind} does not exist: the problem holds {len} of \
     them", kind = words(variable))]
     UnknownVariable {
         /// The variable's type.
         variable: &'static str,
-        /// The slot it names.
+        /// The slot in the key.
         slot: u32,
-        /// How many there are.
+        /// Number of variables of that type.
         len: usize,
     },
     /// A factor names one variable twice.
@@ -37,14 +37,13 @@ pub enum Error {
         /// Second position.
         second: usize,
     },
-    /// A factor joins two variables that were both declared as eliminated; the Schur complement
-    /// needs them independent.
+    /// A factor joins two eliminated variables; the Schur complement needs them to be independent.
     #[error("{kind} number {index}: variables {first} and {second} are both declared \
     eliminated", kind = words(factor))]
     TwoEliminated {
         /// The factor's type.
         factor: &'static str,
-        /// Number of the factor among those of its type, from 0.
+        /// Index of the factor among those of its type, from 0.
         index: usize,
         /// First position.
         first: usize,
@@ -62,22 +61,22 @@ pub enum Error {
         /// Degrees of freedom.
         dof: usize,
     },
-    /// A residual or a Jacobian is not finite at the values the solve starts from.
+    /// A residual or a Jacobian is not finite at the initial values.
     #[error("{kind} number {index}: {what} is {value} at the initial values", kind = words(factor))]
     NotFinite {
         /// The factor's type.
         factor: &'static str,
-        /// Number of the factor among those of its type, from 0.
+        /// Index of the factor among those of its type, from 0.
         index: usize,
-        /// `residual` or `Jacobian`.
+        /// The quantity: `residual`, `squared residual`, `Jacobian` or `sum of squares`.
         what: &'static str,
-        /// The first offending number.
+        /// Its first value that is not finite.
         value: f64,
     },
     /// A standard deviation that is not a positive number.
     #[error("standard deviation {index} is {value}; it must be positive and finite")]
     Sigma {
-        /// Which.
+        /// Index of the standard deviation.
         index: usize,
         /// Its value.
         value: f64,
@@ -97,36 +96,36 @@ pub enum Error {
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed range.
         range: &'static str,
     },
-    /// The problem got variables, factors or fixings after the solver was made from it.
+    /// Variables, factors or fixed directions have changed since the solver was made.
     #[error("the problem has changed since its solver was made: make a new solver")]
     StructureChanged,
-    /// A variable, or one that it depends on, is not determined by the factors: there is no finite
-    /// covariance.
+    /// The factors do not determine a variable, or one that it depends on: its covariance is
+    /// infinite.
     #[error("the factors do not determine {kind} number {slot}, or what it depends on: fix the \
     gauge", kind = words(variable))]
     Undetermined {
         /// The variable's type.
         variable: &'static str,
-        /// Which of that type, from 0.
+        /// Index among the variables of that type, from 0.
         slot: u32,
     },
     /// More factors or variables than 32-bit indices can number.
     #[error("{count} {what} are more than the {limit} that can be numbered")]
     TooLarge {
-        /// What there are too many of.
+        /// The items.
         what: &'static str,
-        /// How many.
+        /// Their number.
         count: usize,
         /// The limit.
         limit: usize,
     },
 }
 
-/// The name of a type as words, without its path and parameters: `a::b::RollingShutter<c::D>` is a
-/// rolling shutter.
+/// Type name in words, without path and parameters: `a::b::RollingShutter<c::D>` is a rolling
+/// shutter.
 fn words(type_name: &str) -> String {
     let name = type_name.split('<').next().unwrap_or_default();
     let name = name.rsplit("::").next().unwrap_or_default();

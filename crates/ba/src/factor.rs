@@ -1,25 +1,23 @@
-//! What a problem is made of: a factor is a measurement, with a residual of the variables it joins
-//! and its derivatives.
+//! Factors: a measurement with its residual and Jacobian.
 
 use nalgebra::SVector;
 use tiepoint_geometry::{Block, Manifold};
 
 use crate::variable::{Key, Values};
 
-/// One term of the cost: ½ ρ(|r|²) with a residual r of `R` numbers, which should have unit
-/// variance when the measurement is right (divide by its standard deviation).
+/// One term of the cost: ½ ρ(|r|²) with a residual r of `R` numbers. Divide the residual by the
+/// standard deviation of the measurement, so that it has unit variance.
 ///
-/// The method that must be written is [`Factor::linearize`]; write [`Factor::residual`] too where
-/// it is much cheaper. To write the residual alone and have it differentiated, see
-/// [`AutoDiff`](crate::AutoDiff).
+/// [`Factor::linearize`] is required. Implement [`Factor::residual`] too if it is much cheaper.
+/// [`AutoDiff`](crate::AutoDiff) differentiates a residual automatically.
 ///
-/// `None` means that the factor does not exist at these values, such as the pixel of a point behind
-/// the camera: see the crate's front page for what the solver makes of it.
+/// `None` means that the factor is invalid at these values, such as the projection of a point
+/// behind the camera. The front page of the crate describes how the solver treats invalid factors.
 pub trait Factor<const R: usize>: Send + Sync + 'static {
-    /// The types of its variables, as a tuple: `(Rigid3, Vector3<f64>)`.
+    /// Types of its variables, as a tuple: `(Rigid3, Vector3<f64>)`.
     type Vars: Vars;
 
-    /// The residual and its derivatives by each variable's tangent, see [`Linear`].
+    /// The residual and its Jacobian with respect to the tangent of each variable, see [`Linear`].
     fn linearize(&self, x: Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, R>>;
 
     /// The residual alone.
@@ -36,7 +34,7 @@ pub type Linear<V, const R: usize> = (SVector<f64, R>, <V as Vars>::Jacobians<R>
 
 /// A tuple of one to eight manifolds. Implemented by the macro below only.
 pub trait Vars: Sized + 'static {
-    /// How many variables.
+    /// Number of variables.
     const COUNT: usize;
     /// Their degrees of freedom.
     const DOFS: &'static [usize];
@@ -44,7 +42,7 @@ pub trait Vars: Sized + 'static {
     type Refs<'a>: Copy;
     /// Their keys.
     type Keys: Copy;
-    /// Derivatives of `R` residuals by each of them.
+    /// Jacobian blocks of `R` residuals with respect to each variable.
     type Jacobians<const R: usize>: Send;
     #[doc(hidden)]
     type Indices: Copy + AsRef<[u32]> + Send + Sync;
@@ -53,20 +51,21 @@ pub trait Vars: Sized + 'static {
 
     #[doc(hidden)]
     fn slots(keys: Self::Keys) -> Self::Indices;
-    /// The indices of several factors, one after the other.
+    /// The indices of several factors as one slice.
     #[doc(hidden)]
     fn flat(indices: &[Self::Indices]) -> &[u32];
-    /// Numbers of the stores of the variables' types, which may not exist.
+    /// Indices of the stores of the variables' types, `None` if a store does not exist.
     #[doc(hidden)]
     fn stores(values: &ValuesRef<'_>) -> Vec<Option<u16>>;
     #[doc(hidden)]
     fn slices<'a>(values: &ValuesRef<'a>, stores: &[u16]) -> Self::Slices<'a>;
     #[doc(hidden)]
     fn refs<'a>(slices: Self::Slices<'a>, slots: &Self::Indices) -> Self::Refs<'a>;
-    /// Asks for their memory.
+    /// Prefetches the values.
     #[doc(hidden)]
-    fn fetch(slices: Self::Slices<'_>, slots: &Self::Indices);
-    /// Writes the Jacobian times `weight` as rows of `stride` numbers, the variables side by side.
+    fn prefetch(slices: Self::Slices<'_>, slots: &Self::Indices);
+    /// Writes the Jacobian times `weight` as rows of `stride` numbers, the blocks of the variables
+    /// side by side.
     #[doc(hidden)]
     fn write_rows<const R: usize>(
         jacobians: &Self::Jacobians<R>,
@@ -74,9 +73,9 @@ pub trait Vars: Sized + 'static {
         rows: &mut [f64],
         stride: usize,
     );
-    /// The same for variable number `I` alone.
+    /// Writes the block of the variable at position `I` alone.
     #[doc(hidden)]
-    fn write_own<const R: usize, const I: usize>(
+    fn write_one<const R: usize, const I: usize>(
         jacobians: &Self::Jacobians<R>,
         weight: f64,
         rows: &mut [f64],
@@ -84,7 +83,7 @@ pub trait Vars: Sized + 'static {
     );
 }
 
-/// Hides the crate's value storage from the public trait.
+/// Keeps the crate's value storage out of the public trait.
 #[doc(hidden)]
 #[derive(Clone, Copy)]
 pub struct ValuesRef<'a>(pub(crate) &'a Values);
@@ -99,9 +98,9 @@ pub(crate) const fn total_dof(dofs: &[usize]) -> usize {
     total
 }
 
-/// Key or keys of a factor's variables: a tuple of [`Key`], or one key where there is one variable.
+/// Keys of a factor's variables: a tuple of [`Key`], or a single key.
 pub trait IntoKeys<V: Vars> {
-    /// As the tuple.
+    /// The keys as a tuple.
     fn into_keys(self) -> V::Keys;
 }
 
@@ -111,14 +110,14 @@ impl<A: Manifold> IntoKeys<(A,)> for Key<A> {
     }
 }
 
-/// Asks for the memory of an item that will be needed soon, where the machine can.
+/// Prefetches an item, if the processor supports it.
 #[inline(always)]
-pub(crate) fn fetch<T>(items: &[T], index: usize) {
-    // Miri has no memory that could be asked for.
+pub(crate) fn prefetch<T>(items: &[T], index: usize) {
+    // Miri does not support prefetching.
     #[cfg(all(target_arch = "x86_64", not(miri)))]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a hint, which may point anywhere.
+        // SAFETY: a prefetch is a hint, whose address may be invalid.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(items.as_ptr().wrapping_add(index).cast()) };
     }
     #[cfg(not(all(target_arch = "x86_64", not(miri))))]
@@ -170,8 +169,8 @@ macro_rules! impl_vars {
                 ($(&slices.$i[slots[$i] as usize],)*)
             }
             #[inline(always)]
-            fn fetch(slices: Self::Slices<'_>, slots: &Self::Indices) {
-                $(fetch(slices.$i, slots[$i] as usize);)*
+            fn prefetch(slices: Self::Slices<'_>, slots: &Self::Indices) {
+                $(prefetch(slices.$i, slots[$i] as usize);)*
             }
             #[inline(always)]
             fn write_rows<const R: usize>(
@@ -188,7 +187,7 @@ macro_rules! impl_vars {
                 let _ = start;
             }
             #[inline(always)]
-            fn write_own<const R: usize, const I: usize>(
+            fn write_one<const R: usize, const I: usize>(
                 jacobians: &Self::Jacobians<R>,
                 weight: f64,
                 rows: &mut [f64],

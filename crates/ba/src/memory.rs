@@ -1,35 +1,35 @@
-//! One large array of numbers, on huge pages where the system has them for whoever asks.
+//! One large array of numbers, on huge pages if the system provides them on request.
 //!
-//! The first touch of a page of 4 KiB costs about a microsecond: 3 of the 20 ms that Ladybug-49
-//! took, whose array has 11 MB. With pages of 2 MiB there are 500 times fewer of them, and fewer
-//! misses of the translation buffer ever after.
+//! The first access to a page of 4 KiB costs about a microsecond: 3 of the 20 ms for Ladybug-49,
+//! whose array has 11 MB. Pages of 2 MiB are 500 times fewer, and cause fewer misses of the
+//! translation buffer.
 
 use std::ops::{Deref, DerefMut, Range};
 
 use memmap2::MmapMut;
 
-/// Bytes of a huge page, wherever pages of 4 KiB are the small ones.
+/// Bytes of a huge page on systems with small pages of 4 KiB.
 const PAGE: usize = 2 << 20;
 const NUMBER: usize = size_of::<f64>();
 
-/// Zeros at first.
+/// An array, initially zero.
 pub(crate) enum Memory {
     Heap(Vec<f64>),
-    /// Pages, and the bytes of them that are the numbers.
+    /// Mapped pages, and the byte range of the array in them.
     Pages(MmapMut, Range<usize>),
 }
 
 impl Memory {
-    /// Room for so many numbers.
+    /// Allocates `len` zeros.
     pub(crate) fn new(len: usize) -> Self {
         let pages = if len * NUMBER < PAGE { None } else { pages(len) };
         pages.unwrap_or_else(|| Self::Heap(vec![0.0; len]))
     }
 }
 
-/// `None` where the system refuses: the usual memory is as good, only slower.
+/// `None` if the system refuses; the heap then only is slower.
 fn pages(len: usize) -> Option<Memory> {
-    // A page more, so that the numbers can begin where one does.
+    // One page more, so that the array can start at a page boundary.
     let map = MmapMut::map_anon(len.checked_mul(NUMBER)?.checked_add(PAGE)?).ok()?;
     #[cfg(target_os = "linux")]
     map.advise(memmap2::Advice::HugePage).ok()?;
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn any_length_is_zeros_that_can_be_written() {
-        // Miri knows no huge pages, and is slow.
+        // Miri is slow and has no huge pages.
         let most = if cfg!(miri) { 1000 } else { usize::MAX };
         for len in [0, 1, 1000, PAGE / NUMBER, 1_000_003].into_iter().filter(|&len| len <= most) {
             let mut memory = Memory::new(len);

@@ -1,26 +1,26 @@
 use crate::error::Error;
 
-/// How a solve is done. The defaults suit bundle adjustment.
+/// Options of a solve. The defaults suit bundle adjustment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Stop after so many attempted steps.
+    /// Maximal number of attempted steps.
     pub max_iterations: usize,
     /// Stop when a step lowers the cost by less than this fraction of it, and the linear model did
-    /// not promise much more.
+    /// not predict much more.
     pub function_tolerance: f64,
     /// Stop when no component of the gradient is larger, in units of cost per unit of the variable.
     pub gradient_tolerance: f64,
-    /// Stop when the linear model promises to lower the cost by less than the square of this, as a
-    /// fraction of the cost: the step then moves the residuals by less than this fraction of their
-    /// norm.
+    /// Stop when the linear model predicts a decrease of less than the square of this, as a
+    /// fraction of the cost: the step then changes the residuals by less than this fraction of
+    /// their norm.
     pub step_tolerance: f64,
     /// Damping λ of the first step, relative to the diagonal of JᵀJ.
     pub initial_damping: f64,
-    /// After each step, every eliminated variable takes up to so many Gauss-Newton steps of its
-    /// own, with the kept ones held, as long as they pay: cheap beside a step of all, of which
-    /// fewer are then needed.
+    /// Maximal number of Gauss-Newton steps that every landmark takes by itself after each step,
+    /// with the kept variables constant. They are cheap, and fewer steps of the whole problem are
+    /// needed.
     pub refinements: usize,
-    /// How the linear system is solved.
+    /// Linear solver.
     pub linear_solver: LinearSolver,
 }
 
@@ -38,33 +38,36 @@ impl Default for Options {
     }
 }
 
-/// How the linear system of each step is solved.
+/// Linear solver of each step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LinearSolver {
-    /// From the structure: [`Qr`](Self::Qr) where nothing is eliminated and the Jacobian is small,
-    /// else [`Dense`](Self::Dense) for few kept columns or a full reduced system, else
+    /// Chosen by the structure: [`Qr`](Self::Qr) if nothing is eliminated and the Jacobian is
+    /// small, else [`Dense`](Self::Dense) for few kept columns or a full reduced system, else
     /// [`Sparse`](Self::Sparse).
     #[default]
     Auto,
-    /// QR factorisation of the whole dense Jacobian, with nothing eliminated: for small
-    /// ill-conditioned problems, since it does not square the condition number. Needs memory for
-    /// residuals × columns.
+    /// QR factorisation of the whole dense Jacobian, without elimination: for small ill-conditioned
+    /// problems, because it does not square the condition number. Needs memory for residuals ×
+    /// columns.
     Qr,
     /// Dense Cholesky factorisation of the reduced system.
     Dense,
-    /// Sparse supernodal Cholesky factorisation of the reduced system; where its factor does not
-    /// fit into 4 GiB, as [`Iterative`](Self::Iterative).
+    /// Sparse supernodal Cholesky factorisation of the reduced system, or
+    /// [`Iterative`](Self::Iterative) if its factor does not fit into 4 GiB.
     Sparse,
-    /// Conjugate gradients on the reduced system, preconditioned by its diagonal blocks; where it
-    /// has more numbers than the observations, as [`Implicit`](Self::Implicit).
+    /// Conjugate gradients on the reduced system, preconditioned by its diagonal blocks, or
+    /// [`Implicit`](Self::Implicit) if the reduced system has more elements than Y.
     Iterative,
-    /// The same without putting the reduced system together: memory grows with the observations
-    /// alone.
+    /// Conjugate gradients without forming the reduced system: memory is proportional to the
+    /// observations.
     Implicit,
 }
 
 impl Options {
     /// Checks the ranges.
+    ///
+    /// # Errors
+    /// [`Error::Option`] names the first option that is out of range.
     pub fn validate(&self) -> Result<(), Error> {
         for (name, value) in [
             ("function_tolerance", self.function_tolerance),

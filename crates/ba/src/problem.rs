@@ -7,48 +7,49 @@ use tiepoint_geometry::{Loss, Manifold};
 
 use crate::error::Error;
 use crate::factor::{Factor, IntoKeys, ValuesRef, Vars};
+use crate::factor_group::{AnyFactorGroup, FactorGroup};
 use crate::retraction::Retraction;
-use crate::run::{AnyRun, Run};
 use crate::variable::{
     AnyKey, Key, MAX_DOF, MAX_ELIMINATED_DOF, Meta, Order, Role, Values, all_free,
 };
 
-/// Variables on manifolds and factors between them: minimise Σ ½ ρ(|r|²).
+/// A nonlinear least-squares problem: variables on manifolds and factors between them, which
+/// minimises Σ ½ ρ(|r|²).
 #[derive(Default)]
 pub struct Problem {
     pub(crate) values: Values,
-    /// What else is known of each variable, in the order of `values`.
+    /// Role and free directions of each variable, in the order of `values`.
     pub(crate) metas: Vec<Vec<Meta>>,
-    pub(crate) runs: Vec<Box<dyn AnyRun>>,
-    /// Counts what a solver's structure depends on.
+    pub(crate) factor_groups: Vec<Box<dyn AnyFactorGroup>>,
+    /// Incremented by every change that invalidates a solver's structure.
     pub(crate) revision: u64,
-    /// How steps move the variables, if not each by itself.
+    /// Retraction of all variables, if they do not move independently.
     pub(crate) retraction: Option<Box<dyn Retraction>>,
 }
 
-/// The cost of all factors at the current values.
+/// Cost of all factors at the current values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
-    /// Σ ½ ρ(|r|²) over the factors that exist; infinite when a residual is not finite.
+    /// Σ ½ ρ(|r|²) over the valid factors; infinite if a residual is not finite.
     pub total: f64,
-    /// How many factors do not exist at these values (points behind cameras).
+    /// Number of factors that are invalid at these values (points behind cameras).
     pub missing: usize,
 }
 
 impl Problem {
-    /// Nothing yet.
+    /// A problem without variables and factors.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a variable that stays in the reduced system.
+    /// Adds a variable that stays in the reduced system. `order` is its place in the elimination
+    /// order.
     pub fn add_parameter<V: Manifold>(&mut self, value: V, order: Order) -> Key<V> {
         self.insert(value, Role::Kept(order))
     }
 
     /// Adds a variable that is eliminated from the linear system before it is solved (Schur
-    /// complement): one of many that share factors with few others and never with each other, such
-    /// as a point. At most 6 degrees of freedom.
+    /// complement), such as a point. No factor may join two of them. At most 6 degrees of freedom.
     pub fn add_landmark<V: Manifold>(&mut self, value: V) -> Key<V> {
         const { assert!(V::DOF <= MAX_ELIMINATED_DOF, "too many degrees of freedom to eliminate") };
         self.insert(value, Role::Eliminated)
@@ -73,7 +74,11 @@ impl Problem {
         Key::new(slot)
     }
 
-    /// Adds a factor. Its cost is ½ ρ(|r|²) with the loss ρ.
+    /// Adds a factor between the variables `keys`. Its cost is ½ ρ(|r|²) with the loss ρ.
+    ///
+    /// # Errors
+    /// [`Error::LossScale`] if the loss has no positive scale, [`Error::UnknownKey`] if the problem
+    /// does not have a variable, [`Error::RepeatedVariable`] if two of the keys are the same.
     pub fn add<const R: usize, F: Factor<R>>(
         &mut self,
         keys: impl IntoKeys<F::Vars>,
@@ -82,8 +87,12 @@ impl Problem {
     ) -> Result<(), Error> {
         check_loss::<F>(&loss)?;
         let slots = F::Vars::slots(keys.into_keys());
-        let run = match self.runs.iter().position(|run| run.as_any().is::<Run<F, R>>()) {
-            Some(run) => run,
+        let group = match self
+            .factor_groups
+            .iter()
+            .position(|group| group.as_any().is::<FactorGroup<F, R>>())
+        {
+            Some(group) => group,
             None => {
                 let mut stores = Vec::with_capacity(F::Vars::COUNT);
                 for (position, store) in
@@ -94,38 +103,42 @@ impl Problem {
                         Error::UnknownKey { factor: type_name::<F>(), position, slot, len: 0 };
                     stores.push(store.ok_or(unknown)?);
                 }
-                self.runs.push(Box::new(Run::<F, R>::new(stores)));
-                self.runs.len() - 1
+                self.factor_groups.push(Box::new(FactorGroup::<F, R>::new(stores)));
+                self.factor_groups.len() - 1
             }
         };
-        let run =
-            self.runs[run].as_any_mut().downcast_mut::<Run<F, R>>().expect("found by its type");
-        check_slots::<F>(&self.metas, run.stores(), slots.as_ref())?;
-        run.push(slots, factor, loss);
+        let group = self.factor_groups[group]
+            .as_any_mut()
+            .downcast_mut::<FactorGroup<F, R>>()
+            .expect("found by its type");
+        check_slots::<F>(&self.metas, group.stores(), slots.as_ref())?;
+        group.push(slots, factor, loss);
         self.revision += 1;
         Ok(())
     }
 
-    /// Lets steps move the variables as `retraction` has it, from now on.
+    /// Sets the retraction that all following solves use.
     pub fn set_retraction(&mut self, retraction: impl Retraction + 'static) {
         self.retraction = Some(Box::new(retraction));
     }
 
-    /// Holds a variable constant. (A key of another problem that this one does not have is
-    /// ignored.)
+    /// Holds a variable constant. A key that the problem does not have is ignored.
     pub fn fix<V: Manifold>(&mut self, key: Key<V>) {
         self.set_free(key, 0);
     }
 
-    /// Lets a variable move in all directions again.
+    /// Makes all directions of a variable free again.
     pub fn free<V: Manifold>(&mut self, key: Key<V>) {
         self.set_free(key, all_free(V::DOF));
     }
 
     /// Holds the listed tangent directions of a variable constant, in addition to those already
-    /// held: no step moves it along them. For a pose, that holds its centre where all three of τ
-    /// are listed; one of them is a direction that turns with the camera (see CONVENTIONS.md of
-    /// `tiepoint-geometry`).
+    /// fixed. For a pose (δ, τ), fixing all three of τ fixes its centre; a single one of τ is a
+    /// direction that rotates with the camera (see CONVENTIONS.md of `tiepoint-geometry`).
+    ///
+    /// # Errors
+    /// [`Error::UnknownVariable`] if the problem does not have the variable,
+    /// [`Error::TangentIndex`] if it has fewer degrees of freedom.
     pub fn fix_dofs<V: Manifold>(&mut self, key: Key<V>, indices: &[usize]) -> Result<(), Error> {
         let mut free = self.meta(key)?.free;
         for &index in indices {
@@ -151,7 +164,7 @@ impl Problem {
         Ok(self.metas[store][slot])
     }
 
-    /// Number of its store and place in it.
+    /// Index of its store and slot in the store.
     pub(crate) fn locate(&self, key: &AnyKey) -> Result<(usize, usize), Error> {
         let store = self.values.find(key.type_id);
         let len = store.map_or(0, |store| self.metas[store].len());
@@ -164,7 +177,7 @@ impl Problem {
     /// The value of a variable.
     ///
     /// # Panics
-    /// As indexing does, when the key comes from another problem and names nothing in this one.
+    /// If the key belongs to another problem and this one has no variable in its slot.
     pub fn get<V: Manifold>(&self, key: Key<V>) -> V {
         let store = self
             .values
@@ -173,36 +186,35 @@ impl Problem {
         self.values.slice::<V>(store as u16)[key.slot as usize]
     }
 
-    /// Changes the value of a variable. (A key of another problem that this one does not have is
-    /// ignored.)
+    /// Sets the value of a variable. A key that the problem does not have is ignored.
     pub fn set<V: Manifold>(&mut self, key: Key<V>, value: V) {
         if self.meta(key).is_ok() {
             self.values.store_mut::<V>().1[key.slot as usize] = value;
         }
     }
 
-    /// How many factors.
+    /// Number of factors.
     pub fn num_factors(&self) -> usize {
-        self.runs.iter().map(|run| run.len()).sum()
+        self.factor_groups.iter().map(|group| group.len()).sum()
     }
 
-    /// How many variables.
+    /// Number of variables.
     pub fn num_variables(&self) -> usize {
         self.metas.iter().map(Vec::len).sum()
     }
 
-    /// How many residuals: the rows of the Jacobian.
+    /// Number of residuals: rows of the Jacobian.
     pub fn num_residuals(&self) -> usize {
-        self.runs.iter().map(|run| run.len() * run.rows()).sum()
+        self.factor_groups.iter().map(|group| group.len() * group.rows()).sum()
     }
 
     /// The cost at the current values.
     pub fn cost(&self) -> Cost {
         let mut cost = Cost { total: 0.0, missing: 0 };
-        for run in &self.runs {
-            let factors: Vec<u32> = (0..run.len() as u32).collect();
+        for group in &self.factor_groups {
+            let factors: Vec<u32> = (0..group.len() as u32).collect();
             let mut costs = vec![0.0; factors.len()];
-            run.costs(&self.values, &factors, &mut costs);
+            group.costs(&self.values, &factors, &mut costs);
             for value in costs {
                 if value.is_nan() {
                     cost.missing += 1;
@@ -214,11 +226,14 @@ impl Problem {
         cost
     }
 
-    /// The residuals of all factors of type `F` at the current values, in the order in which they
-    /// were added; `None` where a factor does not exist.
+    /// The residuals of all factors of type `F` at the current values, in order of insertion;
+    /// `None` for an invalid factor.
     pub fn residuals<const R: usize, F: Factor<R>>(&self) -> Vec<Option<SVector<f64, R>>> {
-        let run = self.runs.iter().find_map(|run| run.as_any().downcast_ref::<Run<F, R>>());
-        run.map_or_else(Vec::new, |run| run.residuals(&self.values))
+        let group = self
+            .factor_groups
+            .iter()
+            .find_map(|group| group.as_any().downcast_ref::<FactorGroup<F, R>>());
+        group.map_or_else(Vec::new, |group| group.residuals(&self.values))
     }
 }
 

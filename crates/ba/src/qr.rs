@@ -1,6 +1,5 @@
-//! The whole Jacobian as one dense matrix, and its QR factorisation: for small problems that the
-//! squared condition number of normal equations would spoil, and as the slow twin of the
-//! elimination.
+//! QR factorisation of the whole Jacobian as one dense matrix, for small ill-conditioned problems.
+//! The tests compare the elimination with it.
 
 use std::time::Instant;
 
@@ -9,30 +8,31 @@ use faer::linalg::solvers::SolveLstsqCore;
 
 use crate::damping::marquardt;
 use crate::error::Error;
+use crate::factor_group::Rows;
+use crate::linear_system::{Attempt, LinearSystem, Linearised};
 use crate::problem::Problem;
 use crate::retraction::Step;
-use crate::run::Rows;
 use crate::structure::{Elimination, Structure};
 use crate::summary::Times;
-use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
-/// Where a column vanishes — an exponential underflows — nothing but damping holds its variable
-/// back. So it is damped by no less than this part of what it was damped by first. (Ceres does so
-/// by scaling columns once and bounding their diagonal: MGH17 of the NIST problems depends on it.)
+/// If a column vanishes, because an exponential underflows, only damping bounds its variable. Its
+/// damping is therefore at least this fraction of its first damping. Ceres achieves the same by
+/// scaling columns once and bounding their diagonal; MGH17 of the NIST problems depends on it.
 const LEAST_SCALE: f64 = 1e-6;
 
 pub(crate) struct QrSystem {
     structure: Structure,
     rows: usize,
-    /// J, and below it the place of √(λD).
+    /// J, with room for √(λD) below it.
     jacobian: Mat<f64>,
     residual: Vec<f64>,
     costs: Vec<f64>,
-    /// Where each column of J stands in the step.
+    /// Offset of each column of J in the padded step.
     column_at: Vec<usize>,
     step: Vec<f64>,
-    /// What each column is damped by at least, if it has ever been seen to matter.
+    /// Lower bound of the damping of each column, set at the first linearisation where it is not
+    /// zero.
     least_scale: Vec<f64>,
 }
 
@@ -41,7 +41,9 @@ impl QrSystem {
         let structure = Structure::new(problem, Elimination::Ignore)?;
         let rows = problem.num_residuals();
         let column_at: Vec<usize> = (structure.blocks.iter())
-            .flat_map(|block| block.free_columns().map(|i| block.at + i).collect::<Vec<_>>())
+            .flat_map(|block| {
+                block.free_columns().map(|i| block.padded_start + i).collect::<Vec<_>>()
+            })
             .collect();
         Ok(Self {
             rows,
@@ -55,7 +57,7 @@ impl QrSystem {
         })
     }
 
-    /// JᵀJ's diagonal and Jᵀr.
+    /// The diagonal of JᵀJ, and Jᵀr.
     fn normal(&self) -> (Vec<f64>, Vec<f64>) {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         (0..self.structure.columns)
@@ -67,7 +69,7 @@ impl QrSystem {
     }
 }
 
-impl System for QrSystem {
+impl LinearSystem for QrSystem {
     fn name(&self) -> &'static str {
         "dense QR"
     }
@@ -86,26 +88,26 @@ impl System for QrSystem {
         let begin = Instant::now();
         self.jacobian.fill(0.0);
         let (mut first_row, mut at) = (0, 0);
-        for run in &problem.runs {
-            let factors: Vec<u32> = (0..run.len() as u32).collect();
-            let (height, stride) = (run.rows(), run.stride());
-            let mut numbers = vec![0.0; run.len() * height * stride];
-            let costs = &mut self.costs[at..][..run.len()];
-            at += run.len();
-            run.linearize(values, &factors, Rows { rows: &mut numbers, costs });
+        for group in &problem.factor_groups {
+            let factors: Vec<u32> = (0..group.len() as u32).collect();
+            let (height, stride) = (group.rows(), group.stride());
+            let mut numbers = vec![0.0; group.len() * height * stride];
+            let costs = &mut self.costs[at..][..group.len()];
+            at += group.len();
+            group.linearize(values, &factors, Rows { rows: &mut numbers, costs });
             for (factor, rows) in numbers.chunks_exact((height * stride).max(1)).enumerate() {
                 let mut column = 0;
                 for ((&store, &slot), &dof) in
-                    run.stores().iter().zip(run.slots(factor)).zip(run.dofs())
+                    group.stores().iter().zip(group.slots(factor)).zip(group.dofs())
                 {
-                    let place = self.structure.places[store as usize][slot as usize];
-                    if place.block != crate::structure::NONE {
-                        let block = &self.structure.blocks[place.block as usize];
+                    let location = self.structure.locations[store as usize][slot as usize];
+                    if location.block != crate::structure::NONE {
+                        let block = &self.structure.blocks[location.block as usize];
                         let before =
-                            (block.free & ((1u64 << place.offset) - 1)).count_ones() as usize;
-                        let free =
-                            (0..dof).filter(|i| block.free >> (place.offset as usize + i) & 1 == 1);
-                        for (to, i) in (block.reduced + before..).zip(free) {
+                            (block.free & ((1u64 << location.offset) - 1)).count_ones() as usize;
+                        let free = (0..dof)
+                            .filter(|i| block.free >> (location.offset as usize + i) & 1 == 1);
+                        for (to, i) in (block.first_column + before..).zip(free) {
                             for r in 0..height {
                                 self.jacobian[(first_row + r, to)] = rows[r * stride + column + i];
                             }
@@ -142,11 +144,11 @@ impl System for QrSystem {
         lambda: f64,
         times: &mut Times,
     ) -> Option<Attempt> {
-        let promise = self.step(lambda, times)?;
+        let predicted_reduction = self.step(lambda, times)?;
         let step = Step { values, numbers: &self.step, at: &self.structure.step_at };
         step.take(problem.retraction.as_deref(), trial);
         let cost = self.trial_cost(problem, trial, times);
-        Some(Attempt { promise, cost: cost.unwrap_or(f64::INFINITY), lost: 0 })
+        Some(Attempt { predicted_reduction, cost: cost.unwrap_or(f64::INFINITY), dropped: 0 })
     }
 }
 
@@ -176,22 +178,22 @@ impl QrSystem {
             damped += lambda * diagonal[j] * step * step;
         }
         times.solve += begin.elapsed();
-        let promise = 0.5 * (damped - g_step);
-        promise.is_finite().then_some(promise)
+        let predicted_reduction = 0.5 * (damped - g_step);
+        predicted_reduction.is_finite().then_some(predicted_reduction)
     }
 
     fn trial_cost(&mut self, problem: &Problem, trial: &Values, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let (mut cost, mut at) = (0.0, 0);
-        for run in &problem.runs {
-            let factors: Vec<u32> = (0..run.len() as u32).collect();
-            let mut costs = vec![0.0; run.len()];
-            run.costs(trial, &factors, &mut costs);
+        for group in &problem.factor_groups {
+            let factors: Vec<u32> = (0..group.len() as u32).collect();
+            let mut costs = vec![0.0; group.len()];
+            group.costs(trial, &factors, &mut costs);
             for (before, after) in self.costs[at..].iter().zip(costs) {
-                // Where a factor has ceased to exist this is NaN, and so is the sum.
+                // NaN if a factor has become invalid, and then the sum is NaN.
                 cost += if before.is_nan() { 0.0 } else { after };
             }
-            at += run.len();
+            at += group.len();
         }
         times.evaluate += begin.elapsed();
         cost.is_finite().then_some(cost)

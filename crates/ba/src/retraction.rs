@@ -1,5 +1,4 @@
-//! How a step moves the variables: each by itself along its tangent, and then as a [`Retraction`]
-//! has it.
+//! Retractions: how a step moves the variables.
 
 use std::any::TypeId;
 
@@ -7,29 +6,28 @@ use tiepoint_geometry::Manifold;
 
 use crate::variable::{AnyKey, FIXED, Values};
 
-/// Moves variables by a step otherwise than each by itself. To first order it has to be the same
-/// step, since the linear system that the step solves knows of no other.
+/// Moves the variables by a step, in place of x ⊞ δ for each of them. It has to agree with x ⊞ δ to
+/// first order, because the linear system is that of x ⊞ δ.
 pub trait Retraction: Send + Sync {
-    /// Moves all variables. In `moved` each has been moved by itself; those that are fixed are
-    /// where they were.
+    /// Moves all variables. `moved` holds x ⊞ δ of each variable; fixed ones have not moved.
     fn retract(&self, step: &Step<'_>, moved: &mut Moved<'_>);
 
-    /// Moves one variable by `tangent` in place of its part of the step. In `moved` it has been
-    /// moved by itself, and all others are where [`Retraction::retract`] has left them.
+    /// Moves one variable by `tangent` instead of its part of the step. `moved` holds x ⊞ `tangent`
+    /// of this variable, and the results of [`Retraction::retract`] of the others.
     fn retract_one(&self, step: &Step<'_>, key: AnyKey, tangent: &[f64], moved: &mut Moved<'_>);
 }
 
-/// A step of all variables, and the values that it starts from.
+/// A step of all variables, and the values before it.
 #[derive(Clone, Copy)]
 pub struct Step<'a> {
     pub(crate) values: &'a Values,
     pub(crate) numbers: &'a [f64],
-    /// For each store, where in `numbers` its variables are.
+    /// For each store, the offsets of its variables in `numbers`.
     pub(crate) at: &'a [Vec<u32>],
 }
 
-/// The part of a step that belongs to the variables of one type, which are numbered as
-/// [`Key::index`](crate::Key::index) does.
+/// The step of the variables of one type, which are indexed as in
+/// [`Key::index`](crate::Key::index).
 #[derive(Clone, Copy)]
 pub struct StepOf<'a, V> {
     values: &'a [V],
@@ -37,11 +35,11 @@ pub struct StepOf<'a, V> {
     at: &'a [u32],
 }
 
-/// The values that a step leads to.
+/// The values after a step.
 pub struct Moved<'a>(&'a mut Values);
 
 impl<'a> Step<'a> {
-    /// That of the variables of type `V`; `None` where there are none.
+    /// The step of the variables of type `V`; `None` if there are none.
     pub fn of<V: Manifold>(&self) -> Option<StepOf<'a, V>> {
         let store = self.values.find(TypeId::of::<V>())?;
         Some(StepOf {
@@ -51,7 +49,7 @@ impl<'a> Step<'a> {
         })
     }
 
-    /// Moves everything from the values to `to`.
+    /// Moves all variables to `to`.
     pub(crate) fn take(&self, retraction: Option<&dyn Retraction>, to: &mut Values) {
         for ((to, from), at) in to.stores.iter_mut().zip(&self.values.stores).zip(self.at) {
             to.plus_all(&**from, self.numbers, at);
@@ -61,7 +59,7 @@ impl<'a> Step<'a> {
         }
     }
 
-    /// Moves one variable to `to` by another tangent than its part of the step.
+    /// Moves one variable to `to` by `tangent` instead of its part of the step.
     pub(crate) fn take_one(
         &self,
         retraction: Option<&dyn Retraction>,
@@ -77,12 +75,12 @@ impl<'a> Step<'a> {
 }
 
 impl<'a, V: Manifold> StepOf<'a, V> {
-    /// Where the step starts from.
+    /// The values before the step.
     pub fn values(&self) -> &'a [V] {
         self.values
     }
 
-    /// The tangent by which a variable moves; `None` where it is fixed.
+    /// Tangent of one variable, of `V::DOF` numbers; `None` if it is fixed.
     pub fn tangent(&self, index: usize) -> Option<&'a [f64]> {
         let at = self.at[index];
         (at != FIXED).then(|| &self.numbers[at as usize..][..V::DOF])
@@ -90,7 +88,7 @@ impl<'a, V: Manifold> StepOf<'a, V> {
 }
 
 impl Moved<'_> {
-    /// The values of two types; `None` where one of them has none, or they are the same.
+    /// The values of two types; `None` if one of them has none, or they are the same type.
     pub fn two_mut<A: Manifold, B: Manifold>(&mut self) -> Option<(&mut [A], &mut [B])> {
         self.0.two_mut()
     }

@@ -1,43 +1,43 @@
-//! The system with the declared variables eliminated: chunks of cells in parallel, then the reduced
-//! system.
+//! Linear system with the landmarks eliminated: tasks in parallel, then the reduced system.
 
 use std::ops::Range;
 use std::time::Instant;
 
 use crate::eliminate::Sums;
 use crate::error::Error;
+use crate::factor_group::stays_valid;
+use crate::landmark_refinement::LandmarkRefinement;
+use crate::linear_system::{Attempt, LinearSystem, Linearised};
 use crate::memory::Memory;
 use crate::options::LinearSolver;
 use crate::problem::Problem;
-use crate::reduced::{Columns, Conjugate, Dense, Eliminated, Factorisation, Reduced, Sparse};
-use crate::refine::Refine;
+use crate::reduced::{Columns, Conjugate, Dense, EliminatedSystem, Factorisation, Reduced, Sparse};
 use crate::retraction::Step;
-use crate::run::survives;
-use crate::structure::{Chunk, Elimination, FACTORS_PER_CHUNK, Structure, for_chunks};
+use crate::structure::{Elimination, FACTORS_PER_TASK, Structure, Task, for_each_task};
 use crate::summary::Times;
-use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
-/// Up to so many columns a dense factorisation wins over a sparse one, whatever the fill.
+/// Up to this many columns, dense factorisation is faster than sparse, whatever the fill.
 const DENSE_COLUMNS: usize = 600;
-/// Above, if the reduced system is at least so full, and memory for it is no question.
+/// Above [`DENSE_COLUMNS`], dense factorisation is used if at least this fraction of the reduced
+/// system is filled and it has at most [`MAX_DENSE_COLUMNS`].
 const DENSE_FILL: f64 = 0.3;
 const MAX_DENSE_COLUMNS: usize = 10_000;
-/// How often the step of an eliminated variable is halved before it is given up, when it would end
-/// a factor's existence.
-const HALVINGS: i32 = 6;
+/// How often the step of a landmark is halved if it invalidates a factor. The last time it is set
+/// to zero.
+const MAX_HALVINGS: i32 = 6;
 
 pub(crate) struct SchurSystem {
     pub(crate) structure: Structure,
     pub(crate) sums: Vec<Sums>,
-    /// Tiles and stashes of all chunks.
+    /// Tiles and stashes of all tasks.
     pub(crate) memory: Memory,
     pub(crate) reduced: Reduced,
     name: &'static str,
-    /// Steps of all variables: kept ones by block, then eliminated ones by cell.
+    /// Steps of all variables: kept ones by block, then landmarks by task.
     step: Vec<f64>,
     block_at: Vec<usize>,
-    refine: Refine,
+    refine: LandmarkRefinement,
 }
 
 impl SchurSystem {
@@ -46,7 +46,7 @@ impl SchurSystem {
         solver: LinearSolver,
         refinements: usize,
     ) -> Result<Self, Error> {
-        let shared = problem.num_factors() > FACTORS_PER_CHUNK;
+        let shared = problem.num_factors() > FACTORS_PER_TASK;
         Self::on_pool(shared, || Self::new_here(problem, solver, refinements))
     }
 
@@ -75,7 +75,7 @@ impl SchurSystem {
                 if solver == LinearSolver::Iterative { Err(columns) } else { Sparse::new(columns) };
             match direct {
                 Ok(sparse) => ("sparse Cholesky", Box::new(sparse)),
-                // What a product has to read decides.
+                // The smaller one is faster, because products are limited by memory traffic.
                 Err(columns) if columns.num_numbers() > structure.num_coupled() => {
                     return Self::implicit(problem, refinements);
                 }
@@ -85,7 +85,7 @@ impl SchurSystem {
         Ok(Self::of(problem, structure, refinements, name, factorisation))
     }
 
-    /// One that never puts the reduced system together.
+    /// A system that never forms the reduced system.
     fn implicit(problem: &Problem, refinements: usize) -> Result<Self, Error> {
         let structure = Structure::new(problem, Elimination::Implicit)?;
         let factorisation = Box::new(Conjugate::new(Columns::new(&structure)?, true));
@@ -99,109 +99,112 @@ impl SchurSystem {
         name: &'static str,
         factorisation: Box<dyn Factorisation>,
     ) -> Self {
-        let sums = || structure.chunks.iter().map(Sums::new).collect();
-        let refine = || Refine::new(problem, &structure, refinements);
+        let sums = || structure.tasks.iter().map(Sums::new).collect();
+        let refine = || LandmarkRefinement::new(problem, &structure, refinements);
         let (sums, refine) =
-            if structure.chunks.len() > 1 { rayon::join(sums, refine) } else { (sums(), refine()) };
+            if structure.tasks.len() > 1 { rayon::join(sums, refine) } else { (sums(), refine()) };
         let reduced = Reduced::new(&structure, factorisation);
         Self {
             memory: Memory::new(structure.memory_len),
             sums,
             refine,
             step: vec![0.0; structure.step_len],
-            block_at: structure.blocks.iter().map(|block| block.at).collect(),
+            block_at: structure.blocks.iter().map(|block| block.padded_start).collect(),
             reduced,
             structure,
             name,
         }
     }
 
-    /// Runs all of `work` on the thread pool if there is something to share out. Called from
-    /// outside, each parallel stretch would put the calling thread to sleep and wake it: some ten
-    /// times a step, 50 µs each.
+    /// Runs all of `work` on the thread pool if `shared`. Otherwise each parallel loop would put
+    /// the calling thread to sleep and wake it: about ten times a step, 50 µs each.
     fn on_pool<R: Send>(shared: bool, work: impl FnOnce() -> R + Send) -> R {
         if shared { rayon::scope(|_| work()) } else { work() }
     }
 
-    /// Shortens the steps of a chunk's variables that end the existence of factors, and lets go of
-    /// those that live no longer even so. Gives how many those are; `None` where a factor of kept
-    /// variables alone is ended, or one is not finite.
-    fn rescue(
+    /// Shortens the steps of a task's landmarks that invalidate factors, and drops factors that are
+    /// invalid even at zero step. Returns the number of dropped factors; `None` if a factor without
+    /// a landmark becomes invalid, or a factor is not finite.
+    fn backtrack(
         &mut self,
         problem: &Problem,
         values: &Values,
         trial: &mut Values,
-        chunk: usize,
+        task: usize,
     ) -> Option<usize> {
         let Self { structure, sums, refine, step, .. } = self;
-        let counted = &sums[chunk].costs;
-        let mut lost = 0;
-        for cell in 0..structure.chunks[chunk].cells.len() {
-            let factors = structure.chunks[chunk].factors_of(cell);
-            let costs = &mut refine.chunks[chunk].costs;
-            if factors.clone().all(|i| survives(counted[i], costs[i])) {
+        let costs_before = &sums[task].costs;
+        let mut dropped = 0;
+        for landmark in 0..structure.tasks[task].landmarks.len() {
+            let factors = structure.tasks[task].factors_of(landmark);
+            let costs = &mut refine.tasks[task].costs;
+            if factors.clone().all(|i| stays_valid(costs_before[i], costs[i])) {
                 continue;
             }
-            let this = &structure.chunks[chunk];
-            if this.cells[cell].dof == 0 {
+            let this = &structure.tasks[task];
+            if this.landmarks[landmark].dof == 0 {
                 return None;
             }
             let step = Step { values, numbers: step, at: &structure.step_at };
-            if !shorten(problem, &step, trial, this, cell, (counted, costs)) {
-                lost += let_go(this.factors_of(cell), counted, costs)?;
+            if !halve_step(problem, &step, trial, this, landmark, (costs_before, costs)) {
+                dropped += drop_invalid_residuals(this.factors_of(landmark), costs_before, costs)?;
             }
-            refine.leave_out(chunk, cell, structure);
+            refine.exclude(task, landmark, structure);
         }
-        refine.chunks[chunk].sum(counted);
-        Some(lost)
+        refine.tasks[task].sum(costs_before);
+        Some(dropped)
     }
 }
 
-/// Halves the step of one cell's variable until all its factors exist that existed before, and
-/// gives their cost.
-fn shorten(
+/// Halves the step of one landmark until all factors that were valid before are valid, and writes
+/// their costs. Returns whether that succeeded.
+fn halve_step(
     problem: &Problem,
     step: &Step<'_>,
     trial: &mut Values,
-    chunk: &Chunk,
-    cell: usize,
+    task: &Task,
+    landmark: usize,
     costs: (&[f64], &mut [f64]),
 ) -> bool {
-    let factors = chunk.factors_of(cell);
-    let cell = &chunk.cells[cell];
-    let tangent = &step.numbers[cell.step..][..cell.dof as usize];
-    let variable = (cell.store as usize, cell.slot as usize);
-    for halving in 1..=HALVINGS {
-        let scale = if halving == HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
+    let factors = task.factors_of(landmark);
+    let landmark = &task.landmarks[landmark];
+    let tangent = &step.numbers[landmark.step..][..landmark.dof as usize];
+    let variable = (landmark.store as usize, landmark.slot as usize);
+    for halving in 1..=MAX_HALVINGS {
+        let scale = if halving == MAX_HALVINGS { 0.0 } else { 0.5f64.powi(halving) };
         let shorter: Vec<f64> = tangent.iter().map(|step| step * scale).collect();
         step.take_one(problem.retraction.as_deref(), variable, &shorter, trial);
         for i in factors.clone() {
-            let run = chunk.run_of(i);
-            let at = chunk.factors.numbers[i];
-            problem.runs[run].costs(trial, &[at], &mut costs.1[i..=i]);
+            let group = task.group_of(i);
+            let at = task.factors.indices[i];
+            problem.factor_groups[group].costs(trial, &[at], &mut costs.1[i..=i]);
         }
-        if factors.clone().all(|i| survives(costs.0[i], costs.1[i])) {
+        if factors.clone().all(|i| stays_valid(costs.0[i], costs.1[i])) {
             return true;
         }
     }
     false
 }
 
-/// Gives factors that something else than their variable ends, as a camera that moves past a point,
-/// the cost that they had: they gain a step nothing and do not hold up all others. Gives how many;
-/// `None` if one is there but not finite.
-fn let_go(factors: Range<usize>, before: &[f64], after: &mut [f64]) -> Option<usize> {
-    let mut lost = 0;
+/// Factors that are invalidated by another variable than their landmark, such as a camera that
+/// moves past a point, keep the cost that they had. They contribute no decrease and do not block
+/// the step. Returns their number; `None` if a factor is valid but not finite.
+fn drop_invalid_residuals(
+    factors: Range<usize>,
+    before: &[f64],
+    after: &mut [f64],
+) -> Option<usize> {
+    let mut dropped = 0;
     for i in factors {
-        if !survives(before[i], after[i]) {
+        if !stays_valid(before[i], after[i]) {
             if !after[i].is_nan() {
                 return None;
             }
             after[i] = before[i];
-            lost += 1;
+            dropped += 1;
         }
     }
-    Some(lost)
+    Some(dropped)
 }
 
 fn prefers_dense(structure: &Structure) -> bool {
@@ -218,7 +221,7 @@ fn prefers_dense(structure: &Structure) -> bool {
     columns <= MAX_DENSE_COLUMNS && 2.0 * filled as f64 > DENSE_FILL * (columns * columns) as f64
 }
 
-impl System for SchurSystem {
+impl LinearSystem for SchurSystem {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -246,15 +249,15 @@ impl System for SchurSystem {
         times: &mut Times,
     ) -> Option<Attempt> {
         Self::on_pool(self.shared(), || {
-            let promise = self.step(lambda, times)?;
+            let predicted_reduction = self.solve_step(lambda, times)?;
             let begin = Instant::now();
             let Self { structure, step, .. } = self;
             let step = Step { values, numbers: step, at: &structure.step_at };
             step.take(problem.retraction.as_deref(), trial);
             times.back_substitute += begin.elapsed();
-            let (cost, lost) =
+            let (cost, dropped) =
                 self.trial_cost(problem, values, trial, times).unwrap_or((f64::INFINITY, 0));
-            Some(Attempt { promise, cost, lost })
+            Some(Attempt { predicted_reduction, cost, dropped })
         })
     }
 }
@@ -262,7 +265,7 @@ impl System for SchurSystem {
 impl SchurSystem {
     /// Whether there is work for several threads.
     fn shared(&self) -> bool {
-        self.structure.chunks.len() > 1
+        self.structure.tasks.len() > 1
     }
 
     fn linearize_here(
@@ -274,15 +277,15 @@ impl SchurSystem {
     ) -> Linearised {
         let begin = Instant::now();
         let structure = &self.structure;
-        let mut tasks = Vec::with_capacity(structure.chunks.len());
+        let mut work_items = Vec::with_capacity(structure.tasks.len());
         let mut rest = &mut self.memory[..];
-        for (sums, chunk) in self.sums.iter_mut().zip(&structure.chunks) {
-            let (memory, others) = rest.split_at_mut(chunk.memory.len());
-            tasks.push((sums, memory));
+        for (sums, task) in self.sums.iter_mut().zip(&structure.tasks) {
+            let (memory, others) = rest.split_at_mut(task.memory.len());
+            work_items.push((sums, memory));
             rest = others;
         }
-        for_chunks(&structure.chunks, &mut tasks, |chunk, (sums, memory)| {
-            sums.linearize(memory, problem, values, chunk, lambda);
+        for_each_task(&structure.tasks, &mut work_items, |task, (sums, memory)| {
+            sums.linearize(memory, problem, values, task, lambda);
         });
         let middle = Instant::now();
         self.reduced.gather(structure, &self.sums, &self.memory, lambda);
@@ -306,32 +309,33 @@ impl SchurSystem {
         linearised
     }
 
-    /// Solves for the step. Gives by how much the linear model says the cost will fall.
-    fn step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
+    /// Solves for the step. Returns the predicted reduction of the cost (model cost change).
+    fn solve_step(&mut self, lambda: f64, times: &mut Times) -> Option<f64> {
         let begin = Instant::now();
         let structure = &self.structure;
         let (kept, eliminated) = self.step.split_at_mut(structure.kept_len);
-        let rest = Eliminated { structure, memory: &self.memory };
-        let solved = self.reduced.solve(rest, kept);
+        let eliminated_system = EliminatedSystem { structure, memory: &self.memory };
+        let solved = self.reduced.solve(eliminated_system, kept);
         times.solve += begin.elapsed();
         solved.ok()?;
         let begin = Instant::now();
-        let mut tasks = Vec::with_capacity(structure.chunks.len());
+        let mut work_items = Vec::with_capacity(structure.tasks.len());
         let mut rest = eliminated;
-        for chunk in &structure.chunks {
-            let (steps, others) = rest.split_at_mut(chunk.steps.len());
-            tasks.push((steps, [0.0; 2]));
+        for task in &structure.tasks {
+            let (steps, others) = rest.split_at_mut(task.steps.len());
+            work_items.push((steps, [0.0; 2]));
             rest = others;
         }
         let (memory, block_at) = (&self.memory, &self.block_at);
-        for_chunks(&structure.chunks, &mut tasks, |chunk, (steps, promise)| {
-            *promise = Sums::back_substitute(memory, chunk, kept, block_at, lambda, steps);
+        for_each_task(&structure.tasks, &mut work_items, |task, (steps, predicted_reduction)| {
+            *predicted_reduction =
+                Sums::back_substitute(memory, task, kept, block_at, lambda, steps);
         });
-        // The model's decrease −gᵀδ − ½ δᵀHδ, with (H + λD) δ = −g, is ½ (λ δᵀDδ − gᵀδ).
+        // The predicted reduction −gᵀδ − ½ δᵀHδ equals ½ (λ δᵀDδ − gᵀδ), because (H + λD) δ = −g.
         let [mut g_step, mut damped] = [0.0; 2];
-        for (_, promise) in &tasks {
-            g_step += promise[0];
-            damped += promise[1];
+        for (_, predicted_reduction) in &work_items {
+            g_step += predicted_reduction[0];
+            damped += predicted_reduction[1];
         }
         for ((step, gradient), diagonal) in
             kept.iter().zip(&self.reduced.gradient).zip(&self.reduced.diagonal)
@@ -340,12 +344,12 @@ impl SchurSystem {
             damped += lambda * diagonal * step * step;
         }
         times.back_substitute += begin.elapsed();
-        let promise = 0.5 * (damped - g_step);
-        promise.is_finite().then_some(promise)
+        let predicted_reduction = 0.5 * (damped - g_step);
+        predicted_reduction.is_finite().then_some(predicted_reduction)
     }
 
-    /// The cost at `trial`, refined, and how many factors were let go for it; `None` where a factor
-    /// that existed does not, or is not finite.
+    /// The cost at `trial` after refinement of the landmarks, and the number of dropped factors.
+    /// `None` if a factor becomes invalid and cannot be dropped, or is not finite.
     fn trial_cost(
         &mut self,
         problem: &Problem,
@@ -356,22 +360,22 @@ impl SchurSystem {
         let begin = Instant::now();
         let Self { structure, sums, refine, .. } = self;
         refine.evaluate(problem, trial, structure, sums);
-        let mut lost = Some(0);
-        for chunk in 0..self.structure.chunks.len() {
-            if !self.refine.chunks[chunk].alive {
-                let more = self.rescue(problem, values, trial, chunk);
-                lost = lost.zip(more).map(|(lost, more)| lost + more);
+        let mut dropped = Some(0);
+        for task in 0..self.structure.tasks.len() {
+            if !self.refine.tasks[task].all_valid {
+                let more = self.backtrack(problem, values, trial, task);
+                dropped = dropped.zip(more).map(|(dropped, more)| dropped + more);
             }
         }
         times.evaluate += begin.elapsed();
-        let lost = lost?;
+        let dropped = dropped?;
         let begin = Instant::now();
         let Self { structure, sums, refine, .. } = self;
         if refine.cost().is_finite() {
-            refine.improve(problem, trial, structure, sums);
+            refine.refine_landmarks(problem, trial, structure, sums);
         }
         times.refine += begin.elapsed();
         let cost = refine.cost();
-        cost.is_finite().then_some((cost, lost))
+        cost.is_finite().then_some((cost, dropped))
     }
 }

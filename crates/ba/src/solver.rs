@@ -1,37 +1,40 @@
-//! From a problem to its solution: the choice of a linear solver, and what is found once for many
-//! solves.
+//! Choice of the linear solver, and reuse of the symbolic structure between solves.
 
 use std::ops::ControlFlow;
 
-use crate::descent::Descent;
 use crate::error::Error;
+use crate::levenberg_marquardt::LevenbergMarquardt;
+use crate::linear_system::LinearSystem;
 use crate::options::{LinearSolver, Options};
 use crate::problem::Problem;
 use crate::qr::QrSystem;
 use crate::schur::SchurSystem;
-use crate::structure::FACTORS_PER_CHUNK;
+use crate::structure::FACTORS_PER_TASK;
 use crate::summary::{IterationRecord, Summary};
-use crate::system::System;
 use crate::variable::{Role, Values};
 
-/// Up to so many numbers in a dense Jacobian, with nothing to eliminate, it is factorised itself
-/// rather than squared.
+/// A problem without landmarks is solved by QR if its normal and Jacobian matrices have at most
+/// this many elements together.
 const QR_NUMBERS: usize = 100_000;
 
-/// The structure of a problem — which blocks there are, in which order they are eliminated, who
-/// works on what — found once, and the memory to solve it as often as wanted with changing values.
+/// The symbolic structure of a problem (blocks, elimination order, parallel tasks) and the memory
+/// to solve it repeatedly with changing values.
 pub struct Solver {
     options: Options,
-    system: Box<dyn System>,
+    system: Box<dyn LinearSystem>,
     trial: Values,
     revision: u64,
 }
 
 impl Solver {
-    /// Analyses the problem.
+    /// Analyses the structure of the problem.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for an option out of range, [`Error::TwoEliminated`] if a factor joins two
+    /// landmarks, [`Error::TooLarge`] for more factors or variables than can be numbered.
     pub fn new(problem: &Problem, options: &Options) -> Result<Self, Error> {
         options.validate()?;
-        let system = || -> Result<Box<dyn System>, Error> {
+        let system = || -> Result<Box<dyn LinearSystem>, Error> {
             Ok(match options.linear_solver {
                 LinearSolver::Qr => Box::new(QrSystem::new(problem)?),
                 LinearSolver::Auto if prefers_qr(problem) => Box::new(QrSystem::new(problem)?),
@@ -39,7 +42,7 @@ impl Solver {
             })
         };
         let trial = || problem.values.clone();
-        let (system, trial) = if problem.num_factors() > FACTORS_PER_CHUNK {
+        let (system, trial) = if problem.num_factors() > FACTORS_PER_TASK {
             rayon::join(system, trial)
         } else {
             (system(), trial())
@@ -47,20 +50,24 @@ impl Solver {
         Ok(Self { options: options.clone(), system: system?, trial, revision: problem.revision })
     }
 
-    /// Moves the problem's variables downhill. `watch` is called after every attempted step and may
-    /// stop the solve.
+    /// Minimises the cost over the problem's variables. `callback` is called after every attempted
+    /// step and may stop the solve.
+    ///
+    /// # Errors
+    /// [`Error::StructureChanged`] if variables, factors or fixed directions have changed since
+    /// [`Solver::new`]; [`Error::NotFinite`] if a factor is not finite at the initial values.
     pub fn solve(
         &mut self,
         problem: &mut Problem,
-        watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+        callback: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
     ) -> Result<Summary, Error> {
         if problem.revision != self.revision {
             return Err(Error::StructureChanged);
         }
         let Self { options, system, trial, .. } = self;
-        let mut descent = Descent::begin(&mut **system, options, problem, trial)?;
-        let termination = descent.run(watch);
-        Ok(descent.summary(termination))
+        let mut minimizer = LevenbergMarquardt::begin(&mut **system, options, problem, trial)?;
+        let termination = minimizer.run(callback);
+        Ok(minimizer.summary(termination))
     }
 }
 

@@ -1,7 +1,7 @@
 use std::fmt;
 use std::time::Duration;
 
-/// Why a solve ended. None of these is an error: the values are always the best that were found.
+/// Reason why a solve ended. None of these is an error: the values are always the best ones found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Termination {
     /// The last step lowered the cost by less than
@@ -15,14 +15,14 @@ pub enum Termination {
     MaxIterations,
     /// Not even the shortest step lowers the cost.
     NoDescent,
-    /// The callback said so.
+    /// The callback stopped the solve.
     Cancelled,
-    /// There is nothing to move: no variable, all of them fixed, or no factor.
+    /// Nothing to optimise: no variable, only fixed ones, or no factor.
     Nothing,
 }
 
 impl Termination {
-    /// Whether the solve ended because it was done.
+    /// Whether the solve converged.
     pub fn converged(self) -> bool {
         matches!(
             self,
@@ -34,46 +34,46 @@ impl Termination {
 /// One attempted step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IterationRecord {
-    /// From 1.
+    /// Counted from 1.
     pub number: usize,
-    /// The cost after it.
+    /// Cost after the step.
     pub cost: f64,
-    /// By how much it lowered the cost; negative or NaN when it was rejected.
+    /// Decrease of the cost; negative or NaN for a rejected step.
     pub decrease: f64,
-    /// The decrease divided by what the linear model promised.
+    /// The decrease divided by the reduction that the linear model predicted.
     pub gain_ratio: f64,
-    /// Largest component of the gradient before it.
+    /// Largest component of the gradient before the step.
     pub gradient_max: f64,
     /// Damping λ of this step.
     pub damping: f64,
-    /// Whether it was taken.
+    /// Whether the step was accepted.
     pub accepted: bool,
-    /// Time since the solve began.
+    /// Time since the start of the solve.
     pub elapsed: Duration,
 }
 
-/// What a solve did.
+/// Report of a solve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// Why it ended.
+    /// Reason why it ended.
     pub termination: Termination,
-    /// Cost at the beginning.
+    /// Cost at the initial values.
     pub initial_cost: f64,
-    /// Cost at the end.
+    /// Cost at the final values.
     pub final_cost: f64,
-    /// Every attempted step.
+    /// All attempted steps.
     pub iterations: Vec<IterationRecord>,
-    /// Factors that do not exist at the final values (points behind cameras).
+    /// Factors that are invalid at the final values (points behind cameras).
     pub missing_factors: usize,
-    /// Residuals of all factors.
+    /// Number of residuals of all factors.
     pub num_residuals: usize,
-    /// Columns of the linear system that was solved.
+    /// Columns of the linear system.
     pub num_columns: usize,
-    /// Columns that were eliminated before.
+    /// Eliminated columns.
     pub num_eliminated: usize,
     /// Name of the linear solver.
     pub linear_solver: &'static str,
-    /// Where the time went.
+    /// Wall time by part of the work.
     pub times: Times,
 }
 
@@ -82,22 +82,23 @@ pub struct Summary {
 pub struct Times {
     /// Linearisation and elimination.
     pub linearize: Duration,
-    /// Putting the reduced system together.
+    /// Summation of the reduced system.
     pub gather: Duration,
-    /// Factorising and solving it.
+    /// Factorisation and solution of the reduced system.
     pub solve: Duration,
-    /// Steps of the eliminated variables.
+    /// Steps of the landmarks.
     pub back_substitute: Duration,
     /// Costs of attempted steps.
     pub evaluate: Duration,
-    /// Steps of the eliminated variables on their own.
+    /// Refinement of the landmarks (see [`Options::refinements`](crate::Options::refinements)).
     pub refine: Duration,
-    /// All of the solve.
+    /// The whole solve.
     pub total: Duration,
 }
 
 impl Summary {
-    /// Root mean square of the residuals at the end, were all losses trivial.
+    /// Root mean square of the residuals at the final values. Exact for trivial losses only, since
+    /// it is computed from the cost.
     pub fn rms_residual(&self) -> f64 {
         (2.0 * self.final_cost / self.num_residuals.max(1) as f64).sqrt()
     }

@@ -7,18 +7,18 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 use tiepoint_geometry::{Block, Manifold};
 
-/// Degrees of freedom of one variable: the set of free directions is a 64-bit mask.
+/// Limit on the degrees of freedom of one variable: free directions are a 64-bit mask.
 pub(crate) const MAX_DOF: usize = 64;
-/// Largest variable that can be eliminated: beyond, the reduced system is the better place.
+/// Limit for eliminated variables. Larger variables should stay in the reduced system.
 pub(crate) const MAX_ELIMINATED_DOF: usize = 6;
 
-/// Stores longer than this are moved in parallel: below, waking a thread costs more than the work.
+/// Stores longer than this are moved in parallel. Below, waking a thread costs more than the work.
 pub(crate) const PARALLEL_VALUES: usize = 4_000;
 
-/// In [`AnyStore::plus_all`]: this variable does not move.
+/// Marks a variable that does not move, in [`AnyStore::plus_all`].
 pub(crate) const FIXED: u32 = u32::MAX;
 
-/// The name of one variable of type `V` in the [`Problem`](crate::Problem) that made it.
+/// Key of a variable of type `V` in the [`Problem`](crate::Problem) that made it.
 pub struct Key<V> {
     pub(crate) slot: u32,
     of: PhantomData<fn() -> V>,
@@ -29,13 +29,13 @@ impl<V> Key<V> {
         Self { slot, of: PhantomData }
     }
 
-    /// Which of the problem's variables of this type, in the order of insertion.
+    /// Index among the problem's variables of this type, in order of insertion.
     pub fn index(self) -> usize {
         self.slot as usize
     }
 }
 
-// Written out because `derive` would ask for `V: Clone` and so on.
+// Not derived, because `derive` would require `V: Clone` and so on.
 impl<V> Clone for Key<V> {
     fn clone(&self) -> Self {
         *self
@@ -64,7 +64,7 @@ impl<V> fmt::Debug for Key<V> {
     }
 }
 
-/// A key that has forgotten its type, for lists of variables of several types.
+/// A key without its type, for lists of variables of several types.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AnyKey {
     pub(crate) type_id: TypeId,
@@ -73,7 +73,7 @@ pub struct AnyKey {
 }
 
 impl AnyKey {
-    /// The key with its type; `None` where it is another one.
+    /// The key with its type; `None` if it is of another type.
     pub fn typed<V: Manifold>(&self) -> Option<Key<V>> {
         (self.type_id == TypeId::of::<V>()).then(|| Key::new(self.slot))
     }
@@ -85,18 +85,16 @@ impl<V: Manifold> From<Key<V>> for AnyKey {
     }
 }
 
-/// Where a kept variable stands in the order in which the reduced system is factorised.
+/// Position of a kept variable in the elimination order of the reduced system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Order {
-    /// With the others of this moment, say a frame number: variables that share factors should be
-    /// near in time.
+    /// At a time, such as a frame number: variables that share factors should have nearby times.
     At(u32),
-    /// Last: a variable that many moments share, such as the intrinsics of a camera or the
-    /// calibration of a rig.
+    /// Last, for a variable that many frames share: camera intrinsics or rig extrinsics.
     Shared,
 }
 
-/// What the solver does with a variable.
+/// Treatment of a variable by the solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Role {
     Kept(Order),
@@ -111,7 +109,7 @@ pub(crate) struct Meta {
     pub(crate) free: u64,
 }
 
-/// All directions of a variable of `dof` dimensions.
+/// Mask of all directions of a variable of `dof` dimensions.
 pub(crate) fn all_free(dof: usize) -> u64 {
     if dof >= MAX_DOF { u64::MAX } else { (1 << dof) - 1 }
 }
@@ -119,7 +117,7 @@ pub(crate) fn all_free(dof: usize) -> u64 {
 /// The values of all variables of one type.
 pub(crate) struct Store<V>(pub(crate) Vec<V>);
 
-/// A [`Store`] whose type is not known.
+/// A [`Store`] whose value type is erased.
 pub(crate) trait AnyStore: Any + Send + Sync {
     fn value_type(&self) -> (TypeId, &'static str);
     fn dof(&self) -> usize;
@@ -129,7 +127,7 @@ pub(crate) trait AnyStore: Any + Send + Sync {
     fn clone_boxed(&self) -> Box<dyn AnyStore>;
     /// `self[i] = base[i].plus(delta[at[i]..][..dof])`, and `base[i]` where `at[i]` is [`FIXED`].
     fn plus_all(&mut self, base: &dyn AnyStore, delta: &[f64], at: &[u32]);
-    /// The same for one variable that moves.
+    /// [`AnyStore::plus_all`] for one variable that moves.
     fn plus_one(&mut self, base: &dyn AnyStore, slot: usize, delta: &[f64]);
     /// `self[slot] = base[slot]`.
     fn copy_one(&mut self, base: &dyn AnyStore, slot: usize);
@@ -200,23 +198,23 @@ impl Clone for Values {
 }
 
 impl Values {
-    /// Number of the store of type `V`, if there is one.
+    /// Index of the store of a type, if there is one.
     pub(crate) fn find(&self, type_id: TypeId) -> Option<usize> {
         self.stores.iter().position(|store| store.value_type().0 == type_id)
     }
 
-    /// All values of type `V`, given the number of their store.
+    /// All values of type `V`, given the index of their store.
     pub(crate) fn slice<V: Manifold>(&self, store: u16) -> &[V] {
         typed(&*self.stores[store as usize])
     }
 
-    /// The key of a variable, given the number of its store.
+    /// Key of a variable, given the index of its store.
     pub(crate) fn key(&self, store: usize, slot: usize) -> AnyKey {
         let (type_id, type_name) = self.stores[store].value_type();
         AnyKey { type_id, type_name, slot: slot as u32 }
     }
 
-    /// All values of two types; `None` where one of them has no store, or they are the same.
+    /// All values of two types; `None` if one of them has no store, or they are the same type.
     pub(crate) fn two_mut<A: Manifold, B: Manifold>(&mut self) -> Option<(&mut [A], &mut [B])> {
         let stores = [self.find(TypeId::of::<A>())?, self.find(TypeId::of::<B>())?];
         let [a, b] = self.stores.get_disjoint_mut(stores).ok()?;

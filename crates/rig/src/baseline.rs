@@ -1,13 +1,13 @@
-//! The baseline constraint between two moments: E = ½ w ‖p_i − p_{i+1}‖² (Huang, Elhashash & Qin
+//! The baseline constraint between two frames: E = ½ w ‖p_i − p_{i+1}‖² (Huang, Elhashash & Qin
 //! 2022, Eq. 3).
 //!
-//! It joins four camera poses, the left and the right one at time i and at time i + 1, and knows
-//! nothing of the calibration: only that it stays. It weighs metres against radians, so its
-//! strength depends on the unit of the model; see [`crate::paper`].
+//! The factor joins four camera poses, left and right at time i and at time i + 1. It assumes that
+//! the relative pose is constant, and does not know its value. It weighs metres against radians, so
+//! its strength depends on the unit of the model; see [`crate::paper`].
 //!
-//! A rotation has many axis-angle vectors, and which of them is the shortest changes at π, where
-//! cameras that look in opposite directions are. A difference of shortest vectors would change sign
-//! there, so the factor writes both rotations by the vectors nearest to a given one.
+//! A rotation has several axis-angle vectors, and the shortest one jumps at π, where cameras look
+//! in opposite directions. A difference of shortest vectors would change its sign there, so the
+//! factor represents both rotations by the vectors nearest to a given one.
 
 use tiepoint_ba::{Factor, Linear, Refs};
 use tiepoint_geometry::Rigid3;
@@ -15,20 +15,21 @@ use tiepoint_geometry::nalgebra::SVector;
 
 use crate::relative_pose::RelativePose;
 
-/// The relative pose of two cameras equals that at the next moment. Variables: `left_from_world`
-/// and `right_from_world` at time i, then the same at time i + 1.
+/// The relative pose of two cameras equals that at the next frame. Variables: `left_from_world` and
+/// `right_from_world` at time i, then at time i + 1. Residual: √w (p_i − p_{i+1}), translation
+/// first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baseline {
     /// Square root of the weight w (units: 1 / model unit for the translation, 1 / radian for the
     /// rotation).
     pub sqrt_weight: f64,
-    /// Both rotations are written by the axis-angle vectors nearest to that of this relative pose,
-    /// say the first one's.
+    /// Both rotations are represented by the axis-angle vectors nearest to that of this relative
+    /// pose, for example the one at the first frame.
     pub near: RelativePose,
 }
 
 impl Baseline {
-    /// With weight w: Eq. (2)'s λ N_p/N_t, or Eq. (4)'s λ_i.
+    /// With weight w: λ N_p/N_t of Eq. (2), or λ_i of Eq. (4).
     pub fn with_weight(weight: f64, near: RelativePose) -> Self {
         Self { sqrt_weight: weight.sqrt(), near }
     }

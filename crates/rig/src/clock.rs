@@ -1,24 +1,24 @@
-//! A camera's clock against the first camera's.
+//! Clock model of a camera relative to the reference camera.
 
 use tiepoint_ba::factors::Difference;
 use tiepoint_geometry::Manifold;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2};
 
-/// What turns a camera's times into those of the first camera: time + offset + drift · (time −
-/// pivot). A variable of two dimensions: offset and drift.
+/// Maps times of a camera to times of the reference camera: time + offset + drift · (time − pivot).
+/// A variable of two dimensions, offset and drift (skew).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clock {
-    /// What to add, at the pivot, in seconds.
+    /// Offset to add at the pivot, in seconds.
     pub offset_s: f64,
-    /// How much more to add with each second.
+    /// Skew: additional offset per second.
     pub drift: f64,
-    /// Where the offset is that, on this clock: the middle of the drive, so that offset and drift
-    /// tell apart.
+    /// Time on this camera's clock at which the offset applies. The middle of the drive
+    /// decorrelates offset and drift.
     pub pivot_s: f64,
 }
 
 impl Clock {
-    /// The first camera's time when this one shows `time_s`.
+    /// Time of the reference camera when this camera's clock shows `time_s`, both in seconds.
     pub fn reference_time_s(&self, time_s: f64) -> f64 {
         time_s + self.offset_s + self.drift * (time_s - self.pivot_s)
     }

@@ -1,57 +1,60 @@
-//! The offset of a camera's clock, from how the two cameras move: the one at which their relative
-//! pose is most constant.
+//! Initial time offset of a camera from the motion of two cameras: the offset at which their
+//! relative pose is most constant.
 //!
-//! For an offset d, the relative pose p_i(d) of each image i of the second camera is taken against
-//! the first one's trajectory, interpolated. Both coordinates and rotations of p_i scatter with
-//! unknown deviations about an unknown mounting, so what is minimised is the mean of ln(1 + |c_i −
-//! c|²/σ_c²) + ln(1 + |r_i − r|²/σ_r²), the negative logarithm of Cauchy's likelihood, over d and
-//! the centres c and r. The σ are the smallest medians that any offset reaches; a median itself
-//! would not do for the cost, since most of a drive goes straight on at one speed and tells
-//! nothing. Neither would a spread relative to the baseline, which grows with a wrong offset.
+//! For an offset d, the relative pose p_i(d) of each image i of the second camera is taken with
+//! respect to the interpolated trajectory of the first one. Translations c_i and rotations r_i of
+//! p_i scatter about unknown extrinsics with unknown deviations. The cost is therefore the mean of
+//! ln(1 + |c_i − c|²/σ_c²) + ln(1 + |r_i − r|²/σ_r²), the negative log-likelihood of a Cauchy
+//! distribution, minimised over d and the centres c and r. σ_c and σ_r are proportional to the
+//! smallest median deviations over all offsets. A median would not do as the cost, because most of
+//! a drive goes straight at constant speed and is independent of the offset. Neither would a
+//! deviation relative to the baseline, because a wrong offset lengthens the baseline.
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::{golden_section, median};
 use tiepoint_geometry::{Rigid3, so3};
 
-use crate::average::componentwise_median;
+use crate::robust_average::componentwise_median;
 use crate::{RelativePose, Trajectory};
 
-/// Clocks that show the same hour are set by hand: to better than this, in seconds.
+/// Largest offset of clocks that were set by hand, in seconds.
 const MAX_OFFSET_S: f64 = 1.5;
-/// They show the same hour when so much of the shorter drive is common to both.
+/// Clocks count as set by hand if the drives overlap by this fraction of the shorter one.
 const MIN_OVERLAP: f64 = 0.5;
-/// Steps of the search within an interval between images.
+/// Steps of the grid search per image interval.
 const STEPS_PER_INTERVAL: f64 = 8.0;
-/// More offsets are not tried: clocks that share nothing, of drives that are too long for that, or
-/// photos that are no drive.
+/// Limit on the number of offsets. Longer ranges come from clocks without relation and long drives,
+/// or from photos that are not a drive.
 const MAX_CANDIDATES: usize = 50_000;
-/// Images that are looked at while searching.
+/// Limit on the number of images in the search.
 const MAX_IMAGES: usize = 250;
-/// An offset is considered when so many of the images that any offset leaves take part, and at
-/// least so many in number.
+/// An offset is considered if at least this fraction of the largest number of images over all
+/// offsets can be compared, and at least this number of images.
 const MIN_SHARE: f64 = 0.6;
 const MIN_IMAGES: usize = 6;
-/// Scales of Cauchy's loss, in medians.
+/// Scale of the Cauchy loss in median deviations.
 const LOSS_SCALE: f64 = 1.5;
 const REWEIGHTINGS: usize = 8;
-/// Steps of the golden section, from two steps of the search down to a ten-thousandth of one.
+/// Golden-section steps, which shrink the interval from two grid steps to a ten-thousandth of one.
 const GOLDEN_STEPS: usize = 24;
 
-/// An offset that was found.
+/// An estimated time offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FoundOffset {
-    /// What to add to the second camera's times to get the first one's, in seconds.
+pub struct OffsetEstimate {
+    /// Offset to add to the second camera's times to get the first one's, in seconds.
     pub offset_s: f64,
-    /// By how much the logarithm of the likelihood is better than with `offset_s` 0, were the
-    /// images independent; infinite where the clocks as they are leave too few images.
+    /// Increase of the log-likelihood over `offset_s` = 0, as if images were independent; infinite
+    /// if too few images can be compared without an offset.
     pub gain: f64,
-    /// Standard deviation from the curvature of the likelihood, were the images independent.
+    /// Standard deviation from the curvature of the log-likelihood, in seconds, as if images were
+    /// independent.
     pub sd_s: f64,
 }
 
-/// Searches the offset: within 1.5 s where the clocks nearly agree, anywhere where the two drives
-/// hardly overlap on them. `None` where too few images can be compared.
-pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOffset> {
+/// Searches the time offset of `right`, pairs of time in seconds and `cam_from_world`. The range is
+/// ±1.5 s if the drives overlap on their clocks, else all offsets at which half of the shorter drive
+/// overlaps. `None` if too few images can be compared.
+pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<OffsetEstimate> {
     let (first, last) = (*left.times_s().first()?, *left.times_s().last()?);
     let (right_first, right_last) = (right.first()?.0, right.last()?.0);
     let shorter_s = (last - first).min(right_last - right_first);
@@ -67,28 +70,29 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOf
     }
     let every = right.len().div_ceil(MAX_IMAGES);
     let right: Vec<(f64, Rigid3)> = right.iter().step_by(every).copied().collect();
-    // Multiples of the step, so that clocks that agree are among them.
+    // Multiples of the step, so that zero is among them.
     let indices = (from_s / step_s).ceil() as i64..=(to_s / step_s).floor() as i64;
     if indices.clone().count() > MAX_CANDIDATES {
         return None;
     }
     let offsets: Vec<f64> = indices.map(|index| index as f64 * step_s).collect();
-    let spreads: Vec<(usize, (f64, f64))> = offsets
+    let candidates: Vec<(usize, (f64, f64))> = offsets
         .iter()
         .map(|offset_s| Samples::at(left, &right, *offset_s))
         .map(|samples| (samples.len(), samples.medians()))
         .collect();
-    let most = spreads.iter().map(|(count, _)| *count).max()?;
-    let fewest = ((MIN_SHARE * most as f64) as usize).max(MIN_IMAGES);
-    let scales = spreads
+    let max_images_compared = candidates.iter().map(|(count, _)| *count).max()?;
+    let min_images = ((MIN_SHARE * max_images_compared as f64) as usize).max(MIN_IMAGES);
+    let scales = candidates
         .iter()
-        .filter(|(count, _)| *count >= fewest)
+        .filter(|(count, _)| *count >= min_images)
         .map(|(_, medians)| *medians)
         .reduce(|a, b| (a.0.min(b.0), a.1.min(b.1)))?;
-    let scales = (LOSS_SCALE * scales.0.max(TINY), LOSS_SCALE * scales.1.max(TINY));
+    let scales =
+        (LOSS_SCALE * scales.0.max(MIN_DEVIATION), LOSS_SCALE * scales.1.max(MIN_DEVIATION));
     let cost = |offset_s: f64| {
         let samples = Samples::at(left, &right, offset_s);
-        if samples.len() >= fewest { samples.cost(scales) } else { f64::INFINITY }
+        if samples.len() >= min_images { samples.cost(scales) } else { f64::INFINITY }
     };
     let grid = offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s));
     let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -98,17 +102,17 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<FoundOf
     let h = 0.1 * step_s;
     let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
     let sd_s = if curvature > 0.0 { (1.0 / curvature).sqrt() } else { f64::INFINITY };
-    Some(FoundOffset { offset_s, gain: count * (cost(0.0) - best), sd_s })
+    Some(OffsetEstimate { offset_s, gain: count * (cost(0.0) - best), sd_s })
 }
 
-/// Spreads below this are rounding.
-const TINY: f64 = 1e-12;
+/// Deviations below this are rounding.
+const MIN_DEVIATION: f64 = 1e-12;
 
 /// The relative poses at one offset.
 struct Samples {
     centres: Vec<Vector3<f64>>,
     /// Rotations, as tangents at one of them.
-    turns: Vec<Vector3<f64>>,
+    rotations: Vec<Vector3<f64>>,
 }
 
 impl Samples {
@@ -118,10 +122,10 @@ impl Samples {
         };
         let poses: Vec<RelativePose> = right.iter().filter_map(relative).collect();
         let back = poses.get(poses.len() / 2).map(|middle| so3::exp(&middle.axis_angle).inverse());
-        let turn = |pose: &RelativePose| Some(so3::log(&(so3::exp(&pose.axis_angle) * back?)));
+        let rotation = |pose: &RelativePose| Some(so3::log(&(so3::exp(&pose.axis_angle) * back?)));
         Self {
             centres: poses.iter().map(|pose| pose.translation).collect(),
-            turns: poses.iter().filter_map(turn).collect(),
+            rotations: poses.iter().filter_map(rotation).collect(),
         }
     }
 
@@ -130,22 +134,22 @@ impl Samples {
     }
 
     fn medians(&self) -> (f64, f64) {
-        (median_distance(&self.centres), median_distance(&self.turns))
+        (median_distance(&self.centres), median_distance(&self.rotations))
     }
 
     fn cost(&self, scales: (f64, f64)) -> f64 {
-        cauchy(&self.centres, scales.0) + cauchy(&self.turns, scales.1)
+        cauchy(&self.centres, scales.0) + cauchy(&self.rotations, scales.1)
     }
 }
 
-/// Of the values from their median.
+/// Median distance of the values from their median.
 fn median_distance(values: &[Vector3<f64>]) -> f64 {
     let centre = componentwise_median(values);
     let mut distances: Vec<f64> = values.iter().map(|value| (value - centre).norm()).collect();
     median(&mut distances).unwrap_or(f64::INFINITY)
 }
 
-/// The mean loss about the centre that makes it least.
+/// Mean Cauchy loss about the centre that minimises it.
 fn cauchy(values: &[Vector3<f64>], scale: f64) -> f64 {
     let relative = |value: &Vector3<f64>, centre: &Vector3<f64>| {
         (value - centre).norm_squared() / (scale * scale)

@@ -1,25 +1,25 @@
 #![doc = include_str!("../README.md")]
 
-mod average;
 mod baseline;
 mod clock;
 mod clock_search;
-mod interpolate;
 mod interpolated_extrinsics;
+mod knots;
 pub mod paper;
 mod relative_pose;
+mod robust_average;
 mod se3;
 mod statistics;
 mod synchronous_extrinsics;
 mod trajectory;
 
-pub use average::robust_average;
 pub use baseline::Baseline;
 pub use clock::Clock;
-pub use clock_search::{FoundOffset, find_offset};
-pub use interpolate::Knots;
+pub use clock_search::{OffsetEstimate, find_offset};
 pub use interpolated_extrinsics::InterpolatedExtrinsics;
+pub use knots::Knots;
 pub use relative_pose::RelativePose;
+pub use robust_average::robust_average;
 pub use se3::scaled_motion;
 pub use statistics::{RelativePoseStatistics, relative_pose_statistics};
 pub use synchronous_extrinsics::SynchronousExtrinsics;

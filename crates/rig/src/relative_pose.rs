@@ -1,9 +1,9 @@
-//! The relative pose p of two cameras at one moment: six numbers, three of translation and three of
+//! The relative pose p of two cameras at one frame: three numbers of translation and three of
 //! rotation.
 //!
 //! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the
 //! right camera, c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the
-//! left one's frame, and a = Log(R_r R_lᵀ) is the axis-angle vector (radians) of right from left.
+//! left camera frame, and a = Log(R_r R_lᵀ) is the axis-angle vector (radians) of right from left.
 //! With the perturbations (δ, τ) of CONVENTIONS.md and Q = R_r R_lᵀ:
 //!
 //! | | δ_l | τ_l | δ_r | τ_r |
@@ -11,8 +11,8 @@
 //! | c | −[c]ₓ | I | 0 | −Qᵀ |
 //! | a | −J_l⁻¹(a) Q | 0 | J_l⁻¹(a) | 0 |
 //!
-//! J_l is the left Jacobian of SO(3). Axis-angle wraps at π: for cameras that look in opposite
-//! directions, differences of `a` are only meaningful after [`RelativePose::nearest_to`].
+//! J_l is the left Jacobian of SO(3). Axis-angle vectors wrap at π. For cameras that look in
+//! opposite directions, take differences of `a` after [`RelativePose::nearest_to`].
 
 use tiepoint_geometry::nalgebra::{SMatrix, SVector, Vector3};
 use tiepoint_geometry::{Rigid3, so3};
@@ -20,14 +20,14 @@ use tiepoint_geometry::{Rigid3, so3};
 /// p of Huang, Elhashash & Qin 2022, Eq. (3).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelativePose {
-    /// The right camera's centre in the left camera's frame, in units of the model.
+    /// The right camera's centre in the left camera frame, in model units.
     pub translation: Vector3<f64>,
     /// Axis-angle vector of right from left, in radians.
     pub axis_angle: Vector3<f64>,
 }
 
-/// A relative pose with its derivatives by the tangents (rotation, translation) of the two camera
-/// poses.
+/// A relative pose with its derivatives with respect to the tangents (rotation, translation) of the
+/// two camera poses.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LinearRelativePose {
     pub(crate) p: RelativePose,
@@ -45,38 +45,38 @@ impl RelativePose {
         }
     }
 
-    /// The transform that it stands for.
+    /// The same relative pose as a rigid transform.
     pub fn right_from_left(&self) -> Rigid3 {
         let rotation = so3::exp(&self.axis_angle);
         Rigid3::new(rotation, -(rotation * self.translation))
     }
 
-    /// Distance of the right camera's centres, in units of the model, and angle between the
-    /// rotations, in radians.
-    pub fn apart(&self, other: &RelativePose) -> (f64, f64) {
+    /// Distance between the right camera's centres in model units, and angle between the rotations
+    /// in radians.
+    pub fn distance_and_angle(&self, other: &RelativePose) -> (f64, f64) {
         let angle = so3::exp(&self.axis_angle).angle_to(&so3::exp(&other.axis_angle));
         ((self.translation - other.translation).norm(), angle)
     }
 
-    /// (translation, axis-angle) as one vector, the order of Eq. (3).
+    /// (translation, axis-angle) as one vector, in the order of Eq. (3).
     pub fn to_vector(&self) -> SVector<f64, 6> {
         let (t, a) = (&self.translation, &self.axis_angle);
         SVector::<f64, 6>::new(t.x, t.y, t.z, a.x, a.y, a.z)
     }
 
-    /// The same rotation written by the axis-angle vector nearest to that of `other`: a, or a turn
-    /// more or less about its axis.
+    /// The same rotation, represented by the axis-angle vector nearest to that of `other`: full
+    /// full_turns about the axis are added.
     pub fn nearest_to(&self, other: &RelativePose) -> Self {
         let angle = self.axis_angle.norm();
         if angle == 0.0 {
             return *self;
         }
         let axis = self.axis_angle / angle;
-        let turns = ((other.axis_angle.dot(&axis) - angle) / std::f64::consts::TAU).round();
-        Self { axis_angle: axis * (angle + turns * std::f64::consts::TAU), ..*self }
+        let full_turns = ((other.axis_angle.dot(&axis) - angle) / std::f64::consts::TAU).round();
+        Self { axis_angle: axis * (angle + full_turns * std::f64::consts::TAU), ..*self }
     }
 
-    /// With derivatives.
+    /// The relative pose and its derivatives.
     pub(crate) fn linearize(
         left_from_world: &Rigid3,
         right_from_world: &Rigid3,
@@ -95,7 +95,7 @@ impl RelativePose {
 }
 
 impl LinearRelativePose {
-    /// Fills the rows of the rotation for the branch that `p` is in.
+    /// Computes the rows of the rotation for the branch of `p`.
     fn with_rotation(mut self, q: &tiepoint_geometry::nalgebra::Matrix3<f64>) -> Self {
         let inverse = so3::left_jacobian_inverse(&self.p.axis_angle);
         self.d_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * q));
@@ -103,12 +103,12 @@ impl LinearRelativePose {
         self
     }
 
-    /// The same in the branch of the axis-angle vector nearest to `other`.
+    /// The same relative pose in the branch of the axis-angle vector nearest to `other`.
     pub(crate) fn nearest_to(mut self, other: &RelativePose) -> Self {
-        let moved = self.p.nearest_to(other);
-        if moved != self.p {
-            self.p = moved;
-            let q = so3::exp(&moved.axis_angle).to_rotation_matrix().into_inner();
+        let nearest = self.p.nearest_to(other);
+        if nearest != self.p {
+            self.p = nearest;
+            let q = so3::exp(&nearest.axis_angle).to_rotation_matrix().into_inner();
             self = self.with_rotation(&q);
         }
         self

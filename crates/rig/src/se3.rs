@@ -1,7 +1,7 @@
-//! Exponential, logarithm and left Jacobian of rigid motions; vectors are (ω, v), rotation first.
+//! Exponential, logarithm and left Jacobian of SE(3). Tangent vectors are (ω, v), rotation first.
 //!
 //! Exp(ω, v) = (Exp ω, J_l(ω) v). The left Jacobian is 𝒥 = [[J, 0], [Q, J]] with Exp(ξ + δ) ≈ Exp(𝒥
-//! δ) Exp(ξ); Q is Eq. (102) of Barfoot & Furgale 2014, "Associating uncertainty with
+//! δ) Exp(ξ), where Q is Eq. (102) of Barfoot & Furgale 2014, "Associating uncertainty with
 //! three-dimensional poses".
 
 use tiepoint_geometry::nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -10,15 +10,15 @@ use tiepoint_geometry::{Rigid3, so3};
 pub(crate) type Twist = SVector<f64, 6>;
 pub(crate) type Matrix6 = SMatrix<f64, 6, 6>;
 
-/// Below this angle the coefficients are series: three terms leave less than 1e-13.
+/// Below this angle the coefficients are computed by series; three terms leave less than 1e-13.
 const SMALL_ANGLE: f64 = 0.05;
 
-fn parts(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
+fn split(twist: &Twist) -> (Vector3<f64>, Vector3<f64>) {
     (twist.fixed_rows::<3>(0).into_owned(), twist.fixed_rows::<3>(3).into_owned())
 }
 
 pub(crate) fn exp(twist: &Twist) -> Rigid3 {
-    let (w, v) = parts(twist);
+    let (w, v) = split(twist);
     Rigid3::new(so3::exp(&w), so3::left_jacobian(&w) * v)
 }
 
@@ -28,26 +28,26 @@ pub(crate) fn log(motion: &Rigid3) -> Twist {
     Twist::new(w.x, w.y, w.z, v.x, v.y, v.z)
 }
 
-/// A share of a motion: Exp(share · Log(motion)).
-pub fn scaled_motion(motion: &Rigid3, share: f64) -> Rigid3 {
-    exp(&(log(motion) * share))
+/// A fraction of a motion: Exp(fraction · Log(motion)).
+pub fn scaled_motion(motion: &Rigid3, fraction: f64) -> Rigid3 {
+    exp(&(log(motion) * fraction))
 }
 
-/// 𝒥.
+/// The left Jacobian 𝒥.
 pub(crate) fn left_jacobian(twist: &Twist) -> Matrix6 {
-    let (w, v) = parts(twist);
+    let (w, v) = split(twist);
     let j = so3::left_jacobian(&w);
     blocks(&j, &q(&w, &v), &j)
 }
 
-/// 𝒥⁻¹.
+/// Its inverse 𝒥⁻¹.
 pub(crate) fn left_jacobian_inverse(twist: &Twist) -> Matrix6 {
-    let (w, v) = parts(twist);
+    let (w, v) = split(twist);
     let inverse = so3::left_jacobian_inverse(&w);
     blocks(&inverse, &-(inverse * q(&w, &v) * inverse), &inverse)
 }
 
-/// Lower triangular, of blocks.
+/// A lower triangular matrix of 3 × 3 blocks.
 fn blocks(a: &Matrix3<f64>, below: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix6 {
     let mut matrix = Matrix6::zeros();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(a);
@@ -121,7 +121,7 @@ mod tests {
                 };
                 numeric.set_column(column, &((moved(STEP) - moved(-STEP)) / (2.0 * STEP)));
             }
-            // Central differences: step² and rounding / step.
+            // Central differences: errors of step² and of rounding / step.
             prop_assert!((numeric - left_jacobian(&xi)).amax() < 1e-8);
             prop_assert!(
                 (left_jacobian(&xi) * left_jacobian_inverse(&xi) - Matrix6::identity()).amax()

@@ -1,4 +1,4 @@
-//! How constant the relative pose is over time: what a rig term is meant to improve, measured.
+//! Statistics of the relative pose over time, which measure how constant it is.
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
@@ -9,20 +9,20 @@ use crate::RelativePose;
 /// Statistics of relative poses over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelativePoseStatistics {
-    /// Pairs.
+    /// Number of pairs.
     pub count: usize,
     /// Median distance between the two cameras, in model units.
     pub median_baseline: f64,
-    /// Mean distance.
+    /// Mean distance, in model units.
     pub mean_baseline: f64,
-    /// Standard deviation of the distance.
+    /// Standard deviation of the distance, in model units.
     pub sd_baseline: f64,
-    /// Root mean square distance of the translations from their mean.
+    /// Root mean square distance of the translations from their mean, in model units.
     pub rms_translation: f64,
     /// Root mean square angle of the rotations from their mean, in radians.
     pub rms_rotation_rad: f64,
-    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale
-    /// does not drift.
+    /// Mean distance in the second half of the drive over that in the first half: 1 without scale
+    /// drift.
     pub second_over_first_half: f64,
 }
 
@@ -42,8 +42,8 @@ pub fn relative_pose_statistics(poses: &[RelativePose]) -> Option<RelativePoseSt
     let rms_translation =
         (poses.iter().map(|p| (p.translation - centre).norm_squared()).sum::<f64>() / count as f64)
             .sqrt();
-    // Deviations are small except where a pair is wrong; the mean in the tangent space of the
-    // median pair serves.
+    // Deviations are small except for wrong pairs, so the tangent space of the middle pair is
+    // sufficient for the mean.
     let reference = so3::exp(&poses[count / 2].axis_angle);
     let tangents: Vec<Vector3<f64>> =
         poses.iter().map(|p| so3::log(&(reference.inverse() * so3::exp(&p.axis_angle)))).collect();

@@ -1,6 +1,5 @@
 //! Problem files of "Bundle adjustment in the large": counts, then observations (camera, point, x,
-//! y), then per camera the rotation as an axis times an angle, the translation and f, k₁, k₂, then
-//! the points.
+//! y), then for each camera the rotation vector, the translation and f, k₁, k₂, then the points.
 
 use std::fmt::Write;
 use std::str::FromStr;
@@ -11,7 +10,7 @@ use tiepoint_geometry::{Rigid3, so3};
 
 use crate::snavely::{Snavely, SnavelyResidual};
 
-/// One pixel.
+/// An observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Observation {
     pub(crate) camera: usize,
@@ -19,31 +18,31 @@ pub(crate) struct Observation {
     pub(crate) pixel: Vector2<f64>,
 }
 
-/// A file's contents.
+/// Contents of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Bal {
     pub(crate) observations: Vec<Observation>,
     pub(crate) poses: Vec<Rigid3>,
-    /// f, k₁, k₂.
-    pub(crate) lenses: Vec<Vector3<f64>>,
+    /// f, k₁, k₂ of each camera.
+    pub(crate) intrinsics: Vec<Vector3<f64>>,
     pub(crate) points: Vec<Vector3<f64>>,
 }
 
-/// How derivatives are found.
+/// Method of differentiation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Derivatives {
     ByHand,
     ByDualNumbers,
 }
 
-/// Names of the variables of a [`Bal`] in a [`Problem`].
+/// Keys of the variables of a [`Bal`] in a [`Problem`].
 pub(crate) struct Keys {
     cameras: Vec<(Key<Rigid3>, Key<Vector3<f64>>)>,
     points: Vec<Key<Vector3<f64>>>,
 }
 
 impl Bal {
-    /// Reads a file's text.
+    /// Parses a file.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut words = text.split_ascii_whitespace();
         fn next<'a, T: FromStr>(
@@ -77,10 +76,10 @@ impl Bal {
                 next(&mut words, what)?,
             ))
         };
-        let (mut poses, mut lenses, mut points) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut poses, mut intrinsics, mut points) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..num_cameras {
             poses.push(Rigid3::from_axis_angle(vector("a rotation")?, vector("a translation")?));
-            lenses.push(vector("f, k1, k2")?);
+            intrinsics.push(vector("f, k1, k2")?);
         }
         for _ in 0..num_points {
             points.push(vector("a point")?);
@@ -88,10 +87,10 @@ impl Bal {
         if let Some(word) = words.next() {
             return Err(format!("'{word}' follows the last of {num_points} points"));
         }
-        Ok(Self { observations, poses, lenses, points })
+        Ok(Self { observations, poses, intrinsics, points })
     }
 
-    /// Writes a file's text.
+    /// Formats a file.
     pub(crate) fn to_text(&self) -> String {
         let counts = [self.poses.len(), self.points.len(), self.observations.len()]
             .map(|count| count.to_string());
@@ -100,34 +99,35 @@ impl Bal {
         for Observation { camera, point, pixel } in &self.observations {
             let _ = writeln!(text, "{camera} {point} {:e} {:e}", pixel.x, pixel.y);
         }
-        let cameras = self.poses.iter().zip(&self.lenses);
-        let parameters =
-            cameras.flat_map(|(pose, lens)| [so3::log(&pose.rotation), pose.translation, *lens]);
+        let cameras = self.poses.iter().zip(&self.intrinsics);
+        let parameters = cameras.flat_map(|(pose, intrinsics)| {
+            [so3::log(&pose.rotation), pose.translation, *intrinsics]
+        });
         for number in parameters.chain(self.points.iter().copied()).flat_map(<[f64; 3]>::from) {
             let _ = writeln!(text, "{number:e}");
         }
         text
     }
 
-    /// Makes the problem: cameras kept, points eliminated.
+    /// Builds the problem with cameras kept and points eliminated.
     pub(crate) fn problem(
         &self,
         derivatives: Derivatives,
     ) -> Result<(Problem, Keys), tiepoint_ba::Error> {
         let mut problem = Problem::new();
         let cameras: Vec<_> = (0u32..)
-            .zip(self.poses.iter().zip(&self.lenses))
-            .map(|(i, (pose, lens))| {
+            .zip(self.poses.iter().zip(&self.intrinsics))
+            .map(|(i, (pose, intrinsics))| {
                 (
                     problem.add_parameter(*pose, Order::At(i)),
-                    problem.add_parameter(*lens, Order::At(i)),
+                    problem.add_parameter(*intrinsics, Order::At(i)),
                 )
             })
             .collect();
         let points: Vec<_> = self.points.iter().map(|point| problem.add_landmark(*point)).collect();
         for Observation { camera, point, pixel } in &self.observations {
-            let (pose, lens) = cameras[*camera];
-            let (keys, factor) = ((pose, lens, points[*point]), Snavely { pixel: *pixel });
+            let (pose, intrinsics) = cameras[*camera];
+            let (keys, factor) = ((pose, intrinsics, points[*point]), Snavely { pixel: *pixel });
             match derivatives {
                 Derivatives::ByHand => problem.add(keys, factor, Loss::Trivial)?,
                 Derivatives::ByDualNumbers => {
@@ -138,10 +138,10 @@ impl Bal {
         Ok((problem, Keys { cameras, points }))
     }
 
-    /// Takes over what a solve has found.
+    /// Copies the solution from `problem`.
     pub(crate) fn update(&mut self, problem: &Problem, keys: &Keys) {
         self.poses = keys.cameras.iter().map(|camera| problem.get(camera.0)).collect();
-        self.lenses = keys.cameras.iter().map(|camera| problem.get(camera.1)).collect();
+        self.intrinsics = keys.cameras.iter().map(|camera| problem.get(camera.1)).collect();
         self.points = keys.points.iter().map(|point| problem.get(*point)).collect();
     }
 }

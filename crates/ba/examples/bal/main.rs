@@ -1,12 +1,12 @@
-//! Bundle adjustment of a file of "Bundle adjustment in the large".
+//! Bundle adjustment of a problem file of "Bundle adjustment in the large".
 //!
 //! ```text
 //! cargo run --release --example bal -- PROBLEM.txt [--out ADJUSTED.txt] [--threads N] [--dual]
 //!     [--trace]
 //! ```
 //!
-//! `--dual` finds derivatives by dual numbers; `--trace` prints only `seconds cost` after the
-//! analysis and after every step.
+//! `--dual` differentiates by dual numbers. `--trace` prints `seconds cost` after the analysis and
+//! after every step, and nothing else.
 
 mod file;
 mod snavely;

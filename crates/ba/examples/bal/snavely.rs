@@ -1,14 +1,14 @@
-//! The camera of "Bundle adjustment in the large" (Agarwal, Snavely, Seitz, Szeliski 2010) as a
-//! factor, with derivatives by hand and by dual numbers.
+//! The camera model of "Bundle adjustment in the large" (Agarwal, Snavely, Seitz, Szeliski 2010) as
+//! a factor, with derivatives by hand and by dual numbers.
 //!
 //! P = R X + t, p = −P_xy / P_z, s = |p|², pixel = f (1 + k₁ s + k₂ s²) p. The camera looks along
-//! −z, and, as the definition has it, also sees what is behind it.
+//! −z. By this definition, points behind the camera project as well.
 
 use tiepoint_ba::nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
 use tiepoint_ba::{Factor, Linear, Refs, Residual, RigidOf, Scalar};
 use tiepoint_geometry::Rigid3;
 
-/// A point was seen: variables (`cam_from_world`, (f, k₁, k₂), `point_in_world`).
+/// Reprojection error. Variables: `cam_from_world`, (f, k₁, k₂), `point_in_world`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Snavely {
     pub(crate) pixel: Vector2<f64>,
@@ -17,22 +17,21 @@ pub(crate) struct Snavely {
 impl Factor<2> for Snavely {
     type Vars = (Rigid3, Vector3<f64>, Vector3<f64>);
 
-    // Inlined for certain, so that the engine, where it wants the point's part alone, computes no
-    // other.
+    // Inlined so that landmark refinement computes only the point's block.
     #[inline(always)]
     fn linearize(
         &self,
-        (cam_from_world, lens, point): Refs<'_, Self::Vars>,
+        (cam_from_world, intrinsics, point): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 2>> {
         let rotation = cam_from_world.rotation.to_rotation_matrix().into_inner();
         let in_cam = rotation * point + cam_from_world.translation;
         let minus_inv_z = -1.0 / in_cam.z;
         let (u, v) = (in_cam.x * minus_inv_z, in_cam.y * minus_inv_z);
-        let (f, k1, k2) = (lens[0], lens[1], lens[2]);
+        let (f, k1, k2) = (intrinsics[0], intrinsics[1], intrinsics[2]);
         let s = u * u + v * v;
         let distortion = 1.0 + s * (k1 + k2 * s);
         let slope = 2.0 * (k1 + 2.0 * k2 * s);
-        // The derivatives of both residuals by P, and by what P depends on.
+        // Derivatives of both residuals with respect to P, then those of P.
         let scale = f * minus_inv_z;
         let (a, b, c) = (
             scale * (distortion + slope * u * u),
@@ -48,7 +47,7 @@ impl Factor<2> for Snavely {
             y_turn.x, y_turn.y, y_turn.z, y.x, y.y, y.z,
         );
         #[rustfmt::skip]
-        let d_lens = Matrix2x3::new(
+        let d_intrinsics = Matrix2x3::new(
             distortion * u, f * s * u, f * s * s * u,
             distortion * v, f * s * v, f * s * s * v,
         );
@@ -58,22 +57,22 @@ impl Factor<2> for Snavely {
             y_point.x, y_point.y, y_point.z,
         );
         let pixel = Vector2::new(u, v) * (f * distortion);
-        Some((pixel - self.pixel, (d_pose, d_lens, d_point)))
+        Some((pixel - self.pixel, (d_pose, d_intrinsics, d_point)))
     }
 
     #[inline]
     fn residual(
         &self,
-        (cam_from_world, lens, point): Refs<'_, Self::Vars>,
+        (cam_from_world, intrinsics, point): Refs<'_, Self::Vars>,
     ) -> Option<Vector2<f64>> {
         let in_cam = *cam_from_world * *point;
         let p = -in_cam.xy() / in_cam.z;
         let s = p.norm_squared();
-        Some(p * (lens[0] * (1.0 + s * (lens[1] + lens[2] * s))) - self.pixel)
+        Some(p * (intrinsics[0] * (1.0 + s * (intrinsics[1] + intrinsics[2] * s))) - self.pixel)
     }
 }
 
-/// The slow twin: wrap it in [`AutoDiff`](tiepoint_ba::AutoDiff).
+/// The same residual for automatic differentiation: wrap it in [`AutoDiff`](tiepoint_ba::AutoDiff).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SnavelyResidual(pub(crate) Snavely);
 

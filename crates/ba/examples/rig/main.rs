@@ -1,4 +1,4 @@
-//! Bundle adjustment of two cameras on a rig, whose mounting is known.
+//! Bundle adjustment of a stereo rig with known extrinsics.
 //!
 //! ```text
 //! cargo run --release --example rig -- CALIBRATION.txt POSES.txt OBSERVATIONS.txt [TRUE_POSES.txt]
@@ -9,12 +9,12 @@ mod stereo;
 use std::error::Error;
 use std::ops::ControlFlow;
 
-use stereo::{Distance, Right, Stereo, distance, true_poses};
+use stereo::{PoseErrors, RightIntrinsics, StereoData, pose_errors, true_poses};
 use tiepoint_ba::{Loss, Options, Solver};
 use tiepoint_geometry::Rigid3;
 
-/// Moments between poses that are compared as one is seen from the other.
-const APART: usize = 20;
+/// Frames between poses whose relative pose is compared.
+const FRAMES_APART: usize = 20;
 
 #[allow(clippy::print_stdout)] // a program may
 fn main() -> Result<(), Box<dyn Error>> {
@@ -23,26 +23,31 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("usage: rig CALIBRATION.txt POSES.txt OBSERVATIONS.txt [TRUE_POSES.txt]".into());
     };
     let read = std::fs::read_to_string;
-    let stereo = Stereo::parse(&read(calibration)?, &read(poses)?, &read(observations)?)?;
+    let stereo = StereoData::parse(&read(calibration)?, &read(poses)?, &read(observations)?)?;
     let truth = match truth {
         [file, ..] => Some(true_poses(&read(file)?)?),
         [] => None,
     };
     let compare = |poses: &[Rigid3]| {
         let Some(truth) = &truth else { return };
-        let Distance { as_they_are_m, aligned_m, ahead_m, turn_rad } =
-            distance(poses, truth, APART);
-        let turn_deg = turn_rad.to_degrees();
-        println!("    {as_they_are_m:.3} m from the true positions, {aligned_m:.3} m when aligned");
-        println!("    {APART} moments ahead {ahead_m:.3} m and {turn_deg:.3} degrees off");
+        let PoseErrors { unaligned_m, aligned_m, relative_m, rotation_rad } =
+            pose_errors(poses, truth, FRAMES_APART);
+        let rotation_deg = rotation_rad.to_degrees();
+        println!("    {unaligned_m:.3} m from the true positions, {aligned_m:.3} m when aligned");
+        println!(
+            "    {FRAMES_APART} frames apart: {relative_m:.3} m and {rotation_deg:.3} degrees off"
+        );
     };
     println!("before");
     compare(&stereo.poses);
-    for right in [Right::Held, Right::ColumnFree] {
+    for right in [RightIntrinsics::Fixed, RightIntrinsics::PrincipalPointFree] {
         let mut adjustment = stereo.problem(Loss::Cauchy(2.0), right)?;
         let summary = Solver::new(&adjustment.problem, &Options::default())?
             .solve(&mut adjustment.problem, &mut |_| ControlFlow::Continue(()))?;
-        println!("right lens {right:?}, moved by {:.3} px: {summary}", adjustment.right_shift_px());
+        println!(
+            "right intrinsics {right:?}, moved by {:.3} px: {summary}",
+            adjustment.right_shift_px()
+        );
         compare(&adjustment.poses());
     }
     Ok(())

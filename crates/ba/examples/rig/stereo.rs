@@ -1,7 +1,7 @@
-//! A stereo rig's bundle adjustment in three files, as GTSAM has them: calibration (fx fy skew cx
-//! cy baseline), one `world_from_left` a line (number, then 4 × 4 numbers), and observations
-//! (moment, landmark, uL, uR, v, the point in the left camera); and true poses as KITTI has them, 3
-//! × 4 numbers a line.
+//! A stereo bundle adjustment in three files, in the format of GTSAM's data: calibration (fx fy
+//! skew cx cy baseline); one `world_from_left` per line (number, then 4 × 4 numbers); observations
+//! (frame, landmark, uL, uR, v, the point in the left camera frame). Ground truth is in KITTI's
+//! format, 3 × 4 numbers per line.
 
 use std::collections::BTreeMap;
 
@@ -13,22 +13,22 @@ use tiepoint_ba::{Error, Key, Loss, Order, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::cameras::Pinhole;
 
-/// What was seen once of one landmark.
+/// Observation of a landmark in both images of a frame.
 #[derive(Clone, Copy, Debug)]
 struct Observation {
-    moment: usize,
+    frame: usize,
     landmark: usize,
     left: Vector2<f64>,
     right: Vector2<f64>,
     in_left: Vector3<f64>,
 }
 
-/// The contents of the three files.
+/// Contents of the three files.
 #[derive(Clone, Debug)]
-pub(crate) struct Stereo {
-    lens: Vector4<f64>,
+pub(crate) struct StereoData {
+    intrinsics: Vector4<f64>,
     baseline_m: f64,
-    /// `world_from_left` of each moment.
+    /// `world_from_left` of each frame.
     pub(crate) poses: Vec<Rigid3>,
     observations: Vec<Observation>,
 }
@@ -57,13 +57,13 @@ fn rigid(numbers: &[f64]) -> Rigid3 {
     }
 }
 
-/// True poses, `world_from_left`.
+/// Parses true poses, `world_from_left`.
 pub(crate) fn true_poses(text: &str) -> Result<Vec<Rigid3>, String> {
     Ok(rows::<12>(text, "true poses")?.iter().map(|row| rigid(row)).collect())
 }
 
-impl Stereo {
-    /// Reads the files' texts.
+impl StereoData {
+    /// Parses the files.
     pub(crate) fn parse(
         calibration: &str,
         poses: &str,
@@ -75,13 +75,13 @@ impl Stereo {
         let poses: Vec<_> =
             rows::<17>(poses, "poses")?.iter().map(|row| rigid(&row[1..])).collect();
         let observation = |row: &[f64; 8]| {
-            let [moment, landmark, left, right, v, x, y, z] = *row;
-            let (moment, landmark) = (moment as usize, landmark as usize);
-            if moment >= poses.len() {
-                return Err(format!("moment {moment} has no pose: there are {}", poses.len()));
+            let [frame, landmark, left, right, v, x, y, z] = *row;
+            let (frame, landmark) = (frame as usize, landmark as usize);
+            if frame >= poses.len() {
+                return Err(format!("frame {frame} has no pose: there are {}", poses.len()));
             }
             Ok(Observation {
-                moment,
+                frame,
                 landmark,
                 left: Vector2::new(left, v),
                 right: Vector2::new(right, v),
@@ -92,19 +92,19 @@ impl Stereo {
             .iter()
             .map(observation)
             .collect::<Result<_, _>>()?;
-        Ok(Self { lens: Vector4::new(fx, fy, cx, cy), baseline_m, poses, observations })
+        Ok(Self { intrinsics: Vector4::new(fx, fy, cx, cy), baseline_m, poses, observations })
     }
 
-    /// The problem: the rig, the first pose and both lenses are held, but of the right one, if it
-    /// is so `right`, the principal point's column, which is what disparities are off by. Each
-    /// landmark starts where its first observation has it.
-    pub(crate) fn problem(&self, loss: Loss, right: Right) -> Result<Adjustment, Error> {
+    /// Builds the problem. Rig extrinsics, the first pose and intrinsics are fixed; the x
+    /// coordinate of the right principal point, which shifts all disparities, may be free.
+    /// Landmarks start at the position of their first observation.
+    pub(crate) fn problem(&self, loss: Loss, right: RightIntrinsics) -> Result<Adjustment, Error> {
         let mut problem = Problem::new();
-        let lenses = [0, 1].map(|_| problem.add_parameter(self.lens, Order::Shared));
-        problem.fix(lenses[0]);
+        let intrinsics = [0, 1].map(|_| problem.add_parameter(self.intrinsics, Order::Shared));
+        problem.fix(intrinsics[0]);
         match right {
-            Right::Held => problem.fix(lenses[1]),
-            Right::ColumnFree => problem.fix_dofs(lenses[1], &[0, 1, 3])?,
+            RightIntrinsics::Fixed => problem.fix(intrinsics[1]),
+            RightIntrinsics::PrincipalPointFree => problem.fix_dofs(intrinsics[1], &[0, 1, 3])?,
         }
         let cameras = [0.0, -self.baseline_m].map(|x| {
             let right = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(x, 0.0, 0.0));
@@ -113,7 +113,7 @@ impl Stereo {
         cameras.iter().for_each(|&camera| problem.fix(camera));
         let poses: Vec<_> = (0u32..)
             .zip(&self.poses)
-            .map(|(moment, pose)| problem.add_parameter(pose.inverse(), Order::At(moment)))
+            .map(|(frame, pose)| problem.add_parameter(pose.inverse(), Order::At(frame)))
             .collect();
         if let Some(&first) = poses.first() {
             problem.fix(first);
@@ -122,58 +122,63 @@ impl Stereo {
         for seen in &self.observations {
             let point = *points
                 .entry(seen.landmark)
-                .or_insert_with(|| problem.add_landmark(self.poses[seen.moment] * seen.in_left));
+                .or_insert_with(|| problem.add_landmark(self.poses[seen.frame] * seen.in_left));
             for (i, pixel) in [seen.left, seen.right].into_iter().enumerate() {
                 let factor = RigReprojection::<Pinhole>::new(pixel, 1.0);
-                problem.add((lenses[i], cameras[i], poses[seen.moment], point), factor, loss)?;
+                problem.add((intrinsics[i], cameras[i], poses[seen.frame], point), factor, loss)?;
             }
         }
-        Ok(Adjustment { problem, right_lens: lenses[1], poses, column: self.lens[2] })
+        Ok(Adjustment {
+            problem,
+            right_intrinsics: intrinsics[1],
+            poses,
+            initial_cx: self.intrinsics[2],
+        })
     }
 }
 
-/// What is known of the right lens.
+/// Treatment of the right intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Right {
-    Held,
-    ColumnFree,
+pub(crate) enum RightIntrinsics {
+    Fixed,
+    PrincipalPointFree,
 }
 
-/// A problem with the names of what is to be found.
+/// A problem and the keys of its unknowns.
 pub(crate) struct Adjustment {
     pub(crate) problem: Problem,
-    right_lens: Key<Vector4<f64>>,
+    right_intrinsics: Key<Vector4<f64>>,
     poses: Vec<Key<Rigid3>>,
-    column: f64,
+    initial_cx: f64,
 }
 
 impl Adjustment {
-    /// `world_from_left` of each moment.
+    /// `world_from_left` of each frame.
     pub(crate) fn poses(&self) -> Vec<Rigid3> {
         self.poses.iter().map(|&key| self.problem.get(key).inverse()).collect()
     }
 
-    /// By how much the right principal point has moved.
+    /// Estimated shift of the right principal point.
     pub(crate) fn right_shift_px(&self) -> f64 {
-        self.problem.get(self.right_lens)[2] - self.column
+        self.problem.get(self.right_intrinsics)[2] - self.initial_cx
     }
 }
 
-/// How far poses are from the true ones.
+/// Errors of poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Distance {
-    /// Mean distance of positions as they are: both begin at the origin.
-    pub(crate) as_they_are_m: f64,
-    /// The same after the rotation and translation that brings them nearest.
+pub(crate) struct PoseErrors {
+    /// Mean position error without alignment: both trajectories start at the origin.
+    pub(crate) unaligned_m: f64,
+    /// Mean position error after rigid alignment.
     pub(crate) aligned_m: f64,
-    /// Mean error of the position of one pose as seen from another that is so many moments before,
-    /// which knows of no frame.
-    pub(crate) ahead_m: f64,
-    /// The same of rotations.
-    pub(crate) turn_rad: f64,
+    /// Mean translation error of the relative pose of two frames, which is independent of the
+    /// alignment.
+    pub(crate) relative_m: f64,
+    /// Mean rotation error of the same relative poses.
+    pub(crate) rotation_rad: f64,
 }
 
-pub(crate) fn distance(found: &[Rigid3], truth: &[Rigid3], apart: usize) -> Distance {
+pub(crate) fn pose_errors(found: &[Rigid3], truth: &[Rigid3], frames_apart: usize) -> PoseErrors {
     let count = found.len().min(truth.len());
     let (found, truth) = (&found[..count], &truth[..count]);
     let mean = |poses: &[Rigid3]| {
@@ -181,7 +186,7 @@ pub(crate) fn distance(found: &[Rigid3], truth: &[Rigid3], apart: usize) -> Dist
     };
     let (a, b) = (mean(found), mean(truth));
     let pairs = || found.iter().zip(truth).map(|(x, y)| (x.translation, y.translation));
-    // Kabsch 1976: the rotation of the singular vectors of the correlation.
+    // Rigid alignment by SVD of the correlation (Kabsch 1976).
     let svd =
         pairs().map(|(x, y)| (y - b) * (x - a).transpose()).sum::<Matrix3<f64>>().svd(true, true);
     let rotation = match (svd.u, svd.v_t) {
@@ -191,19 +196,19 @@ pub(crate) fn distance(found: &[Rigid3], truth: &[Rigid3], apart: usize) -> Dist
         }
         _ => Matrix3::identity(),
     };
-    let ahead = |poses: &[Rigid3], i: usize| poses[i].inverse() * poses[i + apart];
-    let (mut ahead_m, mut turn_rad) = (0.0, 0.0);
-    let steps = count.saturating_sub(apart);
+    let relative = |poses: &[Rigid3], i: usize| poses[i].inverse() * poses[i + frames_apart];
+    let (mut relative_m, mut rotation_rad) = (0.0, 0.0);
+    let steps = count.saturating_sub(frames_apart);
     for i in 0..steps {
-        let (found, truth) = (ahead(found, i), ahead(truth, i));
-        ahead_m += (found.translation - truth.translation).norm() / steps as f64;
-        turn_rad += found.rotation.angle_to(&truth.rotation) / steps as f64;
+        let (found, truth) = (relative(found, i), relative(truth, i));
+        relative_m += (found.translation - truth.translation).norm() / steps as f64;
+        rotation_rad += found.rotation.angle_to(&truth.rotation) / steps as f64;
     }
-    Distance {
-        as_they_are_m: pairs().map(|(x, y)| (x - y).norm()).sum::<f64>() / count as f64,
+    PoseErrors {
+        unaligned_m: pairs().map(|(x, y)| (x - y).norm()).sum::<f64>() / count as f64,
         aligned_m: pairs().map(|(x, y)| (rotation * (x - a) - (y - b)).norm()).sum::<f64>()
             / count as f64,
-        ahead_m,
-        turn_rad,
+        relative_m,
+        rotation_rad,
     }
 }

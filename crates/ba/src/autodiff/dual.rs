@@ -1,21 +1,21 @@
-//! Numbers that carry derivatives.
+//! Dual numbers.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// How many derivatives a [`Dual`] carries: a vector register of AVX2.
+/// Number of derivatives of a [`Dual`]: one AVX2 register.
 pub const DIRECTIONS: usize = 4;
 
 /// A number with its derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dual {
-    /// The number.
+    /// The value.
     pub re: f64,
     /// Its derivatives.
     pub eps: [f64; DIRECTIONS],
 }
 
-/// What a residual may compute with: `f64`, or [`Dual`].
+/// Number types of a residual: `f64`, or [`Dual`].
 pub trait Scalar:
     Copy
     + Debug
@@ -33,9 +33,9 @@ pub trait Scalar:
     + Mul<f64, Output = Self>
     + Div<f64, Output = Self>
 {
-    /// The number without its derivatives, to decide by.
+    /// The value without derivatives, for comparisons.
     fn value(self) -> f64;
-    /// f(x), given f and f' at the number.
+    /// Chain rule: f(x), given the value f and the slope f' at x.
     fn chain(self, value: f64, slope: f64) -> Self;
 
     /// Square root.
@@ -58,10 +58,10 @@ pub trait Scalar:
         let x = self.value();
         self.chain(x.atan(), 1.0 / (1.0 + x * x))
     }
-    /// The angle of the vector (`x`, self) from the first axis, in all four quadrants.
+    /// Angle of the vector (`x`, self) from the first axis, in all four quadrants.
     fn atan2(self, x: Self) -> Self {
         let (y, x0) = (self.value(), x.value());
-        // The derivatives are those of (y dx₀ − x dy₀) / |(x, y)|², whose plain part is zero.
+        // The derivatives are those of (y dx₀ − x dy₀) / |(x, y)|², whose value part is zero.
         (self * x0 - x * y) / (x0 * x0 + y * y) + y.atan2(x0)
     }
     /// Exponential.
@@ -77,11 +77,11 @@ pub trait Scalar:
     fn abs(self) -> Self {
         self.chain(self.value().abs(), self.value().signum())
     }
-    /// A whole power.
+    /// Integer power.
     fn powi(self, n: i32) -> Self {
         self.chain(self.value().powi(n), f64::from(n) * self.value().powi(n - 1))
     }
-    /// A real power of a positive number.
+    /// Real power of a positive number.
     fn powf(self, n: f64) -> Self {
         self.chain(self.value().powf(n), n * self.value().powf(n - 1.0))
     }
@@ -148,7 +148,8 @@ impl Div for Dual {
     #[inline]
     fn div(self, b: Self) -> Self {
         let inverse = 1.0 / b.re;
-        // Divided, not multiplied, so that the plain part has the same bits as without derivatives.
+        // Divides instead of multiplying by the inverse, so that the value has the same bits as
+        // without derivatives.
         let re = self.re / b.re;
         Self { re, eps: zip(&self, &b, |x, y| (x - y * re) * inverse) }
     }

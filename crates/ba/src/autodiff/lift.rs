@@ -1,4 +1,4 @@
-//! Variables with dual numbers in them: x ⊕ ε, exact to first order.
+//! Variables over dual numbers: x ⊞ ε, exact to first order.
 
 use nalgebra::{SVector, UnitQuaternion};
 use tiepoint_geometry::{Block, Manifold, Rigid3};
@@ -6,11 +6,11 @@ use tiepoint_geometry::{Block, Manifold, Rigid3};
 use super::Scalar;
 use crate::factor::{Refs, Vars};
 
-/// A variable that residuals can be written for.
+/// A variable that can be lifted to dual numbers.
 pub trait Lift: Manifold {
-    /// The variable, made of other numbers.
+    /// The variable with components of type `T`.
     type Of<T: Scalar>;
-    /// The variable moved by a tangent vector whose plain part is zero.
+    /// x ⊞ `tangent`, whose value part is zero.
     fn lift<T: Scalar>(&self, tangent: &[T]) -> Self::Of<T>;
 }
 
@@ -43,17 +43,17 @@ impl Lift for UnitQuaternion<f64> {
     }
 }
 
-/// A [`Rigid3`] made of other numbers.
+/// A [`Rigid3`] with components of type `T`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidOf<T> {
-    /// The rotation matrix of b from a, row by row.
+    /// Rotation matrix of b from a, row by row.
     pub rotation: [[T; 3]; 3],
-    /// The origin of a, seen in b.
+    /// Origin of a in b.
     pub translation: [T; 3],
 }
 
 impl<T: Scalar> RigidOf<T> {
-    /// `point_in_b` of a `point_in_a`.
+    /// `point_in_b` of `point_in_a`.
     #[inline]
     pub fn transform(&self, point_in_a: &[T; 3]) -> [T; 3] {
         let [x, y, z] = *point_in_a;
@@ -80,9 +80,9 @@ impl Lift for Rigid3 {
 
 /// A tuple of one to eight variables that can be lifted.
 pub trait LiftVars: Vars {
-    /// The tuple, made of other numbers.
+    /// The tuple with components of type `T`.
     type Of<T: Scalar>;
-    /// All variables moved by their parts of a tangent vector.
+    /// All variables moved by their parts of the tangent.
     #[doc(hidden)]
     fn lift<T: Scalar>(x: Refs<'_, Self>, tangent: &[T]) -> Self::Of<T>;
     /// Jacobian blocks from the columns of all variables.

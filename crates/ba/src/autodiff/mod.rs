@@ -1,9 +1,9 @@
-//! Jacobians by dual numbers, for factors of which only the residual is written.
+//! Forward-mode automatic differentiation, for factors of which only the residual is written.
 //!
 //! A dual number a + Σ b_i ε_i with ε_i ε_j = 0 carries the derivatives b of a through any formula
-//! (Griewank, Walther 2008, "Evaluating derivatives", chapter 3). Each variable is lifted to x ⊕ ε,
-//! so that what comes out are derivatives by the tangent. [`DIRECTIONS`] columns of the Jacobian
-//! are found at once.
+//! (Griewank, Walther 2008, "Evaluating derivatives", chapter 3). Each variable is lifted to x ⊞ ε,
+//! which gives derivatives with respect to the tangent. [`DIRECTIONS`] columns of the Jacobian are
+//! computed at once.
 
 mod dual;
 mod lift;
@@ -14,20 +14,20 @@ use crate::factor::{Factor, Linear, Refs, Vars};
 pub use dual::{DIRECTIONS, Dual, Scalar};
 pub use lift::{Lift, LiftVars, RigidOf};
 
-/// A factor without derivatives: wrap it in [`AutoDiff`] to add it to a problem.
+/// A factor without derivatives. Wrap it in [`AutoDiff`] to add it to a problem.
 pub trait Residual<const R: usize>: Send + Sync + 'static {
-    /// The types of its variables, as a tuple.
+    /// Types of its variables, as a tuple.
     type Vars: LiftVars;
 
-    /// The residual, for plain and for dual numbers. `None` where it does not exist.
+    /// The residual, for plain and for dual numbers; `None` if it is invalid at these values.
     fn residual<T: Scalar>(&self, x: <Self::Vars as LiftVars>::Of<T>) -> Option<[T; R]>;
 }
 
-/// The factor of a [`Residual`], differentiated by dual numbers.
+/// The factor of a [`Residual`], differentiated automatically.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AutoDiff<F>(pub F);
 
-/// Columns of a Jacobian: the degrees of freedom of all variables of one factor.
+/// Limit on the degrees of freedom of all variables of one factor.
 const MAX_COLUMNS: usize = 64;
 
 impl<F: Residual<R>, const R: usize> Factor<R> for AutoDiff<F> {

@@ -1,22 +1,24 @@
-//! How far the elimination has got.
+//! Position of the elimination in a task.
 
-use crate::structure::{Cell, Chunk};
+use crate::structure::{LandmarkBlock, Task};
 
-/// Where in a chunk the elimination has got to.
+/// Position of the elimination in a task: the next factor and its first block index.
 #[derive(Clone, Copy, Default)]
-pub(super) struct At {
+pub(super) struct Cursor {
     pub(super) factor: usize,
-    pub(super) local: usize,
-    /// In the rows of the batch.
+    pub(super) block_index: usize,
+    /// Offset of its rows in the batch.
     pub(super) row: usize,
 }
 
-impl At {
-    /// Past cells of which nothing is subtracted.
-    pub(super) fn skip(&mut self, chunk: &Chunk, cells: &[Cell]) {
-        for &shape in &chunk.factors.shape_of[self.factor..cells[cells.len() - 1].end as usize] {
-            let shape = &chunk.factors.shapes[shape as usize];
-            self.local += shape.segments.len();
+impl Cursor {
+    /// Skips landmark blocks from which nothing is subtracted.
+    pub(super) fn skip(&mut self, task: &Task, landmarks: &[LandmarkBlock]) {
+        for &shape in
+            &task.factors.shape_of[self.factor..landmarks[landmarks.len() - 1].end as usize]
+        {
+            let shape = &task.factors.shapes[shape as usize];
+            self.block_index += shape.segments.len();
             self.row += shape.rows * shape.stride;
             self.factor += 1;
         }

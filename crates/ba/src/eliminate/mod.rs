@@ -1,4 +1,4 @@
-//! The Schur complement, point by point.
+//! Schur complement, landmark by landmark.
 //!
 //! With the residuals linearised as r + J_c δ_c + J_p δ_p (c kept, p eliminated) and damping λD,
 //! the normal equations are
@@ -14,14 +14,15 @@
 //! (C − YᵀY) δ_c = −(g_c − Yᵀy),      δ_p = −L⁻ᵀ (y + Y δ_c).
 //! ```
 //!
-//! One pass over a chunk's cells linearises a batch of factors into rows, sums C of factors with
-//! the same blocks and V, W, g of a cell while they are in the nearest cache, and subtracts YᵀY of
-//! cells with the same blocks from the tiles of the chunk. L, y and Y stay in the chunk's stash for
-//! δ_p. λD_c is added when the chunks' tiles are put together.
+//! One pass over a task's landmark blocks linearises a batch of factors into rows, sums C over
+//! factors with the same column blocks, sums V, W and g of each landmark while the rows are in the
+//! first-level cache, and subtracts YᵀY of landmarks with the same pattern from the task's tiles.
+//! L, y and Y stay in the task's stash for back-substitution. λD_c is added when the tiles of all
+//! tasks are summed.
 
-mod cell;
+mod batch;
 mod cursor;
-mod kernel;
+mod general;
 mod multiply;
 mod normal;
 mod product;
@@ -31,5 +32,5 @@ mod stash;
 mod sums;
 mod workspace;
 
-pub(crate) use stash::CellStash;
+pub(crate) use stash::LandmarkStash;
 pub(crate) use sums::Sums;

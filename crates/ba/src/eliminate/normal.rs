@@ -1,34 +1,37 @@
-//! What the factors add to the kept variables' own part of the normal equations: C, g_c and the
-//! diagonal of C, a bundle of factors with the same blocks at a time, so that sums stay in
-//! registers.
+//! Normal equations of the kept variables: C, g_c and the diagonal of C, one rank-k update at a
+//! time, so that the sums stay in registers.
 
-use super::product::{Listed, Of, SumProduct, over_lanes};
-use super::simd::{Isa, Task, Vector, WIDE};
-use super::workspace::Room;
-use crate::structure::{Bundle, Chunk, padded, tile_index};
+use super::product::{ColumnSpan, GatheredRows, SumProduct, over_lanes};
+use super::simd::{Isa, Kernel, Vector, WIDE};
+use super::workspace::Workspace;
+use crate::structure::{RankUpdate, Task, padded, tile_index};
 
-/// Adds bundles of factors, whose rows are in `room.rows`.
+/// Adds rank-k updates, whose rows are in `workspace.rows`.
 pub(super) struct Add<'a, 'r> {
-    pub(super) room: &'a mut Room<'r>,
-    pub(super) chunk: &'a Chunk,
-    pub(super) bundles: &'a [Bundle],
+    pub(super) workspace: &'a mut Workspace<'r>,
+    pub(super) task: &'a Task,
+    pub(super) rank_updates: &'a [RankUpdate],
 }
 
-impl Task for Add<'_, '_> {
+impl Kernel for Add<'_, '_> {
     #[inline(always)]
     fn run<I: Isa>(self) {
-        for bundle in self.bundles {
-            add::<I>(self.room, self.chunk, bundle);
+        for rank_update in self.rank_updates {
+            add::<I>(self.workspace, self.task, rank_update);
         }
     }
 }
 
 #[inline(always)]
-fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
-    let shape = &chunk.factors.shapes[bundle.shape as usize];
-    let Room { tiles, vectors, rows, .. } = room;
-    let rows = Listed { numbers: rows, starts: chunk.bundles.rows[bundle.rows.clone()].iter() };
-    let (ats, pairs) = chunk.bundles.places[bundle.places..].split_at(shape.segments.len());
+fn add<I: Isa>(workspace: &mut Workspace<'_>, task: &Task, rank_update: &RankUpdate) {
+    let shape = &task.factors.shapes[rank_update.shape as usize];
+    let Workspace { tiles, vectors, rows, .. } = workspace;
+    let rows = GatheredRows {
+        numbers: rows,
+        starts: task.rank_updates.rows[rank_update.rows.clone()].iter(),
+    };
+    let (ats, pairs) =
+        task.rank_updates.targets[rank_update.targets..].split_at(shape.segments.len());
     let mut pairs = pairs.iter();
     for (s, (segment, &at)) in shape.segments.iter().zip(ats).enumerate() {
         let lanes = padded(segment.block_dof);
@@ -49,8 +52,8 @@ fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
             }
         }
         for ((other, other_at), &tile) in shape.segments[..=s].iter().zip(ats).zip(pairs.by_ref()) {
-            // The columns of a tile are those of the earlier block, and of parts of one block those
-            // of the earlier part.
+            // The columns of a tile belong to the earlier block; for two segments of one block, to
+            // the earlier segment.
             let (a, b) = if (other_at, other.offset) <= (&at, segment.offset) {
                 (other, segment)
             } else {
@@ -58,8 +61,10 @@ fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
             };
             let tile = &mut tiles[tile as usize..];
             if a.whole && b.whole {
-                let (a, b) =
-                    (Of { column: a.column, dof: a.dof }, Of { column: b.column, dof: b.dof });
+                let (a, b) = (
+                    ColumnSpan { column: a.column, dof: a.dof },
+                    ColumnSpan { column: b.column, dof: b.dof },
+                );
                 I::run(SumProduct::<_, true> { rows: rows.clone(), a, b, tile });
                 continue;
             }
@@ -76,11 +81,11 @@ fn add<I: Isa>(room: &mut Room<'_>, chunk: &Chunk, bundle: &Bundle) {
     }
 }
 
-/// Gradient and diagonal of one block.
+/// Adds to the gradient and the diagonal of one block.
 #[inline(always)]
 fn add_to_vectors<V: Vector>(
     lane: usize,
-    rows: &Listed<'_>,
+    rows: &GatheredRows<'_>,
     column: usize,
     residual: usize,
     gradient: &mut [f64],

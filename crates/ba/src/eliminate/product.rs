@@ -1,15 +1,15 @@
-//! Products of rows, the innermost loops: `tile ± aᵀb`.
+//! Matrix products in the innermost loops: `tile ± aᵀb`.
 //!
-//! A tile of blocks a and b is stored by columns, one for each direction of a, of as many numbers
-//! as make whole vectors. Where b has one direction more than fit into wide vectors, such as the
-//! nine of a camera with its lens, that one has a row of its own behind the columns: one vector
-//! instead of one in each column. See [`tile_lanes`].
+//! A tile of blocks a and b is stored by columns, one for each direction of a, padded to whole
+//! vectors. If b has one direction more than a multiple of [`WIDE`], such as the nine of a pose
+//! with intrinsics, its last direction is stored as a row behind the columns: one vector instead of
+//! one in each column. See [`tile_lanes`].
 
-use super::simd::{Isa, LANES, Task, Vector, WIDE};
+use super::simd::{Isa, Kernel, LANES, Vector, WIDE};
 use crate::structure::{tile_lanes, tile_len};
 
-/// Calls `f::<V, ..>(i, ..)` for the numbers from 0 to a multiple of [`LANES`], as many at once as
-/// will do: from number i on, with vectors of type V.
+/// Calls `f::<V, ..>(i, ..)` for the vectors of a row of `len` numbers, a multiple of [`LANES`]: V
+/// is the widest vector that fits from number i on.
 macro_rules! over_lanes {
     ($len:expr, $f:ident::<$I:ident $(, $n:ident)*>($($argument:expr),*)) => {{
         let len: usize = $len;
@@ -26,8 +26,8 @@ macro_rules! over_lanes {
 
 pub(super) use over_lanes;
 
-/// Calls `f::<.., L, S>(first, ..)` for columns of `lanes` numbers: from number `first` on, `L`
-/// wide and `S` narrow vectors.
+/// Calls `f::<.., L, S>(first, ..)` for columns of `lanes` numbers: `L` wide and `S` narrow vectors
+/// from number `first` on.
 macro_rules! over_columns {
     ($lanes:expr, $f:ident::<$($n:ident),*>($($argument:expr),*)) => {
         match $lanes / LANES {
@@ -52,7 +52,7 @@ fn split(tile: &mut [f64], a: usize, b: usize) -> (&mut [f64], &mut [f64]) {
     (columns, &mut rest[..tile_len(a, b) - a * tile_lanes(b)])
 }
 
-/// tile + aᵀb with `N` rows each, of `dof_a` and `dof_b` numbers and some that do not matter.
+/// tile += aᵀb, where a and b have `N` rows, of `dof_a` and `dof_b` numbers and padding.
 #[inline(always)]
 pub(super) fn product<I: Isa, const N: usize>(
     a: &[&[f64]; N],
@@ -67,8 +67,8 @@ pub(super) fn product<I: Isa, const N: usize>(
     over_lanes!(row.len(), add_row::<I, N>(a, b, dof_b - 1, row));
 }
 
-/// The same for `L` wide and `S` narrow vectors of each column, from number `first` on: those of b
-/// stay in registers.
+/// tile += aᵀb for `L` wide and `S` narrow vectors of each column, from number `first` on. The rows
+/// of b stay in registers.
 #[inline(always)]
 fn product_of<I: Isa, const N: usize, const L: usize, const S: usize>(
     first: usize,
@@ -93,7 +93,7 @@ fn product_of<I: Isa, const N: usize, const L: usize, const S: usize>(
     }
 }
 
-/// One vector of one column.
+/// tile += aᵀb for one vector of one column.
 #[inline(always)]
 fn add_column<const N: usize, V: Vector, const L: usize>(
     a: &[&[f64]; N],
@@ -109,7 +109,7 @@ fn add_column<const N: usize, V: Vector, const L: usize>(
     sum.store(to);
 }
 
-/// One vector of the row behind the columns: that of number `last` of b.
+/// tile += aᵀb for one vector of the row behind the columns, which belongs to column `last` of b.
 #[inline(always)]
 fn add_row<V: Vector, const N: usize>(
     lane: usize,
@@ -126,7 +126,7 @@ fn add_row<V: Vector, const N: usize>(
     sum.store(to);
 }
 
-/// Whole vectors of each row, from number `first` on.
+/// Loads whole vectors of each row, from number `first` on.
 #[inline(always)]
 fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
     rows: &[&[f64]; N],
@@ -144,22 +144,22 @@ fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
     }
 }
 
-/// Some of the columns of a matrix.
+/// A range of columns.
 #[derive(Clone, Copy)]
-pub(super) struct Of {
-    /// The first of them.
+pub(super) struct ColumnSpan {
+    /// The first one.
     pub(super) column: usize,
     pub(super) dof: usize,
 }
 
-/// Rows that begin anywhere in these numbers, and end nowhere in particular.
+/// Rows that start at the given offsets. Each extends to the end of `numbers`.
 #[derive(Clone)]
-pub(crate) struct Listed<'a> {
+pub(crate) struct GatheredRows<'a> {
     pub(super) numbers: &'a [f64],
     pub(super) starts: std::slice::Iter<'a, u32>,
 }
 
-impl<'a> Iterator for Listed<'a> {
+impl<'a> Iterator for GatheredRows<'a> {
     type Item = &'a [f64];
     #[inline(always)]
     fn next(&mut self) -> Option<&'a [f64]> {
@@ -170,28 +170,30 @@ impl<'a> Iterator for Listed<'a> {
     }
 }
 
-/// [`sum_product`], to be run as a [`Task`].
+/// [`sum_product`] as a [`Kernel`].
 pub(super) struct SumProduct<'a, R, const PLUS: bool> {
     pub(super) rows: R,
-    pub(super) a: Of,
-    pub(super) b: Of,
+    pub(super) a: ColumnSpan,
+    pub(super) b: ColumnSpan,
     pub(super) tile: &'a mut [f64],
 }
 
-impl<'a, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Task for SumProduct<'_, R, PLUS> {
+impl<'a, R: Iterator<Item = &'a [f64]> + Clone, const PLUS: bool> Kernel
+    for SumProduct<'_, R, PLUS>
+{
     #[inline(always)]
     fn run<I: Isa>(self) {
         sum_product::<I, PLUS>(self.rows, self.a, self.b, self.tile);
     }
 }
 
-/// tile ± aᵀb over all rows of a matrix, of which a and b are columns: the sums stay in registers
-/// meanwhile.
+/// tile ± aᵀb over all `rows`, where a and b are ranges of their columns. The sums stay in
+/// registers.
 #[inline(always)]
 pub(super) fn sum_product<'a, I: Isa, const PLUS: bool>(
     rows: impl Iterator<Item = &'a [f64]> + Clone,
-    a: Of,
-    b: Of,
+    a: ColumnSpan,
+    b: ColumnSpan,
     tile: &mut [f64],
 ) {
     if I::MANY_REGISTERS && (a.dof, b.dof) == (9, 9) {
@@ -229,7 +231,7 @@ fn add_or_subtract<V: Vector, const PLUS: bool>(sum: V, a: V, b: V) -> V {
     if PLUS { a.mul_add(b, sum) } else { a.neg_mul_add(b, sum) }
 }
 
-/// All of a tile of cameras with their lenses at once.
+/// [`sum_product`] of a whole 9 × 9 tile (pose with three intrinsics) at once.
 #[inline(always)]
 fn sum_nine<'a, I: Isa, const PLUS: bool>(
     rows: impl Iterator<Item = &'a [f64]> + Clone,

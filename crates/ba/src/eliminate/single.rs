@@ -1,63 +1,62 @@
-//! The elimination of a point that is seen once by each of some cameras, with nothing that these
-//! share: the bulk of most bundle adjustments. Then each factor has two rows, each of its cell's
-//! blocks belongs to one factor, and what [`cell`](super::cell) sums up in memory stays in
-//! registers.
-// One index runs through several arrays, and closures are not compiled for the instruction set.
+//! Elimination of a point that each camera sees once, where cameras share no parameters: most of
+//! the work of most bundle adjustments. Each factor has two rows, and each column block of the
+//! landmark block belongs to one factor. The sums that [`general`](super::general) keeps in memory
+//! stay in registers here.
+// One index runs through several arrays. Closures are not compiled for the instruction set.
 #![allow(clippy::needless_range_loop)]
 
-use super::cursor::At;
-use super::product::{Of, over_lanes, product, sum_product};
-use super::simd::{Isa, Task, Vector, WIDE};
-use super::stash::{Head, stash_rows};
-use super::workspace::{Room, SLACK};
+use super::cursor::Cursor;
+use super::product::{ColumnSpan, over_lanes, product, sum_product};
+use super::simd::{Isa, Kernel, Vector, WIDE};
+use super::stash::{StashHead, stash_rows};
+use super::workspace::{SLACK, Workspace};
 use crate::structure::{
-    Cell, Chunk, Elimination, SINGLE_ROWS as ROWS, padded, stash_head, stash_len,
+    Elimination, LandmarkBlock, SINGLE_ROWS as ROWS, Task, padded, stash_head, stash_len,
 };
 
 /// Degrees of freedom of a point.
 const P: usize = 3;
 
-/// Adds cells with the same pattern, of which `own_block` has been called, to the sums: one product
-/// for all of them. `D` is the size of all their blocks, known to the compiler, or 0.
+/// Adds landmark blocks with the same pattern to the task's sums, after `factorise_landmark`, with
+/// one product for all of them. `D` is the size of all their column blocks as a constant, or 0.
 ///
-/// With Z = J_p L⁻ᵀ of one factor, two rows of P numbers, Y = ZᵀJ_c, and its part of C − YᵀY is
-/// J_cᵀ (I − ZZᵀ) J_c: two products of rows instead of the five of J_cᵀJ_c and YᵀY.
+/// With Z = J_p L⁻ᵀ of one factor (two rows of P numbers), Y = ZᵀJ_c, and the factor's part of C −
+/// YᵀY is J_cᵀ (I − ZZᵀ) J_c: two products of rows instead of the five of J_cᵀJ_c and YᵀY.
 pub(super) struct Eliminate<'a, 'r, const D: usize> {
-    pub(super) room: &'a mut Room<'r>,
-    pub(super) chunk: &'a Chunk,
-    pub(super) cells: &'a [Cell],
-    pub(super) at: &'a mut At,
+    pub(super) workspace: &'a mut Workspace<'r>,
+    pub(super) task: &'a Task,
+    pub(super) landmarks: &'a [LandmarkBlock],
+    pub(super) cursor: &'a mut Cursor,
 }
 
-impl<const D: usize> Task for Eliminate<'_, '_, D> {
+impl<const D: usize> Kernel for Eliminate<'_, '_, D> {
     #[inline(always)]
     fn run<I: Isa>(self) {
-        let Self { room, chunk, cells, at } = self;
-        let pattern = chunk.patterns.of(&cells[0]);
-        let locals = chunk.patterns.locals_of(&cells[0]);
-        let pairs =
-            &chunk.patterns.pair_tiles[pattern.pairs..][..locals.len() * (locals.len() + 1) / 2];
-        let width = pattern.width;
-        let Room { tiles, vectors, stash, rows, w, turned, .. } = room;
-        let w = &mut w[..cells.len() * P * width];
-        for (cell, w) in cells.iter().zip(w.chunks_exact_mut(P * width)) {
-            let (head, stashed) = stash[cell.stash..]
-                [..stash_len(P, pattern.dense, chunk.elimination)]
+        let Self { workspace, task, landmarks, cursor } = self;
+        let pattern = task.patterns.of(&landmarks[0]);
+        let pattern_blocks = task.patterns.blocks_of(&landmarks[0]);
+        let pairs = &task.patterns.pair_tiles[pattern.pairs..]
+            [..pattern_blocks.len() * (pattern_blocks.len() + 1) / 2];
+        let width = pattern.padded_width;
+        let Workspace { tiles, vectors, stash, rows, w, projected, .. } = workspace;
+        let w = &mut w[..landmarks.len() * P * width];
+        for (landmark, w) in landmarks.iter().zip(w.chunks_exact_mut(P * width)) {
+            let (head, stashed) = stash[landmark.stash..]
+                [..stash_len(P, pattern.packed_width, task.elimination)]
                 .split_at_mut(stash_head(P));
-            let head = Head::<P>::of(head);
-            let factors = at.factor..cell.end as usize;
-            at.factor = factors.end;
-            let these = &chunk.factors.locals[at.local..][..factors.len()];
-            at.local += these.len();
-            for (&shape, &l) in chunk.factors.shape_of[factors].iter().zip(these) {
-                let shape = &chunk.factors.shapes[shape as usize];
-                let local = &locals[l as usize];
-                let dof = local.dof_or::<D>();
+            let head = StashHead::<P>::of(head);
+            let factors = cursor.factor..landmark.end as usize;
+            cursor.factor = factors.end;
+            let these = &task.factors.block_indices[cursor.block_index..][..factors.len()];
+            cursor.block_index += these.len();
+            for (&shape, &l) in task.factors.shape_of[factors].iter().zip(these) {
+                let shape = &task.factors.shapes[shape as usize];
+                let pattern_block = &pattern_blocks[l as usize];
+                let dof = pattern_block.dof_or::<D>();
                 let lanes = padded(dof);
-                // The slack behind the buffer lets loads of whole vectors reach beyond the last
-                // row.
-                let both = &rows[at.row..][..ROWS * shape.stride + SLACK];
-                at.row += ROWS * shape.stride;
+                // The slack behind the buffer lets vector loads reach beyond the last row.
+                let both = &rows[cursor.row..][..ROWS * shape.stride + SLACK];
+                cursor.row += ROWS * shape.stride;
                 let mut rows = [&[][..]; ROWS];
                 let (mut z, mut residual) = ([[0.0; P]; ROWS], [0.0; ROWS]);
                 for r in 0..ROWS {
@@ -68,30 +67,30 @@ impl<const D: usize> Task for Eliminate<'_, '_, D> {
                         .first_chunk()
                         .expect("rows hold the eliminated variable");
                 }
-                let factor = Factor::new::<I>(rows, z, residual, &head, chunk.elimination);
-                let turned = &mut turned[..ROWS * lanes];
-                let mut block = Block {
+                let factor = Factor::new::<I>(rows, z, residual, &head, task.elimination);
+                let projected = &mut projected[..ROWS * lanes];
+                let mut block = BlockSums {
                     lanes,
-                    vectors: &mut vectors[3 * local.at..][..3 * lanes],
-                    y: &mut w[local.column..][..(P - 1) * width + lanes],
+                    vectors: &mut vectors[3 * pattern_block.vector_offset..][..3 * lanes],
+                    y: &mut w[pattern_block.padded_offset..][..(P - 1) * width + lanes],
                     width,
-                    turned,
+                    projected,
                 };
                 over_lanes!(lanes, add_block::<I>(&factor, &mut block));
                 let at = pairs[l as usize * (l as usize + 3) / 2] as usize;
-                let turned = [&turned[..lanes], &turned[lanes..]];
-                product::<I, ROWS>(&rows, &turned, dof, dof, &mut tiles[at..]);
+                let projected = [&projected[..lanes], &projected[lanes..]];
+                product::<I, ROWS>(&rows, &projected, dof, dof, &mut tiles[at..]);
             }
-            stash_rows::<P, I, D>(w, width, locals, stashed, chunk.elimination);
+            stash_rows::<P, I, D>(w, width, pattern_blocks, stashed, task.elimination);
         }
-        if chunk.elimination == Elimination::Implicit {
+        if task.elimination == Elimination::Implicit {
             return;
         }
         let mut first = 0;
-        for (l, b) in locals.iter().enumerate() {
-            let b = Of { column: b.column, dof: b.dof_or::<D>() };
-            for (a, &at) in locals[..l].iter().zip(&pairs[first..]) {
-                let a = Of { column: a.column, dof: a.dof_or::<D>() };
+        for (l, b) in pattern_blocks.iter().enumerate() {
+            let b = ColumnSpan { column: b.padded_offset, dof: b.dof_or::<D>() };
+            for (a, &at) in pattern_blocks[..l].iter().zip(&pairs[first..]) {
+                let a = ColumnSpan { column: a.padded_offset, dof: a.dof_or::<D>() };
                 sum_product::<I, false>(w.chunks_exact(width), a, b, &mut tiles[at as usize..]);
             }
             first += l + 1;
@@ -99,26 +98,26 @@ impl<const D: usize> Task for Eliminate<'_, '_, D> {
     }
 }
 
-/// The numbers of one factor.
+/// One factor.
 struct Factor<'a> {
-    /// J_c, from its first column on.
+    /// J_c.
     rows: [&'a [f64]; ROWS],
     residual: [f64; ROWS],
     z: [[f64; P]; ROWS],
-    /// I − ZZᵀ; I where nothing is to be subtracted.
+    /// I − ZZᵀ; I for the implicit solver, which subtracts nothing.
     rest: [[f64; ROWS]; ROWS],
     /// Zy.
     corrected: [f64; ROWS],
 }
 
 impl<'a> Factor<'a> {
-    /// From `z` = J_p.
+    /// `z` is J_p.
     #[inline(always)]
     fn new<I: Isa>(
         rows: [&'a [f64]; ROWS],
         mut z: [[f64; P]; ROWS],
         residual: [f64; ROWS],
-        head: &Head<P>,
+        head: &StashHead<P>,
         elimination: Elimination,
     ) -> Self {
         let mut corrected = [0.0; ROWS];
@@ -146,8 +145,8 @@ impl<'a> Factor<'a> {
     }
 }
 
-/// What a factor is added to, of the block that it sees.
-struct Block<'a> {
+/// Results of one factor for its column block.
+struct BlockSums<'a> {
     lanes: usize,
     /// Gradient, correction and diagonal.
     vectors: &'a mut [f64],
@@ -155,14 +154,14 @@ struct Block<'a> {
     y: &'a mut [f64],
     width: usize,
     /// (I − ZZᵀ) J_c.
-    turned: &'a mut [f64],
+    projected: &'a mut [f64],
 }
 
-/// Gradient, correction and diagonal of one block, Y, and (I − ZZᵀ) J_c.
+/// One vector of the gradient, the correction, the diagonal, Y and (I − ZZᵀ) J_c of one block.
 #[inline(always)]
-fn add_block<V: Vector>(lane: usize, factor: &Factor<'_>, block: &mut Block<'_>) {
-    let Block { lanes, width, .. } = *block;
-    let Block { vectors, y, turned, .. } = block;
+fn add_block<V: Vector>(lane: usize, factor: &Factor<'_>, block: &mut BlockSums<'_>) {
+    let BlockSums { lanes, width, .. } = *block;
+    let BlockSums { vectors, y, projected, .. } = block;
     let mut j = [V::splat(0.0); ROWS];
     for r in 0..ROWS {
         j[r] = V::load(&factor.rows[r][lane..]);
@@ -179,7 +178,7 @@ fn add_block<V: Vector>(lane: usize, factor: &Factor<'_>, block: &mut Block<'_>)
         for r in 1..ROWS {
             sum = j[r].mul_add(V::splat(factor.rest[s][r]), sum);
         }
-        sum.store(&mut turned[s * lanes + lane..]);
+        sum.store(&mut projected[s * lanes + lane..]);
     }
     let mut g = V::load(&vectors[lane..]);
     let mut c = V::load(&vectors[lanes + lane..]);

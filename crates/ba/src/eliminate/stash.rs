@@ -1,21 +1,23 @@
-//! What the elimination leaves of a cell, as it is written and as it is read.
+//! Results of elimination that back-substitution reads.
 
 use super::multiply::{multiply, multiply_transposed};
 use super::product::over_lanes;
 use super::simd::{Isa, Stored, Vector, WIDE};
-use crate::structure::{Cell, Chunk, Elimination, Local, padded, row, stash_head, stash_len};
+use crate::structure::{
+    Elimination, LandmarkBlock, PatternBlock, Task, padded, row, stash_head, stash_len,
+};
 
-/// The parts of a cell's stash.
-pub(crate) struct CellStash<'a> {
-    /// The lower triangle of L, row by row, with the inverses of its diagonal; 0 there for a
-    /// direction that no factor sees.
+/// Views of a landmark's stash.
+pub(crate) struct LandmarkStash<'a> {
+    /// Lower triangle of L, row by row, with the inverse of its diagonal. That inverse is 0 for a
+    /// direction that no factor depends on.
     pub(super) factor: &'a [f64],
     /// y.
     pub(super) reduced_gradient: &'a [f64],
     pub(crate) y: Y<'a>,
 }
 
-/// Y: for each of the pattern's blocks, a row for each direction of the variable.
+/// Y: for each of the pattern's blocks, one row for each direction of the landmark.
 #[derive(Clone, Copy)]
 pub(crate) enum Y<'a> {
     Single(&'a [f32]),
@@ -30,32 +32,37 @@ impl Y<'_> {
         }
     }
 
-    /// step += Y δ_c, where `kept` holds δ_c over the chunk's blocks, zero in the padding.
-    pub(crate) fn multiply(self, locals: &[Local], kept: &[f64], step: &mut [f64]) {
+    /// step += Y δ_c. `kept` holds δ_c over the task's blocks, with zeros in the padding.
+    pub(crate) fn multiply(self, pattern_blocks: &[PatternBlock], kept: &[f64], step: &mut [f64]) {
         match self {
-            Self::Single(y) => multiply(y, locals, kept, step),
-            Self::Double(y) => multiply(y, locals, kept, step),
+            Self::Single(y) => multiply(y, pattern_blocks, kept, step),
+            Self::Double(y) => multiply(y, pattern_blocks, kept, step),
         }
     }
 
     /// kept += Yᵀ u.
-    pub(crate) fn multiply_transposed(self, locals: &[Local], u: &[f64], kept: &mut [f64]) {
+    pub(crate) fn multiply_transposed(
+        self,
+        pattern_blocks: &[PatternBlock],
+        u: &[f64],
+        kept: &mut [f64],
+    ) {
         match self {
-            Self::Single(y) => multiply_transposed(y, locals, u, kept),
-            Self::Double(y) => multiply_transposed(y, locals, u, kept),
+            Self::Single(y) => multiply_transposed(y, pattern_blocks, u, kept),
+            Self::Double(y) => multiply_transposed(y, pattern_blocks, u, kept),
         }
     }
 }
 
-impl<'a> CellStash<'a> {
-    /// In the memory of all chunks.
-    pub(crate) fn of(memory: &'a [f64], cell: &Cell, chunk: &Chunk) -> Self {
-        let p = cell.dof as usize;
-        let dense = chunk.patterns.of(cell).dense;
-        let (head, y) = memory[chunk.memory.start + chunk.tiles_len + cell.stash..]
-            [..stash_len(p, dense, chunk.elimination)]
+impl<'a> LandmarkStash<'a> {
+    /// Stash of a landmark in `memory`, which holds that of all tasks.
+    pub(crate) fn of(memory: &'a [f64], landmark: &LandmarkBlock, task: &Task) -> Self {
+        let p = landmark.dof as usize;
+        let dense = task.patterns.of(landmark).packed_width;
+        let (head, y) = memory[task.memory.start + task.tiles_len + landmark.stash..]
+            [..stash_len(p, dense, task.elimination)]
             .split_at(stash_head(p));
-        let y = match chunk.elimination {
+        let y = match task.elimination {
             Elimination::Implicit => Y::Double(y),
             _ => Y::Single(bytemuck::cast_slice(y)),
         };
@@ -63,7 +70,7 @@ impl<'a> CellStash<'a> {
         Self { factor, reduced_gradient, y }
     }
 
-    /// A number of L's lower triangle; a one on its diagonal for a direction that no factor sees.
+    /// Element of L's lower triangle. The diagonal is 1 for a direction that no factor depends on.
     pub(crate) fn factor(&self, i: usize, j: usize) -> f64 {
         let number = self.factor[row(i) + j];
         match i == j {
@@ -73,7 +80,7 @@ impl<'a> CellStash<'a> {
         }
     }
 
-    /// A number of the diagonal of J_pᵀJ_p, from that of V = LLᵀ with damping `lambda`.
+    /// Diagonal element k of J_pᵀJ_p, computed from V = LLᵀ with damping `lambda`.
     #[inline]
     pub(crate) fn diagonal(&self, k: usize, lambda: f64) -> f64 {
         let (before, inverse) = (&self.factor[row(k)..][..k], self.factor[row(k) + k]);
@@ -84,14 +91,14 @@ impl<'a> CellStash<'a> {
     }
 }
 
-/// What the stash holds before Y, as far as elimination needs it, in registers.
-pub(super) struct Head<const P: usize> {
+/// The part of a stash before Y.
+pub(super) struct StashHead<const P: usize> {
     pub(super) factor: [[f64; P]; P],
     pub(super) y: [f64; P],
     pub(super) inverse: [f64; P],
 }
 
-impl<const P: usize> Head<P> {
+impl<const P: usize> StashHead<P> {
     #[inline(always)]
     pub(super) fn of(head: &[f64]) -> Self {
         let mut this = Self { factor: [[0.0; P]; P], y: [0.0; P], inverse: [0.0; P] };
@@ -106,20 +113,20 @@ impl<const P: usize> Head<P> {
     }
 }
 
-/// Copies Yᵀ of a cell's blocks, whose rows are `width` apart, to its stash. Vectors overlap what
-/// comes next, which is therefore written later.
+/// Copies Y of a landmark, block by block and without padding, to its stash. Vector stores overlap
+/// the next row, which is therefore written later.
 #[inline(always)]
 pub(super) fn stash_rows<const P: usize, I: Isa, const D: usize>(
     w: &[f64],
     width: usize,
-    locals: &[Local],
+    pattern_blocks: &[PatternBlock],
     stash: &mut [f64],
     elimination: Elimination,
 ) {
     if elimination == Elimination::Implicit {
-        stash_rows_as::<P, I, f64, D>(w, width, locals, stash);
+        stash_rows_as::<P, I, f64, D>(w, width, pattern_blocks, stash);
     } else {
-        stash_rows_as::<P, I, f32, D>(w, width, locals, bytemuck::cast_slice_mut(stash));
+        stash_rows_as::<P, I, f32, D>(w, width, pattern_blocks, bytemuck::cast_slice_mut(stash));
     }
 }
 
@@ -127,15 +134,15 @@ pub(super) fn stash_rows<const P: usize, I: Isa, const D: usize>(
 fn stash_rows_as<const P: usize, I: Isa, T: Stored, const D: usize>(
     w: &[f64],
     width: usize,
-    locals: &[Local],
+    pattern_blocks: &[PatternBlock],
     stash: &mut [T],
 ) {
-    for local in locals {
-        let dof = local.dof_or::<D>();
+    for pattern_block in pattern_blocks {
+        let dof = pattern_block.dof_or::<D>();
         let lanes = padded(dof);
         for k in 0..P {
-            let from = &w[k * width + local.column..][..lanes];
-            let to = &mut stash[P * local.dense + k * dof..][..lanes];
+            let from = &w[k * width + pattern_block.padded_offset..][..lanes];
+            let to = &mut stash[P * pattern_block.packed_offset + k * dof..][..lanes];
             over_lanes!(lanes, copy::<I, T>(from, to));
         }
     }

@@ -6,20 +6,25 @@ use super::relative::Relative;
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
-/// The relative pose of two frames was measured: variables (`a_from_world`, `b_from_world`),
-/// residual A (`b_from_world · world_from_a` ⊖ `b_from_a`), rotation first. What a pose graph is
-/// made of, of rigid poses (6 numbers) or of similarities (7, the logarithm of the scale last).
+/// A measured relative pose of two frames, as in a pose graph. Variables: `a_from_world`,
+/// `b_from_world`. Residual: A (`b_from_world · world_from_a` ⊟ `b_from_a`), rotation first. Six
+/// numbers for rigid poses, seven for similarities, with the logarithm of the scale last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Between<V = Rigid3, const N: usize = 6> {
-    /// The measurement.
+    /// The measured relative pose.
     pub b_from_a: V,
-    /// A, with AᵀA the inverse covariance of the tangent of `b_from_a`.
+    /// A, where AᵀA is the inverse covariance of the tangent of `b_from_a`.
     pub sqrt_information: SMatrix<f64, N, N>,
 }
 
 impl<V: Difference<N>, const N: usize> Between<V, N> {
-    /// From standard deviations of the rotation (radians, about the axes of b), of the place of b's
-    /// origin, along the axes of b, and of what else the tangent has; infinite ones say nothing.
+    /// `sigmas` are the standard deviations of the rotation (radians, about the axes of b), of the
+    /// position of b's origin (along the axes of b), and of the other directions of the tangent.
+    /// Infinite ones
+    /// remove a direction.
+    ///
+    /// # Errors
+    /// [`Error::Sigma`] for one that is not positive.
     pub fn new(b_from_a: V, sigmas: &[f64; N]) -> Result<Self, Error> {
         Ok(Self { b_from_a, sqrt_information: from_sigmas(sigmas)? })
     }

@@ -1,11 +1,11 @@
-//! Derivatives of `minus`: how far a variable is from where it should be.
+//! Derivatives of `minus`, the difference of two values of a variable.
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion};
 use tiepoint_geometry::{Manifold, Rigid3, Sim3, so3};
 
-/// A manifold of `N` dimensions whose `minus` can be differentiated.
+/// A manifold of `N` dimensions with a differentiable `minus`.
 pub trait Difference<const N: usize>: Manifold<Tangent = SVector<f64, N>> {
-    /// d (x ⊖ base) / dx.
+    /// d (x ⊟ base) / dx.
     fn d_minus(&self, base: &Self) -> SMatrix<f64, N, N>;
 }
 
@@ -28,8 +28,8 @@ impl Difference<3> for UnitQuaternion<f64> {
     }
 }
 
-/// By a motion (δ, τ) of x, the motion (Exp r, p) that leads from the base to x becomes (Exp(δ)
-/// Exp(r), Exp(δ) p + τ). Rows and columns behind the sixth are those of the identity.
+/// A motion (δ, τ) of x changes the motion (Exp r, p) from the base to x to (Exp(δ) Exp(r), Exp(δ)
+/// p + τ). Rows and columns from the seventh on are those of the identity.
 fn d_motion<const N: usize>(r_and_p: &SVector<f64, N>) -> SMatrix<f64, N, N> {
     let (r, p) = (r_and_p.fixed_rows::<3>(0).into_owned(), r_and_p.fixed_rows::<3>(3).into_owned());
     let mut jacobian = SMatrix::<f64, N, N>::identity();
@@ -50,7 +50,8 @@ impl Difference<7> for Sim3 {
     }
 }
 
-/// A diagonal square root of information from standard deviations; infinite ones say nothing.
+/// Diagonal square root of the information matrix, from standard deviations. Infinite ones give
+/// zeros.
 pub(super) fn from_sigmas<const N: usize>(
     sigmas: &[f64; N],
 ) -> Result<SMatrix<f64, N, N>, crate::Error> {

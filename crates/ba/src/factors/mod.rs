@@ -1,4 +1,4 @@
-//! The standard factors. Those that know cameras have their one home here; the engine knows none.
+//! Standard factors. Only these know cameras; the solver does not.
 
 mod between;
 mod difference;

@@ -5,19 +5,21 @@ use super::difference::{Difference, from_sigmas};
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
-/// A variable is believed to have a value: residual A (x ⊖ mean), with A the square root of the
-/// information.
+/// A prior on the value of a variable. Residual: A (x ⊟ mean), with A the square root of the
+/// information matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior<V, const N: usize> {
-    /// The value.
+    /// The mean.
     pub mean: V,
-    /// A, with AᵀA the inverse covariance of the tangent.
+    /// A, where AᵀA is the inverse covariance of the tangent.
     pub sqrt_information: SMatrix<f64, N, N>,
 }
 
 impl<V: Difference<N>, const N: usize> Prior<V, N> {
-    /// From a standard deviation for each direction of the tangent; an infinite one leaves the
-    /// direction alone.
+    /// From a standard deviation for each tangent direction. An infinite one removes the direction.
+    ///
+    /// # Errors
+    /// [`Error::Sigma`] for one that is not positive.
     pub fn new(mean: V, sigmas: &[f64; N]) -> Result<Self, Error> {
         Ok(Self { mean, sqrt_information: from_sigmas(sigmas)? })
     }

@@ -1,19 +1,21 @@
-//! Derivatives of one frame as seen from another.
+//! Relative transforms and their derivatives.
 
 use nalgebra::{SMatrix, SVector};
 use tiepoint_geometry::{Rigid3, Sim3};
 
 use super::difference::Difference;
 
-/// A transform `b_from_world`, of which the one of another frame can be taken off.
+/// A transform `b_from_world` with a differentiable relative transform to another frame.
 pub trait Relative<const N: usize>: Difference<N> {
-    /// `b_from_a`, of `a_from_world`.
+    /// `b_from_a`, given `a_from_world`.
     fn relative_to(&self, a: &Self) -> Self;
-    /// The tangent of that `b_from_a` by those of `a_from_world` and of `b_from_world`.
+    /// Derivatives of the tangent of `b_from_a` with respect to those of `a_from_world` and of
+    /// `b_from_world`.
     fn d_relative(&self, b_from_a: &Self) -> [SMatrix<f64, N, N>; 2];
 }
 
-/// A motion of b is one of `b_from_a`, and one of a moves it by its opposite, seen in b.
+/// A motion of b is one of `b_from_a`. A motion of a moves `b_from_a` by its inverse, expressed in
+/// b.
 impl Relative<6> for Rigid3 {
     fn relative_to(&self, a: &Self) -> Self {
         *self * a.inverse()
@@ -23,9 +25,9 @@ impl Relative<6> for Rigid3 {
     }
 }
 
-/// As for [`Rigid3`], with lengths of a scaled. When a frame grows by e^σ about its own origin, the
-/// origin of a moves in b away from that of the world (or towards it, when a grows), which
-/// `b_from_world` shows as its translation.
+/// As for [`Rigid3`], with lengths of a scaled. Scaling frame b by e^σ about its own origin moves
+/// the origin of a in b away from the origin of the world in b, which is the translation of
+/// `b_from_world`. Scaling a moves it towards that point.
 impl Relative<7> for Sim3 {
     fn relative_to(&self, a: &Self) -> Self {
         *self * a.inverse()

@@ -3,12 +3,12 @@ use tiepoint_geometry::{Block, CameraModel, Rigid3};
 
 use crate::factor::{Factor, Linear, Refs};
 
-/// A point was seen at a pixel: variables (camera parameters, `cam_from_world`, `point_in_world`),
-/// residual (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Does not
-/// exist where the camera does not see the point.
+/// Reprojection error. Variables: camera parameters, `cam_from_world`, `point_in_world`. Residual:
+/// (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Invalid if the point
+/// does not project into the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reprojection<M> {
-    /// Where.
+    /// The measured pixel.
     pub pixel: Vector2<f64>,
     /// Standard deviation of each coordinate, in pixels.
     pub sigma_px: f64,
@@ -17,14 +17,14 @@ pub struct Reprojection<M> {
 }
 
 impl<M: CameraModel> Reprojection<M> {
-    /// A measurement.
+    /// An observation at `pixel`.
     pub fn new(pixel: Vector2<f64>, sigma_px: f64) -> Self {
         Self { pixel, sigma_px, model: M::default() }
     }
 }
 
-/// Derivative by the pose that brought the point to where it is `moved` to: Exp(δ) p + τ ≈ p + δ ×
-/// p + τ.
+/// Jacobian of the projection with respect to the pose, given the point in the camera frame: Exp(δ)
+/// p + τ ≈ p + δ × p + τ.
 #[inline(always)]
 fn d_pose(d_point: &Matrix2x3<f64>, moved: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
     let [x, y] = [0, 1].map(|r| Vector3::new(d_point[(r, 0)], d_point[(r, 1)], d_point[(r, 2)]));
@@ -44,7 +44,7 @@ fn scale<B: Block>(mut block: B, factor: f64) -> B {
 impl<M: CameraModel> Factor<2> for Reprojection<M> {
     type Vars = (M::Params, Rigid3, Vector3<f64>);
 
-    // Inlined for certain, so that the refinement of points computes their part alone.
+    // Inlined for the refinement of points, which then computes their block alone.
     #[inline(always)]
     fn linearize(
         &self,
@@ -70,11 +70,11 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
     }
 }
 
-/// A point was seen by a camera of a rig: variables (camera parameters, `cam_from_rig`,
-/// `rig_from_world`, `point_in_world`), else as [`Reprojection`].
+/// Reprojection error of a camera on a rig. Variables: camera parameters, `cam_from_rig`,
+/// `rig_from_world`, `point_in_world`. Otherwise as [`Reprojection`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigReprojection<M> {
-    /// Where.
+    /// The measured pixel.
     pub pixel: Vector2<f64>,
     /// Standard deviation of each coordinate, in pixels.
     pub sigma_px: f64,
@@ -83,7 +83,7 @@ pub struct RigReprojection<M> {
 }
 
 impl<M: CameraModel> RigReprojection<M> {
-    /// A measurement.
+    /// An observation at `pixel`.
     pub fn new(pixel: Vector2<f64>, sigma_px: f64) -> Self {
         Self { pixel, sigma_px, model: M::default() }
     }
@@ -124,14 +124,14 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
     }
 }
 
-/// A point was seen at a pixel that something shifted in an unknown proportion, as the time that a
-/// rolling shutter takes does: variables (camera parameters, `cam_from_world`, amount,
-/// `point_in_world`), residual that of [`Reprojection`] plus amount · shift / sigma.
+/// Reprojection error with a shift of unknown amount, such as the readout time of a rolling
+/// shutter. Variables: camera parameters, `cam_from_world`, amount, `point_in_world`. Residual:
+/// that of [`Reprojection`] plus amount · shift / sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShiftedReprojection<M> {
-    /// The same without a shift.
+    /// The reprojection error without the shift.
     pub unshifted: Reprojection<M>,
-    /// In pixels, for an amount of one: the pixel would be there, less this, if nothing shifted it.
+    /// Shift of the projection in pixels, for an amount of one.
     pub shift: Vector2<f64>,
 }
 

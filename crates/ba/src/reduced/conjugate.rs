@@ -1,52 +1,51 @@
-//! Preconditioned conjugate gradients on the reduced system, for what no direct factorisation has
-//! room for: nothing fills in. The system is a sparse matrix, or never put together (see
-//! `implicit`). The preconditioner is the Cholesky factorisation of each block on the diagonal
-//! (Schur-Jacobi in Ceres' terms; Agarwal, Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the
-//! large", section 4).
+//! Preconditioned conjugate gradients on the reduced system, for systems whose Cholesky factor
+//! would not fit into memory. The matrix is sparse, or is never formed (see `implicit`). The
+//! preconditioner is the Cholesky factorisation of the diagonal blocks: SCHUR_JACOBI in Ceres;
+//! Agarwal, Snavely, Seitz, Szeliski 2010, "Bundle adjustment in the large", section 4.
 
 use super::columns::Columns;
 use super::factorisation::{Factorisation, Layout, NotPositive};
-use super::implicit::Eliminated;
+use super::implicit::EliminatedSystem;
 
-/// Damping grows where so many iterations were not enough: the step is then what they have found.
+/// After so many iterations the current iterate is the step. If it is a bad one, damping grows.
 const MAX_ITERATIONS: usize = 500;
 
 pub(crate) struct Conjugate {
     columns: Columns,
-    /// The columns are those of C.
+    /// The columns are those of C, and the reduced system is never formed.
     implicit: bool,
-    /// Cholesky factors of the blocks on the diagonal, row by row, one after the other.
+    /// Cholesky factors of the diagonal blocks, each full and row by row.
     factors: Vec<f64>,
 }
 
 impl Conjugate {
     pub(crate) fn new(columns: Columns, implicit: bool) -> Self {
-        let len = columns.reduced.windows(2).map(|ends| (ends[1] - ends[0]).pow(2)).sum();
+        let len = columns.first_column.windows(2).map(|ends| (ends[1] - ends[0]).pow(2)).sum();
         Self { columns, implicit, factors: vec![0.0; len] }
     }
 
-    /// Each block on the diagonal: its columns, and where its factor begins.
+    /// Columns of each diagonal block, and the offset of its factor.
     fn blocks(&self) -> impl Iterator<Item = (std::ops::Range<usize>, usize)> {
         let mut at = 0;
-        self.columns.reduced.windows(2).map(move |ends| {
+        self.columns.first_column.windows(2).map(move |ends| {
             let start = at;
             at += (ends[1] - ends[0]).pow(2);
             (ends[0]..ends[1], start)
         })
     }
 
-    /// y = S x, where `numbers` are the lower triangle of S, or of C.
-    fn multiply(&self, numbers: &[f64], rest: Eliminated<'_>, x: &[f64], y: &mut [f64]) {
+    /// y = S x, where `lower` is the lower triangle of S, or of C if `implicit`.
+    fn multiply(&self, lower: &[f64], eliminated: EliminatedSystem<'_>, x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
         if self.implicit {
-            rest.subtract_product(x, y);
+            eliminated.subtract_product(x, y);
         }
         for (j, ends) in self.columns.column_at.windows(2).enumerate() {
             let range = ends[0] as usize..ends[1] as usize;
-            let (numbers, rows) = (&numbers[range.clone()], &self.columns.row_of[range]);
-            // The first is on the diagonal.
-            let (x_j, mut sum) = (x[j], numbers[0] * x[j]);
-            for (number, &row) in numbers.iter().zip(rows).skip(1) {
+            let (lower, rows) = (&lower[range.clone()], &self.columns.row_of[range]);
+            // The first element is on the diagonal.
+            let (x_j, mut sum) = (x[j], lower[0] * x[j]);
+            for (number, &row) in lower.iter().zip(rows).skip(1) {
                 sum += number * x[row as usize];
                 y[row as usize] += number * x_j;
             }
@@ -97,20 +96,20 @@ impl Layout for Conjugate {
 impl Factorisation for Conjugate {
     fn factorise(
         &mut self,
-        numbers: &mut Vec<f64>,
-        rest: Eliminated<'_>,
+        lower: &mut Vec<f64>,
+        eliminated: EliminatedSystem<'_>,
     ) -> Result<(), NotPositive> {
         let blocks: Vec<_> = self.blocks().collect();
         for (a, (columns, at)) in blocks.iter().enumerate() {
             let (n, first) = (columns.len(), self.columns.block_column(a).start);
             for j in 0..n {
-                let column = &numbers[first + self.columns.tile_at(a, a, j)..][..n - j];
+                let column = &lower[first + self.columns.tile_at(a, a, j)..][..n - j];
                 (j..n).zip(column).for_each(|(i, number)| self.factors[at + i * n + j] = *number);
             }
         }
         if self.implicit {
             let first: Vec<usize> = blocks.iter().map(|block| block.1).collect();
-            rest.subtract_diagonal(&first, &mut self.factors);
+            eliminated.subtract_diagonal(&first, &mut self.factors);
         }
         for (columns, at) in blocks {
             let n = columns.len();
@@ -121,7 +120,7 @@ impl Factorisation for Conjugate {
                     l[i * n + j] -= sum;
                 }
                 let pivot = l[j * n + j];
-                // Not a number is not positive either.
+                // NaN is not positive either.
                 if pivot.is_nan() || pivot <= 0.0 {
                     return Err(NotPositive(columns.start + j));
                 }
@@ -132,7 +131,13 @@ impl Factorisation for Conjugate {
         Ok(())
     }
 
-    fn solve(&mut self, numbers: &[f64], rest: Eliminated<'_>, x: &mut [f64], accuracy: f64) {
+    fn solve(
+        &mut self,
+        lower: &[f64],
+        eliminated: EliminatedSystem<'_>,
+        x: &mut [f64],
+        accuracy: f64,
+    ) {
         let n = self.columns.len;
         let [mut r, mut z, mut p, mut s] = [(); 4].map(|()| vec![0.0; n]);
         for x in x.chunks_exact_mut(n.max(1)) {
@@ -143,10 +148,10 @@ impl Factorisation for Conjugate {
             let mut rz = dot(&r, &z);
             let goal = rz * accuracy * accuracy;
             for _ in 0..MAX_ITERATIONS {
-                self.multiply(numbers, rest, &p, &mut s);
+                self.multiply(lower, eliminated, &p, &mut s);
                 let curvature = dot(&p, &s);
-                // At the bottom, or where rounding has eaten the matrix' being positive. Not a
-                // number ends it, too.
+                // Converged, or the matrix is not positive definite to rounding. NaN ends the loop,
+                // too.
                 if !(rz > goal && curvature > 0.0) {
                     break;
                 }

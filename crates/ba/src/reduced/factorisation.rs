@@ -1,32 +1,37 @@
-//! What the reduced system asks of those that solve it.
+//! Interface of the solvers of the reduced system.
 
 use std::ops::Range;
 
-use super::implicit::Eliminated;
+use super::implicit::EliminatedSystem;
 
-/// The matrix could not be factorised: column `0` of the reduced system is not positive.
+/// The matrix is not positive definite: column `0` of the reduced system has no positive pivot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct NotPositive(pub(crate) usize);
 
-/// Where the numbers of the lower triangle are.
+/// Memory layout of the lower triangle.
 pub(crate) trait Layout: Sync {
-    /// First number of a block column, and of the one behind it.
+    /// Range of a block column.
     fn block_column(&self, a: usize) -> Range<usize>;
-    /// Where, in its block column, the tile of rows `b` begins in the column number `column`
-    /// (counted among the free ones). Of a block with itself, the rows from `column` on are stored
-    /// there.
+    /// Offset in block column `a` of the rows of block `b` in its free column number `column`. In a
+    /// diagonal block, the rows from `column` on are stored there.
     fn tile_at(&self, a: usize, b: usize, column: usize) -> usize;
 }
 
-/// A way to solve the reduced system.
+/// A solver of the reduced system.
 pub(crate) trait Factorisation: Layout + Send {
-    /// Factorises the lower triangle in `numbers`.
+    /// Factorises the lower triangle in `lower`.
     fn factorise(
         &mut self,
-        numbers: &mut Vec<f64>,
-        rest: Eliminated<'_>,
+        lower: &mut Vec<f64>,
+        eliminated: EliminatedSystem<'_>,
     ) -> Result<(), NotPositive>;
-    /// Solves for several right-hand sides, one after the other in `x`; where that is done step by
-    /// step, until the residual has shrunk to this part of them.
-    fn solve(&mut self, numbers: &[f64], rest: Eliminated<'_>, x: &mut [f64], accuracy: f64);
+    /// Solves for several right-hand sides, one after the other in `x`. Iterative solvers stop when
+    /// the preconditioned residual has fallen to `accuracy` times its initial norm.
+    fn solve(
+        &mut self,
+        lower: &[f64],
+        eliminated: EliminatedSystem<'_>,
+        x: &mut [f64],
+        accuracy: f64,
+    );
 }

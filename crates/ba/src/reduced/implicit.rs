@@ -1,69 +1,69 @@
-//! The reduced system without putting it together: S x = C x − Yᵀ(Y x), cell by cell, from what
-//! elimination has stashed. Nothing fills in, neither by factorisation nor by points that many
-//! cameras see: the numbers are as many as the observations (Agarwal, Snavely, Seitz, Szeliski
-//! 2010, "Bundle adjustment in the large", section 3.3).
+//! The reduced system without forming it: S x = C x − Yᵀ(Y x), landmark by landmark, from the
+//! stashes. There is no fill-in, neither from factorisation nor from points that many cameras see:
+//! memory is proportional to the observations (Agarwal, Snavely, Seitz, Szeliski 2010, "Bundle
+//! adjustment in the large", section 3.3).
 //!
-//! C, the kept variables' own part, is put together as ever, from tiles of blocks that share a
-//! factor.
+//! C, the normal matrix of the kept variables alone, is formed from the tiles of blocks that share
+//! a factor.
 
-use crate::eliminate::CellStash;
-use crate::structure::{Block, Chunk, Structure, for_chunks};
+use crate::eliminate::LandmarkStash;
+use crate::structure::{ColumnBlock, Structure, Task, for_each_task};
 use crate::variable::MAX_ELIMINATED_DOF;
 
-/// What the elimination has left.
+/// Results of the elimination.
 #[derive(Clone, Copy)]
-pub(crate) struct Eliminated<'a> {
+pub(crate) struct EliminatedSystem<'a> {
     pub(crate) structure: &'a Structure,
-    /// Tiles and stashes of all chunks.
+    /// Tiles and stashes of all tasks.
     pub(crate) memory: &'a [f64],
 }
 
-impl Eliminated<'_> {
-    /// y −= Yᵀ Y x over the columns of the reduced system. The chunks' sums are subtracted in their
+impl EliminatedSystem<'_> {
+    /// y −= YᵀY x over the columns of the reduced system. The sums of the tasks are subtracted in
     /// order.
     pub(super) fn subtract_product(self, x: &[f64], y: &mut [f64]) {
         let blocks = &self.structure.blocks;
-        let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];
-        for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
-            let mut kept = vec![0.0; chunk.vector_len];
-            for &(block, at) in &chunk.blocks {
+        let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.tasks.len()];
+        for_each_task(&self.structure.tasks, &mut parts, |task, part| {
+            let mut kept = vec![0.0; task.vector_len];
+            for &(block, at) in &task.blocks {
                 let block = &blocks[block as usize];
                 for (column, i) in block.free_columns().enumerate() {
-                    kept[at + i] = x[block.reduced + column];
+                    kept[at + i] = x[block.first_column + column];
                 }
             }
-            *part = vec![0.0; chunk.vector_len];
-            for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
-                let stash = CellStash::of(self.memory, cell, chunk);
-                let locals = chunk.patterns.locals_of(cell);
-                let mut room = [0.0; MAX_ELIMINATED_DOF];
-                let product = &mut room[..cell.dof as usize];
-                stash.y.multiply(locals, &kept, product);
-                stash.y.multiply_transposed(locals, product, part);
+            *part = vec![0.0; task.vector_len];
+            for landmark in task.landmarks.iter().filter(|landmark| landmark.dof > 0) {
+                let stash = LandmarkStash::of(self.memory, landmark, task);
+                let pattern_blocks = task.patterns.blocks_of(landmark);
+                let mut buffer = [0.0; MAX_ELIMINATED_DOF];
+                let product = &mut buffer[..landmark.dof as usize];
+                stash.y.multiply(pattern_blocks, &kept, product);
+                stash.y.multiply_transposed(pattern_blocks, product, part);
             }
         });
-        for (chunk, part) in self.structure.chunks.iter().zip(&parts) {
-            for &(block, at) in &chunk.blocks {
+        for (task, part) in self.structure.tasks.iter().zip(&parts) {
+            for &(block, at) in &task.blocks {
                 let block = &blocks[block as usize];
                 for (column, i) in block.free_columns().enumerate() {
-                    y[block.reduced + column] -= part[at + i];
+                    y[block.first_column + column] -= part[at + i];
                 }
             }
         }
     }
 
-    /// Subtracts the blocks of YᵀY on the diagonal from full blocks, row by row, of which only the
-    /// lower triangle is meant; each begins where `first` says.
+    /// Subtracts the diagonal blocks of YᵀY from full row-major blocks, which begin at `first`.
+    /// Only the lower triangles are valid.
     pub(super) fn subtract_diagonal(self, first: &[usize], numbers: &mut [f64]) {
         let blocks = &self.structure.blocks;
-        let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.chunks.len()];
-        for_chunks(&self.structure.chunks, &mut parts, |chunk, part| {
-            *part = self.diagonal(chunk);
+        let mut parts: Vec<Vec<f64>> = vec![Vec::new(); self.structure.tasks.len()];
+        for_each_task(&self.structure.tasks, &mut parts, |task, part| {
+            *part = self.diagonal(task);
         });
-        for (chunk, part) in self.structure.chunks.iter().zip(&parts) {
+        for (task, part) in self.structure.tasks.iter().zip(&parts) {
             let mut at = 0;
-            for &(block, _) in &chunk.blocks {
-                let Block { dof, .. } = blocks[block as usize];
+            for &(block, _) in &task.blocks {
+                let ColumnBlock { dof, .. } = blocks[block as usize];
                 let (n, free) = (blocks[block as usize].num_free(), &blocks[block as usize]);
                 let numbers = &mut numbers[first[block as usize]..][..n * n];
                 for (row, i) in free.free_columns().enumerate() {
@@ -76,22 +76,29 @@ impl Eliminated<'_> {
         }
     }
 
-    /// The diagonal blocks of a chunk's YᵀY, row by row.
-    fn diagonal(self, chunk: &Chunk) -> Vec<f64> {
+    /// The diagonal blocks of a task's YᵀY, row by row.
+    fn diagonal(self, task: &Task) -> Vec<f64> {
         let blocks = &self.structure.blocks;
         let mut starts = vec![0];
-        for &(block, _) in &chunk.blocks {
+        for &(block, _) in &task.blocks {
             starts.push(starts[starts.len() - 1] + blocks[block as usize].dof.pow(2));
         }
-        let mut sums = vec![0.0; starts[chunk.blocks.len()]];
-        for cell in chunk.cells.iter().filter(|cell| cell.dof > 0) {
-            let stash = CellStash::of(self.memory, cell, chunk);
-            for local in chunk.patterns.locals_of(cell) {
-                let index = chunk.blocks.partition_point(|block| block.1 < local.at);
-                let sums = &mut sums[starts[index]..][..local.dof * local.dof];
-                for k in 0..cell.dof as usize {
-                    let y = |i| stash.y.get(cell.dof as usize * local.dense + k * local.dof + i);
-                    for (i, sums) in sums.chunks_exact_mut(local.dof).enumerate() {
+        let mut sums = vec![0.0; starts[task.blocks.len()]];
+        for landmark in task.landmarks.iter().filter(|landmark| landmark.dof > 0) {
+            let stash = LandmarkStash::of(self.memory, landmark, task);
+            for pattern_block in task.patterns.blocks_of(landmark) {
+                let index =
+                    task.blocks.partition_point(|block| block.1 < pattern_block.vector_offset);
+                let sums = &mut sums[starts[index]..][..pattern_block.dof * pattern_block.dof];
+                for k in 0..landmark.dof as usize {
+                    let y = |i| {
+                        stash.y.get(
+                            landmark.dof as usize * pattern_block.packed_offset
+                                + k * pattern_block.dof
+                                + i,
+                        )
+                    };
+                    for (i, sums) in sums.chunks_exact_mut(pattern_block.dof).enumerate() {
                         sums.iter_mut().enumerate().for_each(|(j, sum)| *sum += y(i) * y(j));
                     }
                 }

@@ -1,7 +1,7 @@
-//! faer's supernodal Cholesky factorisation of a sparse lower triangle.
+//! Supernodal sparse Cholesky factorisation, by faer.
 //!
-//! The order of elimination is that of the blocks (time, then shared ones) or approximate minimum
-//! degree, whichever leaves the smaller factor. The symbolic work is done once.
+//! The elimination order is that of the blocks (time, then shared variables) or approximate minimum
+//! degree, whichever has the smaller factor. The symbolic factorisation is computed once.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltError;
@@ -15,9 +15,9 @@ use faer::{Conj, MatMut, Par, Side};
 
 use super::columns::Columns;
 use super::factorisation::{Factorisation, Layout, NotPositive};
-use super::implicit::Eliminated;
+use super::implicit::EliminatedSystem;
 
-/// Above so many numbers in the factor, 4 GiB, the direct way is given up.
+/// Largest factor, in elements: 4 GiB.
 const MAX_FACTOR: usize = 1 << 29;
 
 pub(crate) struct Sparse {
@@ -28,7 +28,7 @@ pub(crate) struct Sparse {
 }
 
 impl Sparse {
-    /// Gives the columns back where the factor would not fit.
+    /// Returns the columns as an error if the factor would be larger than [`MAX_FACTOR`].
     pub(crate) fn new(columns: Columns) -> Result<Self, Columns> {
         let Columns { len, column_at, row_of, .. } = &columns;
         let pattern = SymbolicSparseColMatRef::new_checked(*len, *len, column_at, None, row_of);
@@ -47,7 +47,7 @@ impl Sparse {
     }
 }
 
-/// `None` when it cannot even be counted.
+/// `None` if the size of the factor overflows.
 fn symbolic(
     pattern: SymbolicSparseColMatRef<'_, u32>,
     columns: usize,
@@ -78,7 +78,11 @@ impl Layout for Sparse {
 }
 
 impl Factorisation for Sparse {
-    fn factorise(&mut self, numbers: &mut Vec<f64>, _: Eliminated<'_>) -> Result<(), NotPositive> {
+    fn factorise(
+        &mut self,
+        lower: &mut Vec<f64>,
+        _: EliminatedSystem<'_>,
+    ) -> Result<(), NotPositive> {
         let pattern = SymbolicSparseColMatRef::new_checked(
             self.columns.len,
             self.columns.len,
@@ -86,7 +90,7 @@ impl Factorisation for Sparse {
             None,
             &self.columns.row_of,
         );
-        let matrix = SparseColMatRef::new(pattern, &numbers[..]);
+        let matrix = SparseColMatRef::new(pattern, &lower[..]);
         let stack = MemStack::new(&mut self.memory);
         let factor = &mut self.factor;
         match self.symbolic.factorize_numeric_llt(
@@ -103,7 +107,7 @@ impl Factorisation for Sparse {
         }
     }
 
-    fn solve(&mut self, _: &[f64], _: Eliminated<'_>, x: &mut [f64], _: f64) {
+    fn solve(&mut self, _: &[f64], _: EliminatedSystem<'_>, x: &mut [f64], _: f64) {
         let factor = LltRef::new(&self.symbolic, &self.factor);
         let stack = MemStack::new(&mut self.memory);
         for x in x.chunks_exact_mut(self.columns.len.max(1)) {

@@ -1,22 +1,24 @@
-//! Blocks, the stretches of columns of the reduced system, and which variable is where in them.
+//! Column blocks of the reduced system, and the location of each variable in them.
 
-/// "There is none."
+/// Index of a block, tile or variable that does not exist.
 pub(crate) const NONE: u32 = u32::MAX;
 
-/// A stretch of columns of the reduced system.
+/// A range of adjacent columns of the reduced system: the tangent directions of one kept variable,
+/// or of several that were merged.
 #[derive(Clone, Debug)]
-pub(crate) struct Block {
+pub(crate) struct ColumnBlock {
     pub(crate) dof: usize,
-    /// Where its numbers begin in vectors over all blocks, where each takes `padded(dof)`.
-    pub(crate) at: usize,
+    /// First element in padded vectors over all blocks, in which each block has `padded(dof)`
+    /// elements.
+    pub(crate) padded_start: usize,
     /// Bit i: column i is free.
     pub(crate) free: u64,
     /// First of its free columns in the reduced system.
-    pub(crate) reduced: usize,
+    pub(crate) first_column: usize,
 }
 
-impl Block {
-    /// The free columns, in order.
+impl ColumnBlock {
+    /// Indices of the free columns, ascending.
     pub(crate) fn free_columns(&self) -> impl Iterator<Item = usize> + use<> {
         let free = self.free;
         (0..self.dof).filter(move |&column| free >> column & 1 == 1)
@@ -29,12 +31,12 @@ impl Block {
     }
 }
 
-/// Where a variable went: its block and the first column in it. `block == NONE`: fixed, or
-/// eliminated.
+/// Block of a variable and its first column in that block. `block == NONE` for fixed and eliminated
+/// variables.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place {
+pub(crate) struct Location {
     pub(crate) block: u32,
     pub(crate) offset: u32,
-    /// Variables with the same number look the same to a factor's [`Shape`](super::Shape).
+    /// Index of its [`VariableClass`](super::ordering::VariableClass).
     pub(super) class: u32,
 }

@@ -1,161 +1,172 @@
-//! Building a chunk: its patterns, then its cells and factors in order, cut into batches.
+//! Builds a task: its patterns, then its landmark blocks and factors in order, cut into batches.
 
-use super::bundles::Bundler;
-use super::cells::{Draft, Entry};
-use super::chunk::{Batch, Cell, Chunk, Stretch};
+use super::clusters::{Cluster, Clusters};
 use super::context::Context;
-use super::groups::{Group, Groups};
+use super::landmark_drafts::{Draft, FactorRef};
 use super::patterns;
+use super::rank_updates::RankUpdateBuilder;
 use super::shapes::Shapes;
 use super::stash::stash_len;
+use super::task::{Batch, FactorRange, LandmarkBlock, Task};
 use crate::error::Error;
 
-/// Rows of so many factors are linearised at once: 96 × 2 rows × 16 numbers are 24 KiB, half of a
-/// first-level cache; fewer make products of few cells.
+/// Factors that are linearised together. 96 factors × 2 rows × 16 numbers are 24 KiB, which fits a
+/// first-level cache; with fewer factors, fewer landmark blocks share one product YᵀY.
 const FACTORS_PER_BATCH: usize = 96;
 
-/// Builds the chunk of some cells, whose steps begin at `first_step`.
+/// Builds the task of the drafted landmark blocks. `first_step` is the offset of its steps in the
+/// step of the whole problem.
 pub(super) fn build(
     context: &Context<'_>,
     drafts: &[Draft],
     first_step: usize,
-) -> Result<Chunk, Error> {
-    let mut chunk = Chunk::new(context.elimination, first_step);
-    let Groups { drafts, groups } = Groups::new(context.cells, drafts, context.elimination);
-    patterns::find(context, &drafts, &groups, &mut chunk)?;
-    fill(context, &drafts, &groups, &mut chunk)?;
-    Ok(chunk)
+) -> Result<Task, Error> {
+    let mut task = Task::new(context.elimination, first_step);
+    let Clusters { drafts, clusters } = Clusters::new(context.drafts, drafts, context.elimination);
+    patterns::find(context, &drafts, &clusters, &mut task)?;
+    fill(context, &drafts, &clusters, &mut task)?;
+    Ok(task)
 }
 
-/// Lists the chunk's cells and factors, and cuts them into batches.
+/// Lists the task's landmark blocks and factors, and cuts them into batches.
 fn fill(
     context: &Context<'_>,
     drafts: &[Draft],
-    groups: &[Group<'_>],
-    chunk: &mut Chunk,
+    clusters: &[Cluster<'_>],
+    task: &mut Task,
 ) -> Result<(), Error> {
-    let count = drafts.iter().map(|draft| draft.num_entries as usize).sum();
-    chunk.factors.numbers.reserve(count);
-    chunk.factors.shape_of.reserve(count);
-    chunk.factors.locals.reserve(count);
-    chunk.cells.reserve(drafts.len());
+    let count = drafts.iter().map(|draft| draft.num_factors as usize).sum();
+    task.factors.indices.reserve(count);
+    task.factors.shape_of.reserve(count);
+    task.factors.block_indices.reserve(count);
+    task.landmarks.reserve(drafts.len());
     let mut filling = Filling {
         context,
-        shapes: Shapes::new(context.problem, &context.cells.views, context.looks),
-        bundler: Bundler::default(),
+        shapes: Shapes::new(context.problem, &context.drafts.views, context.classes),
+        rank_update_builder: RankUpdateBuilder::default(),
         batch: Batch::default(),
         first_factor: 0,
         rows: 0,
     };
     let mut pattern = 0;
     for (c, draft) in drafts.iter().enumerate() {
-        if filling.is_full(draft, chunk) {
-            filling.close_batch(chunk);
+        if filling.is_full(draft, task) {
+            filling.close_batch(task);
         }
-        while groups[pattern].end <= c {
+        while clusters[pattern].end <= c {
             pattern += 1;
         }
-        filling.add_cell(draft, pattern, groups[pattern].blocks, chunk)?;
+        filling.add_landmark(draft, pattern, clusters[pattern].blocks, task)?;
     }
-    if !filling.batch.cells.is_empty() {
-        filling.close_batch(chunk);
+    if !filling.batch.landmarks.is_empty() {
+        filling.close_batch(task);
     }
-    chunk.factors.shapes = filling.shapes.shapes;
+    task.factors.shapes = filling.shapes.shapes;
     Ok(())
 }
 
-/// A chunk that is being filled, as far as it does not tell itself.
+/// State of a task under construction.
 struct Filling<'a> {
     context: &'a Context<'a>,
     shapes: Shapes<'a>,
-    bundler: Bundler,
-    /// The batch at hand, the first of its factors, and how many numbers are in its rows so far.
+    rank_update_builder: RankUpdateBuilder,
+    /// The open batch, its first factor, and the length of its Jacobian rows so far.
     batch: Batch,
     first_factor: usize,
     rows: usize,
 }
 
 impl Filling<'_> {
-    /// Whether a cell has to go into the next batch.
-    fn is_full(&self, draft: &Draft, chunk: &Chunk) -> bool {
-        let count = chunk.factors.numbers.len() + draft.num_entries as usize;
-        count > self.first_factor + FACTORS_PER_BATCH && !self.batch.cells.is_empty()
+    /// Whether a landmark block has to go into the next batch.
+    fn is_full(&self, draft: &Draft, task: &Task) -> bool {
+        let count = task.factors.indices.len() + draft.num_factors as usize;
+        count > self.first_factor + FACTORS_PER_BATCH && !self.batch.landmarks.is_empty()
     }
 
-    /// Adds the batch to the chunk, and begins the next one.
-    fn close_batch(&mut self, chunk: &mut Chunk) {
-        let (stretch, cell) = (chunk.stretches.len(), chunk.cells.len());
-        let next = Batch { stretches: stretch..stretch, cells: cell..cell, ..Batch::default() };
+    /// Adds the open batch to the task and opens the next one.
+    fn close_batch(&mut self, task: &mut Task) {
+        let (factor_range, landmark) = (task.factor_ranges.len(), task.landmarks.len());
+        let next = Batch {
+            factor_ranges: factor_range..factor_range,
+            landmarks: landmark..landmark,
+            ..Batch::default()
+        };
         let done = std::mem::replace(&mut self.batch, next);
-        self.bundler.close(chunk, &self.shapes.shapes, done);
-        self.first_factor = chunk.factors.numbers.len();
-        chunk.rows_len = chunk.rows_len.max(self.rows);
+        self.rank_update_builder.close(task, &self.shapes.shapes, done);
+        self.first_factor = task.factors.indices.len();
+        task.rows_len = task.rows_len.max(self.rows);
         self.rows = 0;
     }
 
-    /// Adds a cell with its factors. `blocks` are those of its pattern.
-    fn add_cell(
+    /// Adds a landmark block with its factors. `blocks` are the column blocks of its pattern.
+    fn add_landmark(
         &mut self,
         draft: &Draft,
         pattern: usize,
         blocks: &[u32],
-        chunk: &mut Chunk,
+        task: &mut Task,
     ) -> Result<(), Error> {
-        let first = [chunk.factors.numbers.len(), chunk.factors.locals.len()];
+        let first = [task.factors.indices.len(), task.factors.block_indices.len()];
         let first_row = self.rows;
-        let mut single = draft.dof == 3 && draft.num_entries == draft.num_blocks;
-        for &entry in self.context.cells.entries_of(draft) {
-            single &= self.add_factor(entry, blocks, chunk)?;
+        let mut single = draft.dof == 3 && draft.num_factors == draft.num_blocks;
+        for &factor_ref in self.context.drafts.factors_of(draft) {
+            single &= self.add_factor(factor_ref, blocks, task)?;
         }
-        let cell = Cell {
+        let landmark = LandmarkBlock {
             pattern: pattern as u32,
             dof: draft.dof,
             single,
             store: draft.store,
             slot: draft.slot,
-            end: chunk.factors.numbers.len() as u32,
-            stash: chunk.stash_len,
-            step: chunk.steps.end,
+            end: task.factors.indices.len() as u32,
+            stash: task.stash_len,
+            step: task.steps.end,
         };
-        chunk.cells.push(cell);
-        self.batch.cells.end = chunk.cells.len();
+        task.landmarks.push(landmark);
+        self.batch.landmarks.end = task.landmarks.len();
         if !single {
-            self.bundler.add(chunk, &self.shapes.shapes, &cell, first, first_row);
+            self.rank_update_builder.add(task, &self.shapes.shapes, &landmark, first, first_row);
         }
         let p = draft.dof as usize;
         if p > 0 {
-            chunk.stash_len += stash_len(p, chunk.patterns.of(&cell).dense, chunk.elimination);
-            chunk.steps.end += p;
+            task.stash_len +=
+                stash_len(p, task.patterns.of(&landmark).packed_width, task.elimination);
+            task.steps.end += p;
         }
         Ok(())
     }
 
-    /// Adds a factor to the cell at hand. Gives whether that may be [`single`](Cell::single) with
-    /// it.
+    /// Adds a factor to the current landmark block. Returns whether the factor allows the block to
+    /// be [`single`](LandmarkBlock::single).
     fn add_factor(
         &mut self,
-        entry: Entry,
+        factor_ref: FactorRef,
         blocks: &[u32],
-        chunk: &mut Chunk,
+        task: &mut Task,
     ) -> Result<bool, Error> {
-        let number = self.shapes.add(entry, blocks, &mut chunk.factors.locals)?;
-        let facts = &self.shapes.facts[number as usize];
-        let i = chunk.factors.numbers.len();
-        chunk.factors.numbers.push(entry.factor);
-        chunk.factors.shape_of.push(number);
-        self.rows += facts.rows_len;
-        match chunk.stretches[self.batch.stretches.clone()].last_mut() {
-            Some(last) if (last.run, last.own) == (entry.run, facts.own) => last.end = i + 1,
+        let number = self.shapes.add(factor_ref, blocks, &mut task.factors.block_indices)?;
+        let info = &self.shapes.infos[number as usize];
+        let i = task.factors.indices.len();
+        task.factors.indices.push(factor_ref.factor);
+        task.factors.shape_of.push(number);
+        self.rows += info.rows_len;
+        match task.factor_ranges[self.batch.factor_ranges.clone()].last_mut() {
+            Some(last)
+                if (last.group, last.landmark_position)
+                    == (factor_ref.group, info.landmark_position) =>
+            {
+                last.end = i + 1
+            }
             _ => {
-                chunk.stretches.push(Stretch {
-                    run: entry.run,
-                    own: facts.own,
+                task.factor_ranges.push(FactorRange {
+                    group: factor_ref.group,
+                    landmark_position: info.landmark_position,
                     start: i,
                     end: i + 1,
                 });
-                self.batch.stretches.end += 1;
+                self.batch.factor_ranges.end += 1;
             }
         }
-        Ok(facts.single)
+        Ok(info.single)
     }
 }

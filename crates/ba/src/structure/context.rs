@@ -1,16 +1,16 @@
-//! What all chunks are built from.
+//! Input from which all tasks are built.
 
-use super::block::Block;
-use super::cells::Cells;
+use super::block::ColumnBlock;
 use super::elimination::Elimination;
-use super::place::Look;
+use super::landmark_drafts::LandmarkDrafts;
+use super::ordering::VariableClass;
 use crate::problem::Problem;
 
-/// What is known of the whole problem before it is cut into chunks.
+/// Analysis of the whole problem before it is cut into tasks.
 pub(super) struct Context<'a> {
     pub(super) problem: &'a Problem,
-    pub(super) blocks: &'a [Block],
-    pub(super) looks: &'a [Look],
-    pub(super) cells: &'a Cells<'a>,
+    pub(super) blocks: &'a [ColumnBlock],
+    pub(super) classes: &'a [VariableClass],
+    pub(super) drafts: &'a LandmarkDrafts<'a>,
     pub(super) elimination: Elimination,
 }

@@ -1,12 +1,12 @@
-//! Whether variables are eliminated, and whether the reduced system is put together.
+//! Whether variables are eliminated, and whether the reduced system is formed.
 
-/// What becomes of the variables that are declared eliminated.
+/// Treatment of the variables that are declared eliminated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Elimination {
-    /// Kept like the others, for solvers that see the whole Jacobian.
+    /// Kept like the others, for solvers that need the whole Jacobian.
     Ignore,
     /// Eliminated.
     Do,
-    /// The same, and the reduced system is never put together: tiles are of C alone.
+    /// Eliminated, and the reduced system is never formed: tiles hold C alone.
     Implicit,
 }

@@ -1,18 +1,18 @@
-//! Work on every chunk.
+//! Parallel loop over tasks.
 
 use rayon::prelude::*;
 
-use super::chunk::Chunk;
+use super::task::Task;
 
-/// Runs `work` on every chunk, in parallel if there are several.
-pub(crate) fn for_chunks<T: Send>(
-    chunks: &[Chunk],
+/// Runs `work` on every task and its item, in parallel if there are several.
+pub(crate) fn for_each_task<T: Send>(
+    tasks: &[Task],
     items: &mut [T],
-    work: impl Fn(&Chunk, &mut T) + Sync,
+    work: impl Fn(&Task, &mut T) + Sync,
 ) {
-    if chunks.len() > 1 {
-        chunks.par_iter().zip(items).with_max_len(1).for_each(|(chunk, item)| work(chunk, item));
+    if tasks.len() > 1 {
+        tasks.par_iter().zip(items).with_max_len(1).for_each(|(task, item)| work(task, item));
     } else {
-        chunks.iter().zip(items).for_each(|(chunk, item)| work(chunk, item));
+        tasks.iter().zip(items).for_each(|(task, item)| work(task, item));
     }
 }

@@ -1,9 +1,9 @@
-//! How the rows of a factor fall into blocks.
+//! Column layout of a factor's Jacobian rows.
 
-/// In place of a variable's position in a factor: none of them is eliminated.
-pub(crate) const NO_OWN: u8 = u8::MAX;
+/// Position of the landmark in a factor that has none.
+pub(crate) const NO_LANDMARK: u8 = u8::MAX;
 
-/// Columns of one block in a factor's rows.
+/// Adjacent columns of a factor's rows that belong to one column block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Segment {
     /// First column in the rows.
@@ -13,16 +13,16 @@ pub(crate) struct Segment {
     pub(crate) offset: usize,
     /// Columns of the block.
     pub(crate) block_dof: usize,
-    /// Whether it is the whole block.
+    /// Whether the segment is the whole block.
     pub(crate) whole: bool,
 }
 
-/// How the rows of a factor fall into blocks: few of these serve all factors.
+/// Column layout of a factor's Jacobian rows. All factors of a task share a few shapes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Shape {
-    pub(crate) run: u16,
-    /// Which of the factor's variables is the eliminated one, or [`NO_OWN`].
-    pub(crate) own: u8,
+    pub(crate) group: u16,
+    /// Position of the eliminated variable among the factor's variables, or [`NO_LANDMARK`].
+    pub(crate) landmark_position: u8,
     pub(crate) rows: usize,
     pub(crate) stride: usize,
     /// Column of the residual.
@@ -30,6 +30,6 @@ pub(crate) struct Shape {
     pub(crate) segments: Vec<Segment>,
     /// First column of the eliminated variable.
     pub(crate) eliminated: usize,
-    /// Columns of directions that are held fixed in variables that move otherwise.
-    pub(crate) held: Vec<usize>,
+    /// Columns of fixed directions in partly fixed variables.
+    pub(crate) fixed_columns: Vec<usize>,
 }

@@ -1,125 +1,136 @@
-//! Which few shapes serve all factors of a chunk.
+//! The distinct shapes of a task's factors.
 
 use crate::error::Error;
+use crate::factor_group::AnyFactorGroup;
 use crate::problem::Problem;
-use crate::run::AnyRun;
 
 use super::block::NONE;
-use super::cells::{Entry, View};
-use super::chunk::SINGLE_ROWS;
-use super::place::Look;
-use super::shape::{NO_OWN, Segment, Shape};
+use super::landmark_drafts::{FactorRef, GroupView};
+use super::ordering::VariableClass;
+use super::shape::{NO_LANDMARK, Segment, Shape};
+use super::task::SINGLE_ROWS;
 
-/// Most variables of a factor.
+/// Largest number of variables of a factor.
 const MAX_VARIABLES: usize = 8;
 
-/// The few shapes that serve all factors of a chunk. Most factors are shaped as the one before,
-/// which a look at what matters of their variables tells.
+/// Collects the distinct shapes of a task's factors. Most factors have the shape of the one before,
+/// which is recognised by the classes of their variables.
 pub(super) struct Shapes<'a> {
     pub(super) shapes: Vec<Shape>,
-    /// What is often asked of each shape.
-    pub(super) facts: Vec<Facts>,
-    runs: &'a [Box<dyn AnyRun>],
-    views: &'a [View<'a>],
-    looks: &'a [Look],
-    /// The shape that was last asked for.
+    /// Derived data of each shape.
+    pub(super) infos: Vec<ShapeInfo>,
+    factor_groups: &'a [Box<dyn AnyFactorGroup>],
+    views: &'a [GroupView<'a>],
+    classes: &'a [VariableClass],
+    /// The last result.
     last: (Key, u16),
 }
 
-/// What is often asked of a shape.
-pub(super) struct Facts {
-    /// Numbers in the rows.
+/// Derived data of a shape.
+pub(super) struct ShapeInfo {
+    /// Length of the rows.
     pub(super) rows_len: usize,
-    pub(super) own: u8,
-    /// Whether a cell may be [`single`](super::chunk::Cell::single) with it.
+    pub(super) landmark_position: u8,
+    /// Whether a landmark block of such factors may be
+    /// [`single`](super::task::LandmarkBlock::single).
     pub(super) single: bool,
-    /// Which of the factor's variables the segments begin with.
-    begins: Vec<u8>,
+    /// Position of the first variable of each segment.
+    first_variables: Vec<u8>,
 }
 
-/// What a factor's shape follows from.
+/// Determines a factor's shape.
 #[derive(Clone, Copy, Default)]
 struct Key {
-    run: u16,
-    /// Bit i: variable i is in the block of the one before.
+    group: u16,
+    /// Bit i: variable i is in the same block as variable i − 1.
     same_block: u8,
     classes: [u32; MAX_VARIABLES],
 }
 
 impl<'a> Shapes<'a> {
-    pub(super) fn new(problem: &'a Problem, views: &'a [View<'a>], looks: &'a [Look]) -> Self {
+    pub(super) fn new(
+        problem: &'a Problem,
+        views: &'a [GroupView<'a>],
+        classes: &'a [VariableClass],
+    ) -> Self {
         Self {
             shapes: Vec::new(),
-            facts: Vec::new(),
-            runs: &problem.runs,
+            infos: Vec::new(),
+            factor_groups: &problem.factor_groups,
             views,
-            looks,
+            classes,
             last: Default::default(),
         }
     }
 
-    /// The number of a factor's shape; and, for each of its segments, which of the cell's blocks it
-    /// is, appended to `locals`.
+    /// Returns the index of a factor's shape, and appends to `block_indices` the index in
+    /// `pattern_blocks` of each of its segments.
     pub(super) fn add(
         &mut self,
-        entry: Entry,
-        cell_blocks: &[u32],
-        locals: &mut Vec<u16>,
+        factor_ref: FactorRef,
+        pattern_blocks: &[u32],
+        block_indices: &mut Vec<u16>,
     ) -> Result<u16, Error> {
-        let places = || self.views[entry.run as usize].places(entry.factor);
+        let locations = || self.views[factor_ref.group as usize].locations(factor_ref.factor);
         let (mut blocks, mut last_block) = ([NONE; MAX_VARIABLES], NONE);
         let (mut same_block, mut classes_differ) = (0, 0);
-        for (i, place) in places().enumerate() {
-            classes_differ |= place.class ^ self.last.0.classes[i];
-            same_block |= u8::from(place.block == last_block) << i;
-            (blocks[i], last_block) = (place.block, place.block);
+        for (i, location) in locations().enumerate() {
+            classes_differ |= location.class ^ self.last.0.classes[i];
+            same_block |= u8::from(location.block == last_block) << i;
+            (blocks[i], last_block) = (location.block, location.block);
         }
-        // Those of one run have equally many classes.
+        // All factors of a group have equally many variables.
         let same = classes_differ == 0
-            && (entry.run, same_block) == (self.last.0.run, self.last.0.same_block)
+            && (factor_ref.group, same_block) == (self.last.0.group, self.last.0.same_block)
             && !self.shapes.is_empty();
         if !same {
-            let mut key = Key { run: entry.run, same_block, classes: [0; MAX_VARIABLES] };
-            key.classes.iter_mut().zip(places()).for_each(|(class, place)| *class = place.class);
+            let mut key = Key { group: factor_ref.group, same_block, classes: [0; MAX_VARIABLES] };
+            key.classes
+                .iter_mut()
+                .zip(locations())
+                .for_each(|(class, location)| *class = location.class);
             self.last = (key, self.number(&key)?);
         }
         let number = self.last.1;
-        for &variable in &self.facts[number as usize].begins {
+        for &variable in &self.infos[number as usize].first_variables {
             let block = blocks[variable as usize];
-            // Often the one after the one before.
-            let next = locals.last().map_or(0, |&last| usize::from(last) + 1);
-            let local = match cell_blocks.len() {
-                _ if cell_blocks.get(next) == Some(&block) => Some(next),
-                // Few are found sooner one by one.
-                0..=8 => cell_blocks.iter().position(|&other| other == block),
-                _ => cell_blocks.binary_search(&block).ok(),
+            // Usually the next one.
+            let next = block_indices.last().map_or(0, |&last| usize::from(last) + 1);
+            let block_index = match pattern_blocks.len() {
+                _ if pattern_blocks.get(next) == Some(&block) => Some(next),
+                // Linear search is faster for few blocks.
+                0..=8 => pattern_blocks.iter().position(|&other| other == block),
+                _ => pattern_blocks.binary_search(&block).ok(),
             };
-            locals.push(local.expect("the cell lists all its factors' blocks") as u16);
+            block_indices
+                .push(block_index.expect("the landmark lists all its factors' blocks") as u16);
         }
         Ok(number)
     }
 
-    /// The shape that follows from `key`, found or new.
+    /// Index of the shape that `key` determines, existing or new.
     fn number(&mut self, key: &Key) -> Result<u16, Error> {
-        let run = &self.runs[key.run as usize];
+        let group = &self.factor_groups[key.group as usize];
         let mut shape = Shape {
-            run: key.run,
-            own: NO_OWN,
-            rows: run.rows(),
-            stride: run.stride(),
+            group: key.group,
+            landmark_position: NO_LANDMARK,
+            rows: group.rows(),
+            stride: group.stride(),
             ..Shape::default()
         };
-        let (mut column, mut last_placed, mut begins) = (0, false, Vec::new());
-        for ((position, &class), &dof) in (0u8..).zip(&key.classes).zip(run.dofs()) {
-            let look = &self.looks[class as usize];
-            if look.free != 0 {
-                shape.held.extend((0..dof).filter(|i| look.free >> i & 1 == 0).map(|i| column + i));
+        let (mut column, mut last_has_block, mut first_variables) = (0, false, Vec::new());
+        for ((position, &class), &dof) in (0u8..).zip(&key.classes).zip(group.dofs()) {
+            let class = &self.classes[class as usize];
+            if class.free != 0 {
+                shape
+                    .fixed_columns
+                    .extend((0..dof).filter(|i| class.free >> i & 1 == 0).map(|i| column + i));
             }
-            let (offset, block_dof) = (look.offset as usize, look.block_dof as usize);
+            let (offset, block_dof) = (class.offset as usize, class.block_dof as usize);
             if block_dof > 0 {
                 match shape.segments.last_mut() {
                     Some(last)
-                        if last_placed
+                        if last_has_block
                             && key.same_block >> position & 1 == 1
                             && last.column + last.dof == column
                             && last.offset + last.dof == offset =>
@@ -130,13 +141,13 @@ impl<'a> Shapes<'a> {
                     _ => {
                         let whole = dof == block_dof;
                         shape.segments.push(Segment { column, dof, offset, block_dof, whole });
-                        begins.push(position);
+                        first_variables.push(position);
                     }
                 }
-            } else if look.eliminated {
-                (shape.own, shape.eliminated) = (position, column);
+            } else if class.eliminated {
+                (shape.landmark_position, shape.eliminated) = (position, column);
             }
-            last_placed = block_dof > 0;
+            last_has_block = block_dof > 0;
             column += dof;
         }
         shape.residual = column;
@@ -147,12 +158,12 @@ impl<'a> Shapes<'a> {
         if count > limit {
             return Err(Error::TooLarge { what: "shapes of factors", count, limit });
         }
-        self.facts.push(Facts {
+        self.infos.push(ShapeInfo {
             rows_len: shape.rows * shape.stride,
-            own: shape.own,
+            landmark_position: shape.landmark_position,
             single: shape.rows == SINGLE_ROWS
                 && matches!(shape.segments[..], [Segment { whole: true, .. }]),
-            begins,
+            first_variables,
         });
         self.shapes.push(shape);
         Ok((count - 1) as u16)

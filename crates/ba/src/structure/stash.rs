@@ -1,30 +1,30 @@
-//! What is kept of a cell until its variable's step is known, and how long it is.
+//! Length of the results of elimination that back-substitution needs.
 
 use super::elimination::Elimination;
 
-/// Numbers kept of a cell: L row by row, with the inverses of its diagonal in place of that, y, and
-/// Y: block by block, of each block a row for each direction, without padding. The rest follows:
-/// g_p = Ly, and the diagonal of V is that of LLᵀ.
+/// Stash of a landmark: its numbers that are kept until its step is computed. These are L, row by
+/// row with the inverse diagonal; y; and Y, block by block, with one row for each direction of the
+/// landmark, without padding. g_p = Ly and the diagonal of V = LLᵀ follow from them.
 ///
-/// Y is in single precision, two in place of one, for it is most of the memory, and of what is read
-/// and written: a step of eliminated variables that is wrong in the eighth digit is as good. Not
-/// where the reduced system is made of Y, for what is left of C − YᵀY when λ is small may be less
-/// than that.
-pub(crate) fn stash_len(dof: usize, dense: usize, elimination: Elimination) -> usize {
-    let numbers = dof * dense + STASH_SLACK;
+/// Y is most of the memory and of the memory traffic, so it is in single precision, two numbers in
+/// one. Steps of landmarks then are wrong in the eighth digit. The implicit solver needs Y in
+/// double precision, because it forms C − YᵀY from Y, and for small λ that difference may be below
+/// single precision.
+pub(crate) fn stash_len(dof: usize, packed_width: usize, elimination: Elimination) -> usize {
+    let numbers = dof * packed_width + STASH_SLACK;
     stash_head(dof)
         + if elimination == Elimination::Implicit { numbers } else { numbers.div_ceil(2) }
 }
 
-/// The last vector of the last row may reach so far beyond it.
+/// The last vector of the last row may reach beyond it by this many elements.
 const STASH_SLACK: usize = 3;
 
-/// Those before Y.
+/// Offset of Y in a stash.
 pub(crate) fn stash_head(dof: usize) -> usize {
     row(dof) + dof
 }
 
-/// Where a row of L begins.
+/// Offset of row i of L.
 #[inline(always)]
 pub(crate) fn row(i: usize) -> usize {
     i * (i + 1) / 2

@@ -1,32 +1,31 @@
-//! How numbers are laid out: rows of whole vectors, and tiles, the products of two blocks.
+//! Memory layout: rows padded to whole vectors, and tiles, the products of two column blocks.
 
-/// Numbers per row of storage: a multiple of the vector width that all instruction sets share.
+/// Padded length of a row: a multiple of the vector width that all instruction sets have.
 pub(crate) fn padded(dof: usize) -> usize {
     dof.next_multiple_of(4)
 }
 
-/// Numbers in a column of a tile whose rows belong to a block of so many directions. Where one
-/// direction is left over beside vectors of eight, it is not in the columns but has a row behind
-/// them.
+/// Length of a tile's columns, whose rows belong to a block of `dof` directions. If `dof` is one
+/// more than a multiple of eight, the last row is not in the columns but is stored behind them.
 #[inline(always)]
 pub(crate) fn tile_lanes(dof: usize) -> usize {
     if dof % 8 == 1 { dof - 1 } else { padded(dof) }
 }
 
-/// Numbers in a tile of blocks with so many directions.
+/// Length of a tile of blocks with `a` and `b` directions.
 #[inline(always)]
 pub(crate) fn tile_len(a: usize, b: usize) -> usize {
     a * tile_lanes(b) + if tile_lanes(b) < b { padded(a) } else { 0 }
 }
 
-/// Where in such a tile a number is.
+/// Index of an element in such a tile.
 #[inline(always)]
 pub(crate) fn tile_index(a: usize, b: usize, column: usize, row: usize) -> usize {
     let lanes = tile_lanes(b);
     if row < lanes { column * lanes + row } else { a * lanes + column }
 }
 
-/// A product of two blocks, a ≤ b: [`tile_len`] numbers, beginning at `at`.
+/// A product of two blocks, a ≤ b: [`tile_len`] numbers from `at` on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tile {
     pub(crate) a: u32,

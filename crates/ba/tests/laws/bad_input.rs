@@ -1,5 +1,5 @@
-//! Whatever a problem looks like, there is an error with the numbers or an outcome in the summary:
-//! no panic, no silent NaN.
+//! Degenerate and invalid problems: either an error with the numbers, or a termination in the
+//! summary. No panic and no silent NaN.
 
 use std::ops::ControlFlow;
 
@@ -23,26 +23,26 @@ const SOLVERS: [LinearSolver; 6] = [
     LinearSolver::Implicit,
 ];
 
-/// Some hundred operations in double precision.
+/// About a hundred operations in double precision.
 const ROUNDING: f64 = 1e-12;
 
 fn try_solve(problem: &mut Problem, options: &Options) -> Result<Summary, Error> {
     Solver::new(problem, options)?.solve(problem, &mut |_| ControlFlow::Continue(()))
 }
 
-fn with(linear_solver: LinearSolver) -> Options {
+fn options_with(linear_solver: LinearSolver) -> Options {
     Options { linear_solver, ..Options::default() }
 }
 
-/// x − target, but whatever `spoil` makes of it.
+/// x − target, times `residual`, with the derivative `slope`.
 #[derive(Clone, Copy)]
-struct Spoilt {
+struct Corrupted {
     target: f64,
     residual: f64,
     slope: f64,
 }
 
-impl Factor<1> for Spoilt {
+impl Factor<1> for Corrupted {
     type Vars = (f64,);
     fn linearize(&self, (x,): Refs<'_, Self::Vars>) -> Option<Linear<Self::Vars, 1>> {
         let residual = SVector::<f64, 1>::new((x - self.target) * self.residual);
@@ -51,7 +51,7 @@ impl Factor<1> for Spoilt {
 }
 
 #[test]
-fn nothing_to_do() {
+fn problems_without_unknowns_end_at_once() {
     for solver in SOLVERS {
         let mut empty = Problem::new();
         let summary = solve(&mut empty, solver, 10);
@@ -72,22 +72,22 @@ fn nothing_to_do() {
 }
 
 #[test]
-fn numbers_that_are_none_at_the_start_are_named() {
+fn non_finite_initial_values_are_reported() {
     for solver in SOLVERS {
-        for (spoilt, what) in [
-            (Spoilt { target: 0.0, residual: f64::NAN, slope: 1.0 }, "residual"),
-            (Spoilt { target: 0.0, residual: f64::INFINITY, slope: 1.0 }, "residual"),
-            (Spoilt { target: 0.0, residual: 1e200, slope: 1.0 }, "squared residual"),
-            (Spoilt { target: 0.0, residual: 1.0, slope: f64::NAN }, "Jacobian"),
-            (Spoilt { target: 0.0, residual: 1.0, slope: f64::INFINITY }, "Jacobian"),
+        for (corrupted, what) in [
+            (Corrupted { target: 0.0, residual: f64::NAN, slope: 1.0 }, "residual"),
+            (Corrupted { target: 0.0, residual: f64::INFINITY, slope: 1.0 }, "residual"),
+            (Corrupted { target: 0.0, residual: 1e200, slope: 1.0 }, "squared residual"),
+            (Corrupted { target: 0.0, residual: 1.0, slope: f64::NAN }, "Jacobian"),
+            (Corrupted { target: 0.0, residual: 1.0, slope: f64::INFINITY }, "Jacobian"),
         ] {
             let mut problem = Problem::new();
             let x = problem.add_parameter(1.0, Order::Shared);
             problem
-                .add(x, Spoilt { target: 0.0, residual: 1.0, slope: 1.0 }, Loss::Trivial)
+                .add(x, Corrupted { target: 0.0, residual: 1.0, slope: 1.0 }, Loss::Trivial)
                 .unwrap();
-            problem.add(x, spoilt, Loss::Trivial).unwrap();
-            match try_solve(&mut problem, &with(solver)) {
+            problem.add(x, corrupted, Loss::Trivial).unwrap();
+            match try_solve(&mut problem, &options_with(solver)) {
                 Err(Error::NotFinite { index: 1, what: found, .. }) => assert_eq!(found, what),
                 other => panic!("{solver:?} {what}: {other:?}"),
             }
@@ -96,7 +96,8 @@ fn numbers_that_are_none_at_the_start_are_named() {
     }
 }
 
-/// √x does not exist left of zero and its derivative not at zero: a full step from 4 leads to −4.
+/// √x is not finite for negative x, and its derivative is not at zero. A full step from 4 leads to
+/// −4.
 struct Root;
 impl Factor<1> for Root {
     type Vars = (f64,);
@@ -107,7 +108,7 @@ impl Factor<1> for Root {
 }
 
 #[test]
-fn a_step_to_where_nothing_is_finite_is_rejected() {
+fn a_step_to_non_finite_values_is_rejected() {
     for solver in SOLVERS {
         let mut problem = Problem::new();
         let x = problem.add_parameter(4.0, Order::Shared);
@@ -120,8 +121,8 @@ fn a_step_to_where_nothing_is_finite_is_rejected() {
 }
 
 #[test]
-fn undetermined_directions_stay_where_they_are() {
-    // No gauge is fixed: seven directions of the scene are free; and a camera that sees nothing.
+fn undetermined_directions_do_not_move() {
+    // No gauge is fixed, so seven directions of the scene are free. One camera has no observations.
     for solver in SOLVERS {
         let mut scene = Scene::new(5, 40, 0.6, 5, Intrinsics::Shared, NOISE_PX);
         let alone =
@@ -136,7 +137,7 @@ fn undetermined_directions_stay_where_they_are() {
 }
 
 #[test]
-fn two_problems_in_one_are_solved_like_two() {
+fn independent_subproblems_are_solved() {
     for solver in SOLVERS {
         let mut problem = Problem::new();
         let (a, b) = (
@@ -154,8 +155,8 @@ fn two_problems_in_one_are_solved_like_two() {
     }
 }
 
-/// A camera at the origin that looks along z at a point.
-fn one_camera(
+/// Cameras at the origin and beside it, which look along z at a point.
+fn two_cameras(
     point: Vector3<f64>,
     pixel: Vector2<f64>,
 ) -> (Problem, tiepoint_ba::Key<Vector3<f64>>) {
@@ -176,27 +177,27 @@ fn one_camera(
 }
 
 #[test]
-fn points_behind_cameras_do_not_count_and_points_in_front_stay_there() {
-    let (mut behind, key) = one_camera(Vector3::new(0.1, 0.1, -5.0), Vector2::new(330.0, 250.0));
+fn points_behind_cameras_do_not_count_and_others_stay_in_front() {
+    let (mut behind, key) = two_cameras(Vector3::new(0.1, 0.1, -5.0), Vector2::new(330.0, 250.0));
     let cost = behind.cost();
     assert_eq!((cost.total, cost.missing), (0.0, 2));
     let summary = solve(&mut behind, LinearSolver::Dense, 10);
     assert_eq!((summary.final_cost, summary.missing_factors), (0.0, 2));
     assert_eq!(behind.get(key), Vector3::new(0.1, 0.1, -5.0));
 
-    // True depth 6. A pixel moves with 1/z, so that a full step leads from z to 2z − z²/6: behind
-    // the camera from beyond 12.
-    let (mut far, key) = one_camera(Vector3::new(0.0, 0.0, 20.0), Vector2::new(330.0, 250.0));
+    // The true depth is 6. The disparity is proportional to 1/z, so a full step leads from z to 2z
+    // − z²/6: behind the camera if z is above 12.
+    let (mut far, key) = two_cameras(Vector3::new(0.0, 0.0, 20.0), Vector2::new(330.0, 250.0));
     let summary = solve(&mut far, LinearSolver::Dense, 100);
     assert_eq!(summary.missing_factors, 0);
     assert!((far.get(key).z - 6.0).abs() < 0.1, "{} {summary}", far.get(key));
 }
 
 #[test]
-fn a_camera_moves_past_a_point() {
-    // Nine points right where they are, seen from the origin and a metre before it, hold a camera
-    // that starts a metre behind its true place. A wrong match puts a tenth point between: at the
-    // image's centre, where moving ahead changes nothing.
+fn a_camera_may_move_past_a_mismatched_point() {
+    // Nine exact points, seen from the origin and from a metre behind it, determine a camera that
+    // starts a metre behind its true position. A mismatch puts a tenth point between the two, at
+    // the image centre, where its projection is independent of the camera's position.
     const NEAR: f64 = 0.1;
     let [fx, cx, cy, _] = PARAMS;
     for solver in
@@ -244,7 +245,7 @@ fn a_camera_moves_past_a_point() {
 }
 
 #[test]
-fn wrong_questions_are_refused_with_the_numbers() {
+fn invalid_input_is_reported() {
     let mut problem = Problem::new();
     let pose = problem.add_parameter(Rigid3::identity(), Order::At(0));
     let between = Between::new(Rigid3::identity(), &[1.0; 6]).unwrap();
@@ -303,7 +304,7 @@ fn wrong_questions_are_refused_with_the_numbers() {
 }
 
 #[test]
-fn a_solve_can_be_stopped_and_gone_on_with() {
+fn a_cancelled_solve_can_be_resumed() {
     let mut scene = Scene::new(6, 60, 0.6, 5, Intrinsics::Shared, NOISE_PX);
     scene.fix_gauge();
     let mut solver = Solver::new(&scene.problem, &Options::default()).unwrap();
@@ -319,11 +320,11 @@ fn a_solve_can_be_stopped_and_gone_on_with() {
     assert!(second.termination.converged() && second.final_cost < first.final_cost);
 }
 
-/// One in eight observations is off by 50 px: every robust loss shrugs that off, least squares does
+/// One in eight observations is off by 50 units. Robust losses suppress them, least squares does
 /// not.
 #[test]
 fn robust_losses_withstand_gross_errors() {
-    let outlying = |loss: Loss| {
+    let estimate_error = |loss: Loss| {
         let mut problem = Problem::new();
         let x = problem.add_parameter(Vector2::new(0.3, -0.2), Order::Shared);
         for i in 0..40 {
@@ -336,12 +337,12 @@ fn robust_losses_withstand_gross_errors() {
         assert!(summary.termination.converged(), "{loss:?} {summary}");
         problem.get(x).norm()
     };
-    assert!(outlying(Loss::Trivial) > 6.0);
+    assert!(estimate_error(Loss::Trivial) > 6.0);
     for loss in [Loss::Huber(1.0), Loss::SoftL1(1.0), Loss::Cauchy(1.0)] {
-        assert!(outlying(loss) < 0.3, "{loss:?} {}", outlying(loss));
+        assert!(estimate_error(loss) < 0.3, "{loss:?} {}", estimate_error(loss));
     }
-    // These forget gross errors altogether.
+    // Redescending losses.
     for loss in [Loss::GemanMcClure(1.0), Loss::Tukey(2.0), Loss::Truncated(2.0)] {
-        assert!(outlying(loss) < 0.05, "{loss:?} {}", outlying(loss));
+        assert!(estimate_error(loss) < 0.05, "{loss:?} {}", estimate_error(loss));
     }
 }

@@ -1,4 +1,4 @@
-//! The problems of "Bundle adjustment in the large" end where Ceres ends.
+//! Problems of "Bundle adjustment in the large" reach the final cost of Ceres.
 
 use proptest::prelude::*;
 use tiepoint_ba::nalgebra::{Vector2, Vector3};
@@ -11,14 +11,15 @@ use crate::scene::{solve, solve_as};
 use crate::skipped;
 use crate::snavely::{Snavely, SnavelyResidual};
 
-/// Ceres, 50 iterations, dense Schur; the same starting costs by two independent programs.
+/// Initial and final cost of Ceres, 50 iterations, dense Schur. Two independent programs gave the
+/// same initial cost.
 const LADYBUG_49: (&str, f64, f64) = ("bal/problem-49-7776-pre.txt", 8.50912e5, 1.334430e4);
 const TRAFALGAR_21: (&str, f64, f64) = ("bal/problem-21-11315-pre.txt", 4.41324e6, 3.037864e4);
-/// The starting costs are given to six digits; final costs may differ by a tenth of a percent.
+/// Initial costs are given to six digits. Final costs may differ by a tenth of a percent.
 const START_TOLERANCE: f64 = 2e-6;
 const END_TOLERANCE: f64 = 1e-3;
-/// The order of operations differs between derivatives by hand and by dual numbers, and four steps
-/// amplify that.
+/// Derivatives by hand and by dual numbers differ in the order of operations, which four steps
+/// amplify.
 const SAME_COST: f64 = 1e-8;
 
 fn read(file: &str) -> Option<Bal> {
@@ -27,7 +28,7 @@ fn read(file: &str) -> Option<Bal> {
 }
 
 #[test]
-fn as_low_as_ceres() {
+fn ladybug_49_reaches_the_cost_of_ceres() {
     for (file, start, end) in [LADYBUG_49, TRAFALGAR_21] {
         let Some(mut bal) = read(file) else { return };
         let (mut problem, keys) = bal.problem(Derivatives::ByHand).unwrap();
@@ -71,12 +72,12 @@ proptest! {
         let pose = Rigid3::from_axis_angle(Vector3::from(turn), Vector3::from(shift));
         let point = pose.inverse() * Vector3::new(x * z, y * z, z);
         let factor = Snavely { pixel: Vector2::new(20.0, -40.0) };
-        let lens = Vector3::new(f, k1, k2);
-        let law = check_jacobians(&factor, (pose, lens, point), 1e-7);
+        let intrinsics = Vector3::new(f, k1, k2);
+        let law = check_jacobians(&factor, (pose, intrinsics, point), 1e-7);
         prop_assert_eq!(law, Ok(()));
-        let (residual, by_hand) = factor.linearize((&pose, &lens, &point)).unwrap();
+        let (residual, by_hand) = factor.linearize((&pose, &intrinsics, &point)).unwrap();
         let (twin_residual, by_dual) =
-            AutoDiff(SnavelyResidual(factor)).linearize((&pose, &lens, &point)).unwrap();
+            AutoDiff(SnavelyResidual(factor)).linearize((&pose, &intrinsics, &point)).unwrap();
         prop_assert!((residual - twin_residual).norm() < 1e-9);
         prop_assert!((by_hand.0 - by_dual.0).norm() < 1e-9 * by_hand.0.norm());
         prop_assert!((by_hand.1 - by_dual.1).norm() < 1e-9 * by_hand.1.norm());
@@ -97,13 +98,13 @@ fn a_file_can_be_read_back() {
             pixel: Vector2::new(-3.5, 4.25),
         }],
         poses: vec![pose],
-        lenses: vec![Vector3::new(500.0, -1e-7, 1e-13)],
+        intrinsics: vec![Vector3::new(500.0, -1e-7, 1e-13)],
         points: vec![Vector3::zeros(), Vector3::new(1.0, 0.1, -3e10)],
     };
     let again = Bal::parse(&bal.to_text()).unwrap();
     assert_eq!(
-        (&again.observations, &again.lenses, &again.points),
-        (&bal.observations, &bal.lenses, &bal.points)
+        (&again.observations, &again.intrinsics, &again.points),
+        (&bal.observations, &bal.intrinsics, &bal.points)
     );
     assert!((again.poses[0].rotation.angle_to(&pose.rotation)) < 1e-15);
     for (text, problem) in [

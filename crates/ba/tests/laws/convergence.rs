@@ -1,12 +1,12 @@
-//! When a solve ends.
+//! Termination of a solve.
 
 use std::ops::ControlFlow;
 
 use tiepoint_ba::nalgebra::SVector;
 use tiepoint_ba::{AutoDiff, Loss, Options, Order, Problem, Residual, Scalar, Solver, Termination};
 
-/// x/√(1 + x²): Gauss-Newton goes from x to -x³, so that from just within 1 a step gains next to
-/// nothing.
+/// x/√(1 + x²). Gauss-Newton goes from x to −x³, so from just below 1 a step hardly lowers the
+/// cost.
 struct Overshoots;
 
 impl Residual<1> for Overshoots {
@@ -18,13 +18,13 @@ impl Residual<1> for Overshoots {
 
 /// The first step lowers the cost by 2e-7 of it, less than the tolerance.
 const START: f64 = 1.0 - 1e-7;
-/// Damping that does not shorten it.
+/// Too little damping to shorten the first step.
 const NO_DAMPING: f64 = 1e-12;
-/// Of the minimum at zero.
+/// Distance from the minimum at zero.
 const MAX_ERROR: f64 = 1e-3;
 
 #[test]
-fn a_bad_step_that_gains_next_to_nothing_is_not_the_end() {
+fn a_tiny_decrease_with_a_low_gain_ratio_does_not_end_the_solve() {
     let mut problem = Problem::new();
     let x = problem.add_parameter(SVector::<f64, 1>::new(START), Order::Shared);
     problem.add(x, AutoDiff(Overshoots), Loss::Trivial).unwrap();

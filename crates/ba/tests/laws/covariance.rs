@@ -1,5 +1,5 @@
-//! Covariances: against a twin that eliminates nothing, against a textbook formula, and where there
-//! are none.
+//! Covariances, compared with a problem without elimination, with a textbook formula, and with the
+//! scatter of estimates; and errors for undetermined variables.
 
 use tiepoint_ba::factors::{Prior, Reprojection, RigReprojection};
 use tiepoint_ba::nalgebra::{DMatrix, Vector2, Vector3, Vector4};
@@ -14,8 +14,8 @@ use crate::scene::{Intrinsics, NOISE_PX, PARAMS, Scene, solve};
 /// Rounding times the condition number of a small bundle adjustment.
 const SAME: f64 = 1e-7;
 
-/// A line through samples with unit noise: the covariance of (slope, offset) is the inverse of
-/// [Σx², Σx; Σx, n].
+/// A line fit to samples with unit noise: the covariance of (slope, offset) is the inverse of [Σx²,
+/// Σx; Σx, n].
 struct Line(f64);
 impl Residual<1> for Line {
     type Vars = (Vector2<f64>,);
@@ -25,7 +25,7 @@ impl Residual<1> for Line {
 }
 
 #[test]
-fn of_a_line() {
+fn line_fit_has_the_textbook_covariance() {
     let mut problem = Problem::new();
     let line = problem.add_parameter(Vector2::zeros(), Order::Shared);
     let (n, mut sum, mut squares) = (10.0, 0.0, 0.0);
@@ -38,7 +38,7 @@ fn of_a_line() {
         DMatrix::from_row_slice(2, 2, &[n, -sum, -sum, squares]) / (n * squares - sum * sum);
     let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
     assert!((found - expected).amax() < 1e-12);
-    // With the offset known, the slope's variance is 1/Σx².
+    // With a fixed offset, the slope's variance is 1/Σx².
     problem.fix_dofs(line, &[1]).unwrap();
     let found = problem.covariance(&[line.into()]).unwrap().of(line).unwrap();
     assert!(
@@ -47,7 +47,7 @@ fn of_a_line() {
     assert_eq!(problem.covariance(&[]).unwrap().matrix().shape(), (0, 0));
 }
 
-/// The factors of a scene once more, with points that are kept.
+/// The same factors with points that are kept.
 fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
     let mut twin = Problem::new();
     let (old, mut keys) = (&scene.problem, Vec::new());
@@ -61,7 +61,7 @@ fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
     keys.extend(points.iter().map(|&key| AnyKey::from(key)));
     for &point in &points {
         for &pose in &poses {
-            // A covariance does not depend on where the pixel was.
+            // A covariance does not depend on the measured pixel.
             let factor = Reprojection::<SimpleRadial>::new(Vector2::zeros(), 1.0);
             twin.add((params, pose, point), factor, Loss::Trivial).unwrap();
         }
@@ -74,7 +74,7 @@ fn without_elimination(scene: &Scene) -> (Problem, Vec<AnyKey>) {
 }
 
 #[test]
-fn of_eliminated_variables_as_if_they_were_kept() {
+fn eliminated_variables_have_the_covariance_of_kept_ones() {
     // All four cameras see all points.
     let mut scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
     scene.fix_gauge();
@@ -89,7 +89,7 @@ fn of_eliminated_variables_as_if_they_were_kept() {
     let expected = twin.covariance(&twin_keys).unwrap();
     let difference = (found.matrix() - expected.matrix()).amax();
     assert!(difference < SAME * expected.matrix().amax(), "{difference}");
-    // What is held does not vary; what is asked for in two ways is the same.
+    // Fixed variables have zero covariance. Two requests give the same covariance.
     assert_eq!(found.of(scene.poses[0]).unwrap().amax(), 0.0);
     assert_eq!(found.of(scene.points[2]).unwrap().amax(), 0.0);
     let partly = found.of(scene.points[4]).unwrap();
@@ -107,7 +107,7 @@ fn of_eliminated_variables_as_if_they_were_kept() {
 }
 
 #[test]
-fn there_is_none_without_a_gauge() {
+fn without_a_fixed_gauge_it_is_an_error() {
     let scene = Scene::new(4, 12, 1.0, 4, Intrinsics::Shared, NOISE_PX);
     for key in [scene.poses[2].into(), scene.points[3].into()] {
         let error = scene.problem.covariance(&[key]).unwrap_err();
@@ -137,12 +137,12 @@ fn there_is_none_without_a_gauge() {
     ));
 }
 
-/// How far the estimates of a rig's calibration scatter around the truth over many noises is what
-/// its covariance says.
+/// The covariance of rig extrinsics matches their scatter about the truth over many samples of the
+/// noise.
 #[test]
-fn of_a_rig_is_its_scatter() {
-    /// χ² of 6 degrees of freedom, mean of so many runs: 6 ± √(12 / RUNS), within 4 standard
-    /// deviations.
+fn rig_covariance_matches_the_scatter_of_estimates() {
+    /// Mean of χ² with 6 degrees of freedom over this many runs: 6 ± √(12 / RUNS), within 4
+    /// standard deviations.
     const RUNS: u32 = 60;
     let cam_from_rig =
         Rigid3::from_axis_angle(Vector3::new(0.02, -0.1, 0.01), Vector3::new(-0.5, 0.02, 0.05));
@@ -150,8 +150,8 @@ fn of_a_rig_is_its_scatter() {
     for run in 0..RUNS {
         let mut rng = Rng::stream(11, &[u64::from(run)]);
         let mut problem = Problem::new();
-        let lens = Vector4::from(PARAMS);
-        let params = problem.add_parameter(lens, Order::Shared);
+        let true_params = Vector4::from(PARAMS);
+        let params = problem.add_parameter(true_params, Order::Shared);
         problem.fix(params);
         let first = problem.add_parameter(Rigid3::identity(), Order::Shared);
         problem.fix(first);
@@ -182,7 +182,7 @@ fn of_a_rig_is_its_scatter() {
                 for (cam_from_rig, camera) in [(Rigid3::identity(), first), (cam_from_rig, second)]
                 {
                     let in_cam = cam_from_rig * *rig_from_world * point;
-                    let pixel = SimpleRadial::project(&lens, &in_cam).unwrap();
+                    let pixel = SimpleRadial::project(&true_params, &in_cam).unwrap();
                     let noise = Vector2::new(rng.normal(), rng.normal()) * NOISE_PX;
                     let factor = RigReprojection::<SimpleRadial>::new(pixel + noise, NOISE_PX);
                     problem.add((params, camera, rig, key), factor, Loss::Trivial).unwrap();

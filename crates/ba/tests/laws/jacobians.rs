@@ -1,4 +1,4 @@
-//! Every factor of the crate obeys the law that its Jacobian is the derivative of its residual.
+//! The Jacobian of every factor is the derivative of its residual.
 
 use proptest::prelude::*;
 use tiepoint_ba::factors::{Between, Prior, Reprojection, RigReprojection, ShiftedReprojection};
@@ -7,21 +7,22 @@ use tiepoint_ba::testing::check_jacobians;
 use tiepoint_geometry::cameras::{Opencv, OpencvFisheye, Pinhole, SimpleRadial};
 use tiepoint_geometry::{CameraModel, Rigid3, Sim3, so3};
 
-/// The numeric derivative is good to 1e-12 of the size of the *third* derivatives; strong
-/// distortion at steep angles makes these a few thousand times the first.
+/// The numeric derivative has an error of 1e-12 of the *third* derivatives, which strong distortion
+/// at steep angles makes a few thousand times larger than the first.
 const TOLERANCE: f64 = 1e-7;
 /// Angles below this keep the logarithm of the relative rotation away from its cut at π.
-const MAX_TURN: f64 = 1.0;
+const MAX_ANGLE_RAD: f64 = 1.0;
 
 fn vector(max: f64) -> impl Strategy<Value = Vector3<f64>> {
     prop::array::uniform3(-max..max).prop_map(Vector3::from)
 }
 
-fn rigid(max_turn: f64) -> impl Strategy<Value = Rigid3> {
-    (vector(max_turn), vector(2.0)).prop_map(|(turn, shift)| Rigid3::new(so3::exp(&turn), shift))
+fn rigid(max_angle_rad: f64) -> impl Strategy<Value = Rigid3> {
+    (vector(max_angle_rad), vector(2.0))
+        .prop_map(|(turn, shift)| Rigid3::new(so3::exp(&turn), shift))
 }
 
-/// A point that a camera sees, given in its coordinates, up to 45 degrees off its axis.
+/// A point in the camera frame, up to 45 degrees off the optical axis.
 fn in_view() -> impl Strategy<Value = Vector3<f64>> {
     (-1.0..1.0, -1.0..1.0, 2.0..20.0)
         .prop_map(|(x, y, z): (f64, f64, f64)| Vector3::new(x * z, y * z, z))
@@ -62,7 +63,7 @@ fn check_reprojections<M: CameraModel>(
 proptest! {
     #[test]
     fn reprojections(
-        cam_from_rig in rigid(MAX_TURN),
+        cam_from_rig in rigid(MAX_ANGLE_RAD),
         rig_from_world in rigid(3.0),
         in_cam in in_view(),
         k in -0.05..0.05f64,
@@ -99,43 +100,43 @@ proptest! {
     }
 
     #[test]
-    fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), off in rigid(MAX_TURN)) {
+    fn relative_poses(a in rigid(3.0), b_from_a in rigid(2.0), error in rigid(MAX_ANGLE_RAD)) {
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
-        prop_assert_eq!(check_jacobians(&factor, (a, off * b_from_a * a), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&factor, (a, error * b_from_a * a), TOLERANCE), Ok(()));
     }
 
     #[test]
     fn relative_similarities(
         (a, b_from_a) in (rigid(3.0), rigid(2.0)),
-        off in rigid(MAX_TURN),
-        [scale_of_a, scale_of_b, scale_off] in prop::array::uniform3(0.5..2.0f64),
+        error in rigid(MAX_ANGLE_RAD),
+        [scale_of_a, scale_of_b, scale_error] in prop::array::uniform3(0.5..2.0f64),
     ) {
         let (a, b_from_a) = (similarity(a, scale_of_a), similarity(b_from_a, scale_of_b));
         let factor = Between::new(b_from_a, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1]).unwrap();
         prop_assert_eq!(
-            check_jacobians(&factor, (a, similarity(off, scale_off) * b_from_a * a), TOLERANCE),
+            check_jacobians(&factor, (a, similarity(error, scale_error) * b_from_a * a), TOLERANCE),
             Ok(())
         );
     }
 
     #[test]
-    fn priors(mean in rigid(3.0), off in rigid(MAX_TURN), scale in 0.5..2.0f64) {
+    fn priors(mean in rigid(3.0), error in rigid(MAX_ANGLE_RAD), scale in 0.5..2.0f64) {
         let pose = Prior::new(mean, &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).unwrap();
-        prop_assert_eq!(check_jacobians(&pose, (off * mean,), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&pose, (error * mean,), TOLERANCE), Ok(()));
         let rotation =
             Prior::<UnitQuaternion<f64>, 3>::new(mean.rotation, &[0.1, f64::INFINITY, 0.3])
                 .unwrap();
         prop_assert_eq!(
-            check_jacobians(&rotation, (off.rotation * mean.rotation,), TOLERANCE),
+            check_jacobians(&rotation, (error.rotation * mean.rotation,), TOLERANCE),
             Ok(())
         );
         let vector = Prior::<SVector<f64, 3>, 3>::new(mean.translation, &[1.0, 2.0, 0.5]).unwrap();
-        prop_assert_eq!(check_jacobians(&vector, (off.translation,), TOLERANCE), Ok(()));
+        prop_assert_eq!(check_jacobians(&vector, (error.translation,), TOLERANCE), Ok(()));
         let prior =
             Prior::<Sim3, 7>::new(similarity(mean, 1.0), &[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.1])
                 .unwrap();
         prop_assert_eq!(
-            check_jacobians(&prior, (similarity(off * mean, scale),), TOLERANCE),
+            check_jacobians(&prior, (similarity(error * mean, scale),), TOLERANCE),
             Ok(())
         );
     }

@@ -1,5 +1,4 @@
-//! Every way to solve the linear system is checked against its slow twin, the QR factorisation of
-//! the whole Jacobian.
+//! Every linear solver is compared with the QR factorisation of the whole Jacobian.
 
 use crate::scene::{Intrinsics, NOISE_PX, Scene, solve, solve_as};
 use rayon::ThreadPoolBuilder;
@@ -8,23 +7,24 @@ use tiepoint_ba::{LinearSolver, Loss, Options, Summary};
 
 /// Rounding of normal equations with a condition number of about 1e8 in a solve of a few steps.
 const SAME_COST: f64 = 1e-9;
-/// On the way there, where steps of eliminated variables are far, and right to the 6e-8 of single
-/// precision.
+/// Relative difference of intermediate costs: steps of eliminated variables are long, and single
+/// precision has 6e-8.
 const SAME_STEP: f64 = 1e-7;
 const SAME_POSE: f64 = 1e-6;
 /// Rounding of a centre 12 m from the origin, in a few steps.
-const SAME_PLACE: f64 = 1e-13;
+const SAME_CENTRE: f64 = 1e-13;
 const STEPS: usize = 6;
-/// What the accuracy to which a step is solved for leaves of the difference that it makes.
+/// Relative difference of decreases, given the accuracy of iterative solutions.
 const SIMILAR_STEP: f64 = 1e-4;
 
-/// A scene with everything in it: partly fixed variables, a fixed point, factors between kept
-/// variables, robust losses.
-fn everything(intrinsics: Intrinsics) -> Scene {
+/// A scene with partly fixed variables, a fixed point, factors between kept variables, and robust
+/// losses.
+fn full_scene(intrinsics: Intrinsics) -> Scene {
     let mut scene = Scene::new(7, 60, 0.5, 5, intrinsics, NOISE_PX);
     let problem = &mut scene.problem;
     problem.fix(scene.poses[0]);
-    // Its centre: one coordinate of that would end elsewhere by another way (CONVENTIONS.md).
+    // Its centre. A single coordinate of τ would be a direction that rotates with the camera
+    // (CONVENTIONS.md).
     problem.fix_dofs(scene.poses[1], &[3, 4, 5]).unwrap();
     problem.fix_dofs(scene.intrinsics[0], &[1, 2]).unwrap();
     problem.fix(scene.points[3]);
@@ -34,7 +34,7 @@ fn everything(intrinsics: Intrinsics) -> Scene {
         let factor = Between::new(b_from_a, &[0.01; 6]).unwrap();
         problem.add((scene.poses[i - 1], scene.poses[i]), factor, Loss::Huber(1.0)).unwrap();
     }
-    // A loop closure, and a prior on one kept and on one eliminated variable.
+    // A loop closure, and priors on a kept and on an eliminated variable.
     let b_from_a = scene.true_poses[6] * scene.true_poses[1].inverse();
     let closure = Between::new(b_from_a, &[0.02; 6]).unwrap();
     problem.add((scene.poses[6], scene.poses[1]), closure, Loss::Cauchy(1.0)).unwrap();
@@ -52,20 +52,20 @@ fn costs(summary: &Summary) -> Vec<f64> {
 }
 
 #[test]
-fn eliminating_is_the_same_as_not_eliminating() {
+fn elimination_matches_qr() {
     for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
-        let mut twin = everything(intrinsics);
-        let expected = solve(&mut twin.problem, LinearSolver::Qr, STEPS);
+        let mut reference = full_scene(intrinsics);
+        let expected = solve(&mut reference.problem, LinearSolver::Qr, STEPS);
         assert_eq!(expected.linear_solver, "dense QR");
         assert_eq!(expected.num_eliminated, 0);
         assert!(expected.final_cost < 0.1 * expected.initial_cost, "{expected}");
         for (solver, name) in
             [(LinearSolver::Dense, "dense Cholesky"), (LinearSolver::Sparse, "sparse Cholesky")]
         {
-            let mut scene = everything(intrinsics);
+            let mut scene = full_scene(intrinsics);
             let found = solve(&mut scene.problem, solver, STEPS);
             assert_eq!(found.linear_solver, name);
-            // All points but the fixed one; the partly fixed one keeps its width.
+            // All points but the fixed one. The partly fixed one keeps its width.
             assert_eq!(found.num_eliminated, 3 * 59);
             assert_eq!(found.iterations.len(), expected.iterations.len());
             for (a, b) in costs(&found).iter().zip(costs(&expected)) {
@@ -77,8 +77,8 @@ fn eliminating_is_the_same_as_not_eliminating() {
             assert!(
                 (found.final_cost - expected.final_cost).abs() < SAME_COST * expected.final_cost
             );
-            for (&a, &b) in scene.poses.iter().zip(&twin.poses) {
-                let difference = scene.problem.get(a).inverse() * twin.problem.get(b);
+            for (&a, &b) in scene.poses.iter().zip(&reference.poses) {
+                let difference = scene.problem.get(a).inverse() * reference.problem.get(b);
                 assert!(difference.translation.norm() + difference.rotation.angle() < SAME_POSE);
             }
         }
@@ -86,17 +86,17 @@ fn eliminating_is_the_same_as_not_eliminating() {
 }
 
 #[test]
-fn what_is_fixed_does_not_move() {
+fn fixed_variables_do_not_move() {
     for solver in [LinearSolver::Qr, LinearSolver::Dense, LinearSolver::Sparse] {
-        let before = everything(Intrinsics::OneEach);
-        let mut after = everything(Intrinsics::OneEach);
+        let before = full_scene(Intrinsics::OneEach);
+        let mut after = full_scene(Intrinsics::OneEach);
         solve(&mut after.problem, solver, STEPS);
         let (old, new) = (&before.problem, &after.problem);
         assert_eq!(old.get(before.poses[0]), new.get(after.poses[0]));
         assert_ne!(old.get(before.poses[1]), new.get(after.poses[1]));
         let [was, is] =
             [old.get(before.poses[1]), new.get(after.poses[1])].map(|pose| pose.origin_in_a());
-        assert!((was - is).norm() < SAME_PLACE, "{was} {is}");
+        assert!((was - is).norm() < SAME_CENTRE, "{was} {is}");
         assert_eq!(old.get(before.points[3]), new.get(after.points[3]));
         assert_eq!(old.get(before.points[4]).y, new.get(after.points[4]).y);
         assert_ne!(old.get(before.points[4]).x, new.get(after.points[4]).x);
@@ -106,7 +106,7 @@ fn what_is_fixed_does_not_move() {
     }
 }
 
-/// Enough factors for several chunks of work, so that there is something to share out.
+/// Enough factors for several tasks.
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let run = |threads, solver| {
@@ -129,12 +129,12 @@ fn any_number_of_threads_gives_the_same_bytes() {
     }
 }
 
-/// Points improved on their own lower the cost of every step, and lead to the same end.
+/// Landmark refinement lowers the cost of every step, and leads to the same minimum.
 #[test]
-fn refinement_lowers_the_cost_and_ends_the_same() {
+fn landmark_refinement_lowers_the_cost_and_keeps_the_minimum() {
     for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
         let run = |refinements, max_iterations| {
-            let mut scene = everything(intrinsics);
+            let mut scene = full_scene(intrinsics);
             let options = Options {
                 refinements,
                 max_iterations,
@@ -142,8 +142,8 @@ fn refinement_lowers_the_cost_and_ends_the_same() {
                 ..Options::default()
             };
             let summary = solve_as(&mut scene.problem, &options);
-            // What is held stays where it is.
-            let before = everything(intrinsics);
+            // Fixed variables do not move.
+            let before = full_scene(intrinsics);
             assert_eq!(before.problem.get(before.points[3]), scene.problem.get(scene.points[3]));
             assert_eq!(
                 before.problem.get(before.points[4]).y,
@@ -163,13 +163,13 @@ fn refinement_lowers_the_cost_and_ends_the_same() {
     }
 }
 
-/// Steps solved for iteratively are as good as those solved for directly, and lead to the same end,
-/// whether the reduced system is put together or not.
+/// Iterative solutions are as good as direct ones and lead to the same minimum, whether the reduced
+/// system is formed or not.
 #[test]
-fn conjugate_gradients_end_where_factorisation_does() {
+fn conjugate_gradients_match_factorisation() {
     for intrinsics in [Intrinsics::OneEach, Intrinsics::Shared] {
         let run = |linear_solver| {
-            let mut scene = everything(intrinsics);
+            let mut scene = full_scene(intrinsics);
             let options =
                 Options { linear_solver, function_tolerance: 1e-12, ..Options::default() };
             solve_as(&mut scene.problem, &options)
@@ -190,10 +190,10 @@ fn conjugate_gradients_end_where_factorisation_does() {
     }
 }
 
-/// A point that all of many cameras see fills the reduced system, which then has more numbers than
-/// there are observations.
+/// A point that many cameras see fills the reduced system, which then has more elements than there
+/// are observations.
 #[test]
-fn what_would_have_more_numbers_than_observations_is_not_put_together() {
+fn a_full_reduced_system_is_solved_implicitly() {
     let (few, many) = (
         Scene::new(7, 60, 0.5, 5, Intrinsics::OneEach, NOISE_PX),
         Scene::new(60, 30, 1.0, 60, Intrinsics::OneEach, NOISE_PX),

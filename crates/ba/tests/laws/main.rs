@@ -1,11 +1,10 @@
-//! The crate's tests, in one program.
+//! Integration tests of the crate, as one program.
 
-// The lints know test functions, not their helpers.
+// Clippy recognises test functions, but not their helpers.
 #![allow(clippy::unwrap_used, clippy::print_stderr)]
 
 mod bad_input;
 mod bal;
-mod carry;
 mod convergence;
 mod covariance;
 #[path = "../../examples/bal/file.rs"]
@@ -20,4 +19,5 @@ mod scene;
 mod skipped;
 #[path = "../../examples/bal/snavely.rs"]
 mod snavely;
+mod spanning_tree;
 mod stereo;

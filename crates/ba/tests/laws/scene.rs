@@ -1,4 +1,4 @@
-//! A small made-up scene: cameras on an arc that look at a cloud of points.
+//! A synthetic scene: cameras on an arc that look at a cloud of points.
 
 use tiepoint_ba::factors::Reprojection;
 use tiepoint_ba::nalgebra::{Vector2, Vector3, Vector4};
@@ -6,14 +6,14 @@ use tiepoint_ba::{Key, LinearSolver, Loss, Options, Order, Problem, Solver, Summ
 use tiepoint_geometry::cameras::SimpleRadial;
 use tiepoint_geometry::{CameraModel, Rigid3, Rng};
 
-/// Which variables the cameras share.
+/// Sharing of intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Intrinsics {
     OneEach,
     Shared,
 }
 
-/// The problem and the names of its variables.
+/// The problem and the keys of its variables.
 pub(crate) struct Scene {
     pub(crate) problem: Problem,
     pub(crate) intrinsics: Vec<Key<Vector4<f64>>>,
@@ -23,11 +23,11 @@ pub(crate) struct Scene {
     pub(crate) true_points: Vec<Vector3<f64>>,
 }
 
-/// Measurement noise, and how far from the truth the poses (radians, units of a scene ten across)
-/// and points start.
+/// Measurement noise, and initial errors of poses (radians, units) and points in a scene of about
+/// ten units.
 pub(crate) const NOISE_PX: f64 = 0.5;
-const OFF: f64 = 0.02;
-const POINT_OFF: f64 = 0.05;
+const POSE_PERTURBATION: f64 = 0.02;
+const POINT_PERTURBATION: f64 = 0.05;
 /// f, cx, cy, k of all cameras.
 pub(crate) const PARAMS: [f64; 4] = [600.0, 320.0, 240.0, -0.03];
 
@@ -40,8 +40,8 @@ fn vector(rng: &mut Rng, max: f64) -> Vector3<f64> {
 }
 
 impl Scene {
-    /// Every camera sees each point with probability `share`, and neighbours in the order only
-    /// within `window`.
+    /// Point j belongs to camera j · `cameras` / `points`. Cameras within `window` of that one see
+    /// it with probability `share`, those within 2 (and `window`) always.
     pub(crate) fn new(
         cameras: usize,
         points: usize,
@@ -72,13 +72,19 @@ impl Scene {
             .iter()
             .enumerate()
             .map(|(i, pose)| {
-                let off = Rigid3::from_axis_angle(vector(&mut rng, OFF), vector(&mut rng, OFF));
-                problem.add_parameter(if i == 0 { *pose } else { off * *pose }, Order::At(i as u32))
+                let perturbation = Rigid3::from_axis_angle(
+                    vector(&mut rng, POSE_PERTURBATION),
+                    vector(&mut rng, POSE_PERTURBATION),
+                );
+                problem.add_parameter(
+                    if i == 0 { *pose } else { perturbation * *pose },
+                    Order::At(i as u32),
+                )
             })
             .collect();
         let keys: Vec<_> = true_points
             .iter()
-            .map(|point| problem.add_landmark(point + vector(&mut rng, POINT_OFF)))
+            .map(|point| problem.add_landmark(point + vector(&mut rng, POINT_PERTURBATION)))
             .collect();
         for (j, point) in true_points.iter().enumerate() {
             let first = j * cameras / points;
@@ -99,14 +105,15 @@ impl Scene {
         Self { problem, intrinsics, poses, points: keys, true_poses, true_points }
     }
 
-    /// Holds the first pose, and the second one's centre along its axis, which is mostly scale.
+    /// Fixes the first pose, and the second one's translation along its optical axis, which is
+    /// mostly the scale.
     pub(crate) fn fix_gauge(&mut self) {
         self.problem.fix(self.poses[0]);
         self.problem.fix_dofs(self.poses[1], &[5]).unwrap();
     }
 }
 
-/// Steps of the linear solver alone, so that its twins can be compared step by step.
+/// Solves without landmark refinement, so that linear solvers can be compared step by step.
 pub(crate) fn solve(
     problem: &mut Problem,
     linear_solver: LinearSolver,

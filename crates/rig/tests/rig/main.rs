@@ -1,4 +1,4 @@
-//! The crate's tests, in one program.
+//! Integration tests of the crate, as one program.
 
 #![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 

@@ -1,5 +1,5 @@
-//! Interpolation, clocks and the mounting between images of different instants, against numbers and
-//! against a vehicle that was integrated at 1 kHz.
+//! Interpolation, clocks and rig extrinsics between images of different times, checked numerically
+//! and against a vehicle simulation with steps of 1 ms.
 
 use proptest::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
@@ -34,7 +34,7 @@ fn pose() -> impl Strategy<Value = Rigid3> {
     (vector(1.8), vector(5.0)).prop_map(|(w, t)| Rigid3::from_axis_angle(w, t))
 }
 
-/// Four poses, each a motion of up to `angle` and some metres from the one before.
+/// Four poses, each moved by an angle up to `angle` and some metres from the one before.
 fn knots(angle: f64) -> impl Strategy<Value = [Rigid3; 4]> {
     let motion =
         move || (vector(angle), vector(2.0)).prop_map(|(w, t)| Rigid3::from_axis_angle(w, t));
@@ -44,7 +44,7 @@ fn knots(angle: f64) -> impl Strategy<Value = [Rigid3; 4]> {
     })
 }
 
-fn all(poses: &[Rigid3; 4]) -> Knots<'_> {
+fn knots_of(poses: &[Rigid3; 4]) -> Knots<'_> {
     Knots { poses: std::array::from_fn(|k| &poses[k]), times_s: TIMES_S }
 }
 
@@ -52,66 +52,78 @@ fn distance(a: &Rigid3, b: &Rigid3) -> (f64, f64) {
     ((a.origin_in_a() - b.origin_in_a()).norm(), a.rotation.angle_to(&b.rotation))
 }
 
-const MOUNTED: SynchronousExtrinsics = SynchronousExtrinsics {
+const EXTRINSICS: SynchronousExtrinsics = SynchronousExtrinsics {
     sigma_translation: 0.05,
     sigma_rotation_rad: 0.02,
     assumed_baseline: None,
 };
 
-fn check(knots: [Rigid3; 4], mount: Rigid3, play: (Vector3<f64>, Vector3<f64>), time_s: f64) {
+fn check(
+    knots: [Rigid3; 4],
+    extrinsics: Rigid3,
+    perturbation: (Vector3<f64>, Vector3<f64>),
+    time_s: f64,
+) {
     let clock = Clock { offset_s: 0.3, drift: 0.01, pivot_s: 2.0 };
     let right_time_s = time_s - 0.3;
-    let left = all(&knots).at(clock.reference_time_s(right_time_s));
+    let left = knots_of(&knots).at(clock.reference_time_s(right_time_s));
     let pose_perturbations =
         [0.01, 0.1].map(|s| Rigid3::from_axis_angle(Vector3::x() * 0.5 * s, Vector3::z() * s));
-    let whitening = InterpolatedExtrinsics::whitening(&MOUNTED, &left, &mount, &pose_perturbations);
-    let factor =
-        InterpolatedExtrinsics { mounted: MOUNTED, left_times_s: TIMES_S, right_time_s, whitening };
-    let right_from_left =
-        Rigid3::new(so3::exp(&play.0) * mount.rotation, mount.translation + play.1);
+    let whitening =
+        InterpolatedExtrinsics::whitening(&EXTRINSICS, &left, &extrinsics, &pose_perturbations);
+    let factor = InterpolatedExtrinsics {
+        extrinsics: EXTRINSICS,
+        left_times_s: TIMES_S,
+        right_time_s,
+        whitening,
+    };
+    let right_from_left = Rigid3::new(
+        so3::exp(&perturbation.0) * extrinsics.rotation,
+        extrinsics.translation + perturbation.1,
+    );
     let [a, b, c, d] = knots;
-    let values = (a, b, c, d, right_from_left * left, mount, clock);
+    let values = (a, b, c, d, right_from_left * left, extrinsics, clock);
     if let Err(difference) = check_jacobians(&factor, values, JACOBIAN_TOLERANCE) {
         panic!("{difference}");
     }
 }
 
-fn mount(rotation: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value = Rigid3> {
+fn extrinsics(rotation: impl Strategy<Value = Vector3<f64>>) -> impl Strategy<Value = Rigid3> {
     (rotation, vector(1.0)).prop_filter_map("a baseline", |(w, t)| {
         (t.norm() > 0.2).then(|| Rigid3::from_axis_angle(w, t))
     })
 }
 
-fn play() -> impl Strategy<Value = (Vector3<f64>, Vector3<f64>)> {
+fn perturbation() -> impl Strategy<Value = (Vector3<f64>, Vector3<f64>)> {
     (vector(0.2), vector(0.2))
 }
 
 proptest! {
     #[test]
-    fn jacobian_for_any_mounting(
+    fn extrinsics_jacobian(
         k in knots(0.3),
-        m in mount(vector(1.5)),
-        p in play(),
+        m in extrinsics(vector(1.5)),
+        p in perturbation(),
         t in 0.0..1.3,
     ) {
         check(k, m, p, t);
     }
 
     #[test]
-    fn jacobian_for_cameras_that_look_in_opposite_directions(
+    fn extrinsics_jacobian_for_opposite_directions(
         k in knots(0.3),
-        m in mount(near_pi()),
-        p in play(),
+        m in extrinsics(near_pi()),
+        p in perturbation(),
         t in 0.4..0.9,
     ) {
         check(k, m, p, t);
     }
 
     #[test]
-    fn jacobian_for_cameras_that_look_in_one_direction(
+    fn extrinsics_jacobian_for_equal_directions(
         k in knots(1e-9),
-        m in mount(vector(1e-9)),
-        p in play(),
+        m in extrinsics(vector(1e-9)),
+        p in perturbation(),
         t in 0.4..0.9,
     ) {
         check(k, m, p, t);
@@ -120,12 +132,12 @@ proptest! {
     #[test]
     fn the_cubic_passes_through_its_knots(knots in knots(0.8)) {
         for (time_s, knot) in TIMES_S.iter().zip(&knots) {
-            let (metres, radians) = distance(&all(&knots).at(*time_s), knot);
+            let (metres, radians) = distance(&knots_of(&knots).at(*time_s), knot);
             prop_assert!(metres < ZERO && radians < 1e-7);
         }
     }
 
-    /// Straight on or around a bend, at any times.
+    /// Along a line or a circle, at any times.
     #[test]
     fn a_constant_twist_is_reproduced(
         start in pose(),
@@ -133,7 +145,7 @@ proptest! {
         v in vector(10.0),
         t in 0.0..1.3,
     ) {
-        // Exp(w t) turns about an axis that is fixed in the body; `point` lies on it.
+        // Exp(w t) rotates about an axis that is fixed in the body; `point` lies on it.
         let (axis, rate) = (w.normalize(), w.norm());
         prop_assume!(rate > 0.05);
         let point = axis.cross(&v) / rate;
@@ -143,39 +155,39 @@ proptest! {
             Rigid3::new(rotation, point - rotation * point + along) * start
         };
         let poses = TIMES_S.map(at);
-        let (metres, radians) = distance(&all(&poses).at(t), &at(t));
+        let (metres, radians) = distance(&knots_of(&poses).at(t), &at(t));
         prop_assert!(metres < 1e-8 && radians < 1e-7, "{metres} m, {radians} rad");
     }
 
-    /// At an instant at which there is a left image, both factors say the same.
+    /// At the time of a left image, both factors have the same residual.
     #[test]
-    fn images_of_one_instant_are_the_special_case(
+    fn synchronous_images_are_the_special_case(
         k in knots(0.3),
         right in pose(),
-        m in mount(vector(1.5)),
+        m in extrinsics(vector(1.5)),
         which in 0usize..4,
     ) {
         let factor = InterpolatedExtrinsics {
-            mounted: MOUNTED,
+            extrinsics: EXTRINSICS,
             left_times_s: TIMES_S,
             right_time_s: TIMES_S[which],
-            whitening: InterpolatedExtrinsics::whitening(&MOUNTED, &k[which], &m, &[]),
+            whitening: InterpolatedExtrinsics::whitening(&EXTRINSICS, &k[which], &m, &[]),
         };
         let [a, b, c, d] = &k;
         let general = factor.residual((a, b, c, d, &right, &m, &Clock::default())).unwrap();
-        let special = MOUNTED.residual((&k[which], &right, &m)).unwrap();
+        let special = EXTRINSICS.residual((&k[which], &right, &m)).unwrap();
         prop_assert!((general - special).norm() < 1e-6 * (1.0 + special.norm()));
     }
 }
 
-/// Ten images a second of a car that goes around a block, with springs and an engine that shakes.
+/// A drive around a block, with suspension and engine vibration by `effects`.
 fn drive(effects: &str, rate_hz: f64) -> Drive {
     let effects: Effects = effects.parse().expect("known effects");
     Drive::new(&DriveOptions { effects, rate_hz, ..DriveOptions::default() })
         .expect("a street of 200 m")
 }
 
-/// Root mean square error between the samples, of the cubic and of straight lines.
+/// Root mean square errors between the samples, of the cubic and of linear interpolation.
 fn errors(drive: &Drive, rate_hz: f64) -> [(f64, f64); 2] {
     let at = |time_s: f64| drive.cam_from_world(0, time_s);
     let count = (drive.trajectory().duration_s() * rate_hz) as usize;
@@ -200,42 +212,47 @@ fn errors(drive: &Drive, rate_hz: f64) -> [(f64, f64); 2] {
     [cubic, linear].map(|(m, r)| (m.sqrt(), r.sqrt().to_degrees()))
 }
 
-/// On a vehicle that does not shake, the cubic's error over that of straight lines.
+/// On a vehicle without vibration, the error of the cubic is a fraction of that of linear
+/// interpolation.
 #[test]
-fn the_cubic_beats_straight_lines_on_a_vehicle() {
-    for (rate_hz, share) in [(10.0, 0.1), (2.5, 0.5)] {
+fn the_cubic_beats_linear_interpolation_on_a_vehicle() {
+    for (rate_hz, max_ratio) in [(10.0, 0.1), (2.5, 0.5)] {
         let [cubic, linear] = errors(&drive("none", rate_hz), rate_hz);
-        assert!(cubic.0 < share * linear.0, "{rate_hz} Hz: {cubic:?} against {linear:?} m");
-        assert!(cubic.1 < share * linear.1, "{rate_hz} Hz: {cubic:?} against {linear:?} degrees");
+        assert!(cubic.0 < max_ratio * linear.0, "{rate_hz} Hz: {cubic:?} against {linear:?} m");
+        assert!(
+            cubic.1 < max_ratio * linear.1,
+            "{rate_hz} Hz: {cubic:?} against {linear:?} degrees"
+        );
     }
 }
 
-/// An engine that shakes at 12 Hz moves between samples at 10 Hz in a way that no interpolation
-/// knows. Of a sine, the straight line has cos(π f/r) in the middle of two samples, and the cubic
-/// (weights −1/16, 9/16, 9/16, −1/16) has 9/8 cos(π f/r) − 1/8 cos(3π f/r): at 12 Hz both err by
-/// more than the sine itself, the cubic by 1.077 times what the line errs.
+/// An engine vibration of 12 Hz is undersampled at 10 Hz, and no interpolation recovers it. Half
+/// way between two samples of a sine, linear interpolation has the factor cos(π f/r), and the cubic
+/// (weights −1/16, 9/16, 9/16, −1/16) has 9/8 cos(π f/r) − 1/8 cos(3π f/r). At 12 Hz the errors of
+/// both are larger than the sine itself, and that of the cubic is 1.077 times that of linear
+/// interpolation.
 #[test]
-fn a_vibration_between_the_samples_costs_the_cubic_what_a_sine_costs() {
+fn errors_of_an_undersampled_vibration_match_theory() {
     const VIBRATION_HZ: f64 = 12.0;
     const RATE_HZ: f64 = 10.0;
-    // Of root mean squares over two hundred samples, through the beat of the vibration's strength.
+    // Root mean squares over two hundred samples of a vibration with varying amplitude.
     const TOLERANCE: f64 = 0.01;
     let angle = std::f64::consts::PI * VIBRATION_HZ / RATE_HZ;
-    let of_line = 1.0 - angle.cos();
-    let of_cubic = 1.0 - (9.0 * angle.cos() - (3.0 * angle).cos()) / 8.0;
-    let [steady, shaken] =
+    let linear_theory = 1.0 - angle.cos();
+    let cubic_theory = 1.0 - (9.0 * angle.cos() - (3.0 * angle).cos()) / 8.0;
+    let [steady, vibrating] =
         ["none", "vibration"].map(|effects| errors(&drive(effects, RATE_HZ), RATE_HZ));
-    // The vibration has nothing to do with the rest of the motion: squares add up.
-    let [cubic, line] = [0, 1].map(|k| (shaken[k].1.powi(2) - steady[k].1.powi(2)).sqrt());
-    let share = (cubic / line) / (of_cubic / of_line);
-    assert!((share - 1.0).abs() < TOLERANCE, "{cubic} and {line} degrees: {share}");
-    // A camera's centre moves with the vehicle's turns, and here the rest of the motion weighs
-    // more.
-    assert!(shaken[0].0 < shaken[1].0, "{shaken:?} m");
+    // The vibration is independent of the remaining motion, so squared errors add up.
+    let [cubic, line] = [0, 1].map(|k| (vibrating[k].1.powi(2) - steady[k].1.powi(2)).sqrt());
+    let ratio = (cubic / line) / (cubic_theory / linear_theory);
+    assert!((ratio - 1.0).abs() < TOLERANCE, "{cubic} and {line} degrees: {ratio}");
+    // A camera's centre also moves with the rotation of the vehicle, and there the remaining motion
+    // dominates.
+    assert!(vibrating[0].0 < vibrating[1].0, "{vibrating:?} m");
 }
 
 #[test]
-fn nothing_is_interpolated_where_images_are_missing() {
+fn gaps_are_not_interpolated() {
     let at =
         |time_s: f64| (time_s, Rigid3::new(so3::exp(&Vector3::zeros()), Vector3::x() * time_s));
     let times = (0..20).map(f64::from).filter(|t| !(10.0..13.0).contains(t));
@@ -249,7 +266,7 @@ fn nothing_is_interpolated_where_images_are_missing() {
         (14.5, Some(10)),
         (19.1, None),
     ] {
-        // From 8 to 14 one of the four intervals is that of four seconds.
+        // From 8 to 14, one of the four intervals has four seconds.
         assert_eq!(trajectory.knots_around(time_s), first, "{time_s}");
     }
     assert_eq!(
@@ -259,11 +276,12 @@ fn nothing_is_interpolated_where_images_are_missing() {
     );
 }
 
-/// Whitened errors of the interpolated pose are no longer many standard deviations of a firm
-/// mounting; a 12 Hz vibration seen ten times a second is more than its neighbours tell.
+/// With tight extrinsics, raw errors of the interpolated pose are many standard deviations, and
+/// whitened errors are not. A 12 Hz vibration at ten images per second is underestimated by the
+/// residuals of neighbours.
 #[test]
-fn doubts_cover_what_interpolation_and_stamps_are_off() {
-    /// Of a camera's stamps, in seconds.
+fn pose_perturbations_cover_interpolation_and_timestamp_errors() {
+    /// Standard deviation of timestamps in seconds.
     const JITTER_S: f64 = 0.002;
     for (effects, rate_hz, most) in
         [("none", 10.0, 1.0), ("none", 2.5, 1.0), ("vibration", 10.0, 5.0)]
@@ -280,8 +298,9 @@ fn doubts_cover_what_interpolation_and_stamps_are_off() {
         let jitter = timestamp_jitter_s(&times);
         assert!((jitter / JITTER_S - 1.0).abs() < 0.3, "{jitter} s");
         let trajectory = Trajectory::new(samples);
-        let mount = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
-        let mounted = SynchronousExtrinsics {
+        let right_from_left =
+            Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
+        let extrinsics = SynchronousExtrinsics {
             sigma_translation: 0.0005,
             sigma_rotation_rad: 5e-5,
             assumed_baseline: None,
@@ -291,11 +310,17 @@ fn doubts_cover_what_interpolation_and_stamps_are_off() {
             let time_s = pair[0] + rng.uniform() * (pair[1] - pair[0]);
             let Some(first) = trajectory.knots_around(time_s) else { continue };
             let (left, truth) = (trajectory.knots(first).at(time_s), at(time_s));
-            let right = mount * truth;
-            let residual = mounted.residual((&left, &right, &mount)).expect("there is a baseline");
+            let right = right_from_left * truth;
+            let residual = extrinsics
+                .residual((&left, &right, &right_from_left))
+                .expect("there is a baseline");
             let pose_perturbations = trajectory.pose_perturbations(first, time_s, jitter);
-            let whitening =
-                InterpolatedExtrinsics::whitening(&mounted, &left, &mount, &pose_perturbations);
+            let whitening = InterpolatedExtrinsics::whitening(
+                &extrinsics,
+                &left,
+                &right_from_left,
+                &pose_perturbations,
+            );
             raw += residual.norm_squared() / (6 * count) as f64;
             white += (whitening * residual).norm_squared() / (6 * count) as f64;
         }
@@ -311,14 +336,14 @@ fn doubts_cover_what_interpolation_and_stamps_are_off() {
     }
 }
 
-/// Noise of poses as a reconstruction of pictures has it: metres and radians.
+/// Noise of reconstructed poses, in metres and radians.
 const NOISE: (f64, f64) = (0.01, 0.0005);
-/// What ten images a second with that noise leave of an offset, from 200 images with two stops and
+/// Error of the offset with this noise at ten images per second, from 200 images with two stops and
 /// four turns.
 const MAX_OFFSET_ERROR_S: f64 = 0.004;
 
 #[test]
-fn the_offset_of_a_clock_is_in_the_motion() {
+fn the_time_offset_is_found_from_the_motion() {
     let drive = drive("none", 10.0);
     let noise =
         |rng: &mut Rng, size: f64| Vector3::new(rng.normal(), rng.normal(), rng.normal()) * size;
@@ -330,7 +355,7 @@ fn the_offset_of_a_clock_is_in_the_motion() {
             Rigid3::new(turn * pose.rotation, turn * pose.translation + noise(&mut rng, NOISE.0))
         };
         let left = Trajectory::new((0..200).map(|k| 0.1 * f64::from(k)).map(|t| (t, noisy(0, t))));
-        // Fewer images a second, one in ten of them from elsewhere.
+        // Fewer images per second, one in ten of them a gross outlier.
         let right: Vec<(f64, Rigid3)> = (0..150)
             .map(|k| (k, 0.033 + 0.13 * f64::from(k)))
             .map(|(k, t)| (t - offset_s, noisy(1, if k % 10 == 3 { t + 5.0 } else { t })))

@@ -202,7 +202,7 @@ pub(super) fn relative_poses(
 
 /// Distance of the centres in baselines, and angle.
 pub(super) fn deviation(a: &RelativePose, b: &RelativePose, baseline: f64) -> (f64, f64) {
-    let (distance, angle) = a.apart(b);
+    let (distance, angle) = a.distance_and_angle(b);
     (distance / baseline.max(f64::MIN_POSITIVE), angle)
 }
 

@@ -150,7 +150,7 @@ impl Term for ExtrinsicsTerm<'_> {
                         let whitening =
                             referenced.whitening(&mounted, &left, &extrinsics.right_from_left);
                         let factor = InterpolatedExtrinsics {
-                            mounted,
+                            extrinsics: mounted,
                             left_times_s: times_s,
                             right_time_s,
                             whitening,

@@ -106,7 +106,7 @@ fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
     }
     let (similarity, relative, average, extent) = found?;
     let (mut offs, mut turns): (Vec<f64>, Vec<f64>) =
-        relative.iter().map(|p| p.apart(&average)).unzip();
+        relative.iter().map(|p| p.distance_and_angle(&average)).unzip();
     let is_one = median(&mut offs)? <= MAX_OFF * extent && median(&mut turns)? <= MAX_TURNED_RAD;
     is_one.then_some(similarity)
 }

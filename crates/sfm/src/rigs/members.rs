@@ -124,7 +124,7 @@ impl Context<'_> {
         };
         Some(poses().is_some_and(|(own, expected)| {
             let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
-            let (_, rotation) = own.apart(&expected);
+            let (_, rotation) = own.distance_and_angle(&expected);
             rotation < MAX_OWN_ROTATION_RAD
                 && own_t.cross(&t).norm() < MAX_OWN_DIRECTION_RAD
                 && own_t.dot(&t) > 0.0

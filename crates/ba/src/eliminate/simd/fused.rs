@@ -1,4 +1,4 @@
-//! With the vector instructions of x86-64.
+//! Vector instructions of x86-64.
 
 use std::arch::x86_64::{
     __m256d, __m512d, _mm_loadu_ps, _mm_storeu_ps, _mm256_cvtpd_ps, _mm256_cvtps_pd,
@@ -8,30 +8,30 @@ use std::arch::x86_64::{
     _mm512_storeu_pd,
 };
 
-use super::vector::{Isa, LANES, Task, Vector, WIDE, first, first_mut};
+use super::vector::{Isa, Kernel, LANES, Vector, WIDE, first, first_mut};
 
 /// AVX2 with fused multiply-add.
 pub(super) struct Fused;
 impl Isa for Fused {
     type Narrow = Four;
-    type Wide = Twice;
+    type Wide = TwoNarrow;
     const MANY_REGISTERS: bool = false;
     #[inline(always)]
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64 {
         a.mul_add(b, c)
     }
     #[inline(always)]
-    fn run<T: Task>(task: T) {
+    fn run<T: Kernel>(kernel: T) {
         #[target_feature(enable = "avx2,fma")]
-        fn run<T: Task>(task: T) {
-            task.run::<Fused>();
+        fn run<T: Kernel>(kernel: T) {
+            kernel.run::<Fused>();
         }
-        // SAFETY: `path` alone hands out this type, where it has found the features.
-        unsafe { run(task) }
+        // SAFETY: only `instruction_set` hands out this type, after it has detected the features.
+        unsafe { run(kernel) }
     }
 }
 
-/// AVX-512 F and VL, and the former.
+/// AVX-512 F and VL, and all of [`Fused`].
 pub(super) struct Fused512;
 impl Isa for Fused512 {
     type Narrow = Four;
@@ -42,13 +42,13 @@ impl Isa for Fused512 {
         a.mul_add(b, c)
     }
     #[inline(always)]
-    fn run<T: Task>(task: T) {
+    fn run<T: Kernel>(kernel: T) {
         #[target_feature(enable = "avx512f,avx512vl,avx2,fma")]
-        fn run<T: Task>(task: T) {
-            task.run::<Fused512>();
+        fn run<T: Kernel>(kernel: T) {
+            kernel.run::<Fused512>();
         }
-        // SAFETY: `path` alone hands out this type, where it has found the features.
-        unsafe { run(task) }
+        // SAFETY: only `instruction_set` hands out this type, after it has detected the features.
+        unsafe { run(kernel) }
     }
 }
 
@@ -59,8 +59,8 @@ macro_rules! vector {
     ) => {
         #[derive(Clone, Copy)]
         pub(super) struct $name($inner);
-        // In each of these the instruction exists where the type may be used, and reads or writes
-        // what the reference covers.
+        // In each of these, the instruction exists wherever the type may be used, and it reads or
+        // writes only memory that the reference covers.
         impl Vector for $name {
             #[inline(always)]
             fn load(from: &[f64]) -> Self {
@@ -133,10 +133,10 @@ vector!(
     _mm512_fnmadd_pd
 );
 
-/// Eight numbers where four is what the machine has.
+/// A wide vector as two narrow ones.
 #[derive(Clone, Copy)]
-pub(super) struct Twice(Four, Four);
-impl Vector for Twice {
+pub(super) struct TwoNarrow(Four, Four);
+impl Vector for TwoNarrow {
     #[inline(always)]
     fn load(from: &[f64]) -> Self {
         let from = first::<_, WIDE>(from);

@@ -1,13 +1,13 @@
-//! Four or eight numbers at once, with the machine's instructions for it or without.
+//! Vectors of four or eight numbers, with the processor's vector instructions or without.
 //!
-//! The vectors are explicit because the compiler, left alone with loops over small arrays,
-//! vectorises along the wrong one.
+//! The vectors are explicit because the compiler vectorises the wrong one of nested loops over
+//! small arrays.
 
 #[cfg(target_arch = "x86_64")]
 mod fused;
-mod path;
+mod instruction_set;
 mod portable;
 mod vector;
 
-pub(super) use path::{dispatch, run_narrow};
-pub(super) use vector::{Isa, LANES, Stored, Task, Vector, WIDE};
+pub(super) use instruction_set::{dispatch, run_narrow};
+pub(super) use vector::{Isa, Kernel, LANES, Stored, Vector, WIDE};

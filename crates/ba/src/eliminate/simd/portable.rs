@@ -1,8 +1,8 @@
-//! Plain Rust: what runs where nothing better is there.
+//! Plain Rust, for processors without the other instruction sets.
 
-use super::vector::{Isa, LANES, Task, Vector, WIDE, first, first_mut};
+use super::vector::{Isa, Kernel, LANES, Vector, WIDE, first, first_mut};
 
-/// No instructions in particular.
+/// The baseline of the target.
 pub(super) struct Portable;
 impl Isa for Portable {
     type Narrow = [f64; LANES];
@@ -13,8 +13,8 @@ impl Isa for Portable {
         a * b + c
     }
     #[inline(never)]
-    fn run<T: Task>(task: T) {
-        task.run::<Self>();
+    fn run<T: Kernel>(kernel: T) {
+        kernel.run::<Self>();
     }
 }
 

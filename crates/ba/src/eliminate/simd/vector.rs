@@ -1,11 +1,11 @@
-//! Some numbers at once, and what the inner loops do with them.
+//! Traits of vectors, instruction sets and kernels.
 
-/// Numbers of a [`Isa::Narrow`] vector: all rows are padded to multiples of it.
+/// Length of an [`Isa::Narrow`] vector. All rows are padded to multiples of it.
 pub(crate) const LANES: usize = 4;
-/// Numbers of a [`Isa::Wide`] vector.
+/// Length of an [`Isa::Wide`] vector.
 pub(crate) const WIDE: usize = 8;
 
-/// Some numbers that are handled at once. Loads and stores take the first numbers of a slice.
+/// A vector of numbers. Loads and stores use the first numbers of a slice.
 pub(crate) trait Vector: Copy {
     fn load(from: &[f64]) -> Self;
     fn store(self, to: &mut [f64]);
@@ -21,7 +21,7 @@ pub(crate) trait Vector: Copy {
     fn neg_mul_add(self, b: Self, c: Self) -> Self;
 }
 
-/// In what numbers are stored.
+/// A storage type: double or single precision.
 pub(crate) trait Stored: bytemuck::Pod {
     /// As [`Vector::load`].
     fn load<V: Vector>(from: &[Self]) -> V;
@@ -58,29 +58,29 @@ impl Stored for f32 {
     }
 }
 
-/// Work that is compiled for an instruction set: all that `run` calls is to be inlined.
-pub(crate) trait Task {
+/// Code that is compiled for an instruction set: all that `run` calls has to be inlined.
+pub(crate) trait Kernel {
     fn run<I: Isa>(self);
 }
 
-/// How to work on numbers. Functions are safe although their instructions may not exist on the
-/// machine: the types that implement this are private to `simd`, and other code gets one from
-/// [`dispatch`](super::dispatch) alone, as a type parameter, once its instructions have been found.
-/// Products `a·b + c` are fused where the machine can, so that results differ in the last bits
-/// between machines with and without, and not otherwise: the order of operations is the same for
-/// all widths.
+/// An instruction set. Its functions are safe although their instructions may be missing on the
+/// processor: the types that implement this trait are private to `simd`, and other code gets one
+/// only from [`dispatch`](super::dispatch), as a type parameter, after the instructions were
+/// detected. Products `a·b + c` are fused if the processor can. Results therefore differ in the
+/// last bits between processors with and without fused multiply-add, and nowhere else: the order of
+/// operations is the same for all widths.
 pub(crate) trait Isa: Sized {
     /// [`LANES`] numbers.
     type Narrow: Vector;
     /// [`WIDE`] numbers.
     type Wide: Vector;
-    /// Whether there are 32 vector registers and not 16.
+    /// Whether there are 32 vector registers instead of 16.
     const MANY_REGISTERS: bool;
     /// a b + c for single numbers.
     fn mul_add_one(a: f64, b: f64, c: f64) -> f64;
-    /// Runs what was compiled for these instructions, as a function of its own: one of all loops in
-    /// one would take the compiler minutes.
-    fn run<T: Task>(task: T);
+    /// Runs a kernel as a function that is compiled for these instructions. One function for all
+    /// loops together would take minutes to compile.
+    fn run<T: Kernel>(kernel: T);
 }
 
 #[inline(always)]

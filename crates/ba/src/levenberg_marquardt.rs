@@ -5,25 +5,25 @@ use std::time::Instant;
 
 use crate::damping::Damping;
 use crate::error::Error;
+use crate::linear_system::{Attempt, LinearSystem, Linearised};
 use crate::options::Options;
 use crate::problem::Problem;
 use crate::summary::{IterationRecord, Summary, Termination, Times};
-use crate::system::{Attempt, Linearised, System};
 use crate::variable::Values;
 
-/// A step that gains next to nothing ends a solve, unless the linear model promised that many times
-/// as much: then it was a bad step, and a shorter one may gain something.
+/// A step with next to no decrease ends a solve only from this gain ratio on. Below it, the step
+/// was bad, and a shorter one may lower the cost.
 const MIN_GAIN_RATIO: f64 = 0.1;
 
-/// One solve on its way.
-pub(crate) struct Descent<'a> {
-    system: &'a mut dyn System,
+/// State of one solve.
+pub(crate) struct LevenbergMarquardt<'a> {
+    system: &'a mut dyn LinearSystem,
     options: &'a Options,
     problem: &'a mut Problem,
-    /// Where a step leads; once it is taken, where it came from.
+    /// The values after the attempted step; after an accepted step, the values before it.
     trial: &'a mut Values,
-    /// The problem at its values.
-    now: Linearised,
+    /// The problem at its current values.
+    current: Linearised,
     initial_cost: f64,
     damping: Damping,
     iterations: Vec<IterationRecord>,
@@ -31,17 +31,17 @@ pub(crate) struct Descent<'a> {
     begin: Instant,
 }
 
-/// What came of a step.
+/// Outcome of an attempted step.
 struct Outcome {
     decrease: f64,
     gain_ratio: f64,
     accepted: bool,
 }
 
-impl<'a> Descent<'a> {
+impl<'a> LevenbergMarquardt<'a> {
     /// Linearises at the problem's values.
     pub(crate) fn begin(
-        system: &'a mut dyn System,
+        system: &'a mut dyn LinearSystem,
         options: &'a Options,
         problem: &'a mut Problem,
         trial: &'a mut Values,
@@ -49,16 +49,16 @@ impl<'a> Descent<'a> {
         let begin = Instant::now();
         let mut times = Times::default();
         let damping = Damping::new(options.initial_damping);
-        let now = system.linearize(problem, &problem.values, damping.lambda(), &mut times);
-        now.check_finite(problem)?;
-        let initial_cost = now.cost;
+        let current = system.linearize(problem, &problem.values, damping.lambda(), &mut times);
+        current.check_finite(problem)?;
+        let initial_cost = current.cost;
         let iterations = Vec::new();
         Ok(Self {
             system,
             options,
             problem,
             trial,
-            now,
+            current,
             initial_cost,
             damping,
             iterations,
@@ -67,75 +67,82 @@ impl<'a> Descent<'a> {
         })
     }
 
-    /// Goes down until nothing is to be gained, or `watch` stops it.
+    /// Iterates until convergence, or until `callback` stops it.
     pub(crate) fn run(
         &mut self,
-        watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
+        callback: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
     ) -> Termination {
         loop {
-            if let Some(termination) = self.needs_no_step() {
+            if let Some(termination) = self.termination_before_step() {
                 return termination;
             }
             let lambda = self.damping.lambda();
             let attempt = self.attempt(lambda);
-            if attempt.promise <= self.options.step_tolerance.powi(2) * self.now.cost {
+            if attempt.predicted_reduction
+                <= self.options.step_tolerance.powi(2) * self.current.cost
+            {
                 return Termination::StepTolerance;
             }
-            let before = self.now;
-            let mut outcome = self.judge(&attempt);
-            // What comes after the last step of a solve needs no derivatives, unless factors have
-            // gone or may have come to exist.
-            let others = before.missing + attempt.lost > 0;
-            if others {
+            let before = self.current;
+            let mut outcome = self.accept_or_reject(&attempt);
+            // The last step of a solve needs no derivatives, unless factors were dropped or may
+            // have become valid.
+            let validity_changed = before.missing + attempt.dropped > 0;
+            if validity_changed {
                 outcome.accepted &= self.linearize(outcome.accepted, &before);
             }
-            if watch(self.record(&outcome, &before, lambda)).is_break() {
+            if callback(self.record(&outcome, &before, lambda)).is_break() {
                 return Termination::Cancelled;
             }
-            if let Some(termination) = self.has_ended(&outcome, &before) {
+            if let Some(termination) = self.termination_after_step(&outcome, &before) {
                 return termination;
             }
-            if !others
+            if !validity_changed
                 && !self.linearize(outcome.accepted, &before)
                 && let Some(last) = self.iterations.last_mut()
                 && last.accepted
             {
-                (last.accepted, last.cost) = (false, self.now.cost);
+                (last.accepted, last.cost) = (false, self.current.cost);
             }
         }
     }
 
-    /// Why there is no point in another step.
-    fn needs_no_step(&self) -> Option<Termination> {
+    /// Reason to stop before the next step.
+    fn termination_before_step(&self) -> Option<Termination> {
         let (num_columns, num_eliminated) = self.system.columns();
         if num_columns + num_eliminated == 0 || self.problem.num_factors() == 0 {
             return Some(Termination::Nothing);
         }
-        if self.now.gradient_max <= self.options.gradient_tolerance {
+        if self.current.gradient_max <= self.options.gradient_tolerance {
             return Some(Termination::GradientTolerance);
         }
         (self.options.max_iterations == 0).then_some(Termination::MaxIterations)
     }
 
-    /// Where the next step leads. One that cannot be computed leads to infinite cost.
+    /// Solves for the next step. A step that cannot be computed has infinite cost.
     fn attempt(&mut self, lambda: f64) -> Attempt {
         let values = &self.problem.values;
         let attempt =
             self.system.attempt(self.problem, values, self.trial, lambda, &mut self.times);
-        attempt.unwrap_or(Attempt { promise: f64::INFINITY, cost: f64::INFINITY, lost: 0 })
+        attempt.unwrap_or(Attempt {
+            predicted_reduction: f64::INFINITY,
+            cost: f64::INFINITY,
+            dropped: 0,
+        })
     }
 
-    /// Takes a step that lowers the cost, and changes the damping.
-    fn judge(&mut self, attempt: &Attempt) -> Outcome {
-        let decrease = self.now.cost - attempt.cost;
-        let gain_ratio = decrease / attempt.promise;
+    /// Accepts a step that lowers the cost, and updates the damping.
+    fn accept_or_reject(&mut self, attempt: &Attempt) -> Outcome {
+        let decrease = self.current.cost - attempt.cost;
+        let gain_ratio = decrease / attempt.predicted_reduction;
         let accepted = decrease > 0.0;
         if accepted {
             std::mem::swap(&mut self.problem.values, self.trial);
             self.damping.accepted(gain_ratio);
-            // Exact where the same factors exist before and after.
-            (self.now.cost, self.now.missing) = (attempt.cost, self.now.missing + attempt.lost);
-        } else if attempt.promise.is_infinite() {
+            // Exact if the same factors are valid before and after.
+            (self.current.cost, self.current.missing) =
+                (attempt.cost, self.current.missing + attempt.dropped);
+        } else if attempt.predicted_reduction.is_infinite() {
             self.damping.failed();
         } else {
             self.damping.rejected();
@@ -143,24 +150,23 @@ impl<'a> Descent<'a> {
         Outcome { decrease, gain_ratio, accepted }
     }
 
-    /// Linearises after a step that was taken or not, from `before`. Gives whether it stays taken:
-    /// where the cost is finite but its derivatives are not, the step is as bad as one that raises
-    /// the cost.
+    /// Linearises after an attempted step from `before`. Returns whether the step remains accepted:
+    /// a step to a finite cost with non-finite derivatives is rejected.
     fn linearize(&mut self, accepted: bool, before: &Linearised) -> bool {
         let next = self.linearize_here();
         if next.cost.is_finite() && next.gradient_max.is_finite() {
-            // `residual` and `linearize` of a factor round differently: compare only what the same
-            // one has measured.
-            let same = next.missing == before.missing && self.now.missing == before.missing;
-            let cost = if same { self.now.cost } else { next.cost };
-            self.now = Linearised { cost, ..next };
+            // `residual` and `linearize` of a factor round differently, so costs are compared only
+            // if they come from the same function.
+            let same = next.missing == before.missing && self.current.missing == before.missing;
+            let cost = if same { self.current.cost } else { next.cost };
+            self.current = Linearised { cost, ..next };
             return accepted;
         }
         if accepted {
             std::mem::swap(&mut self.problem.values, self.trial);
         }
         self.damping.rejected();
-        self.now = Linearised { cost: before.cost, ..self.linearize_here() };
+        self.current = Linearised { cost: before.cost, ..self.linearize_here() };
         false
     }
 
@@ -169,11 +175,11 @@ impl<'a> Descent<'a> {
         self.system.linearize(self.problem, &self.problem.values, lambda, &mut self.times)
     }
 
-    /// Notes what came of the step from `before`.
+    /// Records the step from `before`.
     fn record(&mut self, outcome: &Outcome, before: &Linearised, lambda: f64) -> &IterationRecord {
         let record = IterationRecord {
             number: self.iterations.len() + 1,
-            cost: self.now.cost,
+            cost: self.current.cost,
             decrease: outcome.decrease,
             gain_ratio: outcome.gain_ratio,
             gradient_max: before.gradient_max,
@@ -185,10 +191,14 @@ impl<'a> Descent<'a> {
         &self.iterations[self.iterations.len() - 1]
     }
 
-    /// Why the step from `before` was the last one.
-    fn has_ended(&self, outcome: &Outcome, before: &Linearised) -> Option<Termination> {
-        let has_settled = outcome.decrease <= self.options.function_tolerance * before.cost;
-        if outcome.accepted && has_settled && outcome.gain_ratio >= MIN_GAIN_RATIO {
+    /// Reason to stop after the step from `before`.
+    fn termination_after_step(
+        &self,
+        outcome: &Outcome,
+        before: &Linearised,
+    ) -> Option<Termination> {
+        let is_small = outcome.decrease <= self.options.function_tolerance * before.cost;
+        if outcome.accepted && is_small && outcome.gain_ratio >= MIN_GAIN_RATIO {
             return Some(Termination::FunctionTolerance);
         }
         if self.damping.exhausted() {
@@ -197,16 +207,16 @@ impl<'a> Descent<'a> {
         (self.iterations.len() >= self.options.max_iterations).then_some(Termination::MaxIterations)
     }
 
-    /// What the solve has come to.
+    /// The summary of the solve.
     pub(crate) fn summary(mut self, termination: Termination) -> Summary {
         self.times.total = self.begin.elapsed();
         let (num_columns, num_eliminated) = self.system.columns();
         Summary {
             termination,
             initial_cost: self.initial_cost,
-            final_cost: self.now.cost,
+            final_cost: self.current.cost,
             iterations: self.iterations,
-            missing_factors: self.now.missing,
+            missing_factors: self.current.missing,
             num_residuals: self.problem.num_residuals(),
             num_columns,
             num_eliminated,

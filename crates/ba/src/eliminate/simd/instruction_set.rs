@@ -1,75 +1,77 @@
-//! Which instructions the inner loops use.
+//! Run-time choice of the instruction set of the inner loops.
 
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "x86_64")]
 use super::fused::{Fused, Fused512};
 use super::portable::Portable;
-use super::vector::{Isa, Task};
+use super::vector::{Isa, Kernel};
 
-/// One of the ways in which the inner loops are compiled.
+/// An instruction set for which the inner loops are compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Path {
-    /// No instructions in particular.
+enum InstructionSet {
+    /// The baseline of the target.
     Portable,
     /// AVX2 with fused multiply-add.
     #[cfg(target_arch = "x86_64")]
     Fused,
-    /// AVX-512 F and VL, and the former.
+    /// AVX-512 F and VL, and all of `Fused`.
     #[cfg(target_arch = "x86_64")]
     Fused512,
 }
 
-impl Path {
-    /// All that this machine has, the best last.
+impl InstructionSet {
+    /// All that this processor has, the best last.
     fn available() -> Vec<Self> {
         #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut))]
-        let mut paths = vec![Self::Portable];
+        let mut sets = vec![Self::Portable];
         #[cfg(target_arch = "x86_64")]
         {
             use std::arch::is_x86_feature_detected as has;
             let fused = has!("avx2") && has!("fma");
-            paths.extend(fused.then_some(Self::Fused));
-            paths.extend((fused && has!("avx512f") && has!("avx512vl")).then_some(Self::Fused512));
+            sets.extend(fused.then_some(Self::Fused));
+            sets.extend((fused && has!("avx512f") && has!("avx512vl")).then_some(Self::Fused512));
         }
-        paths
+        sets
     }
 }
 
 #[cfg(test)]
 thread_local! {
-    /// In place of the best, in tests on one thread.
-    static FORCED: std::cell::Cell<Option<Path>> = const { std::cell::Cell::new(None) };
+    /// Replaces the best one in tests on one thread.
+    static FORCED: std::cell::Cell<Option<InstructionSet>> = const { std::cell::Cell::new(None) };
 }
 
-/// The best that this machine has.
-fn path() -> Path {
-    static BEST: OnceLock<Path> = OnceLock::new();
+/// The best one that this processor has.
+fn instruction_set() -> InstructionSet {
+    static BEST: OnceLock<InstructionSet> = OnceLock::new();
     #[cfg(test)]
-    if let Some(path) = FORCED.get() {
-        return path;
+    if let Some(set) = FORCED.get() {
+        return set;
     }
-    *BEST.get_or_init(|| Path::available().last().copied().unwrap_or(Path::Portable))
+    *BEST.get_or_init(|| {
+        InstructionSet::available().last().copied().unwrap_or(InstructionSet::Portable)
+    })
 }
 
-/// Lets `task` choose what is compiled for the best instructions of this machine: what it passes to
+/// Runs `kernel`, which passes the loops that are to be compiled for the best instruction set to
 /// [`Isa::run`].
-pub(crate) fn dispatch(task: impl Task) {
-    match path() {
+pub(crate) fn dispatch(kernel: impl Kernel) {
+    match instruction_set() {
         #[cfg(target_arch = "x86_64")]
-        Path::Fused512 => task.run::<Fused512>(),
+        InstructionSet::Fused512 => kernel.run::<Fused512>(),
         #[cfg(target_arch = "x86_64")]
-        Path::Fused => task.run::<Fused>(),
-        Path::Portable => task.run::<Portable>(),
+        InstructionSet::Fused => kernel.run::<Fused>(),
+        InstructionSet::Portable => kernel.run::<Portable>(),
     }
 }
 
-/// Runs `task` compiled for the best instructions with vectors of at most four numbers.
-pub(crate) fn run_narrow(task: impl Task) {
-    match path() {
-        Path::Portable => Portable::run(task),
+/// Runs `kernel` compiled for the best instruction set with vectors of at most four numbers.
+pub(crate) fn run_narrow(kernel: impl Kernel) {
+    match instruction_set() {
+        InstructionSet::Portable => Portable::run(kernel),
         #[cfg(target_arch = "x86_64")]
-        _ => Fused::run(task),
+        _ => Fused::run(kernel),
     }
 }
 
@@ -82,25 +84,24 @@ mod tests {
     use tiepoint_geometry::cameras::{Opencv, Pinhole, SimplePinhole};
     use tiepoint_geometry::{CameraModel, Loss, Manifold, Rigid3, Rng};
 
-    use super::{FORCED, Path};
+    use super::{FORCED, InstructionSet};
     use crate::factors::{Between, Prior, Reprojection};
     use crate::{LinearSolver, Options, Order, Problem, Solver};
 
-    /// Rounding, after a step on normal equations with a condition number of some 1e6.
+    /// Rounding, after a step on normal equations with a condition number of about 1e6.
     const SAME: f64 = 1e-8;
-    /// Under Miri few points, and no factorisation: faer's asks the processor for its caches, which
-    /// Miri does not have.
+    /// Miri is slow, and does not support the query for cache sizes in faer's factorisation.
     const POINTS: usize = if cfg!(miri) { 12 } else { 60 };
     const SOLVER: LinearSolver =
         if cfg!(miri) { LinearSolver::Iterative } else { LinearSolver::Dense };
 
-    /// The values after a step of a problem of one chunk, which stays on this thread: points seen
-    /// by cameras, with blocks as wide as a pose and the parameters, or apart; factors between
-    /// poses; and partly held variables.
+    /// The values after one step of a problem with one task, which stays on this thread. Points are
+    /// seen by cameras whose pose and intrinsics are one merged block, or separate ones if
+    /// `shared`; some factors join two poses; some variables are partly fixed.
     fn step<M: CameraModel<Params = SVector<f64, N>>, const N: usize>(
         params: [f64; N],
         shared: bool,
-        path: Path,
+        set: InstructionSet,
     ) -> Vec<f64>
     where
         SVector<f64, N>: Manifold,
@@ -113,12 +114,16 @@ mod tests {
                 Vector3::new(-(i as f64), 0.1, 8.0),
             )
         };
-        let lens = problem.add_parameter(params, Order::Shared);
+        let intrinsics = problem.add_parameter(params, Order::Shared);
         let cameras: Vec<_> = (0..6)
             .map(|i| {
                 let pose = problem.add_parameter(true_pose(i), Order::At(i as u32));
                 (
-                    if shared { lens } else { problem.add_parameter(params, Order::At(i as u32)) },
+                    if shared {
+                        intrinsics
+                    } else {
+                        problem.add_parameter(params, Order::At(i as u32))
+                    },
                     pose,
                 )
             })
@@ -134,11 +139,11 @@ mod tests {
                 point + Vector3::new(rng.normal(), rng.normal(), rng.normal()) * 0.02,
             );
             points.push(key);
-            for (i, &(lens, pose)) in cameras.iter().enumerate().skip(j % 3).take(2 + j % 4) {
+            for (i, &(intrinsics, pose)) in cameras.iter().enumerate().skip(j % 3).take(2 + j % 4) {
                 let pixel = M::project(&params, &(true_pose(i) * point)).unwrap();
                 let noise = Vector2::new(rng.normal(), rng.normal()) * 0.5;
                 let factor = Reprojection::<M>::new(pixel + noise, 1.0);
-                problem.add((lens, pose, key), factor, Loss::Huber(1.0)).unwrap();
+                problem.add((intrinsics, pose, key), factor, Loss::Huber(1.0)).unwrap();
             }
         }
         problem.fix_dofs(points[7], &[2]).unwrap();
@@ -152,15 +157,16 @@ mod tests {
             refinements: 0,
             ..Options::default()
         };
-        FORCED.set(Some(path));
+        FORCED.set(Some(set));
         let summary = Solver::new(&problem, &options)
             .and_then(|mut solver| solver.solve(&mut problem, &mut |_| ControlFlow::Continue(())));
         FORCED.set(None);
         let summary = summary.unwrap();
-        assert!(summary.final_cost < summary.initial_cost, "{path:?} {summary}");
-        let poses = cameras.iter().flat_map(|&(lens, pose)| {
-            let (pose, lens) = (problem.get(pose), problem.get(lens));
-            let numbers: Vec<f64> = pose.translation.iter().chain(lens.iter()).copied().collect();
+        assert!(summary.final_cost < summary.initial_cost, "{set:?} {summary}");
+        let poses = cameras.iter().flat_map(|&(intrinsics, pose)| {
+            let (pose, intrinsics) = (problem.get(pose), problem.get(intrinsics));
+            let numbers: Vec<f64> =
+                pose.translation.iter().chain(intrinsics.iter()).copied().collect();
             numbers.into_iter().chain([pose.rotation.angle()])
         });
         poses.chain(points.iter().flat_map(|&key| <[f64; 3]>::from(problem.get(key)))).collect()
@@ -171,22 +177,22 @@ mod tests {
         SVector<f64, N>: Manifold,
     {
         for shared in [false, true] {
-            let [portable, others @ ..] = &Path::available()[..] else { return };
+            let [portable, others @ ..] = &InstructionSet::available()[..] else { return };
             let expected = step::<M, N>(params, shared, *portable);
             let found: Vec<_> =
-                others.iter().map(|&path| step::<M, N>(params, shared, path)).collect();
+                others.iter().map(|&set| step::<M, N>(params, shared, set)).collect();
             for found in &found {
                 for (a, b) in expected.iter().zip(found) {
                     assert!((a - b).abs() < SAME * a.abs().max(1.0), "{a} {b}");
                 }
             }
-            // Their widths differ and not the order of operations.
+            // They differ in width, not in the order of operations.
             assert!(found.windows(2).all(|two| two[0] == two[1]));
         }
     }
 
     #[test]
-    fn all_paths_of_this_machine_take_the_same_step() {
+    fn all_instruction_sets_take_the_same_step() {
         all_agree::<SimplePinhole, 3>([600.0, 320.0, 240.0]);
         all_agree::<Pinhole, 4>([600.0, 600.0, 320.0, 240.0]);
         all_agree::<Opencv, 8>([600.0, 600.0, 320.0, 240.0, -0.03, 0.01, 1e-3, -1e-3]);

@@ -1,34 +1,35 @@
-//! All factors of one type, behind an interface that does not know the type: what is done per
-//! factor is monomorphised, what is called through a table is called per stretch of factors.
+//! All factors of one type, behind an interface without that type. Loops over factors are
+//! monomorphised; virtual calls are made once per range of factors.
 
 use std::any::{Any, type_name};
 
 use nalgebra::SVector;
 use tiepoint_geometry::Loss;
 
-use crate::factor::{Factor, ValuesRef, Vars, fetch, total_dof};
+use crate::factor::{Factor, ValuesRef, Vars, prefetch, total_dof};
 use crate::variable::Values;
 
-/// Cost of a factor that does not exist at these values ([`Factor::residual`] gave `None`).
-pub(crate) const NO_COST: f64 = f64::NAN;
+/// Cost of a factor that is invalid at these values ([`Factor::residual`] returned `None`).
+pub(crate) const INVALID: f64 = f64::NAN;
 
-/// Whether a factor that had the one cost still exists with the other.
-pub(crate) fn survives(before: f64, after: f64) -> bool {
+/// Whether a factor with these costs is still valid, or was not valid before.
+pub(crate) fn stays_valid(before: f64, after: f64) -> bool {
     before.is_nan() || after.is_finite()
 }
 
-/// In place of the number of one variable: all of them.
-const ALL: usize = usize::MAX;
+/// Stands for all variables in place of the position of one.
+const ALL_VARIABLES: usize = usize::MAX;
 
-/// So many factors ahead their memory is asked for: those of other points may lie anywhere.
-const AHEAD: usize = 16;
+/// Factors are prefetched so many iterations ahead, because those of a landmark may be anywhere in
+/// memory.
+const PREFETCH_DISTANCE: usize = 16;
 
-/// Numbers in a row of the Jacobian and the residual.
+/// Padded length of a row of the Jacobian and the residual.
 const fn row_len(dofs: &[usize]) -> usize {
     (total_dof(dofs) + 1).next_multiple_of(4)
 }
 
-/// The losses of a run: nearly always one for all.
+/// The losses of a group, nearly always the same for all factors.
 enum Losses {
     Same(Loss),
     Each(Vec<Loss>),
@@ -58,15 +59,15 @@ impl Losses {
 }
 
 /// Factors of type `F` with their variables and losses.
-pub(crate) struct Run<F: Factor<R>, const R: usize> {
+pub(crate) struct FactorGroup<F: Factor<R>, const R: usize> {
     pub(crate) factors: Vec<F>,
     slots: Vec<<F::Vars as Vars>::Indices>,
     losses: Losses,
     stores: Vec<u16>,
 }
 
-impl<F: Factor<R>, const R: usize> Run<F, R> {
-    /// An empty run on the stores of these numbers.
+impl<F: Factor<R>, const R: usize> FactorGroup<F, R> {
+    /// An empty group. `stores` are the indices of the variables' stores.
     pub(crate) fn new(stores: Vec<u16>) -> Self {
         Self { factors: Vec::new(), slots: Vec::new(), losses: Losses::Same(Loss::Trivial), stores }
     }
@@ -77,48 +78,48 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         self.slots.push(slots);
     }
 
-    /// Asks for the memory of what comes some way behind number `i` of a list.
+    /// Prefetches factors that follow number `i` of a list.
     #[inline(always)]
-    fn fetch(&self, slices: <F::Vars as Vars>::Slices<'_>, factors: &[u32], i: usize) {
-        if let Some(&ahead) = factors.get(i + AHEAD) {
-            fetch(&self.factors, ahead as usize);
-            fetch(&self.slots, ahead as usize);
+    fn prefetch(&self, slices: <F::Vars as Vars>::Slices<'_>, factors: &[u32], i: usize) {
+        if let Some(&ahead) = factors.get(i + PREFETCH_DISTANCE) {
+            prefetch(&self.factors, ahead as usize);
+            prefetch(&self.slots, ahead as usize);
         }
         if let Some(slots) =
-            factors.get(i + AHEAD / 2).and_then(|&ahead| self.slots.get(ahead as usize))
+            factors.get(i + PREFETCH_DISTANCE / 2).and_then(|&ahead| self.slots.get(ahead as usize))
         {
-            F::Vars::fetch(slices, slots);
+            F::Vars::prefetch(slices, slots);
         }
     }
 
-    /// The derivatives by variable number `I`, or by [`ALL`].
+    /// Linearises with respect to the variable at position `I`, or to [`ALL_VARIABLES`].
     ///
-    /// The factors' linearisation is inlined, or should be: then what the other variables would get
-    /// is never computed.
+    /// `Factor::linearize` should be inlined: derivatives by the other variables are then never
+    /// computed.
     #[inline(always)]
     fn linearize_here<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
-        let (columns, stride) = if I == ALL {
+        let (columns, stride) = if I == ALL_VARIABLES {
             const { (total_dof(<F::Vars as Vars>::DOFS), row_len(<F::Vars as Vars>::DOFS)) }
         } else {
             (F::Vars::DOFS[I], F::Vars::DOFS[I] + 1)
         };
         let records = out.rows.chunks_exact_mut(R * stride).zip(out.costs);
         for (i, (&index, (rows, cost))) in factors.iter().zip(records).enumerate() {
-            self.fetch(slices, factors, i);
+            self.prefetch(slices, factors, i);
             let index = index as usize;
             let x = F::Vars::refs(slices, &self.slots[index]);
             let Some((residual, jacobians)) = self.factors[index].linearize(x) else {
                 rows.fill(0.0);
-                *cost = NO_COST;
+                *cost = INVALID;
                 continue;
             };
-            let (half_rho, weight) = rate(self.losses.get(index), residual.norm_squared());
+            let (half_rho, weight) = robustify(self.losses.get(index), residual.norm_squared());
             *cost = half_rho;
-            if I == ALL {
+            if I == ALL_VARIABLES {
                 F::Vars::write_rows::<R>(&jacobians, weight, rows, stride);
             } else {
-                F::Vars::write_own::<R, I>(&jacobians, weight, rows, stride);
+                F::Vars::write_one::<R, I>(&jacobians, weight, rows, stride);
             }
             for r in 0..R {
                 rows[r * stride + columns] = weight * residual[r];
@@ -126,8 +127,8 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
         }
     }
 
-    /// The same, compiled for wider registers: the compiler neither fuses nor reorders, so that the
-    /// bits are the same.
+    /// The same, compiled for wider registers. The compiler neither fuses nor reorders, so the bits
+    /// are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn linearize_avx2<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
@@ -135,12 +136,12 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
     }
 
     fn linearize_by<const I: usize>(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        if I != ALL && I >= F::Vars::COUNT {
+        if I != ALL_VARIABLES && I >= F::Vars::COUNT {
             return;
         }
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature that the function is compiled for has just been found.
+            // SAFETY: the processor feature was just detected.
             unsafe { self.linearize_avx2::<I>(values, factors, out) };
             return;
         }
@@ -151,10 +152,11 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
     fn costs_here(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
         let slices = F::Vars::slices(&ValuesRef(values), &self.stores);
         for (i, (&index, cost)) in factors.iter().zip(out).enumerate() {
-            self.fetch(slices, factors, i);
+            self.prefetch(slices, factors, i);
             let index = index as usize;
             let residual = self.factors[index].residual(F::Vars::refs(slices, &self.slots[index]));
-            *cost = residual.map_or(NO_COST, |r| rate(self.losses.get(index), r.norm_squared()).0);
+            *cost =
+                residual.map_or(INVALID, |r| robustify(self.losses.get(index), r.norm_squared()).0);
         }
     }
 
@@ -172,16 +174,16 @@ impl<F: Factor<R>, const R: usize> Run<F, R> {
     }
 }
 
-/// What [`AnyRun::linearize`] fills: for each factor, `rows()` rows of `stride()` numbers — the
-/// Jacobian of all its variables side by side, then the residual, both times the square root of the
-/// loss' slope — and its cost.
+/// Output of [`AnyFactorGroup::linearize`]: for each factor its cost, and `rows()` rows of
+/// `stride()` numbers. A row is the Jacobian of all its variables side by side, then the residual,
+/// both times the square root of the loss' derivative ρ'.
 pub(crate) struct Rows<'a> {
     pub(crate) rows: &'a mut [f64],
     pub(crate) costs: &'a mut [f64],
 }
 
-/// A run whose type is not known.
-pub(crate) trait AnyRun: Any + Send + Sync {
+/// A group whose factor type is erased.
+pub(crate) trait AnyFactorGroup: Any + Send + Sync {
     fn as_any(&self) -> &dyn Any;
     fn as_any_mut(&mut self) -> &mut dyn Any;
     fn factor_type(&self) -> &'static str;
@@ -191,34 +193,34 @@ pub(crate) trait AnyRun: Any + Send + Sync {
     /// Degrees of freedom of each variable.
     fn dofs(&self) -> &'static [usize];
     fn stores(&self) -> &[u16];
-    /// Of one factor.
+    /// Slots of the variables of one factor.
     fn slots(&self, factor: usize) -> &[u32];
-    /// Of all factors, one after the other.
+    /// Slots of the variables of all factors.
     fn all_slots(&self) -> &[u32];
     /// Length of a row in [`Rows`].
     fn stride(&self) -> usize {
         row_len(self.dofs())
     }
-    /// Linearises the first of the listed factors, as many as there are costs; to know of more of
-    /// them helps to have their memory in time. A factor that does not exist gets rows of zeros and
-    /// [`NO_COST`]; one whose residual is not finite gets an infinite cost.
+    /// Linearises the first `out.costs.len()` of the listed factors; further ones are only
+    /// prefetched. An invalid factor gets zero rows and [`INVALID`]; one with a non-finite residual
+    /// gets an infinite cost.
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>);
-    /// The same by variable number `own` alone: rows of its degrees of freedom and the residual,
-    /// without padding.
-    fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>);
-    /// Costs of the listed factors, as in [`AnyRun::linearize`].
+    /// The same with respect to the variable at `position` alone: rows of its degrees of freedom
+    /// and the residual, without padding.
+    fn linearize_landmark(&self, position: u8, values: &Values, factors: &[u32], out: Rows<'_>);
+    /// Costs of the listed factors, as in [`AnyFactorGroup::linearize`].
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]);
-    /// The first factor that is not finite: its number, what, and the value.
+    /// The first factor that is not finite: its index, the quantity, and its value.
     fn find_not_finite(&self, values: &Values) -> Option<(usize, &'static str, f64)>;
 }
 
-/// The cost ½ρ of a squared norm, and √ρ': iteratively reweighted least squares, for ½ρ'|r + Jδ|²
-/// has the gradient of ½ρ and, for ρ'' ≤ 0, lies above it.
+/// The cost ½ρ of a squared norm, and √ρ' as the weight of iteratively reweighted least squares:
+/// ½ρ'|r + Jδ|² has the gradient of ½ρ and, for ρ'' ≤ 0, is an upper bound.
 #[inline(always)]
-fn rate(loss: &Loss, squared_norm: f64) -> (f64, f64) {
+fn robustify(loss: &Loss, squared_norm: f64) -> (f64, f64) {
     let [rho, slope] = match *loss {
         Loss::Trivial => [squared_norm, 1.0],
-        // Most residuals of most problems: without a call.
+        // Most residuals of most problems, without a call.
         Loss::Huber(a) if squared_norm <= a * a => [squared_norm, 1.0],
         _ => {
             let [rho, slope, _] = loss.evaluate(squared_norm);
@@ -226,11 +228,11 @@ fn rate(loss: &Loss, squared_norm: f64) -> (f64, f64) {
         }
     };
     let cost = 0.5 * rho;
-    // The square also overflows when the residual is finite but absurd.
+    // The square may overflow although the residual is finite.
     (if squared_norm.is_finite() && !cost.is_nan() { cost } else { f64::INFINITY }, slope)
 }
 
-impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
+impl<F: Factor<R>, const R: usize> AnyFactorGroup for FactorGroup<F, R> {
     fn as_any(&self) -> &dyn Any {
         self
     }
@@ -260,11 +262,11 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
     }
 
     fn linearize(&self, values: &Values, factors: &[u32], out: Rows<'_>) {
-        self.linearize_by::<ALL>(values, factors, out);
+        self.linearize_by::<ALL_VARIABLES>(values, factors, out);
     }
 
-    fn linearize_own(&self, own: u8, values: &Values, factors: &[u32], out: Rows<'_>) {
-        match own {
+    fn linearize_landmark(&self, position: u8, values: &Values, factors: &[u32], out: Rows<'_>) {
+        match position {
             0 => self.linearize_by::<0>(values, factors, out),
             1 => self.linearize_by::<1>(values, factors, out),
             2 => self.linearize_by::<2>(values, factors, out),
@@ -279,7 +281,7 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
     fn costs(&self, values: &Values, factors: &[u32], out: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature that the function is compiled for has just been found.
+            // SAFETY: the processor feature was just detected.
             unsafe { self.costs_avx2(values, factors, out) };
             return;
         }
@@ -302,8 +304,7 @@ impl<F: Factor<R>, const R: usize> AnyRun for Run<F, R> {
             }
             F::Vars::write_rows::<R>(&jacobians, 1.0, &mut rows, stride);
             let jacobian = rows.chunks_exact(stride).flat_map(|row| &row[..total]);
-            // A number whose square overflows spoils the normal equations as much as one that is
-            // not finite.
+            // A number whose square overflows invalidates the normal equations as well.
             if let Some(&value) = jacobian.into_iter().find(|value| !(*value * *value).is_finite())
             {
                 return Some((index, "Jacobian", value));
