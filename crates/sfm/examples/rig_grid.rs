@@ -154,9 +154,9 @@ fn main() {
                 };
                 let (true_mount, clock) =
                     (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
-                let pivot_s = camera.rig_sensor.clock.pivot_s;
+                let pivot_s = camera.sensor_pair.clock.pivot_s;
                 let offset_s =
-                    camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+                    camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
                 let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
                 let turn =
                     camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
@@ -165,7 +165,7 @@ fn main() {
                 let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
                 notes += &format!(
                     " {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};",
-                    camera.rig_sensor.clock_state
+                    camera.sensor_pair.clock_state
                 );
             }
         }

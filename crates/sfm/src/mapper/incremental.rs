@@ -13,7 +13,7 @@ use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, tell};
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
-use crate::rigs::{CalibratedRig, Descriptors, joined, rig_pairs};
+use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
 use crate::rolling_shutter::row_poses;
 use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 
@@ -91,7 +91,7 @@ fn join(
 ) -> Result<(), Error> {
     let mut index = 1;
     while index < models.len() {
-        let whole = joined(&models[0].reconstruction, &models[index].reconstruction);
+        let whole = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
         // What cannot be held stays apart.
         let held =
             whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);

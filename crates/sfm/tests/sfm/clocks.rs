@@ -8,7 +8,7 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
     CalibratedCamera, ClockState, MappedModel, MapperOptions, RefineIntrinsics, RigConstraint,
-    RigTerm, map, rig_sensors,
+    RigTerm, map, sensor_pairs,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -80,9 +80,9 @@ fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
         Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
     let turn = so3::log(&(found.rotation * truth.rotation.inverse()));
     let shift = found.translation - truth.translation;
-    let pivot_s = camera.rig_sensor.clock.pivot_s;
-    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
-    let drift = camera.rig_sensor.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
+    let pivot_s = camera.sensor_pair.clock.pivot_s;
+    let offset_s = camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let drift = camera.sensor_pair.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
     let covariance = camera.covariance.expect("all is determined");
     let sd = std::array::from_fn(|k| {
         let sd: f64 = covariance[(k, k)].sqrt();
@@ -108,7 +108,7 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     for &seed in sample(&[1, 2, 3]) {
         let run = run(seed, CLOCKS, RigTerm::Auto);
         let camera = run.camera.as_ref().expect("the right camera was held");
-        assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
+        assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
         assert!(
             matches!(camera.constraint, RigConstraint::Soft { .. }),
             "images of different instants are not rigid"
@@ -159,7 +159,7 @@ fn cameras_that_are_triggered_together_are_rigid_frames() {
     let run = run(2, ClockEffects::default(), RigTerm::Hard);
     let camera = run.camera.as_ref().expect("the right camera was held");
     assert_eq!(
-        (camera.rig_sensor.clock_state, camera.rig_sensor.clock.offset_s, camera.constraint),
+        (camera.sensor_pair.clock_state, camera.sensor_pair.clock.offset_s, camera.constraint),
         (ClockState::Synchronised, 0.0, RigConstraint::Rigid)
     );
     assert_eq!(run.model.frames.len(), FRAMES);
@@ -189,7 +189,7 @@ fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
             model.register(image, pose);
         }
     }
-    let found = rig_sensors(&model);
+    let found = sensor_pairs(&model);
     assert_eq!(
         (found[0].clock_state, found[0].clock.offset_s),
         (ClockState::Unobservable, 0.0),
@@ -201,5 +201,5 @@ fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
     for (k, right) in rights.into_iter().enumerate() {
         model.set_time(right, Some(0.2 * k as f64));
     }
-    assert_eq!(rig_sensors(&model)[0].clock_state, ClockState::Synchronised);
+    assert_eq!(sensor_pairs(&model)[0].clock_state, ClockState::Synchronised);
 }

@@ -98,7 +98,7 @@ fn cameras_without_a_common_view_become_one_model() {
     assert!(run.was_joined);
     assert_eq!(run.models, 1);
     let camera = run.camera.expect("it is held");
-    assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
+    assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let Rigid3 { rotation, translation } = camera.right_from_left;
     let turn_rad = so3::log(&(rotation * truth.rotation.inverse())).norm();
@@ -106,14 +106,14 @@ fn cameras_without_a_common_view_become_one_model() {
     let found = -(rotation.inverse() * translation) * run.metres;
     let expected = truth.origin_in_a();
     let off = found - expected;
-    let pivot_s = camera.rig_sensor.clock.pivot_s;
-    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let pivot_s = camera.sensor_pair.clock.pivot_s;
+    let offset_s = camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
     eprintln!(
         "turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}"
     );
     assert!(turn_rad < MAX_ROTATION_RAD, "{turn_rad} rad");
     assert!(off.x.hypot(off.z) < MAX_PLACE_M, "{off:?}");
-    let blind = camera.rig_sensor.unobservable_direction.expect("the road is flat");
+    let blind = camera.sensor_pair.unobservable_direction.expect("the road is flat");
     assert!(blind.y.abs() > 0.9, "{blind:?}");
     assert!((found - blind * found.dot(&blind)).norm() > found.norm() - MAX_HEIGHT_M, "{found:?}");
     assert!(offset_s.abs() < MAX_OFFSET_S, "{offset_s} s");
