@@ -1,9 +1,9 @@
-//! A reconstruction as a least-squares problem.
+//! Construction of the least-squares problem of a reconstruction.
 //!
-//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale
-//! ([`crate::keypoint_sigma_px`]), with priors on the intrinsics and whatever [`Term`]s add. The
-//! gauge is held by leaving columns out ([`fix_gauge`]). Points that are held out do not take part,
-//! nor do those that are not needed.
+//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), where σ grows with the keypoint's scale
+//! ([`crate::keypoint_sigma_px`]), plus priors on the intrinsics and the factors of [`Term`]s. The
+//! gauge is fixed by leaving columns out ([`fix_gauge`]). Held-out points take no part; with point
+//! selection, neither do points that were not selected.
 
 use std::collections::BTreeSet;
 
@@ -22,14 +22,14 @@ use crate::Error;
 use crate::noise::keypoint_sigma_px;
 use crate::tracks::select_points;
 
-/// The keypoints of each image that see a point of the problem.
+/// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
 
-/// Makes the problem of a model.
+/// Builds the problem of a model.
 ///
 /// # Errors
 ///
-/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point.
+/// [`Error::NothingToAdjust`] if fewer than two registered images observe a point.
 pub(crate) fn build(
     model: &Reconstruction,
     scope: &Scope,
@@ -118,7 +118,7 @@ fn fix_gauge_here(
     let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
     fix_gauge(variables.problem_mut(), &keys, &fixed, pair)?;
     if let (1, Some((_, composed))) = (keys.len(), variables.composed.first()) {
-        // One moment of a rig: the distance of two of its cameras is the size of the world.
+        // A single frame of a rig: the baseline of two of its cameras fixes the scale.
         let cam_from_rig = composed.cam_from_rig;
         let place = variables.problem().get(cam_from_rig).translation;
         variables.problem_mut().fix_dofs(cam_from_rig, &[3 + place.iamax()])?;
@@ -126,7 +126,8 @@ fn fix_gauge_here(
     Ok(())
 }
 
-/// Lets steps move each pose relative to others that see the same points ([`SpanningTree`]).
+/// Sets a retraction that moves each pose relative to others that observe the same points
+/// ([`SpanningTree`]).
 fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), Error> {
     let own = variables.poses.iter().copied();
     let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
@@ -141,14 +142,14 @@ fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), E
     Ok(())
 }
 
-/// Where the pose of an image stands.
+/// Representation of an image's pose.
 #[derive(Clone, Copy)]
 enum Pose {
     Own(Key<Rigid3>),
     Composed(Composed),
 }
 
-/// Adds the intrinsics of a camera and what its images observe.
+/// Adds the intrinsics of a camera and the observations of its images.
 fn add_camera(
     variables: &mut Variables,
     context: &TermContext,
@@ -168,7 +169,8 @@ fn add_camera(
     for term in terms.iter_mut() {
         term.add_to_camera(context, camera, variables)?;
     }
-    // A local adjustment sees too little of a camera that has images elsewhere.
+    // The images of a local adjustment determine the intrinsics too weakly if the camera has other
+    // images.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
     let refine = if all.all(|(id, ..)| context.scope.moves(id)) {
         options.refine
@@ -203,7 +205,7 @@ fn add_camera(
     Ok(())
 }
 
-/// What an image observes.
+/// The observations of an image.
 struct OfImage<'a> {
     keypoints: &'a [Keypoint],
     seen: &'a [(u32, Key<Vector3<f64>>)],

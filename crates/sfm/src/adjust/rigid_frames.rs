@@ -1,11 +1,10 @@
-//! Rigs and frames of a model in an adjustment.
+//! Rigs and frames of a model in bundle adjustment.
 //!
-//! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of
-//! the reference sensor's image, where the frame has one with observations; otherwise it is a
-//! variable of its own. Each further sensor's cam_from_rig is one variable, constant where no
-//! observation tells it. In an adjustment of some images alone all of these are constant, since
-//! most frames take no part; there a frame moves with its reference image, or, without one, with
-//! any of its images.
+//! The pose of an image in a frame is `cam_from_rig` · `rig_from_world`. The pose of the frame is
+//! that of the reference sensor's image if it has observations, and a variable of its own
+//! otherwise. `cam_from_rig` of each other sensor is one variable, constant if no observation
+//! determines it. In a local adjustment all sensor poses are constant, since most frames take no
+//! part. There a frame moves with its reference image or, without one, with any of its images.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,7 +22,7 @@ pub(super) struct RigidFrames {
     rigs: Vec<Rig>,
     frames: Vec<Frame>,
     cameras: BTreeMap<ImageId, CameraId>,
-    /// The images that take their pose from the rig's, and their places in the order of the poses.
+    /// Images with composed poses, and their positions in the order of the poses.
     composed: BTreeMap<ImageId, u32>,
     cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
     rig_from_world: Vec<Option<Key<Rigid3>>>,
@@ -42,8 +41,8 @@ impl RigidFrames {
         }
     }
 
-    /// The place of an image's camera among the sensors of the frame's rig, and where it is on
-    /// that.
+    /// Returns the index of an image's camera among the sensors of the frame's rig, and its
+    /// `cam_from_rig`.
     fn sensor_of(&self, frame: &Frame, image: ImageId) -> Option<(usize, Rigid3)> {
         let sensors = &self.rigs.get(frame.rig.index())?.sensors;
         let place = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
@@ -52,15 +51,16 @@ impl RigidFrames {
         Some((place, cam_from_rig))
     }
 
-    /// Whether an image takes its pose from the rig's instead of being it.
+    /// Whether the image's sensor is not the reference sensor.
     fn is_further(&self, frame: &Frame, image: ImageId) -> bool {
         self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
     }
 
-    /// Sensors whose place on their rig no observation tells: of each group of sensors that are
-    /// joined by the observations of common frames, and not to the reference, the first.
+    /// Returns the sensors whose `cam_from_rig` is not determined: the first sensor of each group
+    /// that is connected by observations in common frames, but not connected to the reference
+    /// sensor.
     fn undetermined(&self, is_observed: impl Fn(ImageId) -> bool) -> BTreeSet<(usize, usize)> {
-        // Of each sensor, the first one that it is known to be joined with.
+        // For each sensor, the first sensor of its group.
         let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
         for frame in &self.frames {
             let rig = frame.rig.index();
@@ -84,7 +84,7 @@ impl RigidFrames {
             .collect()
     }
 
-    /// Makes the model's rigs, frames and the poses of all images in them what came out.
+    /// Writes rigs, frames and the poses of their images to the model.
     pub(super) fn write_back(self, model: &mut Reconstruction) {
         for frame in &self.frames {
             for &image in &frame.images {

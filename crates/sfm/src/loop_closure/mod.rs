@@ -1,4 +1,4 @@
-//! Loops that drift left open: found, and closed.
+//! Loop closure: detection of loops that drift left open, and their correction.
 
 mod pairs;
 mod pose_graph;

@@ -1,16 +1,18 @@
-//! Loops that did not close.
+//! Detection of loops that drift left open.
 //!
-//! A drive that comes back is mapped from both sides towards where the two meet. If it has drifted
-//! by more than points may be off there, the images on both sides stay apart although their matches
-//! say that they see the same: the model is torn. Such pairs are easily told from others: nearly
-//! none of their matches became one point, and no chain of few images that do see points in common
-//! leads from one to the other (where it does, the pair is a wrong one: windows of a facade, seen
-//! from places that differ by their distance, agree with the epipolar geometry of a camera that
-//! drives along it). What their matches say of how they stand to each other is brought about by
-//! moving all images a little ([`crate::pose_graph`]); then these points are made one, everything
-//! is adjusted, and all tracks are made anew. The loop stays closed if that makes more of all
-//! verified matches one point, about as many as were torn: wrong pairs, which look alike and are
-//! not, cost others what they gain.
+//! A trajectory that returns to a place is mapped up to that place from both ends. If the drift
+//! exceeds the tolerance of track merging, the images of both ends have no common points, although
+//! they have verified matches. Such a pair of images is an open-loop pair. Two criteria separate
+//! open-loop pairs from others: nearly none of their matches are merged into common points, and no
+//! short path in the covisibility graph connects the two images. A pair with a short path is a
+//! wrong match: windows of a facade, seen from positions that differ by their spacing, fit the
+//! epipolar geometry of a camera that drives along it.
+//!
+//! The matches of each open-loop pair give a similarity between the two images. Pose-graph
+//! optimisation distributes the drift ([`super::pose_graph`]). Then the matched points are merged,
+//! everything is adjusted, and tracks are re-created. The closure is accepted if the number of
+//! verified matches with a common point grows by about the number of matches of the open-loop
+//! pairs. Wrong pairs destroy as many correct tracks as they create.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,20 +22,20 @@ use tiepoint_scene::{
 
 use crate::tracks::middle;
 
-/// Pairs of which fewer matches see points on both sides tell nothing.
+/// Minimum number of matches whose keypoints observe points on both sides.
 const MIN_MATCHES: usize = 15;
-/// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and
-/// more.
+/// A pair is an open-loop pair if at most this fraction of its matches has a common point. Other
+/// pairs have 0.9 and more.
 const MAX_JOINED: f64 = 0.1;
-/// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One
-/// or two are pairs that look alike.
+/// Minimum number of open-loop pairs. Drift separates many pairs at once; one or two are wrong
+/// matches.
 pub(crate) const MIN_PAIRS: usize = 3;
-/// A model cannot tear between images that so few pairs in a row join, which see points in common.
+/// Maximum length of a covisibility path that excludes drift between its ends.
 const MAX_STEPS: usize = 4;
-/// A loop is closed when so many of the torn matches have become one point, in total.
+/// Minimum gain of matches with a common point, relative to the matches of the open-loop pairs.
 const MIN_GAIN: f64 = 0.5;
 
-/// The points that a pair's matches see on both sides.
+/// Returns the points that a pair's matches observe on both sides.
 fn points<'a>(
     model: &'a Reconstruction,
     (pair, two_view): (&'a ImagePair, &'a TwoView),
@@ -42,16 +44,15 @@ fn points<'a>(
     two_view.matches.iter().filter_map(|m| Some((a.point_of(m.a)?, b.point_of(m.b)?)))
 }
 
-/// Pairs of images whose matches see points.
+/// Image pairs classified by their matches.
 pub(crate) struct Pairs {
-    /// Whose images see the same by their matches, and not by their points; none where these are
-    /// too few to be a loop.
+    /// Pairs with matches but without common points; empty if there are too few for a loop.
     pub(crate) torn: Vec<ImagePair>,
-    /// Whose images see points in common.
+    /// Graph of the pairs with common points.
     pub(crate) joined: CovisibilityGraph,
 }
 
-/// Which images see points in common with which others.
+/// Images connected by common points.
 #[derive(Default)]
 pub(crate) struct CovisibilityGraph(BTreeMap<ImageId, Vec<ImageId>>);
 
@@ -61,14 +62,14 @@ impl CovisibilityGraph {
         self.0.entry(pair.b).or_default().push(pair.a);
     }
 
-    /// Each pair once.
+    /// Returns each pair once.
     pub(crate) fn pairs(&self) -> impl Iterator<Item = ImagePair> {
         self.0.iter().flat_map(|(a, others)| {
             others.iter().filter_map(|b| ImagePair::new(*a, *b)).filter(|pair| pair.a == *a)
         })
     }
 
-    /// The images that at most [`MAX_STEPS`] pairs lead to from an image, itself among them.
+    /// Returns the images within [`MAX_STEPS`] edges of an image, including itself.
     pub(crate) fn near(&self, image: ImageId) -> BTreeSet<ImageId> {
         let others = |of: &ImageId| self.0.get(of).into_iter().flatten().copied();
         let mut reached = BTreeSet::from([image]);
@@ -81,7 +82,7 @@ impl CovisibilityGraph {
     }
 }
 
-/// Tells the pairs that are torn from the others.
+/// Classifies the pairs of a model.
 pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pairs {
     let (mut torn, mut joined) = (Vec::new(), CovisibilityGraph::default());
     for pair in graph.pairs() {
@@ -106,8 +107,7 @@ pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pair
     Pairs { torn, joined }
 }
 
-/// Whether a model that was made of another one by closing loops has made enough more matches one
-/// point.
+/// Whether loop closure increased the number of verified matches with a common point enough.
 pub(crate) fn is_closed(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -119,12 +119,12 @@ pub(crate) fn is_closed(
     num_joined(graph, model) as f64 >= num_joined(graph, before) as f64 + MIN_GAIN * wanted as f64
 }
 
-/// How many of all verified matches are one point.
+/// Number of verified matches with a common point.
 fn num_joined(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
     graph.pairs().iter().flat_map(|pair| points(model, pair)).filter(|(a, b)| a == b).count()
 }
 
-/// Makes the two points of every match of these pairs one, in the middle of their observations.
+/// Merges the two points of every match of these pairs, at the mean weighted by observations.
 pub(crate) fn join(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -156,14 +156,13 @@ mod tests {
 
     use super::*;
 
-    /// Images in a row, of which each sees points with the next one; the last ones are so many
-    /// pairs from the first ones.
+    /// Images in a row. Each has common points with the next one.
     const IMAGES: usize = 12;
-    /// Pairs that look alike: so many pairs apart, from each image that has one.
+    /// Index difference of the pairs with wrong matches.
     const ALIKE: usize = 3;
 
-    /// Every image has as many keypoints for the one before as for the one behind, and a point for
-    /// each two that match.
+    /// Every image has as many keypoints for the previous image as for the next one, and a point
+    /// for each match.
     fn row() -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
         let intrinsics =
@@ -187,8 +186,8 @@ mod tests {
         (model, images)
     }
 
-    /// The pairs of neighbours, whose matches are points, and others, whose matches see other
-    /// points on each side.
+    /// The neighbouring pairs, whose matches have common points, and other pairs, whose matches
+    /// have different points on each side.
     fn graph(
         images: &[ImageId],
         others: impl Iterator<Item = (usize, usize)>,

@@ -1,10 +1,9 @@
-//! Drift spread over a loop: a graph of poses and scales (Strasdat, Montiel & Davison 2010).
+//! Pose-graph optimisation over similarities (Strasdat, Montiel & Davison 2010).
 //!
-//! Pairs of images that see points in common have drifted little from one to the other, and keep
-//! their relative pose and scale; so does a pair on both sides of a seam, whose relative pose and
-//! scale are those that its matches tell. The similarities of all images that contradict these
-//! least are found in a second where an adjustment of the points creeps: it sees a seam by points
-//! that are hundreds of pixels off.
+//! Edges of the covisibility graph keep their relative pose and scale, since drift along one edge
+//! is small. Loop constraints have the relative pose and scale that the matches give. The optimum
+//! takes a second. Bundle adjustment converges slowly here, because it sees the loop only through
+//! reprojection errors of hundreds of pixels.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,23 +19,21 @@ use super::pairs::CovisibilityGraph;
 use crate::Error;
 use crate::adjust::keep_going;
 
-/// Matches of a pair agree where the projection of one side's points is so far from the other's
-/// keypoints: what may create a point.
+/// Inlier threshold of a loop constraint, in pixels; the same as for the creation of points.
 const MAX_ERROR_PX: f64 = 12.0;
-/// Fewer that agree tell nothing: as for verified pairs.
+/// Minimum number of inliers, as for verified pairs.
 const MIN_INLIERS: usize = 15;
-/// Meetings at one place agree when they are off from each other by less: in radians, distances of
-/// what is seen, and powers of e.
+/// Two loop constraints at one place are consistent if they differ by less than this: in radians,
+/// in median point distances, and in the logarithm of the scale.
 const MAX_OFF: f64 = 0.1;
-/// Chains bend least stiffly as a whole, by a millionth of what one pair would resist: damping
-/// stays far below that.
+/// The stiffness of a long chain is a millionth of that of one edge. The damping must be far
+/// smaller.
 const INITIAL_DAMPING: f64 = 1e-12;
-/// How far everything is from where the matches want it matters to a thousandth, since points are
-/// adjusted afterwards.
+/// A relative accuracy of a thousandth suffices, since bundle adjustment follows.
 const TOLERANCE: f64 = 1e-6;
 
-/// How the cameras of a pair stand to each other where the points of one are those of the other
-/// that they match: `b_from_a` between their coordinates, in the lengths of either's side.
+/// A Sim(3) loop constraint between two images: `b_from_a` between their camera frames, including
+/// the ratio of their scales.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LoopConstraint {
     pub(crate) pair: ImagePair,
@@ -45,7 +42,8 @@ pub(crate) struct LoopConstraint {
 }
 
 impl LoopConstraint {
-    /// From the matches between keypoints that see points; `None` where too few agree.
+    /// Estimates the constraint from the matches of keypoints that observe points; `None` with too
+    /// few inliers.
     pub(crate) fn new(
         model: &Reconstruction,
         pair: ImagePair,
@@ -87,9 +85,9 @@ impl LoopConstraint {
     }
 }
 
-/// Without those that others contradict, which more matches speak for. Where windows of a facade
-/// repeat, pairs on both sides of a seam meet a period off; beside each other, right ones and wrong
-/// ones do not agree.
+/// Removes the constraints that are inconsistent with others of larger support. At repeated windows
+/// of a facade, wrong constraints are off by a period. Correct and wrong constraints at one place
+/// are inconsistent with each other.
 pub(crate) fn consistent_set(
     model: &Reconstruction,
     loop_constraints: &[LoopConstraint],
@@ -102,8 +100,7 @@ pub(crate) fn consistent_set(
         images.iter().map(|id| (*id, joined.near(*id))).collect();
     let is_near =
         |one: ImageId, other: ImageId| near.get(&one).is_some_and(|near| near.contains(&other));
-    // Whether what one constraint says of another's images is what that one says; nothing where it
-    // is at another place.
+    // Whether one constraint predicts the other one; `None` if they are at different places.
     let agrees = |one: &LoopConstraint, other: &LoopConstraint| {
         let ImagePair { a, b } = one.pair;
         let b_world_from_a_world =
@@ -139,8 +136,8 @@ pub(crate) fn consistent_set(
     kept.map(|(one, _)| *one).collect()
 }
 
-/// Moves all images and points so that pairs meet as they should, at the least expense of the pairs
-/// `joined`, which see points in common.
+/// Moves all images and points so that the loop constraints and the relative poses of covisible
+/// images (`covisibility`) are satisfied in the least-squares sense.
 pub(crate) fn distribute_drift(
     model: &mut Reconstruction,
     joined: &CovisibilityGraph,
@@ -184,7 +181,7 @@ pub(crate) fn distribute_drift(
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     for point in points {
         let Some(track) = model.track_mut(point) else { continue };
-        // Images that see a point in common move nearly as one: any of them carries it.
+        // Images with a common point move nearly equally. The first of them moves the point.
         if let Some(by) = track.observations.iter().find_map(|o| moves.get(&o.image)) {
             track.xyz = *by * track.xyz;
         }
@@ -192,7 +189,7 @@ pub(crate) fn distribute_drift(
     Ok(())
 }
 
-/// How far the points that an image sees are from it, in the median.
+/// Median distance of the points that each image observes.
 fn depths(model: &Reconstruction, images: &BTreeSet<ImageId>) -> BTreeMap<ImageId, f64> {
     let depth = |id: &ImageId| {
         let (image, pose) = (model.image(*id), model.image(*id).cam_from_world()?);
@@ -203,7 +200,7 @@ fn depths(model: &Reconstruction, images: &BTreeSet<ImageId>) -> BTreeMap<ImageI
     images.iter().filter_map(depth).collect()
 }
 
-/// A radian, the distance of what is seen, and a factor of e weigh the same.
+/// Weights: a radian, a median point distance and a scale factor of e cost the same.
 fn sigmas(depth: f64) -> [f64; 7] {
     [1.0, 1.0, 1.0, depth, depth, depth, 1.0]
 }
@@ -231,16 +228,15 @@ mod tests {
     use super::*;
     use crate::loop_closure::pairs;
 
-    /// Cameras around a circle, which look outwards at so many points between each and the next
-    /// one.
+    /// Cameras on a circle that look outwards; number of points between neighbouring cameras.
     const IMAGES: usize = 60;
     const RADIUS: f64 = 10.0;
     const POINTS: usize = 40;
-    /// What the model drifts by from one image to the next: radians, and a power of e.
+    /// Drift between neighbouring images: rotation in radians, and logarithm of the scale.
     const TURN: f64 = 0.002;
     const GROWTH: f64 = 0.003;
-    /// Of the error, so much may be left: drift is not quite the same everywhere, and where it is,
-    /// it is not spread quite evenly.
+    /// Maximum remaining fraction of the error: the drift is not uniform, and it is not distributed
+    /// uniformly.
     const MAX_LEFT: f64 = 0.15;
 
     fn true_pose(i: usize) -> Rigid3 {
@@ -252,15 +248,15 @@ mod tests {
         Rigid3::new(rotation, -(rotation * (ahead * RADIUS)))
     }
 
-    /// World of the model from the true one, at an image.
+    /// `model_from_true` at an image.
     fn drift(i: usize) -> Sim3 {
         let i = i as f64;
         let rotation = so3::exp(&(Vector3::new(0.5, 0.2, 1.0) * TURN * i));
         Sim3 { scale: (GROWTH * i).exp(), rotation, translation: Vector3::zeros() }
     }
 
-    /// The points between an image and the next one are one each, but between the last and the
-    /// first image: these see two.
+    /// A circle with one point for each match between neighbours, except between the last and the
+    /// first image, which have two points for each match.
     fn torn_circle() -> (Reconstruction, CorrespondenceGraph, Vec<ImageId>) {
         let mut rng = Rng::stream(7, &[]);
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 400.0, 640, 480);
@@ -330,7 +326,7 @@ mod tests {
         LoopConstraint::new(model, pair, &graph.pairs()[&pair], 1).unwrap()
     }
 
-    /// How far the cameras on both sides of the seam are from where they meet.
+    /// Residual of the loop constraint.
     fn off_at_seam(model: &Reconstruction, loop_constraint: &LoopConstraint) -> f64 {
         let [a, b] = [loop_constraint.pair.a, loop_constraint.pair.b]
             .map(|id| *model.image(id).cam_from_world().unwrap());
@@ -340,7 +336,7 @@ mod tests {
         off.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
     }
 
-    /// Root mean square distance of the camera centres from the true ones, moved to them.
+    /// Root mean square error of the camera centres after similarity alignment.
     fn error(model: &Reconstruction) -> f64 {
         let found: Vec<Vector3<f64>> =
             model.registered().map(|(.., pose)| pose.origin_in_a()).collect();
@@ -360,7 +356,7 @@ mod tests {
         let joined = pairs(&graph, &model).joined;
         distribute_drift(&mut model, &joined, &[loop_constraint]).unwrap();
         assert!(error(&model) < MAX_LEFT * before, "{} of {before}", error(&model));
-        // The seam has its share of it, as every pair of neighbours has; points came along.
+        // The residual of the loop decreases to that of one edge, and the points move along.
         let left = off_at_seam(&model, &seam(&model, &graph, &images));
         assert!(left < 2.0 / IMAGES as f64 * torn_by, "{left} of {torn_by}");
         assert!(

@@ -1,10 +1,10 @@
 use tiepoint_scene::Reconstruction;
 
-/// An observation off by this much speaks no longer for a hypothesis, in pixels.
+/// Errors from this size on do not support a hypothesis, in pixels.
 const TRIAL_ERROR_PX: f64 = 2.0;
 
-/// How many observations a model explains, less for those that it explains badly; and the same as a
-/// share of all.
+/// Support of a model: the sum over observations of 1 − (error / threshold)², at least 0. Also
+/// returns the sum relative to the number of observations.
 pub(super) fn explained(model: &Reconstruction) -> (f64, f64) {
     let errors = model
         .tracks()

@@ -1,8 +1,8 @@
-//! One model in the making: begin with a pair, add image after image, adjust as the model grows.
+//! Growth of one model: initialisation, registration of one image after another, and bundle
+//! adjustment.
 //!
-//! After Schönberger & Frahm 2016. Everything random is drawn from streams keyed by (seed, images),
-//! every parallel step collects in order: the result depends on the input, the options and the seed
-//! alone.
+//! After Schönberger & Frahm 2016. Random streams are keyed by (seed, images), and parallel results
+//! are collected in order. The result depends only on the input, the options and the seed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,28 +24,28 @@ use crate::tracks::{
 };
 use crate::two_view::FocalPrior;
 
-/// A refinement is over when a round changes the number of observations and the cost by less than
-/// this share.
+/// A refinement ends when the number of observations and the cost change by less than this
+/// fraction.
 const MIN_CHANGE: f64 = 5e-4;
-/// With fewer images the distortion is too weakly determined to be moved.
+/// Minimum number of images for refining the distortion.
 const MIN_IMAGES_FOR_DISTORTION: usize = 5;
-/// Cameras that only move, without turning by this much (20°), hide their focal lengths and
-/// principal points: others stretch and shear the world.
+/// Minimum rotation of a camera (20°) for refining focal length and principal point. Without
+/// rotation, other values of these shear the world.
 const MIN_TURN_RAD: f64 = 0.35;
 
-/// One model in the making.
+/// A model under construction.
 pub(super) struct Mapper<'a> {
     pub(super) graph: &'a CorrespondenceGraph,
     pub(super) options: &'a MapperOptions,
     pub(super) focal_priors: &'a [FocalPrior],
-    /// Cameras of which the paper's term is asked.
+    /// Camera pairs of the paper's rig term.
     pub(super) rigs: &'a [RigPairs],
     /// Images of earlier models.
     pub(super) taken: BTreeSet<ImageId>,
-    /// Where a trial stops; `None` for all images.
+    /// Maximum number of images of a trial; `None` for all images.
     pub(super) max_images: Option<usize>,
     pub(super) queue: NextBestView,
-    /// The pair that the model began with.
+    /// The initial pair.
     pub(super) initial: Option<ImagePair>,
     pub(super) solution: Solution,
 }
@@ -69,12 +69,12 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    /// From here on keypoints weigh by the noise that they have now.
+    /// Estimates the noise scale of the keypoints, which later adjustments use.
     pub(super) fn weigh(&mut self) {
         self.solution.noise = Some(relative_noise(&self.solution.model));
     }
 
-    /// Registers all images that can be, adjusting as the model grows.
+    /// Registers all images that can be registered, with local and global adjustments.
     pub(super) fn grow(&mut self, watch: &mut Watch) -> Result<(), Error> {
         let mut images_at_global = self.solution.model.num_registered();
         let mut points_at_global = self.solution.model.num_tracks();
@@ -92,24 +92,23 @@ impl<'a> Mapper<'a> {
                         (self.solution.model.num_registered(), self.solution.model.num_tracks());
                 }
             }
-            // What fails before the last refinement may succeed after it.
+            // Registration that failed before the last refinement may succeed after it.
             self.refine_globally(&RefinementSchedule::GROWING, watch)?;
             self.queue.reset_trials();
-            // One that failed before, if any can be now.
+            // Retries one failed image.
             let Some(image) = self.register_next() else { return Ok(()) };
             self.take_in(image, watch)?;
         }
     }
 
-    /// Gives a new image its points, adjusts it with its neighbours, and tells.
+    /// Triangulates the points of a new image, adjusts it with its neighbours, and reports it.
     fn take_in(&mut self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
         triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
         self.adjust_locally(image)?;
         self.report(image, watch)
     }
 
-    /// Images that are not registered and have a verified pair with one that is: no other sees
-    /// anything of the model.
+    /// Returns the unregistered images with a verified pair to a registered image.
     fn frontier(&self) -> Vec<ImageId> {
         let has_pose = |id: &ImageId| self.solution.model.image(*id).cam_from_world().is_some();
         let is_open = |id: &ImageId| !self.taken.contains(id) && !has_pose(id);
@@ -117,7 +116,7 @@ impl<'a> Mapper<'a> {
         self.solution.model.images().map(|(id, _)| id).filter(is_open).filter(is_next).collect()
     }
 
-    /// Registers one more image; `None` when none can be.
+    /// Registers the next image; `None` if no image can be registered.
     fn register_next(&mut self) -> Option<ImageId> {
         if self.max_images.is_some_and(|most| self.solution.model.num_registered() >= most) {
             return None;
@@ -174,7 +173,7 @@ impl<'a> Mapper<'a> {
         Ok(())
     }
 
-    /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.
+    /// Re-creates tracks, adjusts and filters until the changes are small.
     pub(super) fn refine_globally(
         &mut self,
         schedule: &RefinementSchedule,
@@ -194,7 +193,7 @@ impl<'a> Mapper<'a> {
         Ok(())
     }
 
-    /// Adjusts and filters everything. Returns the number of observations and the cost.
+    /// Runs global bundle adjustment and filters. Returns the number of observations and the cost.
     pub(super) fn adjust_globally(
         &mut self,
         links: &[BaselineLink],
@@ -237,14 +236,14 @@ impl<'a> Mapper<'a> {
         };
         match self.solution.noise {
             Some(noise) => options.with_noise(noise),
-            // While it grows, a model is worse than its keypoints.
+            // The residuals of a growing model are dominated by errors of the model.
             None => options,
         }
     }
 
-    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one
-    /// mount look apart without ever turning. Where each image has a camera of its own, photos are
-    /// compared with each other.
+    /// Whether some image is rotated relative to the first image of its camera. Two cameras of a
+    /// rig have different orientations without rotating. If each image has its own camera, images
+    /// are compared with each other.
     fn turns(&self) -> bool {
         let is_shared =
             self.solution.model.cameras().count() < self.solution.model.images().count();
@@ -281,10 +280,11 @@ mod tests {
     use crate::mapper::test_scene::scene;
     use crate::register::RegisterOptions;
 
-    /// More than the number of times that an image may fail before the others are refined.
+    /// More than the number of failed trials that an image may have.
     const TRIALS: usize = 4;
 
-    /// An image that failed is registered once the others were refined, and told like them.
+    /// An image that failed is registered after the refinement of the others, and reported like
+    /// them.
     #[test]
     fn every_image_is_told_also_one_that_had_failed() {
         let scene = scene();

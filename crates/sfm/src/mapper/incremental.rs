@@ -1,5 +1,5 @@
-//! The incremental mapper: models of everything that hangs together, and of cameras that ride
-//! together.
+//! The incremental mapper: one model for each connected component of the image graph, and merging
+//! of models from one rig.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -17,10 +17,14 @@ use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
 use crate::rolling_shutter::row_poses;
 use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 
-/// Maps all images that hang together, one model for each connected part, the one with the most
-/// images first. `scene` gives the cameras and the images with their keypoints; poses and points in
-/// it are ignored. `descriptors` is asked where images are to be matched again, which only
-/// [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
+/// Maps all images. Each connected component gives a model; the model with the most images comes
+/// first. `scene` gives cameras and images with keypoints; its poses and points are ignored.
+/// `descriptors` is used for guided matching with [`RigTerm::Soft`], [`RigTerm::Hard`] and
+/// [`RigTerm::Auto`]. If it returns nothing, no images are matched again.
+///
+/// # Errors
+///
+/// If the first model fails, or if `watch` asks to stop.
 pub fn map(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
@@ -57,8 +61,7 @@ pub fn map(
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
                 return Err(error);
             }
-            // What the earlier models left does not begin, or falls apart again: that is no reason
-            // to lose those.
+            // The remaining images cannot be mapped. The earlier models are kept.
             Err(_) => break,
         };
         let registered: Vec<ImageId> =
@@ -79,8 +82,9 @@ pub fn map(
     Ok(models)
 }
 
-/// Joins the largest model with those of cameras that see nothing of it and ride with it, if
-/// holding them to a mounting explains tracks that took no part as well as holding nothing.
+/// Merges the largest model with models of other cameras that have no common points with it but
+/// move as one rig. A merge is accepted if a rig constraint does not increase the error of held-out
+/// tracks.
 fn join(
     graph: &CorrespondenceGraph,
     focal_priors: &[FocalPrior],
@@ -92,7 +96,7 @@ fn join(
     let mut index = 1;
     while index < models.len() {
         let whole = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
-        // What cannot be held stays apart.
+        // If the constraint fails, the models stay separate.
         let held =
             whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
         let Some((reconstruction, rig)) = held else {
@@ -103,19 +107,19 @@ fn join(
         let whole = &mut models[0];
         whole.reconstruction = reconstruction;
         whole.rig = Some(rig);
-        // They have no camera in common.
+        // The models have no camera in common.
         whole.shutters.extend(further.shutters);
         whole.row_poses = row_poses(&whole.reconstruction, &whole.shutters);
         whole.num_loop_pairs += further.num_loop_pairs;
         whole.failures.extend(further.failures);
-        // What failed for one of them has been done for both.
+        // The rig stage has run on the merged model.
         whole.failures.retain(|failure| failure.stage != OptionalStage::Rig);
         tell(watch, &Event::Joined { num_images: whole.reconstruction.num_registered() })?;
     }
     Ok(())
 }
 
-/// A model with its cameras held to their mountings; `None` where they are better not held.
+/// Constrains the cameras of a model; `None` if no constraint is accepted.
 fn held(
     graph: &CorrespondenceGraph,
     model: Reconstruction,

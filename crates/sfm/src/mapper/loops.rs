@@ -1,4 +1,4 @@
-//! Loops are closed that the mapping has left open.
+//! Loop closure of a mapped model.
 
 use rayon::prelude::*;
 use tiepoint_scene::ImagePair;
@@ -12,11 +12,11 @@ use crate::loop_closure::{
     is_closed, join, pairs,
 };
 
-/// How often loops are closed: one that is hides another.
+/// Maximum number of closures. One open loop can hide another.
 const MAX_CLOSURES: usize = 3;
 
 impl Mapper<'_> {
-    /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
+    /// Closes loops that drift left open ([`crate::loop_closure`]).
     pub(super) fn close_loops(&mut self, watch: &mut Watch) -> Result<(), Error> {
         for _ in 0..MAX_CLOSURES {
             let Pairs { torn, joined } = pairs(self.graph, &self.solution.model);
@@ -26,8 +26,8 @@ impl Mapper<'_> {
             }
             let torn: Vec<ImagePair> =
                 loop_constraints.iter().map(|loop_constraint| loop_constraint.pair).collect();
-            // What tears them is not drift where it fails. Where the pairs are wrong, or the lens
-            // is, closing may leave nothing to adjust.
+            // On failure drift is not the cause. With wrong pairs or a wrong lens model, the
+            // closure may leave nothing to adjust.
             let closed = self.transaction(|mapper| {
                 let before = mapper.solution.model.clone();
                 mapper.close_loop(&joined, &loop_constraints, watch)?;
@@ -46,7 +46,7 @@ impl Mapper<'_> {
         Ok(())
     }
 
-    /// How the images of torn pairs should stand to each other.
+    /// Estimates the relative similarities of open-loop pairs.
     fn loop_constraints(
         &self,
         torn: &[ImagePair],
@@ -61,8 +61,7 @@ impl Mapper<'_> {
         consistent_set(&self.solution.model, &loop_constraints, joined)
     }
 
-    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point
-    /// each.
+    /// Distributes the drift, merges the matched points and refines the model.
     fn close_loop(
         &mut self,
         joined: &CovisibilityGraph,
@@ -92,8 +91,7 @@ mod tests {
     use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
 
-    /// Every pair of images is said to see the same where it does not: nothing is left of the model
-    /// then, but what was before.
+    /// All pairs get wrong matches. No closure succeeds, and the model stays unchanged.
     #[test]
     fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
         let scene = scene();
@@ -111,7 +109,7 @@ mod tests {
             (0..).zip(model.image(id).points()).filter_map(|(k, point)| point.map(|_| k)).collect()
         };
         let wrong = graph.pairs().keys().map(|&pair| {
-            // What one sees first, the other sees last.
+            // The matches are in reverse order.
             let (a, b) = (seen(pair.a).into_iter(), seen(pair.b).into_iter().rev());
             let matches = a.zip(b).map(|(a, b)| Match { a, b }).collect();
             (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })

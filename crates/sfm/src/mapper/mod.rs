@@ -1,4 +1,4 @@
-//! The mapper: from verified pairs to models.
+//! The incremental mapper.
 
 mod explained;
 mod focal_trials;

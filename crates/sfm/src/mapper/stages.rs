@@ -1,5 +1,4 @@
-//! What is made of a model once no further image can be registered: a list of stages, each of which
-//! the next one builds on.
+//! Stages that follow the growth of a model, in a list.
 
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
@@ -11,27 +10,27 @@ use crate::options::RigTerm;
 use crate::rigs::{Context, Descriptors, constrain_rig, final_links};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
-/// How often keypoints are straightened by the model in the end, and the model made by them.
+/// Rounds of rolling-shutter correction and refinement in the last correction stage.
 const STRAIGHT_ROUNDS: usize = 3;
 /// A wrong readout time removes most observations, because the shifted keypoints no longer fit any
-/// pose: at least this share of the images must keep theirs.
+/// pose. At least this fraction of the images must keep theirs.
 const MIN_STRAIGHTENED: f64 = 0.5;
 
 /// A stage.
 #[derive(Clone, Copy)]
 enum Stage {
-    /// Everything is refined, keypoints weighing by the noise that they have now.
+    /// Re-estimates the noise scale and refines globally.
     Refine(RefinementSchedule),
-    /// What rolling shutters did is taken off the keypoints.
+    /// Corrects the keypoints for rolling shutters.
     RollingShutter { is_last: bool },
-    /// Loops are closed.
+    /// Closes loops.
     Loops,
-    /// Cameras are held to each other.
+    /// Constrains the cameras of a rig.
     Rig,
 }
 
-/// Shutters come before loops, too: a rolling shutter makes a drive grow or shrink on its way,
-/// sevenfold in 2 km, and no loop closes over that.
+/// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
+/// along a drive, sevenfold in 2 km, and no loop closes over such a change.
 const STAGES: [Stage; 6] = [
     Stage::Refine(RefinementSchedule::GROWN),
     Stage::RollingShutter { is_last: false },
@@ -42,7 +41,7 @@ const STAGES: [Stage; 6] = [
 ];
 
 impl Stage {
-    /// Whether a model is finished without it, too: where it fails, it is undone.
+    /// The optional stage, which is undone if it fails; `None` for a stage that must succeed.
     fn optional(self) -> Option<OptionalStage> {
         match self {
             Self::RollingShutter { .. } => Some(OptionalStage::RollingShutter),
@@ -53,7 +52,7 @@ impl Stage {
 }
 
 impl Mapper<'_> {
-    /// Maps what hangs together.
+    /// Maps one connected component.
     pub(super) fn run(
         mut self,
         descriptors: &mut Descriptors,
@@ -122,7 +121,7 @@ impl Mapper<'_> {
         }
     }
 
-    /// Holds the cameras of the finished model to their mountings.
+    /// Estimates the rig of the finished model and constrains its cameras.
     pub(super) fn constraint(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
         let context = Context {
             graph: self.graph,
@@ -136,8 +135,7 @@ impl Mapper<'_> {
         Ok(())
     }
 
-    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what
-    /// is left.
+    /// Estimates readout times, corrects the keypoints and refines the model.
     fn rectify_shutters(&mut self, is_last: bool, watch: &mut Watch) -> Result<(), Error> {
         let Some(mut shutters) = self.solution.shutters.take() else { return Ok(()) };
         let (schedule, rounds) = if is_last {

@@ -1,4 +1,4 @@
-//! Where a model begins.
+//! Selection of the initial pair.
 
 use std::ops::ControlFlow;
 
@@ -15,18 +15,18 @@ use crate::options::MapperOptions;
 use crate::tracks::{filter_all_points, triangulate_image};
 use crate::two_view::{InitialPair, initial_pairs, refine};
 
-/// How many initial pairs are tried before giving up.
+/// Maximum number of initial pairs that are tried.
 const MAX_INITIAL_TRIALS: usize = 20;
-/// Initial pairs considered.
+/// Maximum number of candidate pairs.
 const MAX_CANDIDATES: usize = 400;
-/// Images mapped from an initial pair to see whether it is sound, and how many pairs are tried so.
+/// Images of a trial model, and the number of trial models.
 const MAX_START_IMAGES: usize = 7;
 const MAX_STARTS: usize = 6;
-/// A start that explains this share is taken at once: its rms error is below 0.5 px.
+/// A trial model with this relative support is accepted at once. Its rms error is below 0.5 px.
 const GOOD_START_SHARE: f64 = 0.94;
 
 impl Mapper<'_> {
-    /// Pairs to begin with, the best first.
+    /// Returns the candidate pairs, best first.
     pub(super) fn candidates(&self) -> Vec<InitialPair> {
         let is_free =
             |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
@@ -34,9 +34,9 @@ impl Mapper<'_> {
         initial_pairs(self.graph, &self.solution.model, &is_free, max_error_px, MAX_CANDIDATES)
     }
 
-    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell.
-    /// So a few images are mapped from the best pair, and unless they fit well, from others
-    /// elsewhere, and the pair that explains the most is taken.
+    /// Returns the candidate whose trial model has the largest support. Repeated texture gives
+    /// pairs that are consistent with wrong depths; only further images reveal them. Candidates
+    /// near to a tried pair are skipped.
     pub(super) fn best_start(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
         let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
         let mut tried: Vec<ImageId> = Vec::new();
@@ -55,7 +55,7 @@ impl Mapper<'_> {
             if trial.initialise(&[*candidate], &mut |_| ControlFlow::Continue(())).is_err() {
                 continue;
             }
-            // What a failed trial has reached counts.
+            // A failed trial counts with the images that it registered.
             let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
             tried.extend(images);
             let (score, share) = explained(&trial.solution.model);
@@ -69,7 +69,7 @@ impl Mapper<'_> {
         best.map(|(_, candidate)| candidate)
     }
 
-    /// Begins with the first of the pairs that gives enough points.
+    /// Initialises the model with the first candidate that gives enough points.
     pub(super) fn initialise(
         &mut self,
         candidates: &[InitialPair],

@@ -1,4 +1,4 @@
-//! Registration: which image is next, and where it is.
+//! Registration: selection of the next image, and estimation of its pose.
 
 mod continuity;
 mod next_image;

@@ -1,11 +1,10 @@
-//! Which image is registered next: the one that sees the most of the model, best spread, unless it
-//! had better wait.
+//! Next-best-view selection: the image with the best visibility score (Schönberger & Frahm 2016),
+//! unless it is deferred.
 //!
-//! Where texture repeats (windows of a facade), images that should see nothing of the model yet see
-//! it by matches that are wrong and agree with each other, and drag all that follow along. The
-//! right neighbours settle that, so they come first: images wait for those that are between them
-//! and the model in time; and who finds less of what it ought to see than those around it did, or
-//! jumps, waits for all others that do not wait for it.
+//! With repeated texture, wrong matches that agree with each other register images at wrong poses,
+//! and later images follow them. Correct neighbours prevent this, so they come first: an image
+//! waits for candidates between it and the model in time, and an image with low visible-point
+//! recall or an implausible motion is deferred until no other candidate is left.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,37 +17,36 @@ use super::continuity::Timelines;
 use super::place::{Placement, RegisterOptions, place_image};
 use super::visibility::{Visibility, visibility};
 
-/// An image that could not be registered is tried again at most this often; and one that was, and
-/// was taken out again since.
+/// Maximum number of failed registrations of an image between resets, and of registrations of an
+/// image that filtering removed again.
 const MAX_TRIALS: usize = 3;
-/// An image that waits is placed again when it sees so many times as much of the model.
+/// A deferred image is placed again when the number of its visible points has grown by this factor.
 const MIN_GROWTH: f64 = 1.1;
-/// An image waits when it finds less than this share of what it ought to see, relative to the
-/// images around it. Where all is well that is 0.76 and more; where windows were taken for others,
-/// 0.49 to 0.75.
+/// An image is deferred if its visible-point recall is below this fraction of the median of its
+/// neighbours. Correct images have 0.76 and more; images registered at a wrong window 0.49 to 0.75.
 const MIN_SHARE_OF_USUAL: f64 = 0.75;
 
-/// What is known of images that were registered, and of those that were not.
+/// State of the selection.
 pub(crate) struct NextBestView {
     seed: u64,
     timelines: Timelines,
-    /// How often each image failed to register.
+    /// Failed registrations of each image.
     trials: BTreeMap<ImageId, usize>,
-    /// How often each image was registered: what is filtered out every time would be for ever.
+    /// Registrations of each image. The limit prevents endless registration and filtering.
     registrations: BTreeMap<ImageId, usize>,
-    /// Of what each image ought to have seen when it was registered, how much it did.
+    /// Visible-point recall of each image at its registration.
     shares: BTreeMap<ImageId, f64>,
-    /// Images that could have been registered, and had better wait.
+    /// Deferred images.
     poor: BTreeMap<ImageId, DeferredImage>,
 }
 
-/// An image that waits for others.
+/// An image that could be registered, but waits for others.
 #[derive(Clone, Copy, Debug)]
 struct DeferredImage {
-    /// What it saw of the model.
+    /// Number of visible points when it was placed.
     num_points: usize,
-    /// How much it found of what it ought to see, as a share of what is usual around it; nothing if
-    /// it jumps.
+    /// Visible-point recall relative to the median of its neighbours; zero if its motion is
+    /// implausible.
     share: f64,
 }
 
@@ -64,12 +62,12 @@ impl NextBestView {
         }
     }
 
-    /// Images that failed are tried again.
+    /// Failed images may be tried again.
     pub(crate) fn reset_trials(&mut self) {
         self.trials.clear();
     }
 
-    /// Registers the next one of some images; `None` when none can be.
+    /// Registers the next of `images`; `None` if none can be registered.
     pub(crate) fn register_next(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -107,8 +105,8 @@ impl NextBestView {
         }
     }
 
-    /// The first of the candidates; or those that have no pose, if any; or the best of those that
-    /// had better wait.
+    /// Returns the placement of the first candidate that is not deferred. If there is none: an
+    /// error with the candidates that have no pose, or else the best deferred candidate.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -123,7 +121,7 @@ impl NextBestView {
             if self.timelines.waits(model, image, &open) {
                 continue;
             }
-            // Who sees hardly more than it saw has hardly another pose.
+            // With hardly more visible points the pose would hardly change.
             let is_known =
                 |poor: &&DeferredImage| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
             let share = match self.poor.get(&image).filter(is_known) {
@@ -144,7 +142,8 @@ impl NextBestView {
             };
             waiting.push((share, image));
         }
-        // Others may have waited for these alone, and come before those that had better wait.
+        // Other candidates may have waited only for the failed ones. They come before deferred
+        // images.
         if !failed.is_empty() {
             return Err(failed);
         }
@@ -158,7 +157,7 @@ impl NextBestView {
         Err(failed)
     }
 
-    /// The pose of an image; that there is none counts as a trial.
+    /// Estimates the pose of an image. A failure counts as a trial.
     fn place(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -179,8 +178,7 @@ impl NextBestView {
         placement
     }
 
-    /// Of what images of the model with verified pairs with this one ought to have seen, how much
-    /// they did: the median.
+    /// Median visible-point recall of the registered neighbours of an image; zero without any.
     fn usual_share(
         &self,
         graph: &CorrespondenceGraph,

@@ -1,9 +1,9 @@
-//! The pose of one more image, from its keypoints that match keypoints which see points.
+//! Absolute pose of an image from its 2D-3D correspondences.
 //!
-//! Where texture repeats, wrong matches agree on a wrong pose, and may be more than the right ones:
-//! windows of a facade look alike from places that differ by their distance. What gives such a pose
-//! away are correspondences that it lacks (Zach, Irschara & Bischof 2008): an image there would
-//! have to see nearly all that the images around it see.
+//! With repeated texture, wrong correspondences may outnumber the correct ones and agree on a wrong
+//! pose: windows of a facade look alike from positions that differ by their spacing. Missing
+//! correspondences reveal such a pose (Zach, Irschara & Bischof 2008), because an image there would
+//! observe nearly all points that its neighbours observe. The visible-point recall measures this.
 
 use std::collections::BTreeSet;
 
@@ -11,25 +11,25 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-/// A second pose is looked at when it has at least this share of the first one's inliers, and taken
-/// when the share that it has of what it ought to see is this much greater; or greater at all,
-/// where the first one is not plausible and it is. On streets that this was found on, right poses
-/// had 1.28 times the share of wrong ones and more.
+/// A second pose is considered if it has at least this fraction of the first pose's inliers. It is
+/// selected if its recall is larger by the factor `MIN_ADVANTAGE`, or larger at all if only the
+/// second pose is plausible. On the streets used for tuning, correct poses had at least 1.28 times
+/// the recall of wrong ones.
 const MIN_RIVAL_SHARE: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
-/// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk
-/// & Schmid 2005).
+/// Views of a point whose directions differ by less than 10° and whose distances differ by less
+/// than a quarter match well (Mikolajczyk & Schmid 2005).
 const SAME_ANGLE_RAD: f64 = 0.175;
 const SAME_DISTANCE: f64 = 1.25;
 
-/// What counts as registered.
+/// Thresholds of registration.
 #[derive(Clone, Copy, Debug)]
 pub struct RegisterOptions {
-    /// Largest distance between a keypoint and the projection of its point, in pixels.
+    /// Maximum reprojection error of an inlier, in pixels.
     pub max_error_px: f64,
-    /// Fewer inliers are no pose.
+    /// Minimum number of inliers.
     pub min_num_inliers: usize,
-    /// A smaller share of inliers is no pose.
+    /// Minimum fraction of inliers.
     pub min_inlier_share: f64,
 }
 
@@ -39,8 +39,8 @@ impl Default for RegisterOptions {
     }
 }
 
-/// Estimates the pose of `image`, sets it and lets its inlier keypoints see their points. Returns
-/// how many; `None`, and nothing changes, where too few agree.
+/// Estimates and sets the pose of `image`, and adds its inliers to the tracks. Returns the number
+/// of inliers; `None` without changes if there are too few.
 pub fn register_image(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -53,17 +53,17 @@ pub fn register_image(
     Some(placement.seen.len())
 }
 
-/// Where an image is.
+/// An estimated pose of an image.
 pub(crate) struct Placement {
     pub(crate) image: ImageId,
     cam_from_world: Rigid3,
-    /// Its keypoints that agree with that, and their points.
+    /// Inliers: keypoints and their points.
     seen: Vec<(u32, PointId)>,
-    /// How many of the points that it ought to see it does,
+    /// Number of expected points that the inliers contain.
     num_found: usize,
-    /// and their share of those.
+    /// Visible-point recall: `num_found` relative to the number of expected points.
     pub(crate) share: f64,
-    /// Whether it may be there.
+    /// Whether the caller's check accepts the pose.
     pub(crate) is_plausible: bool,
 }
 
@@ -76,8 +76,8 @@ impl Placement {
     }
 }
 
-/// The pose that agrees with what an image sees; `None` where too few do. One that is not plausible
-/// only where no other is.
+/// Estimates the pose of an image; `None` with too few inliers. A pose that `is_plausible` rejects
+/// is returned only if no other is found.
 pub(crate) fn place_image(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -117,7 +117,7 @@ pub(crate) fn place_image(
             .filter(|point| is_expected(model, camera, &report.model, **point))
             .collect();
         let num_found = expected.iter().filter(|point| is_found.contains(point)).count();
-        // Where hardly anything is expected, nothing lacks.
+        // With few expected points the recall is not informative.
         let tells = expected.len() >= options.min_num_inliers.max(1);
         let placement = Placement {
             image,
@@ -133,11 +133,11 @@ pub(crate) fn place_image(
     if (best.seen.len() as f64) < options.min_inlier_share * candidates.len() as f64 {
         return None;
     }
-    // What the best pose leaves may agree on another one.
+    // The outliers of the best pose may support another pose.
     let is_seen: BTreeSet<&(u32, PointId)> = best.seen.iter().collect();
     let others: Vec<(u32, PointId)> =
         candidates.iter().filter(|candidate| !is_seen.contains(candidate)).copied().collect();
-    // Against one that is not plausible any other pose will do that is one.
+    // Against an implausible pose, the second pose only needs the usual fraction of inliers.
     let least = if best.is_plausible {
         MIN_RIVAL_SHARE * best.seen.len() as f64
     } else {
@@ -154,8 +154,8 @@ pub(crate) fn place_image(
     Some(rival.unwrap_or(best))
 }
 
-/// Whether an image with this pose ought to see a point: it projects into it, and some image sees
-/// it from nearly the same direction and distance.
+/// Whether an image with this pose should observe a point: the point projects into the image, and
+/// some image observes it from a similar direction and distance.
 fn is_expected(
     model: &Reconstruction,
     camera: &Camera,
@@ -178,7 +178,7 @@ fn is_expected(
     is_inside && track.observations.iter().any(looks_alike)
 }
 
-/// Keypoints with the points that their correspondences see; a keypoint may have several.
+/// Returns keypoints with the points of their correspondences. A keypoint may have several points.
 fn candidates(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -208,17 +208,14 @@ mod tests {
 
     use super::{RegisterOptions, register_image};
 
-    /// Points of the place where the image is, how many of them are matched, and the same of the
-    /// place that looks alike.
+    /// Number of points and of matched points at the true place, and at the place that looks alike.
     const TRUE_PLACE: (usize, usize) = (150, 60);
     const ALIKE_PLACE: (usize, usize) = (600, 80);
-    /// Between the two places, in metres; and how far the found pose may be from the true one
-    /// without any noise.
+    /// Distance between the two places, and tolerance of the pose without noise, in metres.
     const APART_M: f64 = 100.0;
     const TOLERANCE_M: f64 = 1e-3;
 
-    /// Two walls that look alike, each seen by one image, and an image between whose keypoints are
-    /// half of one and half of the other.
+    /// Two similar walls, each observed by one image, and a third image with keypoints of both.
     #[test]
     fn a_pose_that_lacks_correspondences_loses_against_one_with_fewer_inliers() {
         let intrinsics =

@@ -1,4 +1,4 @@
-//! How cameras move while they take an image, and what that does to keypoints of a rolling shutter.
+//! Motion of cameras during the exposure of an image, and the shift of keypoints that it causes.
 
 use std::collections::BTreeMap;
 
@@ -13,22 +13,22 @@ use super::readout::RollingShutter;
 use crate::adjust::Shifted;
 use crate::timeline::{posed_in_time, usual};
 
-/// A camera is no more than so many times as fast as it usually is.
+/// Maximum speed of a camera relative to its usual speed.
 const MAX_SPEED: f64 = 3.0;
-/// Velocities are differences over this time, in seconds.
+/// Step of the differences for velocities, in seconds.
 const DIFFERENCE_S: f64 = 1e-3;
 
-/// How a camera moves while it takes an image.
+/// Velocity of a camera at the time of an image.
 struct Motion {
-    /// In the world, units a second.
+    /// In the world frame, units of the model a second.
     velocity: Vector3<f64>,
-    /// In the camera's frame, radians a second.
+    /// In the camera frame, radians a second.
     angular_velocity: Vector3<f64>,
 }
 
-/// Of the images of which times and neighbours are known, and that do not stand where their camera
-/// cannot have been: next to one that was registered at the wrong place cameras fly, and a few such
-/// images outweigh thousands in what the readout is.
+/// Returns the motion of the images with known times and neighbours. Images with an implausible
+/// speed are left out: a camera next to a wrongly registered image seems to move fast, and a few
+/// such images outweigh thousands in the estimate of the readout time.
 fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
     let mut motions = Vec::new();
     for (camera, _) in model.cameras() {
@@ -51,7 +51,8 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
     motions
 }
 
-/// How far the shutters shift all keypoints, about the readouts of now.
+/// Returns the shift per second of readout of all keypoints, linearised at the current readout
+/// times.
 pub(super) fn shifted(
     model: &Reconstruction,
     detected: &BTreeMap<ImageId, Vec<Vector2<f64>>>,
@@ -59,7 +60,7 @@ pub(super) fn shifted(
 ) -> BTreeMap<ImageId, Vec<Shifted>> {
     let of_image = |(id, motion): &(ImageId, Motion)| {
         let readout_s = readout_s(shutters, model.image(*id).camera);
-        // A shift is a difference, and needs some time to be one.
+        // The shift is a difference quotient and needs a step.
         let readout_s = if readout_s.abs() < DIFFERENCE_S { DIFFERENCE_S } else { readout_s };
         (*id, shifts(model, *id, &detected[id], motion, readout_s))
     };
@@ -73,7 +74,8 @@ pub(super) fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
         .map_or(0.0, |shutter| shutter.readout_s)
 }
 
-/// The same of an image. What sees no point is taken to be as far away as the median of what does.
+/// Shifts of the keypoints of one image. Keypoints without a point get the median distance of those
+/// with one.
 fn shifts(
     model: &Reconstruction,
     image: ImageId,
@@ -107,12 +109,12 @@ fn shifts(
     pixels.iter().enumerate().map(shifted).collect()
 }
 
-/// Where a camera with a rolling shutter was while it took an image.
+/// Motion of a rolling-shutter camera during the exposure of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowPoses {
-    /// Of the camera's centre in the world, in units of the model a second.
+    /// Velocity of the camera centre in the world frame, in units of the model a second.
     pub velocity_in_world: Vector3<f64>,
-    /// In the camera's frame, in radians a second.
+    /// Angular velocity in the camera frame, in radians a second.
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Time from the first row to the last one, in seconds.
     pub readout_s: f64,
@@ -121,8 +123,8 @@ pub struct RowPoses {
 }
 
 impl RowPoses {
-    /// The pose when the row at `y_px` was exposed, from that of the image, which is its middle
-    /// row's.
+    /// Returns the pose at the exposure of the row `y_px`, given the pose of the image, which is
+    /// that of the middle row.
     pub fn cam_from_world(&self, middle: &Rigid3, y_px: f64) -> Rigid3 {
         let time_s = (y_px / self.height_px - 0.5) * self.readout_s;
         let shift = middle.rotation * self.velocity_in_world * time_s;
@@ -131,7 +133,7 @@ impl RowPoses {
     }
 }
 
-/// Of the images of which the motion is known, whose camera has a rolling shutter.
+/// Returns the motion of the images of rolling-shutter cameras, if known.
 pub(crate) fn row_poses(
     model: &Reconstruction,
     shutters: &[RollingShutter],
@@ -159,10 +161,10 @@ mod tests {
     const RATE_HZ: f64 = 10.0;
     const SPEED: f64 = 2.0;
     const MISPLACED: usize = 50;
-    /// The cubics through it give these images a speed.
+    /// Images whose velocity depends on the misplaced one.
     const BESIDE: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
 
-    /// A camera at constant speed, one of whose images stands far off.
+    /// A camera at constant speed with one misplaced image.
     fn drive(off_by: f64) -> Reconstruction {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
@@ -182,10 +184,10 @@ mod tests {
     }
 
     const READOUT_S: f64 = 0.02;
-    /// Of a pixel: the shift is a difference over the readout time.
+    /// Rounding error in pixels of the difference over the readout time.
     const ROUNDING_PX: f64 = 1e-9;
 
-    /// What the pose of its row sees of a point is where the shutter has shifted the keypoint to.
+    /// The projection with the pose of the row equals the keypoint shifted by the rolling shutter.
     #[test]
     fn the_pose_of_a_row_sees_what_the_shutter_shifts() {
         let mut model = drive(0.0);

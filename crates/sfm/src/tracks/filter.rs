@@ -1,5 +1,5 @@
-//! Dropping what does not fit: observations that project too far from their keypoint, points seen
-//! under too small an angle, images left with nothing.
+//! Filters: observations with large reprojection errors, points with small triangulation angles,
+//! and images with few points.
 
 use std::collections::BTreeSet;
 
@@ -7,12 +7,12 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
-/// What is good enough to stay.
+/// Thresholds of the filter.
 #[derive(Clone, Copy, Debug)]
 pub struct FilterOptions {
-    /// Largest distance between keypoint and projection, in pixels.
+    /// Maximum reprojection error, in pixels.
     pub max_error_px: f64,
-    /// Smallest angle between any two rays of a point, in radians.
+    /// Minimum of the largest triangulation angle of a point, in radians.
     pub min_angle_rad: f64,
 }
 
@@ -22,7 +22,7 @@ impl Default for FilterOptions {
     }
 }
 
-/// Filters the given points; returns how many observations were dropped.
+/// Filters the given points. Returns the number of removed observations.
 pub fn filter_points(
     model: &mut Reconstruction,
     points: &[PointId],
@@ -55,12 +55,13 @@ pub fn filter_points(
     dropped
 }
 
-/// A point this much nearer to a camera than half of what that sees is none: matches between two
-/// images of a stop meet anywhere, also in the lens, and there they would tell more of the two
-/// poses than all others together.
+/// Minimum distance of a point from a camera, relative to the median distance of the points that
+/// the camera observes. Matches between images of a stationary camera can triangulate at the camera
+/// centre. Such points would dominate the two poses.
 const MIN_RELATIVE_DISTANCE: f64 = 1e-3;
 
-/// Filters all points, also those that are in a camera.
+/// Filters all points, including those that lie at a camera centre. Returns the number of removed
+/// observations.
 pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) -> usize {
     let mut inside: BTreeSet<PointId> = BTreeSet::new();
     for (_, image, pose) in model.registered() {
@@ -86,7 +87,7 @@ pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) ->
     dropped + filter_points(model, &points, options)
 }
 
-/// Whether any two cameras see the point under at least `min_angle_rad`.
+/// Whether two cameras observe the point with a triangulation angle of at least `min_angle_rad`.
 fn has_angle(
     model: &Reconstruction,
     observations: &[Observation],
@@ -105,7 +106,7 @@ fn has_angle(
         .any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
 }
 
-/// Takes the pose of images that see fewer than `min_points` points; returns them.
+/// Deregisters images that observe fewer than `min_points` points. Returns them.
 pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
     let poor: Vec<ImageId> = model
         .registered()
@@ -124,14 +125,14 @@ mod tests {
 
     use super::*;
 
-    /// Two images that hardly differ, as at a stop, and a third from elsewhere; each point projects
+    /// Two images of a nearly stationary camera, and a third at a distance. Each point projects
     /// exactly to its keypoints.
     #[test]
     fn points_inside_a_lens_are_dropped_and_near_ones_stay() {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 1000, 1000);
         let places = [0.0, 1e-6, 1.0]
             .map(|x| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-x, 0.0, 0.0)));
-        // In metres: ordinary ones, one on the bonnet, and one in the lens of the first two.
+        // In metres: distant points, one near the cameras, and one at the centre of the first two.
         let points: Vec<Vector3<f64>> =
             (0..5).map(|k| Vector3::new(0.3 * f64::from(k), 0.2, 10.0)).collect();
         let (bonnet, lens) = (Vector3::new(0.4, 0.1, 0.6), Vector3::new(5e-7, 2e-7, 1e-6));

@@ -1,12 +1,12 @@
-//! Judging a model from outside: a share of the tracks takes no part in adjustment, and how well
-//! the adjusted poses explain them cannot be flattered by over-fitting.
+//! Held-out tracks: a fraction of the tracks takes no part in adjustment, so that their error is
+//! not reduced by over-fitting.
 
 use tiepoint_geometry::Rng;
 use tiepoint_scene::{PointId, Reconstruction};
 
-/// Marks about `share` (0 to 1) of the tracks as held out, and no others. Which ones depends on the
-/// seed and on the track's first observation, so that a track keeps its role when others come and
-/// go. Returns how many.
+/// Marks a fraction `share` (0 to 1) of the tracks as held out and unmarks all others. The choice
+/// depends on the seed and on the track's first observation, so that it is stable when other
+/// observations change. Returns the number of held-out tracks.
 pub fn hold_out_tracks(model: &mut Reconstruction, share: f64, seed: u64) -> usize {
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     let mut count = 0;
@@ -21,11 +21,10 @@ pub fn hold_out_tracks(model: &mut Reconstruction, share: f64, seed: u64) -> usi
     count
 }
 
-/// Root mean square distance between keypoint and projection over the held-out tracks with at least
-/// three observations (two rays nearly always meet somewhere), in pixels; `None` where there are
-/// none.
+/// Root mean square reprojection error of the held-out tracks with at least three observations, in
+/// pixels; `None` if there are none. Two rays nearly always intersect approximately.
 pub fn held_out_rms_px(model: &Reconstruction) -> Option<f64> {
-    /// Fewest observations of a track that can contradict the poses.
+    /// Minimum number of observations with which a track can contradict the poses.
     const MIN_OBSERVATIONS: usize = 3;
     let (mut sum, mut count) = (0.0, 0usize);
     for (_, track) in

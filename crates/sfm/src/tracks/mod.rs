@@ -1,4 +1,4 @@
-//! Points and their tracks: how they are made, completed, merged, selected and dropped.
+//! Tracks: triangulation, creation, completion, merging, selection and filtering.
 
 mod filter;
 mod grow;

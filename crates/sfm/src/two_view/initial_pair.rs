@@ -1,31 +1,32 @@
-//! Where to begin: the pair with the most matches that triangulate well.
+//! Selection of initial pairs by the number of matches that triangulate well.
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{RansacOptions, Rigid3, epipolar, estimate, triangulate};
 use tiepoint_scene::{CorrespondenceGraph, ImagePair, Reconstruction, TwoView};
 
-/// An angle of this size, in radians, is as good as a larger one.
+/// Triangulation angles from this size on, in radians, score 1.
 const FULL_ANGLE_RAD: f64 = 16.0 * std::f64::consts::PI / 180.0;
-/// Matches under a smaller angle, in radians, do not triangulate.
+/// Minimum triangulation angle, in radians.
 const MIN_ANGLE_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
-/// A pair is rated on this many of its matches, evenly chosen.
+/// A pair is scored on this many of its matches, evenly chosen.
 const MAX_RATED_MATCHES: usize = 500;
-/// What a pair that a homography explains is worth: its pose is uncertain.
+/// Factor on the score of pairs that a homography explains. Their pose is uncertain.
 const PLANAR_FACTOR: f64 = 0.3;
 
-/// A pair to begin with.
+/// A candidate for initialisation.
 #[derive(Clone, Copy, Debug)]
 pub struct InitialPair {
     /// The two images.
     pub pair: ImagePair,
-    /// Their relative pose, with a translation of unit length.
+    /// Relative pose with a translation of unit length.
     pub cam2_from_cam1: Rigid3,
-    /// How many of its matches triangulate, each counted by its angle up to 16°.
+    /// Number of matches that triangulate, each weighted by min(angle / 16°, 1).
     pub score: f64,
 }
 
-/// The best pairs among the images that `is_free` allows, best first, at most `count`.
+/// Returns at most `count` pairs among those that `is_free` accepts, best first. `max_error_px` is
+/// the maximum reprojection error of a match.
 pub fn initial_pairs(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -49,8 +50,8 @@ pub fn initial_pairs(
     rated
 }
 
-/// The relative pose that the verification found, or the one that its fundamental matrix means for
-/// the present intrinsics.
+/// Returns the relative pose from the verification, or the pose of its fundamental matrix with the
+/// current intrinsics.
 pub(crate) fn relative_pose(
     model: &Reconstruction,
     pair: &ImagePair,
@@ -68,7 +69,7 @@ pub(crate) fn relative_pose(
     epipolar::pose_from_essential(&essential, &rays1, &rays2).map(|(pose, _)| pose)
 }
 
-/// Estimates the relative pose of an initial pair anew with the present intrinsics.
+/// Estimates the relative pose of a pair again with the current intrinsics.
 pub(crate) fn refine(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -104,8 +105,8 @@ fn rays(
         .unzip()
 }
 
-/// Σ over matches that triangulate in front of both cameras and project back, of min(angle / 16°,
-/// 1).
+/// Σ min(angle / 16°, 1) over the matches that triangulate in front of both cameras with small
+/// reprojection errors.
 fn rate(
     model: &Reconstruction,
     pair: &ImagePair,

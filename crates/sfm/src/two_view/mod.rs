@@ -1,4 +1,4 @@
-//! Pairs of images before there is a model: their geometry, focal lengths, and where to begin.
+//! Two-view geometry: verification of pairs, focal lengths, and initial pairs.
 
 mod focal;
 mod initial_pair;
