@@ -194,7 +194,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // These are for the report.
-        sfm::Event::Failed(_) | sfm::Event::Joined { .. } => return None,
+        sfm::Event::Failed(_) | sfm::Event::Merged { .. } => return None,
     })
 }
 

@@ -46,7 +46,7 @@ pub enum Event {
     /// A stage failed. The model is as it was before the stage.
     Failed(Failure),
     /// Two models without common points were merged, because their cameras move as one rig.
-    Joined {
+    Merged {
         /// Registered images of the merged model.
         num_images: usize,
     },
@@ -78,7 +78,7 @@ pub(crate) type Watch<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 /// # Errors
 ///
 /// [`Error::Cancelled`] if the receiver asks to stop.
-pub(crate) fn tell(watch: &mut Watch, event: &Event) -> Result<(), Error> {
+pub(crate) fn notify(watch: &mut Watch, event: &Event) -> Result<(), Error> {
     match watch(event) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),

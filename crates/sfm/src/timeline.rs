@@ -38,10 +38,10 @@ pub(crate) fn posed_in_time(
 }
 
 /// Quantile of the speeds that defines the usual speed.
-const USUAL: f64 = 0.9;
+const USUAL_QUANTILE: f64 = 0.9;
 
 /// Returns the 90 % quantile of the speeds.
-pub(crate) fn usual(mut speeds: Vec<f64>) -> Option<f64> {
+pub(crate) fn usual_speed(mut speeds: Vec<f64>) -> Option<f64> {
     speeds.sort_by(f64::total_cmp);
-    speeds.get((USUAL * speeds.len().saturating_sub(1) as f64) as usize).copied()
+    speeds.get((USUAL_QUANTILE * speeds.len().saturating_sub(1) as f64) as usize).copied()
 }

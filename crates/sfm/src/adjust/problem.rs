@@ -59,8 +59,8 @@ pub(crate) fn build(
     if found.len() < variables.composed.len() || found != composed {
         return Err(Error::ComposedPoses);
     }
-    fix_gauge_here(&mut variables, &context, options)?;
-    carry(&mut variables, &observations)?;
+    fix_problem_gauge(&mut variables, &context, options)?;
+    set_tree_retraction(&mut variables, &observations)?;
     for (camera, _) in model.cameras() {
         add_camera(&mut variables, &context, options, terms, &observations, camera)?;
     }
@@ -106,7 +106,7 @@ fn add_poses(
     }
 }
 
-fn fix_gauge_here(
+fn fix_problem_gauge(
     variables: &mut Variables,
     context: &TermContext,
     options: &AdjustOptions,
@@ -128,16 +128,19 @@ fn fix_gauge_here(
 
 /// Sets a retraction that moves each pose relative to others that observe the same points
 /// ([`SpanningTree`]).
-fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), Error> {
+fn set_tree_retraction(
+    variables: &mut Variables,
+    observations: &Observations,
+) -> Result<(), Error> {
     let own = variables.poses.iter().copied();
     let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
-    let sights: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
+    let views: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
         .chain(composed)
         .flat_map(|(image, pose)| {
             observations[image.index()].iter().map(move |(_, point)| (pose, *point))
         })
         .collect();
-    let tree = SpanningTree::new(variables.problem(), &sights)?;
+    let tree = SpanningTree::new(variables.problem(), &views)?;
     variables.problem_mut().set_retraction(tree);
     Ok(())
 }
@@ -177,9 +180,9 @@ fn add_camera(
     } else {
         RefineIntrinsics::NONE
     };
-    let described = model.camera(camera);
-    with_camera_model!(&described.intrinsics, M, params => {
-        let kind = described.intrinsics.kind();
+    let camera_of_images = model.camera(camera);
+    with_camera_model!(&camera_of_images.intrinsics, M, params => {
+        let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
         let problem = variables.problem_mut();
         let key = problem.add_parameter(*params, Order::Shared);
@@ -187,17 +190,17 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            problem.add(key, intrinsics_prior(params, camera, described, options)?, Loss::Trivial)?;
+            problem.add(key, intrinsics_prior(params, camera, camera_of_images, options)?, Loss::Trivial)?;
         }
         for (image, pose) in &images {
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
-            let of_image = OfImage {
+            let observations_of_image = ImageObservations {
                 keypoints: &model.image(*image).keypoints,
                 seen: &observations[image.index()],
                 pose: *pose,
                 shifts,
             };
-            of_image.add::<M>(problem, key, options.loss)?;
+            observations_of_image.add::<M>(problem, key, options.loss)?;
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
         variables.cameras.push((camera, Box::new(read)));
@@ -206,14 +209,14 @@ fn add_camera(
 }
 
 /// The observations of an image.
-struct OfImage<'a> {
+struct ImageObservations<'a> {
     keypoints: &'a [Keypoint],
     seen: &'a [(u32, Key<Vector3<f64>>)],
     pose: Pose,
     shifts: Option<(Key<Vector1<f64>>, &'a [Shifted])>,
 }
 
-impl OfImage<'_> {
+impl ImageObservations<'_> {
     fn add<M: CameraModel>(
         &self,
         problem: &mut Problem,

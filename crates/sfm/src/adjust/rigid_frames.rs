@@ -45,15 +45,15 @@ impl RigidFrames {
     /// `cam_from_rig`.
     fn sensor_of(&self, frame: &Frame, image: ImageId) -> Option<(usize, Rigid3)> {
         let sensors = &self.rigs.get(frame.rig.index())?.sensors;
-        let place = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
+        let sensor = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
         let cam_from_rig =
-            if place == 0 { Rigid3::identity() } else { sensors[place].cam_from_rig? };
-        Some((place, cam_from_rig))
+            if sensor == 0 { Rigid3::identity() } else { sensors[sensor].cam_from_rig? };
+        Some((sensor, cam_from_rig))
     }
 
     /// Whether the image's sensor is not the reference sensor.
-    fn is_further(&self, frame: &Frame, image: ImageId) -> bool {
-        self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
+    fn is_composed(&self, frame: &Frame, image: ImageId) -> bool {
+        self.sensor_of(frame, image).is_some_and(|(sensor, _)| sensor > 0)
     }
 
     /// Returns the sensors whose `cam_from_rig` is not determined: the first sensor of each group
@@ -65,12 +65,14 @@ impl RigidFrames {
         for frame in &self.frames {
             let rig = frame.rig.index();
             let observed = frame.images.iter().filter(|image| is_observed(**image));
-            let places: Vec<usize> = observed
+            let sensors_seen: Vec<usize> = observed
                 .filter_map(|image| self.sensor_of(frame, *image))
-                .map(|(place, _)| place)
+                .map(|(sensor, _)| sensor)
                 .collect();
-            let groups: BTreeSet<usize> =
-                places.iter().map(|place| *first.entry((rig, *place)).or_insert(*place)).collect();
+            let groups: BTreeSet<usize> = sensors_seen
+                .iter()
+                .map(|sensor| *first.entry((rig, *sensor)).or_insert(*sensor))
+                .collect();
             let Some(&least) = groups.first() else { continue };
             let of_rig = first.range_mut((rig, 0)..=(rig, usize::MAX));
             of_rig
@@ -79,7 +81,7 @@ impl RigidFrames {
         }
         first
             .into_iter()
-            .filter(|((_, place), group)| *place > 0 && place == group)
+            .filter(|((_, sensor), group)| *sensor > 0 && sensor == group)
             .map(|(key, _)| key)
             .collect()
     }
@@ -104,7 +106,7 @@ impl Term for RigidFrames {
         for frame in &self.frames {
             for &image in &frame.images {
                 if let Ok(order) = posed.binary_search(&image)
-                    && self.is_further(frame, image)
+                    && self.is_composed(frame, image)
                 {
                     self.composed.insert(image, order as u32);
                 }
@@ -120,17 +122,19 @@ impl Term for RigidFrames {
             .undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
         for (index, frame) in self.frames.iter().enumerate() {
             let reference = frame.images.iter().find(|image| {
-                self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0)
+                self.sensor_of(frame, **image).is_some_and(|(sensor, _)| sensor == 0)
                     && own.contains_key(image)
             });
-            let further = || frame.images.iter().filter(|image| self.composed.contains_key(image));
-            let rig_from_world = match (reference, further().next()) {
+            let composed_images_of_frame =
+                || frame.images.iter().filter(|image| self.composed.contains_key(image));
+            let rig_from_world = match (reference, composed_images_of_frame().next()) {
                 (Some(image), _) => own[image],
                 (None, Some(first)) => {
                     let key = variables
                         .problem_mut()
                         .add_parameter(frame.rig_from_world, Order::At(self.composed[first]));
-                    let is_fixed = !further().any(|image| context.scope.moves(*image));
+                    let is_fixed =
+                        !composed_images_of_frame().any(|image| context.scope.moves(*image));
                     if is_fixed {
                         variables.problem_mut().fix(key);
                     }
@@ -140,12 +144,12 @@ impl Term for RigidFrames {
                 (None, None) => continue,
             };
             self.rig_from_world[index] = Some(rig_from_world);
-            for &image in further() {
-                let Some((place, pose)) = self.sensor_of(frame, image) else { continue };
+            for &image in composed_images_of_frame() {
+                let Some((sensor, pose)) = self.sensor_of(frame, image) else { continue };
                 let key =
-                    *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
+                    *self.cam_from_rig.entry((frame.rig.index(), sensor)).or_insert_with(|| {
                         let key = variables.problem_mut().add_parameter(pose, Order::Shared);
-                        if is_local || undetermined.contains(&(frame.rig.index(), place)) {
+                        if is_local || undetermined.contains(&(frame.rig.index(), sensor)) {
                             variables.problem_mut().fix(key);
                         }
                         key
@@ -162,8 +166,8 @@ impl Term for RigidFrames {
                 frame.rig_from_world = problem.get(*key);
             }
         }
-        for (&(rig, place), key) in &self.cam_from_rig {
-            self.rigs[rig].sensors[place].cam_from_rig = Some(problem.get(*key));
+        for (&(rig, sensor), key) in &self.cam_from_rig {
+            self.rigs[rig].sensors[sensor].cam_from_rig = Some(problem.get(*key));
         }
     }
 }

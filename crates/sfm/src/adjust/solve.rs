@@ -10,7 +10,7 @@ use super::problem::build;
 use super::rigid_frames::RigidFrames;
 use super::term::Term;
 use crate::Error;
-use crate::tracks::seen_at;
+use crate::tracks::triangulate_observations;
 
 /// Runs bundle adjustment with additional terms. The model receives the final state for every
 /// termination reason.
@@ -65,13 +65,14 @@ fn retriangulate_others(
     scope: &Scope,
     adjusted: &[(PointId, Key<Vector3<f64>>)],
 ) {
-    let took_no_part =
+    let is_not_adjusted =
         |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
-    let others: Vec<PointId> = scope.points(model).into_iter().filter(took_no_part).collect();
-    let place = |point: &PointId| seen_at(model, &model.track(*point)?.observations);
-    let places: Vec<_> = others.par_iter().map(place).collect();
-    for (point, place) in others.into_iter().zip(places) {
-        if let (Some(xyz), Some(track)) = (place, model.track_mut(point)) {
+    let others: Vec<PointId> = scope.points(model).into_iter().filter(is_not_adjusted).collect();
+    let triangulated =
+        |point: &PointId| triangulate_observations(model, &model.track(*point)?.observations);
+    let positions: Vec<_> = others.par_iter().map(triangulated).collect();
+    for (point, triangulated) in others.into_iter().zip(positions) {
+        if let (Some(xyz), Some(track)) = (triangulated, model.track_mut(point)) {
             track.xyz = xyz;
         }
     }

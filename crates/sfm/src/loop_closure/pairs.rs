@@ -20,23 +20,23 @@ use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Observation, PointId, Reconstruction, TwoView,
 };
 
-use crate::tracks::middle;
+use crate::tracks::mean_position;
 
 /// Minimum number of matches whose keypoints observe points on both sides.
 const MIN_MATCHES: usize = 15;
 /// A pair is an open-loop pair if at most this fraction of its matches has a common point. Other
 /// pairs have 0.9 and more.
-const MAX_JOINED: f64 = 0.1;
+const MAX_COMMON_FRACTION: f64 = 0.1;
 /// Minimum number of open-loop pairs. Drift separates many pairs at once; one or two are wrong
 /// matches.
 pub(crate) const MIN_PAIRS: usize = 3;
 /// Maximum length of a covisibility path that excludes drift between its ends.
-const MAX_STEPS: usize = 4;
+const MAX_PATH_LENGTH: usize = 4;
 /// Minimum gain of matches with a common point, relative to the matches of the open-loop pairs.
 const MIN_GAIN: f64 = 0.5;
 
 /// Returns the points that a pair's matches observe on both sides.
-fn points<'a>(
+fn points_of_matches<'a>(
     model: &'a Reconstruction,
     (pair, two_view): (&'a ImagePair, &'a TwoView),
 ) -> impl Iterator<Item = (PointId, PointId)> + 'a {
@@ -45,11 +45,11 @@ fn points<'a>(
 }
 
 /// Image pairs classified by their matches.
-pub(crate) struct Pairs {
+pub(crate) struct ClassifiedPairs {
     /// Pairs with matches but without common points; empty if there are too few for a loop.
-    pub(crate) torn: Vec<ImagePair>,
+    pub(crate) open_loop: Vec<ImagePair>,
     /// Graph of the pairs with common points.
-    pub(crate) joined: CovisibilityGraph,
+    pub(crate) covisibility: CovisibilityGraph,
 }
 
 /// Images connected by common points.
@@ -70,41 +70,45 @@ impl CovisibilityGraph {
     }
 
     /// Returns the images within [`MAX_STEPS`] edges of an image, including itself.
-    pub(crate) fn near(&self, image: ImageId) -> BTreeSet<ImageId> {
+    pub(crate) fn within_path_length(&self, image: ImageId) -> BTreeSet<ImageId> {
         let others = |of: &ImageId| self.0.get(of).into_iter().flatten().copied();
-        let mut reached = BTreeSet::from([image]);
-        let mut last = reached.clone();
-        for _ in 0..MAX_STEPS {
-            last = last.iter().flat_map(others).filter(|image| !reached.contains(image)).collect();
-            reached.extend(&last);
+        let mut visited = BTreeSet::from([image]);
+        let mut boundary = visited.clone();
+        for _ in 0..MAX_PATH_LENGTH {
+            boundary =
+                boundary.iter().flat_map(others).filter(|image| !visited.contains(image)).collect();
+            visited.extend(&boundary);
         }
-        reached
+        visited
     }
 }
 
 /// Classifies the pairs of a model.
-pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pairs {
-    let (mut torn, mut joined) = (Vec::new(), CovisibilityGraph::default());
+pub(crate) fn classify_pairs(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+) -> ClassifiedPairs {
+    let (mut open_loop, mut covisibility) = (Vec::new(), CovisibilityGraph::default());
     for pair in graph.pairs() {
-        let (mut same, mut seen) = (0, 0);
-        for (a, b) in points(model, pair) {
-            same += usize::from(a == b);
-            seen += 1;
+        let (mut num_common, mut num_matches) = (0, 0);
+        for (a, b) in points_of_matches(model, pair) {
+            num_common += usize::from(a == b);
+            num_matches += 1;
         }
-        if seen < MIN_MATCHES {
+        if num_matches < MIN_MATCHES {
             continue;
         }
-        if same as f64 <= MAX_JOINED * seen as f64 {
-            torn.push(*pair.0);
+        if num_common as f64 <= MAX_COMMON_FRACTION * num_matches as f64 {
+            open_loop.push(*pair.0);
         } else {
-            joined.insert(*pair.0);
+            covisibility.insert(*pair.0);
         }
     }
-    torn.retain(|pair| !joined.near(pair.a).contains(&pair.b));
-    if torn.len() < MIN_PAIRS {
-        torn.clear();
+    open_loop.retain(|pair| !covisibility.within_path_length(pair.a).contains(&pair.b));
+    if open_loop.len() < MIN_PAIRS {
+        open_loop.clear();
     }
-    Pairs { torn, joined }
+    ClassifiedPairs { open_loop, covisibility }
 }
 
 /// Whether loop closure increased the number of verified matches with a common point enough.
@@ -112,20 +116,26 @@ pub(crate) fn is_closed(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     before: &Reconstruction,
-    torn: &[ImagePair],
+    open_loop: &[ImagePair],
 ) -> bool {
-    let pairs = torn.iter().filter_map(|pair| graph.pairs().get_key_value(pair));
-    let wanted = pairs.flat_map(|pair| points(before, pair)).count();
-    num_joined(graph, model) as f64 >= num_joined(graph, before) as f64 + MIN_GAIN * wanted as f64
+    let pairs = open_loop.iter().filter_map(|pair| graph.pairs().get_key_value(pair));
+    let num_open_matches = pairs.flat_map(|pair| points_of_matches(before, pair)).count();
+    num_matches_with_common_point(graph, model) as f64
+        >= num_matches_with_common_point(graph, before) as f64 + MIN_GAIN * num_open_matches as f64
 }
 
 /// Number of verified matches with a common point.
-fn num_joined(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
-    graph.pairs().iter().flat_map(|pair| points(model, pair)).filter(|(a, b)| a == b).count()
+fn num_matches_with_common_point(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
+    graph
+        .pairs()
+        .iter()
+        .flat_map(|pair| points_of_matches(model, pair))
+        .filter(|(a, b)| a == b)
+        .count()
 }
 
 /// Merges the two points of every match of these pairs, at the mean weighted by observations.
-pub(crate) fn join(
+pub(crate) fn merge_matched_points(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     pairs: impl IntoIterator<Item = ImagePair>,
@@ -142,7 +152,7 @@ pub(crate) fn join(
             let (Some(track), Some(other_track)) = (model.track(one), model.track(other)) else {
                 continue;
             };
-            let xyz = middle(track, other_track);
+            let xyz = mean_position(track, other_track);
             model.merge_tracks(one, other, xyz);
         }
     }
@@ -159,11 +169,11 @@ mod tests {
     /// Images in a row. Each has common points with the next one.
     const IMAGES: usize = 12;
     /// Index difference of the pairs with wrong matches.
-    const ALIKE: usize = 3;
+    const WRONG_DISTANCE: usize = 3;
 
     /// Every image has as many keypoints for the previous image as for the next one, and a point
     /// for each match.
-    fn row() -> (Reconstruction, Vec<ImageId>) {
+    fn sequence() -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
         let intrinsics =
             Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
@@ -206,13 +216,16 @@ mod tests {
     }
 
     #[test]
-    fn images_that_few_pairs_join_only_look_alike() {
-        let (model, images) = row();
-        let alike = || (0..IMAGES - ALIKE).map(|i| (i, i + ALIKE));
-        assert_eq!(pairs(&graph(&images, alike()), &model).torn, []);
+    fn pairs_with_a_short_covisibility_path_are_no_open_loop() {
+        let (model, images) = sequence();
+        let wrong = || (0..IMAGES - WRONG_DISTANCE).map(|i| (i, i + WRONG_DISTANCE));
+        assert_eq!(classify_pairs(&graph(&images, wrong()), &model).open_loop, []);
         let ends = || (0..MIN_PAIRS).map(|i| (i, IMAGES - 1 - i));
-        let torn: Vec<_> =
+        let open_loop: Vec<_> =
             ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
-        assert_eq!(pairs(&graph(&images, alike().chain(ends())), &model).torn, torn);
+        assert_eq!(
+            classify_pairs(&graph(&images, wrong().chain(ends())), &model).open_loop,
+            open_loop
+        );
     }
 }

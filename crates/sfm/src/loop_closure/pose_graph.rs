@@ -25,7 +25,7 @@ const MAX_ERROR_PX: f64 = 12.0;
 const MIN_INLIERS: usize = 15;
 /// Two loop constraints at one place are consistent if they differ by less than this: in radians,
 /// in median point distances, and in the logarithm of the scale.
-const MAX_OFF: f64 = 0.1;
+const MAX_DIFFERENCE: f64 = 0.1;
 /// The stiffness of a long chain is a millionth of that of one edge. The damping must be far
 /// smaller.
 const INITIAL_DAMPING: f64 = 1e-12;
@@ -91,17 +91,17 @@ impl LoopConstraint {
 pub(crate) fn consistent_set(
     model: &Reconstruction,
     loop_constraints: &[LoopConstraint],
-    joined: &CovisibilityGraph,
+    covisibility: &CovisibilityGraph,
 ) -> Vec<LoopConstraint> {
     let images: BTreeSet<ImageId> =
         loop_constraints.iter().flat_map(|m| [m.pair.a, m.pair.b]).collect();
     let (poses, depths) = (similarities(model, &images), depths(model, &images));
     let near: BTreeMap<ImageId, BTreeSet<ImageId>> =
-        images.iter().map(|id| (*id, joined.near(*id))).collect();
+        images.iter().map(|id| (*id, covisibility.within_path_length(*id))).collect();
     let is_near =
         |one: ImageId, other: ImageId| near.get(&one).is_some_and(|near| near.contains(&other));
     // Whether one constraint predicts the other one; `None` if they are at different places.
-    let agrees = |one: &LoopConstraint, other: &LoopConstraint| {
+    let is_consistent = |one: &LoopConstraint, other: &LoopConstraint| {
         let ImagePair { a, b } = one.pair;
         let b_world_from_a_world =
             || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
@@ -113,21 +113,20 @@ pub(crate) fn consistent_set(
             return None;
         };
         let expected = *poses.get(&other.pair.b)? * sides * poses.get(&other.pair.a)?.inverse();
-        let off = Between::new(other.b_from_a, &sigmas(*depths.get(&other.pair.b)?)).ok()?;
-        let off = off.residual((&Sim3::identity(), &expected))?;
-        Some(off.norm() <= MAX_OFF)
+        let residual = Between::new(other.b_from_a, &sigmas(*depths.get(&other.pair.b)?)).ok()?;
+        let residual = residual.residual((&Sim3::identity(), &expected))?;
+        Some(residual.norm() <= MAX_DIFFERENCE)
     };
     let support = |one: &LoopConstraint| {
         let consistent_set =
-            loop_constraints.iter().filter(|other| agrees(one, other) == Some(true));
+            loop_constraints.iter().filter(|other| is_consistent(one, other) == Some(true));
         consistent_set.map(|other| other.num_inliers).sum::<usize>()
     };
     let supports: Vec<usize> = loop_constraints.par_iter().map(support).collect();
     let is_contradicted = |one: &LoopConstraint, support: usize| {
-        loop_constraints
-            .iter()
-            .zip(&supports)
-            .any(|(other, by)| *by > support && agrees(other, one) == Some(false))
+        loop_constraints.iter().zip(&supports).any(|(other, correction)| {
+            *correction > support && is_consistent(other, one) == Some(false)
+        })
     };
     let kept = loop_constraints
         .par_iter()
@@ -140,14 +139,14 @@ pub(crate) fn consistent_set(
 /// images (`covisibility`) are satisfied in the least-squares sense.
 pub(crate) fn distribute_drift(
     model: &mut Reconstruction,
-    joined: &CovisibilityGraph,
+    covisibility: &CovisibilityGraph,
     loop_constraints: &[LoopConstraint],
 ) -> Result<(), Error> {
     let images: BTreeSet<ImageId> = model.registered().map(|(id, ..)| id).collect();
     let (before, depths) = (similarities(model, &images), depths(model, &images));
-    let as_it_is =
+    let current_relative =
         |pair: ImagePair| Some((pair, before.get(&pair.b)?.relative_to(before.get(&pair.a)?)));
-    let wanted = loop_constraints
+    let loop_edges = loop_constraints
         .iter()
         .map(|loop_constraint| (loop_constraint.pair, loop_constraint.b_from_a));
     let mut problem = Problem::new();
@@ -156,7 +155,7 @@ pub(crate) fn distribute_drift(
         let pose = before.get(&id)?;
         Some(*keys.entry(id).or_insert_with(|| problem.add_parameter(*pose, Order::At(id.0))))
     };
-    for (pair, b_from_a) in joined.pairs().filter_map(as_it_is).chain(wanted) {
+    for (pair, b_from_a) in covisibility.pairs().filter_map(current_relative).chain(loop_edges) {
         let keys = (key(&mut problem, pair.a), key(&mut problem, pair.b));
         let ((Some(a), Some(b)), Some(&depth)) = (keys, depths.get(&pair.b)) else { continue };
         problem.add((a, b), Between::new(b_from_a, &sigmas(depth))?, Loss::Trivial)?;
@@ -169,21 +168,22 @@ pub(crate) fn distribute_drift(
         ..Options::default()
     };
     Solver::new(&problem, &options)?.solve(&mut problem, &mut keep_going)?;
-    let moves: BTreeMap<ImageId, Sim3> = keys
+    let corrections: BTreeMap<ImageId, Sim3> = keys
         .iter()
         .filter_map(|(id, key)| Some((*id, problem.get(*key).inverse() * *before.get(id)?)))
         .collect();
     let moved: Vec<(ImageId, Rigid3)> = model
         .registered()
-        .filter_map(|(id, _, pose)| Some((id, moves.get(&id)?.transform_pose(pose))))
+        .filter_map(|(id, _, pose)| Some((id, corrections.get(&id)?.transform_pose(pose))))
         .collect();
     moved.into_iter().for_each(|(id, pose)| model.register(id, pose));
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     for point in points {
         let Some(track) = model.track_mut(point) else { continue };
         // Images with a common point move nearly equally. The first of them moves the point.
-        if let Some(by) = track.observations.iter().find_map(|o| moves.get(&o.image)) {
-            track.xyz = *by * track.xyz;
+        if let Some(correction) = track.observations.iter().find_map(|o| corrections.get(&o.image))
+        {
+            track.xyz = *correction * track.xyz;
         }
     }
     Ok(())
@@ -226,18 +226,18 @@ mod tests {
     };
 
     use super::*;
-    use crate::loop_closure::pairs;
+    use crate::loop_closure::classify_pairs;
 
     /// Cameras on a circle that look outwards; number of points between neighbouring cameras.
     const IMAGES: usize = 60;
     const RADIUS: f64 = 10.0;
     const POINTS: usize = 40;
     /// Drift between neighbouring images: rotation in radians, and logarithm of the scale.
-    const TURN: f64 = 0.002;
-    const GROWTH: f64 = 0.003;
+    const ROTATION_DRIFT: f64 = 0.002;
+    const SCALE_DRIFT: f64 = 0.003;
     /// Maximum remaining fraction of the error: the drift is not uniform, and it is not distributed
     /// uniformly.
-    const MAX_LEFT: f64 = 0.15;
+    const MAX_REMAINING: f64 = 0.15;
 
     fn true_pose(i: usize) -> Rigid3 {
         let (sin, cos) = (TAU * i as f64 / IMAGES as f64).sin_cos();
@@ -251,13 +251,13 @@ mod tests {
     /// `model_from_true` at an image.
     fn drift(i: usize) -> Sim3 {
         let i = i as f64;
-        let rotation = so3::exp(&(Vector3::new(0.5, 0.2, 1.0) * TURN * i));
-        Sim3 { scale: (GROWTH * i).exp(), rotation, translation: Vector3::zeros() }
+        let rotation = so3::exp(&(Vector3::new(0.5, 0.2, 1.0) * ROTATION_DRIFT * i));
+        Sim3 { scale: (SCALE_DRIFT * i).exp(), rotation, translation: Vector3::zeros() }
     }
 
     /// A circle with one point for each match between neighbours, except between the last and the
     /// first image, which have two points for each match.
-    fn torn_circle() -> (Reconstruction, CorrespondenceGraph, Vec<ImageId>) {
+    fn open_circle() -> (Reconstruction, CorrespondenceGraph, Vec<ImageId>) {
         let mut rng = Rng::stream(7, &[]);
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 400.0, 640, 480);
         let mut keypoints = vec![Vec::new(); IMAGES];
@@ -317,7 +317,7 @@ mod tests {
         (model, graph, images)
     }
 
-    fn seam(
+    fn loop_constraint_of(
         model: &Reconstruction,
         graph: &CorrespondenceGraph,
         images: &[ImageId],
@@ -327,13 +327,13 @@ mod tests {
     }
 
     /// Residual of the loop constraint.
-    fn off_at_seam(model: &Reconstruction, loop_constraint: &LoopConstraint) -> f64 {
+    fn loop_residual(model: &Reconstruction, loop_constraint: &LoopConstraint) -> f64 {
         let [a, b] = [loop_constraint.pair.a, loop_constraint.pair.b]
             .map(|id| *model.image(id).cam_from_world().unwrap());
         let depth =
             depths(model, &BTreeSet::from([loop_constraint.pair.b]))[&loop_constraint.pair.b];
-        let off = Between::new(loop_constraint.b_from_a, &sigmas(depth)).unwrap();
-        off.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
+        let residual = Between::new(loop_constraint.b_from_a, &sigmas(depth)).unwrap();
+        residual.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
     }
 
     /// Root mean square error of the camera centres after similarity alignment.
@@ -348,17 +348,17 @@ mod tests {
     }
 
     #[test]
-    fn what_a_circle_drifts_by_is_spread_over_it() {
-        let (mut model, graph, images) = torn_circle();
-        let loop_constraint = seam(&model, &graph, &images);
-        let (before, torn_by) = (error(&model), off_at_seam(&model, &loop_constraint));
+    fn drift_is_distributed_over_a_circle() {
+        let (mut model, graph, images) = open_circle();
+        let loop_constraint = loop_constraint_of(&model, &graph, &images);
+        let (before, residual_before) = (error(&model), loop_residual(&model, &loop_constraint));
         let error_px = model.mean_reprojection_error_px();
-        let joined = pairs(&graph, &model).joined;
-        distribute_drift(&mut model, &joined, &[loop_constraint]).unwrap();
-        assert!(error(&model) < MAX_LEFT * before, "{} of {before}", error(&model));
+        let covisibility = classify_pairs(&graph, &model).covisibility;
+        distribute_drift(&mut model, &covisibility, &[loop_constraint]).unwrap();
+        assert!(error(&model) < MAX_REMAINING * before, "{} of {before}", error(&model));
         // The residual of the loop decreases to that of one edge, and the points move along.
-        let left = off_at_seam(&model, &seam(&model, &graph, &images));
-        assert!(left < 2.0 / IMAGES as f64 * torn_by, "{left} of {torn_by}");
+        let left = loop_residual(&model, &loop_constraint_of(&model, &graph, &images));
+        assert!(left < 2.0 / IMAGES as f64 * residual_before, "{left} of {residual_before}");
         assert!(
             model.mean_reprojection_error_px() < error_px,
             "{} px",
@@ -367,24 +367,24 @@ mod tests {
     }
 
     #[test]
-    fn of_pairs_that_contradict_each_other_those_with_more_matches_stay() {
-        let (model, graph, images) = torn_circle();
-        let joined = pairs(&graph, &model).joined;
-        let right = seam(&model, &graph, &images);
-        let mut alike = right;
-        alike.b_from_a.translation.x += 2.0;
-        let kept = |num_alike: usize| {
-            let loop_constraints = [right, LoopConstraint { num_inliers: num_alike, ..alike }];
-            let kept = consistent_set(&model, &loop_constraints, &joined);
+    fn of_inconsistent_constraints_those_with_more_inliers_are_kept() {
+        let (model, graph, images) = open_circle();
+        let covisibility = classify_pairs(&graph, &model).covisibility;
+        let right = loop_constraint_of(&model, &graph, &images);
+        let mut wrong = right;
+        wrong.b_from_a.translation.x += 2.0;
+        let kept = |num_wrong: usize| {
+            let loop_constraints = [right, LoopConstraint { num_inliers: num_wrong, ..wrong }];
+            let kept = consistent_set(&model, &loop_constraints, &covisibility);
             kept.iter().map(|loop_constraint| loop_constraint.b_from_a).collect::<Vec<_>>()
         };
         assert_eq!(kept(right.num_inliers - 1), [right.b_from_a]);
-        assert_eq!(kept(right.num_inliers + 1), [alike.b_from_a]);
+        assert_eq!(kept(right.num_inliers + 1), [wrong.b_from_a]);
     }
 
     #[test]
-    fn pairs_of_which_no_matches_agree_do_not_meet() {
-        let (model, graph, images) = torn_circle();
+    fn wrong_matches_give_no_constraint() {
+        let (model, graph, images) = open_circle();
         let pair = ImagePair::new(images[0], images[IMAGES - 1]).unwrap();
         let mut two_view = graph.pairs()[&pair].clone();
         let others: Vec<u32> = two_view.matches.iter().rev().map(|m| m.b).collect();

@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 
 use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
 
-use super::explained::explained;
 use super::growth::Mapper;
+use super::support::support;
 use crate::adjust::RefineIntrinsics;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
@@ -36,14 +36,14 @@ pub(super) fn choose_focal_lengths(
         return;
     }
     let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
-    let explained = |scene: &Reconstruction| -> f64 {
+    let support = |scene: &Reconstruction| -> f64 {
         let mut mapper = Mapper::new(graph, scene, options);
         mapper.max_images = Some(MAX_TRIAL_IMAGES);
         // A hypothesis that cannot initialise a model has no support. A failed trial counts with
         // the images that it registered.
         let watch = &mut |_: &_| ControlFlow::Continue(());
         let _ = mapper.initialise(&mapper.candidates(), watch).and_then(|_| mapper.grow(watch));
-        explained(&mapper.solution.model).0
+        support(&mapper.solution.model).0
     };
     let with = |scene: &Reconstruction, relative: f64| {
         let mut changed = scene.clone();
@@ -54,14 +54,14 @@ pub(super) fn choose_focal_lengths(
         }
         changed
     };
-    let guess = explained(scene);
+    let guess = support(scene);
     let mut best = (MIN_TRIAL_GAIN * guess, scene.clone());
     for relative in FOCAL_HYPOTHESES {
         let candidate = with(scene, relative);
         if unknown.iter().all(|&id| candidate.camera(id) == scene.camera(id)) {
             continue; // The guess, which has been tried.
         }
-        let score = explained(&candidate);
+        let score = support(&candidate);
         if score > best.0 {
             best = (score, candidate);
         }

@@ -10,7 +10,7 @@ use super::focal_trials::choose_focal_lengths;
 use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
-use crate::event::{Event, OptionalStage, Watch, tell};
+use crate::event::{Event, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
 use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
@@ -45,17 +45,17 @@ pub fn map(
         choose_focal_lengths(graph, &mut scene, options, &found);
     }
     let focal_priors = focal_priors(&scene, &found);
-    let rigs = match options.rig {
+    let pairs_of_rig = match options.rig {
         RigTerm::Paper => rig_pairs(&scene),
         _ => Vec::new(),
     };
     let mut models: Vec<MappedModel> = Vec::new();
-    let mut taken: BTreeSet<ImageId> = BTreeSet::new();
+    let mut mapped_images: BTreeSet<ImageId> = BTreeSet::new();
     loop {
         let mut mapper = Mapper::new(graph, &scene, options);
         mapper.focal_priors = &focal_priors;
-        mapper.rigs = &rigs;
-        mapper.taken = taken.clone();
+        mapper.rig_pairs = &pairs_of_rig;
+        mapper.mapped_images = mapped_images.clone();
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
@@ -69,15 +69,15 @@ pub fn map(
         if models.is_empty() || registered.len() >= options.min_model_size {
             models.push(mapped);
         }
-        let before = taken.len();
-        taken.extend(registered);
-        if taken.len() == before {
+        let before = mapped_images.len();
+        mapped_images.extend(registered);
+        if mapped_images.len() == before {
             break;
         }
     }
     models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
     if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
-        join(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+        merge_rig_models(graph, &focal_priors, options, &mut models, descriptors, watch)?;
     }
     Ok(models)
 }
@@ -85,7 +85,7 @@ pub fn map(
 /// Merges the largest model with models of other cameras that have no common points with it but
 /// move as one rig. A merge is accepted if a rig constraint does not increase the error of held-out
 /// tracks.
-fn join(
+fn merge_rig_models(
     graph: &CorrespondenceGraph,
     focal_priors: &[FocalPrior],
     options: &MapperOptions,
@@ -95,32 +95,33 @@ fn join(
 ) -> Result<(), Error> {
     let mut index = 1;
     while index < models.len() {
-        let whole = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
+        let merged = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
         // If the constraint fails, the models stay separate.
-        let held =
-            whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
-        let Some((reconstruction, rig)) = held else {
+        let constrained = merged.and_then(|model| {
+            constrained(graph, model, focal_priors, options, descriptors).ok()?
+        });
+        let Some((reconstruction, rig)) = constrained else {
             index += 1;
             continue;
         };
-        let further = models.remove(index);
-        let whole = &mut models[0];
-        whole.reconstruction = reconstruction;
-        whole.rig = Some(rig);
+        let other = models.remove(index);
+        let merged = &mut models[0];
+        merged.reconstruction = reconstruction;
+        merged.rig = Some(rig);
         // The models have no camera in common.
-        whole.shutters.extend(further.shutters);
-        whole.row_poses = row_poses(&whole.reconstruction, &whole.shutters);
-        whole.num_loop_pairs += further.num_loop_pairs;
-        whole.failures.extend(further.failures);
+        merged.shutters.extend(other.shutters);
+        merged.row_poses = row_poses(&merged.reconstruction, &merged.shutters);
+        merged.num_loop_pairs += other.num_loop_pairs;
+        merged.failures.extend(other.failures);
         // The rig stage has run on the merged model.
-        whole.failures.retain(|failure| failure.stage != OptionalStage::Rig);
-        tell(watch, &Event::Joined { num_images: whole.reconstruction.num_registered() })?;
+        merged.failures.retain(|failure| failure.stage != OptionalStage::Rig);
+        notify(watch, &Event::Merged { num_images: merged.reconstruction.num_registered() })?;
     }
     Ok(())
 }
 
 /// Constrains the cameras of a model; `None` if no constraint is accepted.
-fn held(
+fn constrained(
     graph: &CorrespondenceGraph,
     model: Reconstruction,
     focal_priors: &[FocalPrior],
@@ -129,8 +130,8 @@ fn held(
 ) -> Result<Option<(Reconstruction, CalibratedRig)>, Error> {
     let mut mapper = Mapper::new(graph, &model, options);
     mapper.focal_priors = focal_priors;
-    mapper.weigh();
-    mapper.constraint(descriptors)?;
+    mapper.estimate_noise();
+    mapper.constrain_rig(descriptors)?;
     let Solution { model, rig, .. } = mapper.solution;
     Ok(rig.filter(|rig| rig.constraint.is_some()).map(|rig| (model, rig)))
 }

@@ -24,16 +24,18 @@ impl RefinementSchedule {
     pub(crate) const GROWING: Self =
         Self { rounds: 1, tolerance: 1e-5, max_iterations: 30, selects_points: true };
     /// Global refinement of the complete model, before loop detection.
-    pub(crate) const GROWN: Self = Self { rounds: 1, selects_points: true, ..Self::FINAL };
+    pub(crate) const BEFORE_LOOP_CLOSURE: Self =
+        Self { rounds: 1, selects_points: true, ..Self::FINAL };
     /// After loop closure.
-    pub(crate) const CLOSED: Self = Self { rounds: 3, selects_points: true, ..Self::FINAL };
+    pub(crate) const AFTER_LOOP_CLOSURE: Self =
+        Self { rounds: 3, selects_points: true, ..Self::FINAL };
     /// Estimation of the rig.
-    pub(crate) const HOLDING: Self = Self { selects_points: true, ..Self::FINAL };
+    pub(crate) const RIG: Self = Self { selects_points: true, ..Self::FINAL };
     /// The final refinement. With a tolerance of 1e-6 the mapping takes a quarter to a half more
     /// time, because distant points converge slowly, and the trajectories on KITTI change by a
     /// thousandth of their error.
     pub(crate) const FINAL: Self =
         Self { rounds: 5, tolerance: 1e-5, max_iterations: 100, selects_points: false };
     /// After rolling-shutter correction.
-    pub(crate) const STRAIGHTENED: Self = Self { rounds: 1, ..Self::FINAL };
+    pub(crate) const RECTIFIED: Self = Self { rounds: 1, ..Self::FINAL };
 }

@@ -11,7 +11,7 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::timeline::usual;
+use crate::timeline::usual_speed;
 
 /// The usual speed is the 90 % quantile over this many steps before and after an image, because the
 /// scale of a long drive drifts until lens and shutter are estimated. With fewer than `MIN_STEPS`
@@ -21,11 +21,11 @@ const MIN_STEPS: usize = 10;
 /// Maximum deviation from the position that the neighbours' velocity predicts, relative to the
 /// distance travelled at the usual speed. An immediate reversal gives 2. Windows 8.7 m apart moved
 /// a camera that makes 1 m a frame by 8.7 times, next to a wrongly registered frame by 4.
-const MAX_CHANGE: f64 = 2.0;
+const MAX_DEVIATION: f64 = 2.0;
 /// Number of images before and after an image that are searched for a registered one.
-const MAX_WAITING: usize = 20;
+const MAX_SEARCH: usize = 20;
 /// Number of images before and after an image that are checked for a jump.
-const MAX_STEPS: usize = 3;
+const MAX_NEIGHBOURS: usize = 3;
 
 /// The images of each camera in order of time.
 pub(crate) struct Timelines {
@@ -57,12 +57,12 @@ impl Timelines {
     ) -> Option<[Vec<&'a (f64, ImageId)>; 2]> {
         let (images, place) =
             (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
-        let before = images[..place].iter().rev().take(MAX_WAITING).collect();
-        Some([before, images[place + 1..].iter().take(MAX_WAITING).collect()])
+        let before = images[..place].iter().rev().take(MAX_SEARCH).collect();
+        Some([before, images[place + 1..].iter().take(MAX_SEARCH).collect()])
     }
 
     /// Whether a candidate lies between this image and the nearest registered image of its camera.
-    pub(crate) fn waits(
+    pub(crate) fn must_wait(
         &self,
         model: &Reconstruction,
         image: ImageId,
@@ -84,11 +84,11 @@ impl Timelines {
         let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
         let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
         let speeds: Vec<f64> = images[around].windows(2).filter_map(speed).collect();
-        if speeds.len() < MIN_STEPS { None } else { usual(speeds) }
+        if speeds.len() < MIN_STEPS { None } else { usual_speed(speeds) }
     }
 
     /// Whether a pose contradicts the motion of the neighbouring images at this usual speed.
-    pub(crate) fn jumps(
+    pub(crate) fn contradicts_motion(
         &self,
         model: &Reconstruction,
         image: ImageId,
@@ -98,21 +98,23 @@ impl Timelines {
         let Some(sides) = self.sides(model, image) else { return false };
         let Some(time_s) = model.image(image).time_s else { return false };
         let centre = cam_from_world.origin_in_a();
-        let is_off = |side: &[&(f64, ImageId)], step: usize| {
+        let is_implausible = |side: &[&(f64, ImageId)], step: usize| {
             let near = side[step];
             let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else {
                 return false;
             };
             // Without a second registered image on that side, the velocity is zero.
-            let way = side
+            let velocity_there = side
                 .get(step + 1)
                 .and_then(|further| velocity(model, further, near))
                 .unwrap_or_default();
             elapsed_s != 0.0
-                && (centre - from - way * elapsed_s).norm()
-                    > MAX_CHANGE * usual_speed * elapsed_s.abs()
+                && (centre - from - velocity_there * elapsed_s).norm()
+                    > MAX_DEVIATION * usual_speed * elapsed_s.abs()
         };
-        sides.iter().any(|side| (0..side.len().min(MAX_STEPS)).any(|step| is_off(side, step)))
+        sides
+            .iter()
+            .any(|side| (0..side.len().min(MAX_NEIGHBOURS)).any(|step| is_implausible(side, step)))
     }
 }
 
@@ -164,40 +166,52 @@ mod tests {
     }
 
     #[test]
-    fn an_image_waits_for_those_between_it_and_the_model() {
+    fn an_image_waits_for_candidates_between_it_and_the_model() {
         let (model, images) = drive(4);
         let timelines = Timelines::new(&model);
         let candidates = BTreeSet::from([images[4], images[7]]);
-        assert!(!timelines.waits(&model, images[4], &candidates));
-        assert!(timelines.waits(&model, images[7], &candidates));
+        assert!(!timelines.must_wait(&model, images[4], &candidates));
+        assert!(timelines.must_wait(&model, images[7], &candidates));
         // No candidate lies between.
-        assert!(!timelines.waits(&model, images[7], &BTreeSet::from([images[7], images[9]])));
+        assert!(!timelines.must_wait(&model, images[7], &BTreeSet::from([images[7], images[9]])));
     }
 
     #[test]
-    fn cameras_without_times_wait_for_nothing() {
+    fn cameras_without_times_do_not_wait() {
         let (mut model, images) = drive(4);
         images.iter().for_each(|&image| model.set_time(image, None));
         let timelines = Timelines::new(&model);
-        assert!(!timelines.waits(&model, images[7], &images.iter().copied().collect()));
+        assert!(!timelines.must_wait(&model, images[7], &images.iter().copied().collect()));
         assert_eq!(timelines.usual_speed(&model, images[7]), None);
     }
 
     #[test]
-    fn a_camera_that_stands_where_it_cannot_have_come_to_jumps() {
+    fn a_pose_beyond_the_reach_of_the_camera_contradicts_its_motion() {
         let last = MIN_STEPS + 1;
         let (model, images) = drive(last);
         let timelines = Timelines::new(&model);
         let speed = timelines.usual_speed(&model, images[last]).expect("steps enough");
         assert!((speed - 1.0).abs() < 1e-12);
-        let jumps = |x: f64| timelines.jumps(&model, images[last], &at(last as f64 + x), speed);
+        let contradicts_motion = |x: f64| {
+            timelines.contradicts_motion(&model, images[last], &at(last as f64 + x), speed)
+        };
         // Stopping and reversing are plausible; larger deviations are not.
-        assert!(!jumps(0.0) && !jumps(-1.0) && !jumps(-1.9) && !jumps(1.0));
-        assert!(jumps(2.1) && jumps(-2.1));
+        assert!(
+            !contradicts_motion(0.0)
+                && !contradicts_motion(-1.0)
+                && !contradicts_motion(-1.9)
+                && !contradicts_motion(1.0)
+        );
+        assert!(contradicts_motion(2.1) && contradicts_motion(-2.1));
         // Equal times give no velocity.
         let mut twice = model.clone();
         twice.set_time(images[last], Some((last - 1) as f64));
-        assert!(!Timelines::new(&twice).jumps(&twice, images[last], &at(last as f64), speed));
+        assert!(!Timelines::new(&twice).contradicts_motion(
+            &twice,
+            images[last],
+            &at(last as f64),
+            speed
+        ));
         let (model, images) = drive(last - 1);
         assert_eq!(Timelines::new(&model).usual_speed(&model, images[last]), None);
     }

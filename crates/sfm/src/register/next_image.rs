@@ -13,8 +13,8 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
+use super::absolute_pose::{Placement, RegisterOptions, estimate_placement};
 use super::continuity::Timelines;
-use super::place::{Placement, RegisterOptions, place_image};
 use super::visibility::{Visibility, visibility};
 
 /// Maximum number of failed registrations of an image between resets, and of registrations of an
@@ -24,7 +24,7 @@ const MAX_TRIALS: usize = 3;
 const MIN_GROWTH: f64 = 1.1;
 /// An image is deferred if its visible-point recall is below this fraction of the median of its
 /// neighbours. Correct images have 0.76 and more; images registered at a wrong window 0.49 to 0.75.
-const MIN_SHARE_OF_USUAL: f64 = 0.75;
+const MIN_RELATIVE_RECALL: f64 = 0.75;
 
 /// State of the selection.
 pub(crate) struct NextBestView {
@@ -35,9 +35,9 @@ pub(crate) struct NextBestView {
     /// Registrations of each image. The limit prevents endless registration and filtering.
     registrations: BTreeMap<ImageId, usize>,
     /// Visible-point recall of each image at its registration.
-    shares: BTreeMap<ImageId, f64>,
+    recalls: BTreeMap<ImageId, f64>,
     /// Deferred images.
-    poor: BTreeMap<ImageId, DeferredImage>,
+    deferred: BTreeMap<ImageId, DeferredImage>,
 }
 
 /// An image that could be registered, but waits for others.
@@ -47,7 +47,7 @@ struct DeferredImage {
     num_points: usize,
     /// Visible-point recall relative to the median of its neighbours; zero if its motion is
     /// implausible.
-    share: f64,
+    recall: f64,
 }
 
 impl NextBestView {
@@ -57,8 +57,8 @@ impl NextBestView {
             timelines: Timelines::new(scene),
             trials: BTreeMap::new(),
             registrations: BTreeMap::new(),
-            shares: BTreeMap::new(),
-            poor: BTreeMap::new(),
+            recalls: BTreeMap::new(),
+            deferred: BTreeMap::new(),
         }
     }
 
@@ -76,8 +76,8 @@ impl NextBestView {
         options: &RegisterOptions,
     ) -> Option<ImageId> {
         let may_try = |image: &ImageId| {
-            let tried = [&self.trials, &self.registrations].map(|times| times.get(image));
-            tried.into_iter().flatten().all(|times| *times < MAX_TRIALS)
+            let attempts = [&self.trials, &self.registrations].map(|times| times.get(image));
+            attempts.into_iter().flatten().all(|times| *times < MAX_TRIALS)
         };
         let mut candidates: Vec<(Visibility, ImageId)> = images
             .into_par_iter()
@@ -99,8 +99,8 @@ impl NextBestView {
             };
             placement.apply(model);
             *self.registrations.entry(placement.image).or_insert(0) += 1;
-            self.shares.insert(placement.image, placement.share);
-            self.poor.remove(&placement.image);
+            self.recalls.insert(placement.image, placement.recall);
+            self.deferred.remove(&placement.image);
             return Some(placement.image);
         }
     }
@@ -114,42 +114,45 @@ impl NextBestView {
         candidates: &[(Visibility, ImageId)],
         options: &RegisterOptions,
     ) -> Result<Placement, BTreeSet<ImageId>> {
-        let open: BTreeSet<ImageId> = candidates.iter().map(|(_, image)| *image).collect();
+        let unregistered: BTreeSet<ImageId> = candidates.iter().map(|(_, image)| *image).collect();
         let mut failed = BTreeSet::new();
-        let mut waiting: Vec<(f64, ImageId)> = Vec::new();
+        let mut deferred_candidates: Vec<(f64, ImageId)> = Vec::new();
         for &(Visibility { num_points, .. }, image) in candidates {
-            if self.timelines.waits(model, image, &open) {
+            if self.timelines.must_wait(model, image, &unregistered) {
                 continue;
             }
             // With hardly more visible points the pose would hardly change.
-            let is_known =
-                |poor: &&DeferredImage| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
-            let share = match self.poor.get(&image).filter(is_known) {
-                Some(known) => known.share,
+            let is_known = |deferred: &&DeferredImage| {
+                (num_points as f64) < MIN_GROWTH * deferred.num_points as f64
+            };
+            let recall = match self.deferred.get(&image).filter(is_known) {
+                Some(known) => known.recall,
                 None => {
-                    let Some(placement) = self.place(graph, model, image, options) else {
+                    let Some(placement) = self.estimate_pose(graph, model, image, options) else {
                         failed.insert(image);
                         continue;
                     };
-                    let usual = self.usual_share(graph, model, image);
-                    if placement.is_plausible && placement.share >= MIN_SHARE_OF_USUAL * usual {
+                    let expected = self.neighbours_recall(graph, model, image);
+                    if placement.is_plausible && placement.recall >= MIN_RELATIVE_RECALL * expected
+                    {
                         return Ok(placement);
                     }
-                    let share = if placement.is_plausible { placement.share / usual } else { 0.0 };
-                    self.poor.insert(image, DeferredImage { num_points, share });
-                    share
+                    let recall =
+                        if placement.is_plausible { placement.recall / expected } else { 0.0 };
+                    self.deferred.insert(image, DeferredImage { num_points, recall });
+                    recall
                 }
             };
-            waiting.push((share, image));
+            deferred_candidates.push((recall, image));
         }
         // Other candidates may have waited only for the failed ones. They come before deferred
         // images.
         if !failed.is_empty() {
             return Err(failed);
         }
-        waiting.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
-        for (_, image) in waiting {
-            match self.place(graph, model, image, options) {
+        deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
+        for (_, image) in deferred_candidates {
+            match self.estimate_pose(graph, model, image, options) {
                 Some(placement) => return Ok(placement),
                 None => failed.insert(image),
             };
@@ -158,7 +161,7 @@ impl NextBestView {
     }
 
     /// Estimates the pose of an image. A failure counts as a trial.
-    fn place(
+    fn estimate_pose(
         &mut self,
         graph: &CorrespondenceGraph,
         model: &Reconstruction,
@@ -169,9 +172,9 @@ impl NextBestView {
         let seed = Rng::stream(self.seed, &key).next_u64();
         let speed = self.timelines.usual_speed(model, image);
         let is_plausible = |pose: &Rigid3| {
-            speed.is_none_or(|speed| !self.timelines.jumps(model, image, pose, speed))
+            speed.is_none_or(|speed| !self.timelines.contradicts_motion(model, image, pose, speed))
         };
-        let placement = place_image(graph, model, image, options, seed, &is_plausible);
+        let placement = estimate_placement(graph, model, image, options, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
         }
@@ -179,16 +182,16 @@ impl NextBestView {
     }
 
     /// Median visible-point recall of the registered neighbours of an image; zero without any.
-    fn usual_share(
+    fn neighbours_recall(
         &self,
         graph: &CorrespondenceGraph,
         model: &Reconstruction,
         image: ImageId,
     ) -> f64 {
         let has_pose = |other: &&ImageId| model.image(**other).cam_from_world().is_some();
-        let around = graph.neighbours(image).iter().filter(has_pose);
-        let mut shares: Vec<f64> =
-            around.filter_map(|other| self.shares.get(other)).copied().collect();
-        median(&mut shares).unwrap_or(0.0)
+        let neighbours = graph.neighbours(image).iter().filter(has_pose);
+        let mut recalls: Vec<f64> =
+            neighbours.filter_map(|other| self.recalls.get(other)).copied().collect();
+        median(&mut recalls).unwrap_or(0.0)
     }
 }

@@ -37,11 +37,11 @@ pub(crate) fn visibility(
             occupied[cell(camera, &keypoint.pixel, side)] = true;
         }
     }
-    Visibility { num_points, score: spread(occupied, side) }
+    Visibility { num_points, score: pyramid_score(occupied, side) }
 }
 
 /// Sum over levels of the number of occupied cells times the number of cells of the level.
-fn spread(mut occupied: Vec<bool>, mut side: usize) -> u64 {
+fn pyramid_score(mut occupied: Vec<bool>, mut side: usize) -> u64 {
     let mut score = 0;
     while side > 1 {
         score += occupied.iter().filter(|&&o| o).count() as u64 * (side * side) as u64;
@@ -57,10 +57,10 @@ fn spread(mut occupied: Vec<bool>, mut side: usize) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::spread;
+    use super::pyramid_score;
 
     #[test]
-    fn points_all_over_beat_as_many_in_a_corner() {
+    fn distributed_points_score_more_than_as_many_in_a_corner() {
         let side = 8;
         let corner: Vec<bool> = (0..side * side).map(|i| i / side < 2 && i % side < 2).collect();
         let everywhere: Vec<bool> =
@@ -69,6 +69,6 @@ mod tests {
             corner.iter().filter(|o| **o).count(),
             everywhere.iter().filter(|o| **o).count()
         );
-        assert!(spread(everywhere, side) > spread(corner, side));
+        assert!(pyramid_score(everywhere, side) > pyramid_score(corner, side));
     }
 }

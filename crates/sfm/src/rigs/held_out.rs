@@ -2,7 +2,7 @@
 
 use tiepoint_scene::{Observation, Reconstruction};
 
-use crate::tracks::seen_at;
+use crate::tracks::triangulate_observations;
 
 /// Truncation of the reprojection errors of held-out observations, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
@@ -35,7 +35,7 @@ impl HeldOutComparison {
     pub(super) fn error_px(&self, model: &Reconstruction) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);
         for observations in &self.tracks {
-            let xyz = seen_at(model, observations);
+            let xyz = triangulate_observations(model, observations);
             for observation in observations {
                 let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
                 sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);

@@ -11,7 +11,7 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
 use crate::adjust::Shifted;
-use crate::timeline::{posed_in_time, usual};
+use crate::timeline::{posed_in_time, usual_speed};
 
 /// Maximum speed of a camera relative to its usual speed.
 const MAX_SPEED: f64 = 3.0;
@@ -45,8 +45,10 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
             of_camera.push((id, Motion { velocity, angular_velocity }));
         }
         let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
-        let usual = usual(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
-        motions.extend(of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual));
+        let usual_speed = usual_speed(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
+        motions.extend(
+            of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual_speed),
+        );
     }
     motions
 }
@@ -162,10 +164,10 @@ mod tests {
     const SPEED: f64 = 2.0;
     const MISPLACED: usize = 50;
     /// Images whose velocity depends on the misplaced one.
-    const BESIDE: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
+    const AFFECTED: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
 
     /// A camera at constant speed with one misplaced image.
-    fn drive(off_by: f64) -> Reconstruction {
+    fn drive(error: f64) -> Reconstruction {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         let camera =
@@ -173,7 +175,7 @@ mod tests {
         for i in 0..IMAGES {
             let id = model.add_image(Image::new(format!("{i}.png"), camera, Vec::new()));
             let time_s = i as f64 / RATE_HZ;
-            let along = SPEED * time_s + if i == MISPLACED { off_by } else { 0.0 };
+            let along = SPEED * time_s + if i == MISPLACED { error } else { 0.0 };
             model.set_time(id, Some(time_s));
             model.register(
                 id,
@@ -189,7 +191,7 @@ mod tests {
 
     /// The projection with the pose of the row equals the keypoint shifted by the rolling shutter.
     #[test]
-    fn the_pose_of_a_row_sees_what_the_shutter_shifts() {
+    fn the_pose_of_a_row_projects_to_the_shifted_keypoint() {
         let mut model = drive(0.0);
         let id = ImageId(MISPLACED as u32);
         let motion = Motion {
@@ -232,9 +234,9 @@ mod tests {
     }
 
     #[test]
-    fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
-        let of = |off_by: f64| {
-            let motions = motions(&drive(off_by));
+    fn images_near_a_misplaced_one_have_no_motion() {
+        let of = |error: f64| {
+            let motions = motions(&drive(error));
             motions
                 .into_iter()
                 .map(|(id, motion)| (id.index(), motion.velocity.x))
@@ -242,6 +244,9 @@ mod tests {
         };
         assert_eq!(of(0.0).len(), IMAGES);
         let around: Vec<usize> = of(30.0).into_iter().map(|(index, _)| index).collect();
-        assert_eq!(around, (0..IMAGES).filter(|index| !BESIDE.contains(index)).collect::<Vec<_>>());
+        assert_eq!(
+            around,
+            (0..IMAGES).filter(|index| !AFFECTED.contains(index)).collect::<Vec<_>>()
+        );
     }
 }

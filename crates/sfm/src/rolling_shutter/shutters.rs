@@ -1,4 +1,4 @@
-//! Rolling-shutter correction (after Hedborg et al. 2012): rows are exposed one after the other
+//! Rolling-shutter correction: rows are exposed one after the other
 //! while the camera moves.
 //!
 //! In an image of height h, the row y is exposed at s = (y/h − ½) · readout after the middle row,
@@ -19,7 +19,7 @@ use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::motion::{readout_s, shifted};
 use super::readout::{Readout, RollingShutter};
-use super::term::{ShutterTerm, adjust_readouts, with_deviations};
+use super::term::{ShutterTerm, adjust_readouts, with_standard_deviations};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 
@@ -61,7 +61,7 @@ impl RollingShutters {
 
     /// Estimates the readout times if they are not given, starting from the current ones, and
     /// corrects the keypoints. With estimation the model is adjusted, too.
-    pub(crate) fn find(
+    pub(crate) fn estimate(
         &mut self,
         model: &mut Reconstruction,
         options: &AdjustOptions,
@@ -74,15 +74,15 @@ impl RollingShutters {
             let keypoints = shifted(model, &self.detected, &self.shutters);
             let found =
                 adjust_readouts(model, options, ShutterTerm::new(&self.shutters, &keypoints))?;
-            let has_moved = |(a, b): (&RollingShutter, &RollingShutter)| {
+            let has_changed = |(a, b): (&RollingShutter, &RollingShutter)| {
                 (a.readout_s - b.readout_s).abs() > MIN_STEP_S
             };
-            let is_over = !self.shutters.iter().zip(&found).any(has_moved);
+            let has_converged = !self.shutters.iter().zip(&found).any(has_changed);
             self.shutters = found;
             // Needed in each step: points outside the selection are triangulated from the corrected
             // keypoints.
             self.rectify(model);
-            if is_over {
+            if has_converged {
                 break;
             }
         }
@@ -90,15 +90,18 @@ impl RollingShutters {
     }
 
     /// Computes the standard deviations of estimated readout times.
-    pub(crate) fn find_deviations(
+    pub(crate) fn estimate_standard_deviations(
         &mut self,
         model: &Reconstruction,
         options: &AdjustOptions,
     ) -> Result<(), Error> {
         if self.readout == Readout::Estimated {
             let keypoints = shifted(model, &self.detected, &self.shutters);
-            self.shutters =
-                with_deviations(model, options, ShutterTerm::new(&self.shutters, &keypoints))?;
+            self.shutters = with_standard_deviations(
+                model,
+                options,
+                ShutterTerm::new(&self.shutters, &keypoints),
+            )?;
         }
         Ok(())
     }

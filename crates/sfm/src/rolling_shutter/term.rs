@@ -87,7 +87,7 @@ pub(super) fn adjust_readouts(
 }
 
 /// Returns the shutters with standard deviations at the noise of the fit.
-pub(super) fn with_deviations(
+pub(super) fn with_standard_deviations(
     model: &Reconstruction,
     options: &AdjustOptions,
     mut shutters: ShutterTerm,

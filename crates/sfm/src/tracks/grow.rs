@@ -77,7 +77,7 @@ pub fn triangulate_image(
         // If a keypoint was matched to two scene points, the remaining observations may give
         // another point.
         while free.len() >= 2 {
-            let Some((xyz, members)) = create(model, &free, options) else { break };
+            let Some((xyz, members)) = create_point(model, &free, options) else { break };
             added += members.len();
             free.retain(|o| !members.contains(o));
             model.add_track(Track::new(xyz, members));
@@ -109,15 +109,15 @@ fn continue_track(
 }
 
 /// Triangulates a new point from keypoints without points. Returns it with its inliers.
-fn create(
+fn create_point(
     model: &Reconstruction,
     free: &[Observation],
     options: &TrackOptions,
 ) -> Option<(Vector3<f64>, Vec<Observation>)> {
-    let (members, sights): (Vec<Observation>, Vec<ViewRay>) =
+    let (members, rays): (Vec<Observation>, Vec<ViewRay>) =
         free.iter().filter_map(|o| Some((*o, ViewRay::of(model, o)?))).unzip();
     let found =
-        triangulation::triangulate(&sights, options.max_create_error_px, options.min_angle_rad)?;
+        triangulation::triangulate(&rays, options.max_create_error_px, options.min_angle_rad)?;
     Some((found.xyz, found.inliers.into_iter().map(|index| members[index]).collect()))
 }
 
@@ -208,7 +208,7 @@ pub fn merge_tracks(
 }
 
 /// Mean of two points, weighted by their numbers of observations.
-pub(crate) fn middle(one: &Track, other: &Track) -> Vector3<f64> {
+pub(crate) fn mean_position(one: &Track, other: &Track) -> Vector3<f64> {
     let (n, m) = (one.observations.len() as f64, other.observations.len() as f64);
     (one.xyz * n + other.xyz * m) / (n + m)
 }
@@ -229,7 +229,7 @@ fn mergeable(
                 continue;
             }
             let Some(other_track) = model.track(other) else { continue };
-            let xyz = middle(track, other_track);
+            let xyz = mean_position(track, other_track);
             let fits =
                 |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
             if track.observations.iter().chain(&other_track.observations).all(fits) {

@@ -27,25 +27,25 @@ pub(crate) fn select_points(
         .collect();
     tracks.sort_by_key(|(place, track)| (std::cmp::Reverse(track.observations.len()), *place));
     let mut is_covered = vec![false; CELLS * CELLS * model.images().count()];
-    let mut num_taken = vec![0; model.images().count()];
-    let mut is_taken = vec![false; points.len()];
+    let mut num_selected = vec![0; model.images().count()];
+    let mut is_selected = vec![false; points.len()];
     for (place, track) in tracks {
         let moving = || track.observations.iter().filter(|o| moves(o.image));
         let is_needed = |o: &Observation| {
-            num_taken[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
+            num_selected[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
         };
-        is_taken[place] = moving().any(is_needed);
-        if is_taken[place] {
+        is_selected[place] = moving().any(is_needed);
+        if is_selected[place] {
             for observation in moving() {
                 is_covered[cell(model, observation)] = true;
-                num_taken[observation.image.index()] += 1;
+                num_selected[observation.image.index()] += 1;
             }
         }
     }
     points
         .into_iter()
-        .zip(is_taken)
-        .filter_map(|(point, is_taken)| is_taken.then_some(point))
+        .zip(is_selected)
+        .filter_map(|(point, is_selected)| is_selected.then_some(point))
         .collect()
 }
 
@@ -114,18 +114,18 @@ mod tests {
     }
 
     #[test]
-    fn every_image_keeps_its_cells_and_some_hundreds_of_points() {
+    fn every_image_keeps_its_cells_and_a_minimum_of_points() {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-        let taken = select_points(&model, all.clone(), |_| true);
+        let selected = select_points(&model, all.clone(), |_| true);
         assert!(
-            taken.is_sorted() && taken.len() < all.len() / 2,
+            selected.is_sorted() && selected.len() < all.len() / 2,
             "{} of {}",
-            taken.len(),
+            selected.len(),
             all.len()
         );
         for (image, _) in model.images() {
-            let (count, cells) = seen(&model, &taken, image);
+            let (count, cells) = seen(&model, &selected, image);
             let (all_count, all_cells) = seen(&model, &all, image);
             assert_eq!(cells, all_cells);
             assert!(count >= all_count.min(MIN_POINTS as usize), "{count} of {all_count}");
@@ -136,16 +136,16 @@ mod tests {
                 points.iter().filter_map(|p| model.track(*p)).map(|track| track.observations.len());
             lengths.sum::<usize>() as f64 / points.len() as f64
         };
-        assert!(mean(&taken) > mean(&all));
+        assert!(mean(&selected) > mean(&all));
     }
 
     #[test]
-    fn images_that_stay_need_no_points() {
+    fn constant_images_need_no_points() {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
         let moving = ImageId(3);
-        let taken = select_points(&model, all.clone(), |image| image == moving);
+        let selected = select_points(&model, all.clone(), |image| image == moving);
         let expected = seen(&model, &all, moving);
-        assert_eq!((taken.len(), seen(&model, &taken, moving)), (expected.0, expected));
+        assert_eq!((selected.len(), seen(&model, &selected, moving)), (expected.0, expected));
     }
 }

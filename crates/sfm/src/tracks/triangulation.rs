@@ -68,20 +68,20 @@ const MAX_EXHAUSTIVE: usize = 12;
 /// inliers. Returns `None` with fewer than two inliers, or with a triangulation angle below
 /// `min_angle_rad`.
 pub fn triangulate(
-    sights: &[ViewRay],
+    rays: &[ViewRay],
     max_error_px: f64,
     min_angle_rad: f64,
 ) -> Option<Triangulated> {
     let max_squared = max_error_px * max_error_px;
     let max_cosine = min_angle_rad.cos();
     let mut best: Option<(f64, Vector3<f64>)> = None;
-    for i in 0..sights.len().min(MAX_EXHAUSTIVE) {
-        for j in i + 1..sights.len() {
-            if sights[i].ray_in_world.dot(&sights[j].ray_in_world) > max_cosine {
+    for i in 0..rays.len().min(MAX_EXHAUSTIVE) {
+        for j in i + 1..rays.len() {
+            if rays[i].ray_in_world.dot(&rays[j].ray_in_world) > max_cosine {
                 continue;
             }
-            let Some(xyz) = nearest_to_rays([&sights[i], &sights[j]].into_iter()) else { continue };
-            let score: f64 = sights.iter().map(|s| s.squared_error(&xyz).min(max_squared)).sum();
+            let Some(xyz) = nearest_to_rays([&rays[i], &rays[j]].into_iter()) else { continue };
+            let score: f64 = rays.iter().map(|s| s.squared_error(&xyz).min(max_squared)).sum();
             if best.is_none_or(|(least, _)| score < least) {
                 best = Some((score, xyz));
             }
@@ -89,30 +89,30 @@ pub fn triangulate(
     }
     let (score, mut xyz) = best?;
     let inliers_of = |xyz: &Vector3<f64>| {
-        (0..sights.len()).filter(|&i| sights[i].squared_error(xyz) < max_squared).collect()
+        (0..rays.len()).filter(|&i| rays[i].squared_error(xyz) < max_squared).collect()
     };
     let mut inliers: Vec<usize> = inliers_of(&xyz);
     if inliers.len() > 2
-        && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &sights[i]))
-        && sights.iter().map(|s| s.squared_error(&refined).min(max_squared)).sum::<f64>() < score
+        && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &rays[i]))
+        && rays.iter().map(|s| s.squared_error(&refined).min(max_squared)).sum::<f64>() < score
     {
         xyz = refined;
         inliers = inliers_of(&xyz);
     }
     let has_angle = inliers.iter().enumerate().any(|(n, &i)| {
-        inliers[..n].iter().any(|&j| angle_cosine(&sights[i], &sights[j], &xyz) <= max_cosine)
+        inliers[..n].iter().any(|&j| angle_cosine(&rays[i], &rays[j], &xyz) <= max_cosine)
     });
     (inliers.len() >= 2 && has_angle).then_some(Triangulated { xyz, inliers })
 }
 
 /// Triangulates a point from all observations with the current poses; `None` if the rays do not
 /// determine it.
-pub(crate) fn seen_at(
+pub(crate) fn triangulate_observations(
     model: &Reconstruction,
     observations: &[Observation],
 ) -> Option<Vector3<f64>> {
-    let sights: Vec<ViewRay> = observations.iter().filter_map(|o| ViewRay::of(model, o)).collect();
-    nearest_to_rays(sights.iter())
+    let rays: Vec<ViewRay> = observations.iter().filter_map(|o| ViewRay::of(model, o)).collect();
+    nearest_to_rays(rays.iter())
 }
 
 /// Cosine of the triangulation angle.
@@ -123,18 +123,17 @@ fn angle_cosine(a: &ViewRay, b: &ViewRay, xyz: &Vector3<f64>) -> f64 {
 /// The point with the least squared distances from all rays, each weighted by the inverse square of
 /// its length in a second iteration, so that angles are minimised: Σ w (I − d dᵀ)(x − c) = 0.
 fn nearest_to_rays<'a>(
-    sights: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
+    rays: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
 ) -> Option<Vector3<f64>> {
     let mut xyz: Option<Vector3<f64>> = None;
     for _ in 0..2 {
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
-        for sight in sights.clone() {
-            let weight = xyz.map_or(1.0, |x| 1.0 / (x - sight.centre_in_world).norm_squared());
-            let projector = (Matrix3::identity()
-                - sight.ray_in_world * sight.ray_in_world.transpose())
-                * weight;
+        for ray in rays.clone() {
+            let weight = xyz.map_or(1.0, |x| 1.0 / (x - ray.centre_in_world).norm_squared());
+            let projector =
+                (Matrix3::identity() - ray.ray_in_world * ray.ray_in_world.transpose()) * weight;
             a += projector;
-            b += projector * sight.centre_in_world;
+            b += projector * ray.centre_in_world;
         }
         xyz = Some(a.cholesky()?.solve(&b)).filter(|x| x.iter().all(|v| v.is_finite()));
         xyz?;

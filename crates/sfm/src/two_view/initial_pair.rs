@@ -10,7 +10,7 @@ const FULL_ANGLE_RAD: f64 = 16.0 * std::f64::consts::PI / 180.0;
 /// Minimum triangulation angle, in radians.
 const MIN_ANGLE_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
 /// A pair is scored on this many of its matches, evenly chosen.
-const MAX_RATED_MATCHES: usize = 500;
+const MAX_SCORED_MATCHES: usize = 500;
 /// Factor on the score of pairs that a homography explains. Their pose is uncertain.
 const PLANAR_FACTOR: f64 = 0.3;
 
@@ -36,18 +36,18 @@ pub fn initial_pairs(
 ) -> Vec<InitialPair> {
     let pairs: Vec<(&ImagePair, &TwoView)> =
         graph.pairs().iter().filter(|(pair, _)| is_free(**pair)).collect();
-    let mut rated: Vec<InitialPair> = pairs
+    let mut scored: Vec<InitialPair> = pairs
         .par_iter()
         .filter_map(|(pair, two_view)| {
             let cam2_from_cam1 = relative_pose(model, pair, two_view)?;
             let factor = if two_view.homography.is_some() { PLANAR_FACTOR } else { 1.0 };
-            let score = factor * rate(model, pair, two_view, &cam2_from_cam1, max_error_px);
+            let score = factor * score_pair(model, pair, two_view, &cam2_from_cam1, max_error_px);
             Some(InitialPair { pair: **pair, cam2_from_cam1, score })
         })
         .collect();
-    rated.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.pair.cmp(&b.pair)));
-    rated.truncate(count);
-    rated
+    scored.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.pair.cmp(&b.pair)));
+    scored.truncate(count);
+    scored
 }
 
 /// Returns the relative pose from the verification, or the pose of its fundamental matrix with the
@@ -61,7 +61,7 @@ pub(crate) fn relative_pose(
         return Some(pose);
     }
     let (rays1, rays2) =
-        rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_RATED_MATCHES));
+        rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_SCORED_MATCHES));
     let calibration1 = model.camera_of(pair.a).intrinsics.calibration_matrix();
     let calibration2 = model.camera_of(pair.b).intrinsics.calibration_matrix();
     let essential =
@@ -70,7 +70,7 @@ pub(crate) fn relative_pose(
 }
 
 /// Estimates the relative pose of a pair again with the current intrinsics.
-pub(crate) fn refine(
+pub(crate) fn estimate_relative_pose(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     pair: ImagePair,
@@ -107,27 +107,28 @@ fn rays(
 
 /// Σ min(angle / 16°, 1) over the matches that triangulate in front of both cameras with small
 /// reprojection errors.
-fn rate(
+fn score_pair(
     model: &Reconstruction,
     pair: &ImagePair,
     two_view: &TwoView,
     cam2_from_cam1: &Rigid3,
     max_error_px: f64,
 ) -> f64 {
-    let step = two_view.matches.len().div_ceil(MAX_RATED_MATCHES).max(1);
+    let step = two_view.matches.len().div_ceil(MAX_SCORED_MATCHES).max(1);
     let (rays1, rays2) = rays(model, pair, two_view, step);
     let centre2 = cam2_from_cam1.origin_in_a();
     let max_error_rad = max_error_px / model.camera_of(pair.a).intrinsics.mean_focal_px();
-    let rated = rays1.iter().zip(&rays2).filter_map(|(ray1, ray2)| {
+    let scored = rays1.iter().zip(&rays2).filter_map(|(ray1, ray2)| {
         let point = triangulate::triangulate_two_view(ray1, ray2, cam2_from_cam1)?;
         let point2 = *cam2_from_cam1 * point;
-        let off = |ray: &Vector3<f64>, point: &Vector3<f64>| ray.cross(point).norm() / point.norm();
+        let ray_error_rad =
+            |ray: &Vector3<f64>, point: &Vector3<f64>| ray.cross(point).norm() / point.norm();
         let fits = ray1.dot(&point) > 0.0
             && ray2.dot(&point2) > 0.0
-            && off(ray1, &point) < max_error_rad
-            && off(ray2, &point2) < max_error_rad;
+            && ray_error_rad(ray1, &point) < max_error_rad
+            && ray_error_rad(ray2, &point2) < max_error_rad;
         let angle = triangulate::triangulation_angle(&Vector3::zeros(), &centre2, &point);
         (fits && angle > MIN_ANGLE_RAD).then_some((angle / FULL_ANGLE_RAD).min(1.0))
     });
-    rated.sum::<f64>() * step as f64
+    scored.sum::<f64>() * step as f64
 }

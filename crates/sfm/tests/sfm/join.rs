@@ -66,7 +66,7 @@ fn run(rig: RigTerm) -> Run {
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
     let mut was_joined = false;
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        was_joined |= matches!(event, Event::Joined { .. });
+        was_joined |= matches!(event, Event::Merged { .. });
         ControlFlow::Continue(())
     });
     let models = models.expect("the scene is easy");
