@@ -1,8 +1,8 @@
-//! How the time of mapping grows with the images:
-//! `cargo run --release -p tiepoint-sfm --example long_drive -- 250 500 1000`.
+//! Mapping time over the number of images: `cargo run --release -p tiepoint-sfm --example
+//! long_drive -- 250 500 1000`.
 //!
-//! For each number of moments a drive of two cameras, as features and verified matches, mapped with
-//! `--rig off` and with `soft`.
+//! For each number of frames, a drive of two cameras is mapped from keypoints and verified matches
+//! with `--rig off` and with `soft`.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -16,7 +16,7 @@ const RATE_HZ: f64 = 10.0;
 const METRES_A_MOMENT: f64 = 0.6;
 const MIN_LENGTH_M: f64 = 160.0;
 const OBSERVATIONS_AN_IMAGE: usize = 1500;
-/// Keypoints without any match: most are.
+/// Keypoints without a match, which are the majority.
 const CLUTTER: usize = 3000;
 const WINDOW: usize = 10;
 

@@ -70,7 +70,10 @@ impl Errors {
             num_points += 1;
             relative.extend(track.observations.iter().filter_map(|o| {
                 let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
-                Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
+                Some(
+                    model.observation_error_px(o, &track.xyz)?
+                        / keypoint_sigma_px(keypoint.scale_px),
+                )
             }));
         }
         let (equations, unknowns) =

@@ -123,7 +123,7 @@ impl Scope<'_> {
     pub(super) fn points(&self, model: &Reconstruction) -> Vec<PointId> {
         match self {
             Self::Global => model.tracks().map(|(point, _)| point).collect(),
-            Self::Local(images) => model.points_seen_by(*images),
+            Self::Local(images) => model.points_observed_by(*images),
         }
     }
 }

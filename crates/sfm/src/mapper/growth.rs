@@ -171,10 +171,10 @@ impl<'a> Mapper<'a> {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
         }
-        let points = self.solution.model.points_seen_by(&local_images);
+        let points = self.solution.model.points_observed_by(&local_images);
         complete_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
         merge_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
-        let points = self.solution.model.points_seen_by(&local_images);
+        let points = self.solution.model.points_observed_by(&local_images);
         filter_points(&mut self.solution.model, &points, &self.options.filter);
         Ok(())
     }

@@ -8,7 +8,7 @@ const MAX_SUPPORT_ERROR_PX: f64 = 2.0;
 pub(super) fn support(model: &Reconstruction) -> (f64, f64) {
     let errors = model
         .tracks()
-        .flat_map(|(_, t)| t.observations.iter().map(|o| model.error_of_px(o, &t.xyz)));
+        .flat_map(|(_, t)| t.observations.iter().map(|o| model.observation_error_px(o, &t.xyz)));
     let sum: f64 = errors
         .flatten()
         .map(|error_px| (1.0 - (error_px / MAX_SUPPORT_ERROR_PX).powi(2)).max(0.0))

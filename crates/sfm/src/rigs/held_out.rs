@@ -37,7 +37,7 @@ impl HeldOutComparison {
         for observations in &self.tracks {
             let xyz = triangulate_observations(model, observations);
             for observation in observations {
-                let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
+                let error = xyz.and_then(|xyz| model.observation_error_px(observation, &xyz));
                 sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
                 count += 1;
             }

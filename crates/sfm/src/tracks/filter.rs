@@ -36,7 +36,9 @@ pub fn filter_points(
             .observations
             .iter()
             .copied()
-            .filter(|o| model.error_of_px(o, &xyz).is_none_or(|error| error > options.max_error_px))
+            .filter(|o| {
+                model.observation_error_px(o, &xyz).is_none_or(|error| error > options.max_error_px)
+            })
             .collect();
         if bad.len() + 2 > count {
             model.delete_track(point);

@@ -96,7 +96,7 @@ fn continue_track(
     let candidates: BTreeSet<PointId> =
         targets.iter().filter_map(|t| model.image(t.image).point_of(t.keypoint)).collect();
     let errors = candidates.into_iter().filter_map(|point| {
-        let error = model.error_of_px(&observation, &model.track(point)?.xyz)?;
+        let error = model.observation_error_px(&observation, &model.track(point)?.xyz)?;
         (error <= max_error_px).then_some((error, point))
     });
     match errors.min_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -168,7 +168,7 @@ pub fn complete_tracks(
             for &next in graph.correspondences(observation) {
                 if model.image(next.image).point_of(next.keypoint).is_none()
                     && model
-                        .error_of_px(&next, &xyz)
+                        .observation_error_px(&next, &xyz)
                         .is_some_and(|e| e <= options.max_merge_error_px)
                     && visited.insert(next)
                 {
@@ -230,8 +230,9 @@ fn mergeable(
             }
             let Some(other_track) = model.track(other) else { continue };
             let xyz = mean_position(track, other_track);
-            let fits =
-                |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
+            let fits = |o: &Observation| {
+                model.observation_error_px(o, &xyz).is_some_and(|e| e <= max_error_px)
+            };
             if track.observations.iter().chain(&other_track.observations).all(fits) {
                 return Some((other, xyz));
             }

@@ -30,7 +30,9 @@ pub fn held_out_rms_px(model: &Reconstruction) -> Option<f64> {
     for (_, track) in
         model.tracks().filter(|(_, t)| t.is_held_out && t.observations.len() >= MIN_OBSERVATIONS)
     {
-        for error in track.observations.iter().filter_map(|o| model.error_of_px(o, &track.xyz)) {
+        for error in
+            track.observations.iter().filter_map(|o| model.observation_error_px(o, &track.xyz))
+        {
             sum += error * error;
             count += 1;
         }

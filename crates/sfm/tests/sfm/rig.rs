@@ -1,5 +1,4 @@
-//! Two cameras that ride together, on scenes of which everything is known: a corridor of points,
-//! keypoints with noise.
+//! Two cameras on a rig in synthetic scenes: a corridor of points, and keypoints with noise.
 
 use std::ops::ControlFlow;
 
@@ -20,31 +19,31 @@ use crate::common::{ate_m, sample};
 
 /// Standard deviation of a keypoint's position, in pixels.
 const NOISE_PX: f64 = 0.3;
-/// Of the truth, for images of 640 × 480.
+/// True focal length in pixels, for images of 640 × 480.
 const FOCAL_PX: f64 = 400.0;
-/// Distance of the cameras, in metres.
+/// Baseline, in metres.
 const BASELINE_M: f64 = 0.5;
 const STEP_M: f64 = 0.8;
 const NUM_MOMENTS: usize = 10;
 const NUM_POINTS: usize = 2500;
-/// Standard deviation of the heading, and of pitch and roll, from moment to moment.
+/// Standard deviation of heading, pitch and roll between frames.
 const WAVER_RAD: f64 = 0.02;
-/// Images up to this many moments apart are matched.
+/// Maximum distance of matched frames.
 const REACH: usize = 3;
 
 struct Truth {
     scene: Reconstruction,
     graph: CorrespondenceGraph,
-    /// Poses by image.
+    /// Poses of the images.
     poses: Vec<Rigid3>,
 }
 
-/// A drive that turns by `turn_rad` from moment to moment and wavers a little.
+/// A drive that rotates by `turn_rad` between frames, with noise.
 fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
     drive_with(seed, turn_rad, guessed_focal_px, has_focal_prior, &|_| BASELINE_M)
 }
 
-/// The same with a distance of the cameras for each moment.
+/// A drive with a baseline for each frame.
 fn drive_with(
     seed: u64,
     turn_rad: f64,
@@ -148,17 +147,16 @@ fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     model
 }
 
-/// Moments of the part that is mapped first, though it is the smaller one, and its distance of the
-/// cameras.
+/// Frames of the part that is mapped first, although it is smaller, and its baseline.
 const FEW_MOMENTS: usize = 4;
 const OTHER_BASELINE_M: f64 = 0.25;
-/// Of the other part's matches this many are left, so that it does not begin.
+/// Number of remaining matches of the other part, so that the mapper does not start there.
 const KEPT_MATCHES: usize = 4;
-/// Of a mounting's length: the two parts differ by half.
+/// Tolerance of the baseline. The two parts differ by half.
 const MAX_BASELINE_ERROR: f64 = 0.05;
 
 #[test]
-fn each_model_tells_of_its_own_rig() {
+fn each_model_reports_its_own_rig() {
     let baseline_m = |moment| if moment < FEW_MOMENTS { OTHER_BASELINE_M } else { BASELINE_M };
     let mut truth = drive_with(4, 0.03, FOCAL_PX, true, &baseline_m);
     let part = |image: ImageId| usize::from(image.index() % NUM_MOMENTS >= FEW_MOMENTS);
@@ -187,7 +185,7 @@ fn each_model_tells_of_its_own_rig() {
     for (model, baseline_m) in models.iter().zip([BASELINE_M, OTHER_BASELINE_M]) {
         let rig = model.rig.as_ref().expect("it was asked for");
         assert!(model.reconstruction.image(model.initial_pair.a).cam_from_world().is_some());
-        // Metres in a unit of this model.
+        // Metres per unit of this model.
         let first = |poses: &dyn Fn(ImageId) -> Rigid3| {
             let lefts =
                 model.reconstruction.registered().filter(|(_, image, _)| image.camera.0 == 0);
@@ -204,7 +202,7 @@ fn each_model_tells_of_its_own_rig() {
     }
 }
 
-/// Whether all images of frames stand where their rig has them, exactly but for rounding.
+/// Asserts that all images of frames have the poses composed of frame and rig, up to rounding.
 fn assert_frames_hold(model: &Reconstruction) {
     assert_eq!(model.frames.len(), NUM_MOMENTS);
     for frame in &model.frames {
@@ -220,10 +218,10 @@ fn assert_frames_hold(model: &Reconstruction) {
     }
 }
 
-/// Where no observation tells a camera's place on the rig, it stays: in frames of right images
-/// alone, and of left or right ones.
+/// The pose of a sensor without determining observations stays constant: in frames with right
+/// images only, and in frames with either left or right images.
 #[test]
-fn a_calibration_that_no_observation_tells_stays() {
+fn an_undetermined_sensor_pose_stays_constant() {
     let truth = drive(4, 0.03, FOCAL_PX, true);
     let rigid = run(&truth, &calibrated(RigTerm::Hard));
     let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
@@ -245,7 +243,7 @@ fn a_calibration_that_no_observation_tells_stays() {
         assert_ne!(model.frames, before.frames, "something moves");
         model.validate().expect("a sound model");
     }
-    // Of one moment the distance of the cameras is the size of the world.
+    // In a single frame the baseline fixes the scale.
     let mut model = rigid.clone();
     let kept = rigid.frames[2].images.clone();
     for image in rigid.images().map(|(id, _)| id).filter(|image| !kept.contains(image)) {
@@ -263,10 +261,11 @@ fn a_calibration_that_no_observation_tells_stays() {
     );
 }
 
-/// Its largest coordinate stays, to second order in a turn; the others are a few hundredths of it.
+/// The baseline's largest coordinate is constant, which fixes the length to second order in a
+/// rotation. The other coordinates are a few hundredths of it.
 const MAX_LENGTHENED: f64 = 0.01;
 
-/// How far the mounting is bent before it is adjusted, in radians, and what may be left of that.
+/// Initial error of the extrinsics in radians, and the tolerance after the adjustment.
 const BENT_RAD: f64 = 0.01;
 const LEFT_OF_BENT: f64 = 0.05;
 
@@ -277,7 +276,7 @@ fn a_rigid_model_stays_rigid_when_it_is_adjusted() {
     assert_frames_hold(&rigid);
     let options = AdjustOptions { refine: RefineIntrinsics::NONE, ..AdjustOptions::default() };
     let go_on = &mut |_: &_| ControlFlow::Continue(());
-    // As another program may have left it, with a frame whose reference image is gone, too.
+    // As another program may have left it, optionally with a frame without a reference image.
     let bent = |lost: Option<ImageId>| {
         let mut model = rigid.clone();
         let mount = model.rigs[0].sensors[1].cam_from_rig.as_mut().expect("it is known");
@@ -314,10 +313,10 @@ fn calibrated(rig: RigTerm) -> MapperOptions {
     MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() }
 }
 
-/// The term pulls p_i together: it cannot leave them more scattered than they were without it,
-/// relative to the baseline.
+/// The term decreases the differences of p_i. It cannot increase their scatter relative to the
+/// baseline.
 #[test]
-fn the_papers_term_lessens_the_spread_of_the_baseline() {
+fn the_papers_term_reduces_the_scatter_of_the_baseline() {
     for &seed in sample(&[0, 1]) {
         let truth = drive(seed, 0.02, FOCAL_PX, true);
         let scatter = |rig| {
@@ -333,7 +332,7 @@ fn the_papers_term_lessens_the_spread_of_the_baseline() {
     }
 }
 
-/// What is left of a relative pose after two rigid motions were multiplied out.
+/// Rounding error of a relative pose after two rigid motions.
 const ROUNDING: f64 = 1e-9;
 
 /// The true poses as a model.
@@ -345,14 +344,14 @@ fn true_model(truth: &Truth) -> Reconstruction {
     model
 }
 
-/// Centres are off by less where a mounting holds them: ten other seeds (11 to 20) end at 0.685 ±
-/// 0.109 of the error without; this is 2.6 standard deviations more.
+/// Ten other seeds (11 to 20) give 0.685 ± 0.109 of the error without a constraint. The bound is
+/// 2.6 standard deviations above.
 const MAX_ATE_SHARE: f64 = 0.97;
 
-/// The noise of the keypoints scatters relative poses; a mounting that is there takes the scatter
-/// away, and the trajectory gets better.
+/// The noise of the keypoints scatters the relative poses. The constraint removes the scatter and
+/// improves the trajectory.
 #[test]
-fn one_mounting_is_found_and_held() {
+fn one_relative_pose_is_estimated_and_constrained() {
     let truth = drive(4, 0.03, FOCAL_PX, true);
     let true_model = true_model(&truth);
     let mut spreads = Vec::new();
@@ -398,12 +397,12 @@ fn one_mounting_is_found_and_held() {
     }
 }
 
-/// Two images of which one truly shows another moment: their matches fit the world, and the
-/// mounting does not.
+/// Two images have the times of other frames. Their matches are consistent with the world but not
+/// with the extrinsics.
 #[test]
-fn a_pair_that_does_not_belong_together_is_named_and_left_alone() {
+fn a_pair_of_different_instants_is_reported_and_not_constrained() {
     let mut truth = drive(6, 0.03, FOCAL_PX, true);
-    // The right image of moment 3 claims the time of moment 6, and the other way around.
+    // The right images of frames 3 and 6 have each other's times.
     let (one, other) = (ImageId((NUM_MOMENTS + 3) as u32), ImageId((NUM_MOMENTS + 6) as u32));
     let times = [one, other].map(|id| truth.scene.image(id).time_s);
     truth.scene.set_time(one, times[1]);
@@ -417,7 +416,7 @@ fn a_pair_that_does_not_belong_together_is_named_and_left_alone() {
 }
 
 #[test]
-fn the_gauge_stays_where_it_is_held() {
+fn the_gauge_stays_fixed() {
     let truth = drive(5, 0.02, FOCAL_PX, true);
     let mut model = run(&truth, &calibrated(RigTerm::Off));
     let rigs = rig_pairs(&model);
@@ -447,20 +446,20 @@ fn the_gauge_stays_where_it_is_held() {
     let (apart, way) =
         (second.origin_in_a() - first.origin_in_a(), moved.origin_in_a() - second.origin_in_a());
     let axis = (second.rotation * apart).iamax();
-    // No step goes along the axis of the camera as it was turned then: what is left is of second
-    // order.
+    // No step has a component along the fixed axis of the camera frame; a residual of second order
+    // remains.
     let along = (moved.rotation * way)[axis];
     let turn_rad = moved.rotation.angle_to(&second.rotation);
     assert!(along.abs() <= turn_rad * way.norm(), "{along}");
     assert!(way.norm() > 0.0 && turn_rad > 0.0, "nothing else is held");
 }
 
-/// On a drive that hardly turns a focal length of twice the truth is a trap; what a degree of
-/// wavering tells of it is known to a few parts in a hundred.
+/// On a drive that hardly rotates, a focal length of twice the truth is a local minimum. A noise of
+/// a degree in rotation determines it to a few percent.
 const MAX_RELATIVE_FOCAL_ERROR: f64 = 0.06;
 
 #[test]
-fn the_focal_length_of_a_drive_that_hardly_turns_is_found_or_kept() {
+fn the_focal_length_of_a_nearly_straight_drive_is_estimated_or_kept() {
     for (seed, turn_rad) in [(1, 0.0)] {
         let truth = drive(seed, turn_rad, 1.2 * 640.0, false);
         let model = run(&truth, &MapperOptions { seed, ..MapperOptions::default() });
