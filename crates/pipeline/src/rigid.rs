@@ -88,7 +88,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let are_known = place.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
-    let options = options.weighed_against(&model);
+    let options = options.with_noise_of(&model);
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
     let factor = length / cameras[0].right_from_left.translation.norm();

@@ -87,7 +87,7 @@ impl AdjustOptions<'_> {
     /// Sets priors and loss for the noise scale of a finished model ([`AdjustOptions::noise`]). The
     /// weight of the priors does not increase beyond that for a noise scale of 1, because larger
     /// residuals are errors of the model.
-    pub fn weighed_against(self, model: &Reconstruction) -> Self {
+    pub fn with_noise_of(self, model: &Reconstruction) -> Self {
         self.with_noise(relative_noise(model))
     }
 

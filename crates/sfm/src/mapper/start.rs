@@ -59,11 +59,11 @@ impl Mapper<'_> {
             // A failed trial counts with the images that it registered.
             let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
             tried.extend(images);
-            let (score, share) = support(&trial.solution.model);
+            let (score, relative_support) = support(&trial.solution.model);
             if best.as_ref().is_none_or(|(most, _)| score > *most) {
                 best = Some((score, *candidate));
             }
-            if share > ACCEPTED_SUPPORT || tried.len() == 2 * MAX_TRIAL_MODELS {
+            if relative_support > ACCEPTED_SUPPORT || tried.len() == 2 * MAX_TRIAL_MODELS {
                 break;
             }
         }

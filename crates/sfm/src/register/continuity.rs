@@ -106,7 +106,7 @@ impl Timelines {
             // Without a second registered image on that side, the velocity is zero.
             let velocity_there = side
                 .get(step + 1)
-                .and_then(|further| velocity(model, further, near))
+                .and_then(|beyond| velocity(model, beyond, near))
                 .unwrap_or_default();
             elapsed_s != 0.0
                 && (centre - from - velocity_there * elapsed_s).norm()

@@ -41,36 +41,36 @@ type Samples = Vec<(f64, Rigid3)>;
 /// missing, or if their motions do not fit one rig.
 pub(crate) fn merge_by_motion(
     first: &Reconstruction,
-    further: &Reconstruction,
+    second: &Reconstruction,
 ) -> Option<Reconstruction> {
-    if !cameras(first).is_disjoint(&cameras(further)) {
+    if !cameras(first).is_disjoint(&cameras(second)) {
         return None;
     }
     let lefts = samples(first, *cameras(first).first()?);
-    let rights = cameras(further).into_iter().map(|camera| samples(further, camera));
+    let rights = cameras(second).into_iter().map(|camera| samples(second, camera));
     let rights = rights.max_by_key(Vec::len)?;
-    let first_from_further = similarity(&Trajectory::new(lefts), &rights)?;
-    let mut whole = first.clone();
-    let mut moved = further.clone();
-    moved.transform(&first_from_further);
-    for camera in cameras(further) {
-        *whole.camera_mut(camera) = *moved.camera(camera);
+    let first_from_second = similarity(&Trajectory::new(lefts), &rights)?;
+    let mut merged = first.clone();
+    let mut moved = second.clone();
+    moved.transform(&first_from_second);
+    for camera in cameras(second) {
+        *merged.camera_mut(camera) = *moved.camera(camera);
     }
     let posed: Vec<(ImageId, Rigid3)> =
         moved.registered().map(|(id, _, pose)| (id, *pose)).collect();
     for (image, pose) in posed {
-        whole.register(image, pose);
+        merged.register(image, pose);
         let pixels: Vec<_> =
             moved.image(image).keypoints.iter().map(|keypoint| keypoint.pixel).collect();
-        whole.move_keypoints(image, &pixels);
+        merged.move_keypoints(image, &pixels);
     }
     for (_, track) in moved.tracks() {
-        whole.add_track(Track::new(track.xyz, track.observations.clone()));
+        merged.add_track(Track::new(track.xyz, track.observations.clone()));
     }
     // Rigs and frames of the separate models no longer hold.
-    whole.rigs.clear();
-    whole.frames.clear();
-    Some(whole)
+    merged.rigs.clear();
+    merged.frames.clear();
+    Some(merged)
 }
 
 fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {

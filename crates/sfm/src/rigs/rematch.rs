@@ -133,7 +133,7 @@ mod tests {
     const POINTS: usize = 400;
     /// Points with the descriptor of another point, as repeated windows have. The ratio test
     /// rejects them without an epipolar line.
-    const TWINS: usize = 200;
+    const NUM_REPEATED: usize = 200;
     /// Focal length of a fisheye, so that epipolar lines are curved in the image.
     const FOCAL_PX: f64 = 200.0;
     /// Some repeated points lie on the same epipolar line.
@@ -175,7 +175,7 @@ mod tests {
     }
 
     fn descriptor(k: usize) -> Descriptor {
-        let mut rng = Rng::stream(2, &[(k % (POINTS - TWINS)) as u64]);
+        let mut rng = Rng::stream(2, &[(k % (POINTS - NUM_REPEATED)) as u64]);
         std::array::from_fn(|_| rng.below(90) as u8)
     }
 
@@ -194,7 +194,7 @@ mod tests {
         assert_eq!(pairs, [(0, 2), (1, 2)]);
         for (_, two_view) in &found {
             let right = two_view.matches.iter().filter(|m| m.a == m.b).count();
-            assert_eq!(right, two_view.matches.len(), "no twin is taken for the other");
+            assert_eq!(right, two_view.matches.len(), "repeated points are told apart");
             assert!(right as f64 >= MIN_SHARE * POINTS as f64, "{right}");
         }
         let extended = graph.extended(found);

@@ -73,7 +73,7 @@ fn scale(run: &Run) -> f64 {
 /// Errors of rotation (radians), translation (metres), offset at the pivot (seconds) and drift, and
 /// their standard deviations.
 fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let scale = scale(run);
     let found =
@@ -107,7 +107,7 @@ fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     let (mut sum, mut count) = (0.0, 0);
     for &seed in sample(&[1, 2, 3]) {
         let run = run(seed, CLOCKS, RigTerm::Auto);
-        let camera = run.camera.as_ref().expect("the right camera was held");
+        let camera = run.camera.as_ref().expect("the right camera was calibrated");
         assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
         assert!(
             matches!(camera.constraint, RigConstraint::Soft { .. }),
@@ -138,7 +138,7 @@ fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
 
 /// Lower tolerance of the jitter estimated from some 90 time stamps by the median of their second
 /// differences, relative to the truth.
-const TOLD: f64 = 0.8;
+const MIN_RELATIVE_JITTER: f64 = 0.8;
 /// Exceeded by chance once in fifteen thousand.
 const MAX_DEVIATIONS: f64 = 4.0;
 
@@ -148,17 +148,17 @@ const MAX_DEVIATIONS: f64 = 4.0;
 fn no_offset_is_more_precise_than_the_time_stamps() {
     let jitter_s = 0.002;
     let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigTerm::Auto);
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let floor_s = 2f64.sqrt() * jitter_s / (camera.num_referenced_images as f64).sqrt();
     let (error, sd) = errors(&run);
-    assert!(sd[6] > TOLD * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
+    assert!(sd[6] > MIN_RELATIVE_JITTER * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
     assert!(error[6].abs() < MAX_DEVIATIONS * sd[6], "{} ± {}", error[6], sd[6]);
 }
 
 #[test]
 fn synchronised_cameras_become_rigid_frames() {
     let run = run(2, ClockEffects::default(), RigTerm::Hard);
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     assert_eq!(
         (camera.sensor_pair.clock_state, camera.sensor_pair.clock.offset_s, camera.constraint),
         (ClockState::Synchronised, 0.0, RigConstraint::Rigid)

@@ -21,10 +21,10 @@ const GRID: u32 = 20;
 fn turn(camera: &Camera, truth: &DriveCamera) -> UnitQuaternion<f64> {
     let (mut found, mut true_rays) = (Vec::new(), Vec::new());
     for (column, row) in (0..GRID).flat_map(|column| (0..GRID).map(move |row| (column, row))) {
-        let share = |k: u32| (f64::from(k) + 0.5) / f64::from(GRID);
+        let coordinate = |k: u32| (f64::from(k) + 0.5) / f64::from(GRID);
         let pixel = Vector2::new(
-            share(column) * f64::from(camera.width),
-            share(row) * f64::from(camera.height),
+            coordinate(column) * f64::from(camera.width),
+            coordinate(row) * f64::from(camera.height),
         );
         let rays = (camera.intrinsics.unproject(&pixel), truth.lens.unproject(&pixel));
         if let (Some(ray), Some(true_ray)) = rays {

@@ -261,13 +261,13 @@ fn outlier_keypoints_have_little_weight() {
         let mut scene = Reconstruction::default();
         scene.add_camera(*truth.scene.camera_of(ImageId(0)));
         for (_, image) in truth.scene.images() {
-            let off = |keypoint: &Keypoint| {
+            let displaced = |keypoint: &Keypoint| {
                 let off_px = if rng.uniform() < OFF_SHARE { OFF_PX } else { 0.0 };
                 let angle = 2.0 * std::f64::consts::PI * rng.uniform();
                 let pixel = keypoint.pixel + Vector2::new(angle.cos(), angle.sin()) * off_px;
                 Keypoint { pixel, ..*keypoint }
             };
-            let keypoints = image.keypoints.iter().map(off).collect();
+            let keypoints = image.keypoints.iter().map(displaced).collect();
             scene.add_image(Image::new(image.name.clone(), image.camera, keypoints));
         }
         truth.scene = scene;

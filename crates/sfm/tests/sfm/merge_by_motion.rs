@@ -89,7 +89,7 @@ const MAX_ROTATION_RAD: f64 = 0.3 / 57.3;
 const MAX_OFFSET_S: f64 = 0.005;
 /// Tolerance of the camera centre along the road and across it, in metres. On a flat road the
 /// vertical coordinate is unobservable and stays at its true value, zero.
-const MAX_PLACE_M: f64 = 0.1;
+const MAX_POSITION_ERROR_M: f64 = 0.1;
 const MAX_HEIGHT_M: f64 = 0.01;
 
 #[test]
@@ -97,7 +97,7 @@ fn cameras_without_common_points_are_merged_into_one_model() {
     let run = run(RigTerm::Auto);
     assert!(run.was_joined);
     assert_eq!(run.models, 1);
-    let camera = run.camera.expect("it is held");
+    let camera = run.camera.expect("it is calibrated");
     assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let Rigid3 { rotation, translation } = camera.right_from_left;
@@ -105,14 +105,14 @@ fn cameras_without_common_points_are_merged_into_one_model() {
     // In the first camera's frame: right, down, ahead.
     let found = -(rotation.inverse() * translation) * run.metres;
     let expected = truth.origin_in_a();
-    let off = found - expected;
+    let error = found - expected;
     let pivot_s = camera.sensor_pair.clock.pivot_s;
     let offset_s = camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
     eprintln!(
-        "turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}"
+        "rotation {turn_rad:.5} rad, position {error:.3?} m, clock {offset_s:.5} s, {camera:?}"
     );
     assert!(turn_rad < MAX_ROTATION_RAD, "{turn_rad} rad");
-    assert!(off.x.hypot(off.z) < MAX_PLACE_M, "{off:?}");
+    assert!(error.x.hypot(error.z) < MAX_POSITION_ERROR_M, "{error:?}");
     let blind = camera.sensor_pair.unobservable_direction.expect("the road is flat");
     assert!(blind.y.abs() > 0.9, "{blind:?}");
     assert!((found - blind * found.dot(&blind)).norm() > found.norm() - MAX_HEIGHT_M, "{found:?}");

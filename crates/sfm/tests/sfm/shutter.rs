@@ -77,26 +77,26 @@ fn an_absurd_readout_leaves_the_model_unchanged() {
 const MAX_READOUT_SD_S: f64 = 0.001;
 const MAX_DEVIATIONS: f64 = 3.0;
 /// The correction removes most of the error that the rolling shutter causes.
-const MAX_SHARE: f64 = 0.5;
+const MAX_RELATIVE_ERROR: f64 = 0.5;
 
 #[test]
 fn a_rolling_shutter_is_estimated_and_corrected() {
     for mounting in [Mounting::Front, Mounting::Right] {
-        let off = without(mounting);
-        assert_eq!(off.shutters, []);
-        assert_eq!(off.row_poses, []);
+        let uncorrected = without(mounting);
+        assert_eq!(uncorrected.shutters, []);
+        assert_eq!(uncorrected.row_poses, []);
         let known = run(mounting, Some(Readout::Known(READOUT_S)));
         let found = run(mounting, Some(Readout::Estimated));
         eprintln!(
-            "{mounting:?}: {:.4} m off, {:.4} known, {:.4} found: {:?}",
-            off.error_m, known.error_m, found.error_m, found.shutters
+            "{mounting:?}: {:.4} m uncorrected, {:.4} known, {:.4} found: {:?}",
+            uncorrected.error_m, known.error_m, found.error_m, found.shutters
         );
         for outcome in [&known, &found] {
             assert!(
-                outcome.error_m < MAX_SHARE * off.error_m,
+                outcome.error_m < MAX_RELATIVE_ERROR * uncorrected.error_m,
                 "{} m, {} without",
                 outcome.error_m,
-                off.error_m
+                uncorrected.error_m
             );
         }
         assert_eq!(found.shutters.len(), 2);
