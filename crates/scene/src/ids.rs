@@ -1,5 +1,5 @@
-//! Typed ids: indices into the lists of one [`crate::Reconstruction`]. Ids of different kinds do not
-//! convert into each other:
+//! Typed ids: indices into the lists of one [`crate::Reconstruction`]. Ids of different kinds do
+//! not convert into each other:
 //!
 //! ```compile_fail
 //! use tiepoint_scene::{CameraId, ImageId};

@@ -190,7 +190,8 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            problem.add(key, intrinsics_prior(params, camera, camera_of_images, options)?, Loss::Trivial)?;
+            let prior = intrinsics_prior(params, camera, camera_of_images, options)?;
+            problem.add(key, prior, Loss::Trivial)?;
         }
         for (image, pose) in &images {
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));

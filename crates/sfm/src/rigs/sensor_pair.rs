@@ -1,5 +1,5 @@
-//! Pairs of a reference camera (`left`) and another camera of the rig (`right`), and the clock offset
-//! between them.
+//! Pairs of a reference camera (`left`) and another camera of the rig (`right`), and the clock
+//! offset between them.
 //!
 //! Cameras of a rig need not be triggered at the same instants. The pose of the reference camera at
 //! the time of another camera's image is interpolated between four of its images, on the other
