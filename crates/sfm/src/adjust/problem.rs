@@ -67,6 +67,7 @@ pub(crate) fn build(
     Ok(variables)
 }
 
+/// Adds the points of the scope as landmarks, without held-out and unselected ones.
 fn add_points(
     variables: &mut Variables,
     context: &TermContext,
@@ -90,6 +91,7 @@ fn add_points(
     observations
 }
 
+/// Adds the poses that are not composed. Poses outside the scope are constant.
 fn add_poses(
     variables: &mut Variables,
     context: &TermContext,
@@ -106,6 +108,7 @@ fn add_poses(
     }
 }
 
+/// Fixes the gauge on the poses of images and frames.
 fn fix_problem_gauge(
     variables: &mut Variables,
     context: &TermContext,
@@ -148,7 +151,7 @@ fn set_tree_retraction(
 /// Representation of an image's pose.
 #[derive(Clone, Copy)]
 enum Pose {
-    Own(Key<Rigid3>),
+    Variable(Key<Rigid3>),
     Composed(Composed),
 }
 
@@ -162,7 +165,7 @@ fn add_camera(
     camera: CameraId,
 ) -> Result<(), Error> {
     let model = context.model;
-    let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Own(*key)));
+    let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Variable(*key)));
     let composed = variables.composed.iter().map(|(image, pose)| (*image, Pose::Composed(*pose)));
     let is_of_camera = |(image, _): &(ImageId, Pose)| model.image(*image).camera == camera;
     let images: Vec<(ImageId, Pose)> = own.chain(composed).filter(is_of_camera).collect();
@@ -197,7 +200,7 @@ fn add_camera(
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
             let observations_of_image = ImageObservations {
                 keypoints: &model.image(*image).keypoints,
-                seen: &observations[image.index()],
+                observed: &observations[image.index()],
                 pose: *pose,
                 shifts,
             };
@@ -212,30 +215,31 @@ fn add_camera(
 /// The observations of an image.
 struct ImageObservations<'a> {
     keypoints: &'a [Keypoint],
-    seen: &'a [(u32, Key<Vector3<f64>>)],
+    observed: &'a [(u32, Key<Vector3<f64>>)],
     pose: Pose,
     shifts: Option<(Key<Vector1<f64>>, &'a [Shifted])>,
 }
 
 impl ImageObservations<'_> {
+    /// Adds a reprojection factor for each observed point.
     fn add<M: CameraModel>(
         &self,
         problem: &mut Problem,
         params: Key<M::Params>,
         loss: Loss,
     ) -> Result<(), Error> {
-        for &(index, point) in self.seen {
+        for &(index, point) in self.observed {
             let index = index as usize;
             let keypoint = &self.keypoints[index];
             let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
             match (self.pose, self.shifts) {
-                (Pose::Own(pose), Some((amount, shifts))) => {
+                (Pose::Variable(pose), Some((shift_scale, shifts))) => {
                     let Shifted { pixel, shift } = shifts[index];
                     let unshifted = Reprojection::<M>::new(pixel, sigma_px);
                     let factor = ShiftedReprojection { unshifted, shift };
-                    problem.add((params, pose, amount, point), factor, loss)?;
+                    problem.add((params, pose, shift_scale, point), factor, loss)?;
                 }
-                (Pose::Own(pose), None) => {
+                (Pose::Variable(pose), None) => {
                     problem.add(
                         (params, pose, point),
                         Reprojection::<M>::new(pixel, sigma_px),

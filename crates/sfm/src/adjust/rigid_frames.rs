@@ -1,7 +1,7 @@
 //! Rigs and frames of a model in bundle adjustment.
 //!
 //! The pose of an image in a frame is `cam_from_rig` · `rig_from_world`. The pose of the frame is
-//! that of the reference sensor's image if it has observations, and a variable of its own
+//! that of the reference sensor's image if it has observations, and a variable of its pose_keys
 //! otherwise. `cam_from_rig` of each other sensor is one variable, constant if no observation
 //! determines it. In a local adjustment all sensor poses are constant, since most frames take no
 //! part. There a frame moves with its reference image or, without one, with any of its images.
@@ -115,20 +115,23 @@ impl Term for RigidFrames {
         self.composed.keys().copied().collect()
     }
 
+    /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig` of
+    /// each other sensor, and composes the poses of the images.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let is_local = matches!(context.scope, Scope::Local(_));
-        let own: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
-        let undetermined = self
-            .undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
+        let pose_keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
+        let undetermined = self.undetermined(|image| {
+            pose_keys.contains_key(&image) || self.composed.contains_key(&image)
+        });
         for (index, frame) in self.frames.iter().enumerate() {
             let reference = frame.images.iter().find(|image| {
                 self.sensor_of(frame, **image).is_some_and(|(sensor, _)| sensor == 0)
-                    && own.contains_key(image)
+                    && pose_keys.contains_key(image)
             });
             let composed_images_of_frame =
                 || frame.images.iter().filter(|image| self.composed.contains_key(image));
             let rig_from_world = match (reference, composed_images_of_frame().next()) {
-                (Some(image), _) => own[image],
+                (Some(image), _) => pose_keys[image],
                 (None, Some(first)) => {
                     let key = variables
                         .problem_mut()

@@ -69,7 +69,7 @@ impl CovisibilityGraph {
         })
     }
 
-    /// Returns the images within [`MAX_STEPS`] edges of an image, including itself.
+    /// Returns the images within [`MAX_PATH_LENGTH`] edges of an image, including itself.
     pub(crate) fn within_path_length(&self, image: ImageId) -> BTreeSet<ImageId> {
         let others = |of: &ImageId| self.0.get(of).into_iter().flatten().copied();
         let mut visited = BTreeSet::from([image]);

@@ -219,6 +219,8 @@ impl<'a> Mapper<'a> {
         Ok((num_observations, cost))
     }
 
+    /// Options of an adjustment: intrinsics are refined as far as the registered images determine
+    /// them.
     pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
         let mut refine = self.options.refine;
         let has_rotation = self.has_rotation();

@@ -65,8 +65,9 @@ impl Context<'_> {
                     && r <= (MAX_MUTUAL_RATIO * far_a.1.min(far_b.1)).max(gate.1)
             };
             let agreement = |(referenced, pose): (&ReferencedImage, &RelativePose)| {
-                let own = || self.two_view_geometry_agrees(model, referenced, &clock, &average);
-                if is_near(pose) { Some(true) } else { own() }
+                let two_view =
+                    || self.two_view_geometry_agrees(model, referenced, &clock, &average);
+                if is_near(pose) { Some(true) } else { two_view() }
             };
             let agreements: Vec<Option<bool>> =
                 referenced_images.iter().zip(&poses).map(agreement).collect();
@@ -145,6 +146,7 @@ impl Context<'_> {
 pub(super) enum UnmatchedImages {
     /// Runs that are displaced together are constrained.
     ConstrainRuns,
+    /// They are not constrained.
     Exclude,
 }
 

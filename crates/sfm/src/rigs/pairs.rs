@@ -72,6 +72,7 @@ pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Ve
     pairs
 }
 
+/// Returns the pairs of images with the same file name, sorted by that.
 pub(crate) fn by_name(
     scene: &Reconstruction,
     lefts: &[ImageId],

@@ -84,6 +84,8 @@ pub fn final_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLin
     links(model, rigs, |poses, _| paper::final_link_weights(poses))
 }
 
+/// Links consecutive pairs with two registered images. `weights` gets the relative poses and the
+/// number of all pairs.
 fn links(
     model: &Reconstruction,
     rigs: &[RigPairs],

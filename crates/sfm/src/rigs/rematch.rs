@@ -94,6 +94,7 @@ fn undistorted_features(
     Features { keypoints: keypoints.iter().map(keypoint).collect(), descriptors }
 }
 
+/// Matches two images along the epipolar lines of their poses.
 fn guided_matches(
     model: &Reconstruction,
     pair: &ImagePair,

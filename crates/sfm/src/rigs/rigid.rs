@@ -61,6 +61,7 @@ pub fn constrain_rigidly(
 }
 
 impl RigidCamera {
+    /// The extrinsics as a rigid constraint of a synchronised sensor pair.
     fn extrinsics(&self) -> RigExtrinsics {
         let referenced = |pair: &RigPair| ReferencedImage {
             right: pair.right,

@@ -7,8 +7,8 @@ use tiepoint_scene::{PointId, Reconstruction, Track};
 /// equations are singular.
 const MIN_DEPTH_INFORMATION: f64 = 1e-8;
 
-/// Returns a copy of the model in which points at infinity are held out. They constrain rotations
-/// only, as all other points do.
+/// Returns a copy of the model in which points at infinity are held out. Such points constrain only
+/// rotations, which the other points constrain as well.
 pub(crate) fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
     let is_far = |track: &Track| {
         let mut information = Matrix3::zeros();

@@ -184,6 +184,8 @@ fn pairs_of(
     (choose(&|a, b| a == camera || b == camera), false)
 }
 
+/// Returns the focal length with the least cost, in pixels; `None` if the pairs do not determine
+/// it.
 fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Option<f64> {
     if pairs.is_empty() {
         return None;
