@@ -54,34 +54,34 @@ impl LoopConstraint {
         let (a_from_world, b_from_world) = (a.cam_from_world()?, b.cam_from_world()?);
         let xyz = |point: Option<PointId>| Some(model.track(point?)?.xyz);
         let seen = |m: &Match| {
-            let (own, other) = (xyz(a.point_of(m.a))?, xyz(b.point_of(m.b))?);
-            Some((a.keypoints[m.a as usize].pixel, own, other))
+            let (point_a, point_b) = (xyz(a.point_of(m.a))?, xyz(b.point_of(m.b))?);
+            Some((a.keypoints[m.a as usize].pixel, point_a, point_b))
         };
         let seen: Vec<(Vector2<f64>, Vector3<f64>, Vector3<f64>)> =
             two_view.matches.iter().filter_map(seen).collect();
-        let (pixels, others): (Vec<_>, Vec<_>) =
-            seen.iter().map(|(pixel, _, other)| (*pixel, *other)).unzip();
+        let (pixels, points_b): (Vec<_>, Vec<_>) =
+            seen.iter().map(|(pixel, _, point_b)| (*pixel, *point_b)).unzip();
         let options = RansacOptions { max_error: MAX_ERROR_PX, seed, ..RansacOptions::default() };
         let found = estimate::absolute_pose(
             &pixels,
-            &others,
+            &points_b,
             &model.camera_of(pair.a).intrinsics,
             &options,
         )?;
         let inliers = seen.iter().zip(&found.inliers).filter(|(_, is_inlier)| **is_inlier);
-        let mut lengths: Vec<f64> = inliers
-            .map(|((_, own, other), _)| {
-                (found.model * *other).norm() / (*a_from_world * *own).norm()
+        let mut scales: Vec<f64> = inliers
+            .map(|((_, point_a, point_b), _)| {
+                (found.model * *point_b).norm() / (*a_from_world * *point_a).norm()
             })
-            .filter(|length| length.is_finite() && *length > 0.0)
+            .filter(|scale| scale.is_finite() && *scale > 0.0)
             .collect();
-        if lengths.len() < MIN_INLIERS {
+        if scales.len() < MIN_INLIERS {
             return None;
         }
-        let scale = median(&mut lengths)?;
-        let scaled = Sim3 { scale, ..Sim3::identity() };
-        let b_from_a = similarity(&(*b_from_world * found.model.inverse())) * scaled;
-        Some(Self { pair, b_from_a, num_inliers: lengths.len() })
+        let scale = median(&mut scales)?;
+        let scaling = Sim3 { scale, ..Sim3::identity() };
+        let b_from_a = similarity(&(*b_from_world * found.model.inverse())) * scaling;
+        Some(Self { pair, b_from_a, num_inliers: scales.len() })
     }
 }
 
@@ -105,27 +105,29 @@ pub(crate) fn consistent_set(
         let ImagePair { a, b } = one.pair;
         let b_world_from_a_world =
             || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
-        let sides = if is_near(a, other.pair.a) && is_near(b, other.pair.b) {
+        let other_b_world_from_a_world = if is_near(a, other.pair.a) && is_near(b, other.pair.b) {
             b_world_from_a_world()?
         } else if is_near(b, other.pair.a) && is_near(a, other.pair.b) {
             b_world_from_a_world()?.inverse()
         } else {
             return None;
         };
-        let expected = *poses.get(&other.pair.b)? * sides * poses.get(&other.pair.a)?.inverse();
-        let residual = Between::new(other.b_from_a, &sigmas(*depths.get(&other.pair.b)?)).ok()?;
-        let residual = residual.residual((&Sim3::identity(), &expected))?;
+        let expected = *poses.get(&other.pair.b)?
+            * other_b_world_from_a_world
+            * poses.get(&other.pair.a)?.inverse();
+        let factor = Between::new(other.b_from_a, &sigmas(*depths.get(&other.pair.b)?)).ok()?;
+        let residual = factor.residual((&Sim3::identity(), &expected))?;
         Some(residual.norm() <= MAX_DIFFERENCE)
     };
     let support = |one: &LoopConstraint| {
-        let consistent_set =
+        let consistent =
             loop_constraints.iter().filter(|other| is_consistent(one, other) == Some(true));
-        consistent_set.map(|other| other.num_inliers).sum::<usize>()
+        consistent.map(|other| other.num_inliers).sum::<usize>()
     };
     let supports: Vec<usize> = loop_constraints.par_iter().map(support).collect();
     let is_contradicted = |one: &LoopConstraint, support: usize| {
-        loop_constraints.iter().zip(&supports).any(|(other, correction)| {
-            *correction > support && is_consistent(other, one) == Some(false)
+        loop_constraints.iter().zip(&supports).any(|(other, other_support)| {
+            *other_support > support && is_consistent(other, one) == Some(false)
         })
     };
     let kept = loop_constraints
@@ -332,8 +334,8 @@ mod tests {
             .map(|id| *model.image(id).cam_from_world().unwrap());
         let depth =
             depths(model, &BTreeSet::from([loop_constraint.pair.b]))[&loop_constraint.pair.b];
-        let residual = Between::new(loop_constraint.b_from_a, &sigmas(depth)).unwrap();
-        residual.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
+        let factor = Between::new(loop_constraint.b_from_a, &sigmas(depth)).unwrap();
+        factor.residual((&similarity(&a), &similarity(&b))).unwrap().norm()
     }
 
     /// Root mean square error of the camera centres after similarity alignment.
