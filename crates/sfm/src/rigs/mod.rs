@@ -1,5 +1,5 @@
-//! Rig extrinsics: image association across cameras, estimation of `sensor_from_rig` and of clock
-//! offsets, and constraints on relative poses.
+//! Rig calibration: image association across cameras, estimation of extrinsics and clock offsets,
+//! and constraints on relative poses.
 
 mod autocorrelation_time;
 mod constrain;

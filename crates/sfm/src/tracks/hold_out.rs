@@ -4,17 +4,17 @@
 use tiepoint_geometry::Rng;
 use tiepoint_scene::{PointId, Reconstruction};
 
-/// Marks a fraction `share` (0 to 1) of the tracks as held out and unmarks all others. The choice
+/// Marks a fraction `fraction` (0 to 1) of the tracks as held out and unmarks all others. The choice
 /// depends on the seed and on the track's first observation, so that it is stable when other
 /// observations change. Returns the number of held-out tracks.
-pub fn hold_out_tracks(model: &mut Reconstruction, share: f64, seed: u64) -> usize {
+pub fn hold_out_tracks(model: &mut Reconstruction, fraction: f64, seed: u64) -> usize {
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
     let mut count = 0;
     for point in points {
         let Some(track) = model.track_mut(point) else { continue };
         let first = track.observations.iter().min();
         track.is_held_out = first.is_some_and(|o| {
-            Rng::stream(seed, &[u64::from(o.image.0), u64::from(o.keypoint)]).uniform() < share
+            Rng::stream(seed, &[u64::from(o.image.0), u64::from(o.keypoint)]).uniform() < fraction
         });
         count += usize::from(track.is_held_out);
     }
