@@ -3,7 +3,7 @@
 //!
 //! Images do not tell how large the world is. Where the two cameras were held to a mounting, its
 //! length is that distance; else it is the robust mean of their relative poses at the moments that
-//! times, motion or names give ([`tiepoint_sfm::rig_sensors`]). Either comes from the finished
+//! times, motion or names give ([`tiepoint_sfm::sensor_pairs`]). Either comes from the finished
 //! model, so every model of a workspace is of the same scale as far as it can see both cameras.
 
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::rig::{RelativePose, robust_average};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{
-    CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, RigSensor, rig_sensors,
+    CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, SensorPair, sensor_pairs,
 };
 
 use crate::image_names::folder_of;
@@ -38,12 +38,12 @@ const MIN_MOMENTS: usize = 2;
 pub(crate) fn scale_to_baseline(models: &mut [MappedModel], baseline_m: f64) -> Vec<ScaleReport> {
     let mounted =
         models.iter().filter_map(|model| model.rig.as_ref()).find(|rig| !rig.cameras.is_empty());
-    let known: Vec<RigSensor> = mounted
-        .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.rig_sensor).collect());
+    let known: Vec<SensorPair> = mounted
+        .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.sensor_pair).collect());
     models.iter_mut().map(|model| scale_model(model, &known, baseline_m)).collect()
 }
 
-fn scale_model(model: &mut MappedModel, known: &[RigSensor], baseline_m: f64) -> ScaleReport {
+fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -> ScaleReport {
     let MappedModel { reconstruction, rig, row_poses, .. } = model;
     let found = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
         Some(camera) => length_of_mounting(reconstruction, camera),
@@ -77,7 +77,7 @@ type Length = (f64, String);
 
 fn length_of_mounting(model: &Reconstruction, camera: &CalibratedCamera) -> Result<Length, String> {
     let [left, right] =
-        [camera.rig_sensor.left, camera.rig_sensor.right].map(|camera| folder_of(model, camera));
+        [camera.sensor_pair.left, camera.sensor_pair.right].map(|camera| folder_of(model, camera));
     Ok((
         camera.right_from_left.translation.norm(),
         format!("the mounting of {right} beside {left}"),
@@ -85,12 +85,13 @@ fn length_of_mounting(model: &Reconstruction, camera: &CalibratedCamera) -> Resu
 }
 
 /// That of the robust mean of the relative poses.
-fn length_of_pairs(model: &Reconstruction, known: &[RigSensor]) -> Result<Length, String> {
-    let found = if known.is_empty() { rig_sensors(model) } else { Vec::new() };
-    let rig_sensor = known.iter().chain(&found).next().ok_or("there is only one camera")?;
-    let [left, right] = [rig_sensor.left, rig_sensor.right].map(|camera| folder_of(model, camera));
-    let moments = rig_sensor.referenced_images(model);
-    let pose = |moment: &ReferencedImage| moment.relative_pose(model, &rig_sensor.clock);
+fn length_of_pairs(model: &Reconstruction, known: &[SensorPair]) -> Result<Length, String> {
+    let found = if known.is_empty() { sensor_pairs(model) } else { Vec::new() };
+    let sensor_pair = known.iter().chain(&found).next().ok_or("there is only one camera")?;
+    let [left, right] =
+        [sensor_pair.left, sensor_pair.right].map(|camera| folder_of(model, camera));
+    let moments = sensor_pair.referenced_images(model);
+    let pose = |moment: &ReferencedImage| moment.relative_pose(model, &sensor_pair.clock);
     let poses: Vec<RelativePose> = moments.iter().filter_map(pose).collect();
     let count = poses.len();
     let too_few = || {
@@ -117,8 +118,8 @@ fn length_of_pairs(model: &Reconstruction, known: &[RigSensor]) -> Result<Length
 fn scale_mounting(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.right_from_left.translation;
     camera.right_from_left.translation *= factor;
-    camera.rig_sensor.assumed_baseline =
-        camera.rig_sensor.assumed_baseline.map(|length| factor * length);
+    camera.sensor_pair.assumed_baseline =
+        camera.sensor_pair.assumed_baseline.map(|length| factor * length);
     if let Some(covariance) = &mut camera.covariance {
         let across = match translation.try_normalize(0.0) {
             Some(along) if has_given_length => Matrix3::identity() - along * along.transpose(),
@@ -180,7 +181,7 @@ mod tests {
 
     fn mounted() -> CalibratedCamera {
         CalibratedCamera {
-            rig_sensor: RigSensor {
+            sensor_pair: SensorPair {
                 left: CameraId(0),
                 right: CameraId(1),
                 clock: Clock::default(),

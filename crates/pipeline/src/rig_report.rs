@@ -118,7 +118,7 @@ impl RigReport {
             mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
         // Where clocks are not known, images nearest in time count as of one moment.
         let is_left =
-            |rig: &RigPairs| mounted.iter().all(|mounted| mounted.rig_sensor.right != rig.right);
+            |rig: &RigPairs| mounted.iter().all(|mounted| mounted.sensor_pair.right != rig.right);
         cameras.extend(
             series
                 .iter()
@@ -157,7 +157,7 @@ fn camera(
 
 /// With its clock: the moments at which it is held.
 fn mounted_camera(model: &Reconstruction, mounted: &CalibratedCamera) -> Option<RigCameraReport> {
-    let cameras = [mounted.rig_sensor.left, mounted.rig_sensor.right];
+    let cameras = [mounted.sensor_pair.left, mounted.sensor_pair.right];
     Some(camera_report(model, cameras, mounted.num_referenced_images, &mounted.statistics?))
 }
 
@@ -214,7 +214,7 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &CalibratedRig) -
         bad_pairs: rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
         split: rig.split.map(|split| SplitReport {
             images: split.num_images,
-            pairs_matched_again: split.num_pairs_matched_again,
+            pairs_matched_again: split.num_rematched_pairs,
         }),
         // The pairs stand above already.
         rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: None, ..file }),

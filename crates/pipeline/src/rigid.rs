@@ -2,7 +2,7 @@
 //! COLMAP can say.
 //!
 //! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`); where it held
-//! nothing, the robust mean of the relative poses and [`tiepoint_sfm::rig_sensors`]. Images of one
+//! nothing, the robust mean of the relative poses and [`tiepoint_sfm::sensor_pairs`]. Images of one
 //! moment are then those nearest to each other in time. Where cameras are not triggered together,
 //! that is not the same instant, and what the rig moved in between becomes error: the report says
 //! how much.
@@ -17,8 +17,8 @@ use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
-    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigSensor,
-    RigidCamera, constrain_rigidly, relative_poses, rig_sensors,
+    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair,
+    RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
 };
 
 use crate::evaluate::read_times;
@@ -66,15 +66,15 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let (found, bad) =
         if rig.is_file() { mounted(&model, &place)? } else { (Vec::new(), BTreeSet::new()) };
     let candidates = if found.is_empty() {
-        rig_sensors(&model).into_iter().map(|rig_sensor| (rig_sensor, None)).collect()
+        sensor_pairs(&model).into_iter().map(|sensor_pair| (sensor_pair, None)).collect()
     } else {
         found
     };
     let mut cameras: Vec<(RigidCamera, Clock)> = Vec::new();
-    for (rig_sensor, calibration) in candidates {
+    for (sensor_pair, calibration) in candidates {
         cameras.extend(
-            rigid_camera(&model, &rig_sensor, calibration, &bad)
-                .map(|camera| (camera, rig_sensor.clock)),
+            rigid_camera(&model, &sensor_pair, calibration, &bad)
+                .map(|camera| (camera, sensor_pair.clock)),
         );
     }
     if cameras.is_empty() {
@@ -88,7 +88,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let are_known = place.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
-    let options = options.weighed_against(&model);
+    let options = options.with_noise_of(&model);
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The distance of the first two cameras is what the model's size is known by, if at all.
     let factor = length / cameras[0].right_from_left.translation.norm();
@@ -113,7 +113,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 }
 
 /// Cameras with what mapping found of them: clocks and calibrations.
-type Found = Vec<(RigSensor, Option<Rigid3>)>;
+type Found = Vec<(SensorPair, Option<Rigid3>)>;
 
 /// What mapping found of the cameras, and the images of further cameras that it found to be none of
 /// their moment.
@@ -136,7 +136,7 @@ fn mounted(
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
-        let rig_sensor = RigSensor {
+        let sensor_pair = SensorPair {
             left,
             right: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
@@ -144,7 +144,7 @@ fn mounted(
             assumed_baseline: None,
             unobservable_direction: None,
         };
-        Ok((rig_sensor, Some(camera.cam_from_rig())))
+        Ok((sensor_pair, Some(camera.cam_from_rig())))
     };
     let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
     let pairs = match file.bad_pairs {
@@ -171,17 +171,20 @@ fn bad_pairs_of_report(place: &ModelPlace) -> Result<Vec<[String; 2]>, Error> {
 /// A camera with its moments; `None` where there are too few.
 fn rigid_camera(
     model: &Reconstruction,
-    rig_sensor: &RigSensor,
+    sensor_pair: &SensorPair,
     calibration: Option<Rigid3>,
     bad: &BTreeSet<ImageId>,
 ) -> Option<RigidCamera> {
     // Together: images pair up by their clocks, whatever lies between them.
-    let rig_sensor = RigSensor { clock_state: ClockState::Synchronised, ..*rig_sensor };
-    let pairs: Vec<RigPair> = rig_sensor
+    let sensor_pair = SensorPair { clock_state: ClockState::Synchronised, ..*sensor_pair };
+    let pairs: Vec<RigPair> = sensor_pair
         .referenced_images(model)
         .iter()
         .filter(|moment| !bad.contains(&moment.right))
-        .map(|moment| RigPair { left: moment.nearest_left(&rig_sensor.clock), right: moment.right })
+        .map(|moment| RigPair {
+            left: moment.nearest_reference(&sensor_pair.clock),
+            right: moment.right,
+        })
         .collect();
     let poses = relative_poses(model, &pairs);
     let (right_from_left, pairs) = match calibration {
@@ -199,7 +202,7 @@ fn rigid_camera(
             )
         }
     };
-    let (left, right) = (rig_sensor.left, rig_sensor.right);
+    let (left, right) = (sensor_pair.left, sensor_pair.right);
     (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
 }
 

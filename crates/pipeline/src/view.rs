@@ -340,7 +340,9 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
 fn errors(model: &Reconstruction) -> Histogram {
     let mut counts = vec![0; ERROR_BINS];
     for (_, track) in model.tracks() {
-        for error in track.observations.iter().filter_map(|o| model.error_of_px(o, &track.xyz)) {
+        for error in
+            track.observations.iter().filter_map(|o| model.observation_error_px(o, &track.xyz))
+        {
             let bin = (error / MAX_ERROR_PX * ERROR_BINS as f64) as usize;
             counts[bin.min(ERROR_BINS - 1)] += 1;
         }

@@ -1,11 +1,10 @@
-//! Which keypoint corresponds to which, over all verified pairs.
+//! Graph of keypoint correspondences over all verified pairs.
 
 use std::collections::BTreeMap;
 
 use crate::{ImageId, ImagePair, Observation, TwoView};
 
-/// Verified pairs and, for each keypoint of each image, the keypoints of other images that match
-/// it.
+/// Verified pairs and, for each keypoint of each image, the matching keypoints in other images.
 #[derive(Clone, Debug, Default)]
 pub struct CorrespondenceGraph {
     pairs: BTreeMap<ImagePair, TwoView>,
@@ -13,7 +12,7 @@ pub struct CorrespondenceGraph {
     neighbours: Vec<Vec<ImageId>>,
 }
 
-/// The correspondences of one image in compressed rows: those of keypoint k are
+/// Correspondences of one image in compressed rows: those of keypoint k are
 /// `targets[offsets[k]..offsets[k + 1]]`.
 #[derive(Clone, Debug, Default)]
 struct Correspondences {
@@ -22,8 +21,8 @@ struct Correspondences {
 }
 
 impl CorrespondenceGraph {
-    /// From the number of keypoints of each image (by id) and the verified pairs. Pairs that are
-    /// not verified, and matches that name a keypoint that does not exist, are left out.
+    /// Builds the graph from the number of keypoints of each image (indexed by id) and the pairs.
+    /// Pairs that are not verified, and matches of keypoints that do not exist, are left out.
     pub fn new(
         keypoint_counts: &[usize],
         two_views: impl IntoIterator<Item = (ImagePair, TwoView)>,
@@ -42,7 +41,7 @@ impl CorrespondenceGraph {
             .iter()
             .map(|&count| Correspondences { offsets: vec![0; count + 1], targets: Vec::new() })
             .collect();
-        // Count, then prefix sums, then fill: pairs come in order, so every row is sorted by image.
+        // Counts, prefix sums, then entries. Pairs come in order, so every row is sorted by image.
         for (pair, two_view) in &pairs {
             for m in &two_view.matches {
                 images[pair.a.index()].offsets[m.a as usize + 1] += 1;
@@ -81,14 +80,13 @@ impl CorrespondenceGraph {
         Self { pairs, images, neighbours }
     }
 
-    /// The same with further verified pairs, which take the place of those that there were of the
-    /// same images.
+    /// Returns the graph with additional verified pairs. They replace pairs of the same images.
     pub fn extended(&self, two_views: impl IntoIterator<Item = (ImagePair, TwoView)>) -> Self {
         let counts: Vec<usize> = self.images.iter().map(|image| image.offsets.len() - 1).collect();
         Self::new(&counts, self.pairs.clone().into_iter().chain(two_views))
     }
 
-    /// How many images it was made for.
+    /// Number of images of the graph.
     pub fn num_images(&self) -> usize {
         self.images.len()
     }
@@ -98,7 +96,7 @@ impl CorrespondenceGraph {
         &self.pairs
     }
 
-    /// The images that a verified pair joins with an image, sorted.
+    /// The images with a verified pair to an image, sorted.
     pub fn neighbours(&self, of: ImageId) -> &[ImageId] {
         &self.neighbours[of.index()]
     }
@@ -115,8 +113,8 @@ impl CorrespondenceGraph {
         !self.correspondences(of).is_empty()
     }
 
-    /// Whether a keypoint and the only one that it matches match nothing else: nothing but
-    /// themselves would contradict a point triangulated from them.
+    /// Whether a keypoint and its only match have no other matches. No third image can then
+    /// contradict a point triangulated from them.
     pub fn is_two_view(&self, of: Observation) -> bool {
         match self.correspondences(of) {
             [only] => self.correspondences(*only).len() == 1,
@@ -124,12 +122,12 @@ impl CorrespondenceGraph {
         }
     }
 
-    /// How many keypoints of an image match anything.
+    /// Number of keypoints of an image with a match.
     pub fn num_matched_keypoints(&self, image: ImageId) -> usize {
         self.images[image.index()].offsets.windows(2).filter(|w| w[0] < w[1]).count()
     }
 
-    /// How many correspondences an image has, over all its pairs.
+    /// Number of correspondences of an image over all its pairs.
     pub fn num_correspondences(&self, image: ImageId) -> usize {
         self.images[image.index()].targets.len()
     }

@@ -1,19 +1,19 @@
 use crate::{CameraId, FrameId, ImageId, PointId, RigId};
 
-/// What [`crate::Reconstruction::validate`] found broken.
+/// A broken invariant, found by [`crate::Reconstruction::validate`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// An image names a camera that does not exist.
+    /// An image refers to a camera that does not exist.
     #[error("image {image:?} refers to camera {camera:?}, but there are {cameras} cameras")]
     NoSuchCamera {
         /// The image.
         image: ImageId,
-        /// The camera it names.
+        /// The camera.
         camera: CameraId,
-        /// How many there are.
+        /// Number of cameras.
         cameras: usize,
     },
-    /// A track and the keypoint that it observes disagree.
+    /// A track has an observation whose keypoint refers to another point or to none.
     #[error(
         "point {point:?} observes keypoint {keypoint} of image {image:?}, which belongs to \
         {found:?}"
@@ -25,10 +25,10 @@ pub enum Error {
         image: ImageId,
         /// The keypoint.
         keypoint: u32,
-        /// What the keypoint says.
+        /// The point that the keypoint refers to.
         found: Option<PointId>,
     },
-    /// A keypoint belongs to a point whose track does not hold it.
+    /// A keypoint refers to a point whose track does not contain it.
     #[error(
         "keypoint {keypoint} of image {image:?} belongs to point {point:?}, whose track does not \
         hold it"
@@ -38,10 +38,10 @@ pub enum Error {
         image: ImageId,
         /// The keypoint.
         keypoint: u32,
-        /// The point it names.
+        /// The point.
         point: PointId,
     },
-    /// A track is seen by an image without a pose.
+    /// A track contains an observation in an unregistered image.
     #[error("point {point:?} is observed by image {image:?}, which has no pose")]
     UnposedObservation {
         /// The point.
@@ -52,38 +52,38 @@ pub enum Error {
     /// A number is not finite.
     #[error("{what} is not finite")]
     NotFinite {
-        /// Which number.
+        /// The number.
         what: String,
     },
-    /// A rotation is not one.
+    /// The quaternion of a rotation does not have unit norm.
     #[error("the rotation of {of} is no unit quaternion")]
     NotUnit {
-        /// Of an image, a frame, or a camera on its rig.
+        /// An image, a frame, or a camera on a rig.
         of: String,
     },
-    /// A rig without its reference.
+    /// A rig has no sensor.
     #[error("rig {rig:?} has no camera")]
     EmptyRig {
         /// The rig.
         rig: RigId,
     },
-    /// A rig names a camera that does not exist.
+    /// A rig refers to a camera that does not exist.
     #[error("rig {rig:?} has camera {camera:?}, but there are {cameras} cameras")]
     NoSuchRigCamera {
         /// The rig.
         rig: RigId,
-        /// The camera it names.
+        /// The camera.
         camera: CameraId,
-        /// How many there are.
+        /// Number of cameras.
         cameras: usize,
     },
-    /// A camera has two places.
+    /// A camera is a sensor twice.
     #[error("camera {camera:?} is on two rigs, or twice on one")]
     CameraOnTwoRigs {
         /// The camera.
         camera: CameraId,
     },
-    /// The reference of a rig is where its frames are.
+    /// The reference sensor of a rig has a pose other than the identity.
     #[error(
         "the first camera of rig {rig:?} is its reference and has another pose than the identity"
     )]
@@ -91,33 +91,33 @@ pub enum Error {
         /// The rig.
         rig: RigId,
     },
-    /// A frame names a rig that does not exist.
+    /// A frame refers to a rig that does not exist.
     #[error("frame {frame:?} is of rig {rig:?}, but there are {rigs} rigs")]
     NoSuchRig {
         /// The frame.
         frame: FrameId,
-        /// The rig it names.
+        /// The rig.
         rig: RigId,
-        /// How many there are.
+        /// Number of rigs.
         rigs: usize,
     },
-    /// A frame names an image that does not exist.
+    /// A frame refers to an image that does not exist.
     #[error("frame {frame:?} holds image {image:?}, but there are {images} images")]
     NoSuchImage {
         /// The frame.
         frame: FrameId,
-        /// The image it names.
+        /// The image.
         image: ImageId,
-        /// How many there are.
+        /// Number of images.
         images: usize,
     },
-    /// An image has two frames.
+    /// An image is in two frames, or twice in one.
     #[error("image {image:?} is in two frames, or twice in one")]
     ImageInTwoFrames {
         /// The image.
         image: ImageId,
     },
-    /// A frame holds an image of a camera that its rig does not have.
+    /// A frame contains an image of a camera that is not on its rig.
     #[error("frame {frame:?} holds image {image:?}, whose camera is not on its rig")]
     CameraNotOnRig {
         /// The frame.
@@ -125,7 +125,7 @@ pub enum Error {
         /// The image.
         image: ImageId,
     },
-    /// A camera took two images at one moment.
+    /// A frame contains two images of one camera.
     #[error("frame {frame:?} holds two images of camera {camera:?}")]
     TwoImagesOfOneCamera {
         /// The frame.
@@ -133,7 +133,7 @@ pub enum Error {
         /// The camera.
         camera: CameraId,
     },
-    /// A frame holds an image without a pose.
+    /// A frame contains an unregistered image.
     #[error("frame {frame:?} holds image {image:?}, which has no pose")]
     UnposedImage {
         /// The frame.
@@ -141,13 +141,13 @@ pub enum Error {
         /// The image.
         image: ImageId,
     },
-    /// An image, its frame and its rig disagree.
+    /// The pose of an image differs from the one composed of its frame and rig.
     #[error("the pose of image {image:?} is not the one that its frame and rig give it")]
     PoseNotOfFrame {
         /// The image.
         image: ImageId,
     },
-    /// A track holds a keypoint twice.
+    /// A track contains an observation twice.
     #[error("point {point:?} observes keypoint {keypoint} of image {image:?} twice")]
     RepeatedObservation {
         /// The point.

@@ -1,4 +1,5 @@
-//! Ids are indices into the lists of one [`crate::Reconstruction`], each kind a type of its own:
+//! Typed ids: indices into the lists of one [`crate::Reconstruction`]. Ids of different kinds do
+//! not convert into each other:
 //!
 //! ```compile_fail
 //! use tiepoint_scene::{CameraId, ImageId};
@@ -12,11 +13,11 @@ macro_rules! ids {
         pub struct $name(pub u32);
 
         impl $name {
-            /// The position in its list.
+            /// The index in its list.
             pub fn index(self) -> usize {
                 self.0 as usize
             }
-            /// From a position in its list.
+            /// The id of an index in its list.
             pub fn from_index(index: usize) -> Self {
                 Self(u32::try_from(index).expect("fewer than 2³² of a kind fit in memory"))
             }
@@ -25,14 +26,14 @@ macro_rules! ids {
 }
 
 ids! {
-    /// A camera: one lens and sensor.
+    /// A camera.
     CameraId
     /// An image.
     ImageId
-    /// The images of one moment.
+    /// A frame: images of one instant.
     FrameId
-    /// Cameras that ride together.
+    /// A rig: cameras that are rigidly connected.
     RigId
-    /// A point of the cloud, with its track.
+    /// A 3D point with its track.
     PointId
 }

@@ -4,34 +4,34 @@ use tiepoint_geometry::{Rigid3, nalgebra::Vector2};
 
 use crate::{CameraId, PointId};
 
-/// Where something was seen.
+/// A detected keypoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keypoint {
-    /// In pixels; the centre of the top-left pixel is (0.5, 0.5).
+    /// Position in pixels. The centre of the top-left pixel is (0.5, 0.5).
     pub pixel: Vector2<f64>,
-    /// Size of the blob in pixels (SIFT's sigma): its localisation error grows with it.
+    /// Scale of the blob in pixels (SIFT's σ). The localisation error grows with it.
     pub scale_px: f32,
 }
 
-/// One exposure of one camera.
+/// An image of one camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Path relative to the input, with `/`.
     pub name: String,
-    /// Which camera took it.
+    /// The camera.
     pub camera: CameraId,
-    /// When, in seconds on this camera's own clock (the middle row's mid-exposure), where known.
+    /// Time of the middle row's mid-exposure in seconds on this camera's own clock, if known.
     pub time_s: Option<f64>,
-    /// What was detected in it. Copies of a model share it.
+    /// Detected keypoints. Copies of a model share them.
     pub keypoints: Arc<[Keypoint]>,
-    /// Its pose, once registered. Set it through [`crate::Reconstruction::register`].
+    /// Pose, if registered. [`crate::Reconstruction::register`] sets it.
     pub(crate) cam_from_world: Option<Rigid3>,
-    /// The point that each keypoint sees.
+    /// The point that each keypoint observes.
     pub(crate) points: Vec<Option<PointId>>,
 }
 
 impl Image {
-    /// An image without pose.
+    /// An image without a pose.
     pub fn new(name: impl Into<String>, camera: CameraId, keypoints: Vec<Keypoint>) -> Self {
         let points = vec![None; keypoints.len()];
         Self {
@@ -44,22 +44,22 @@ impl Image {
         }
     }
 
-    /// Its pose, once registered.
+    /// Pose, if registered.
     pub fn cam_from_world(&self) -> Option<&Rigid3> {
         self.cam_from_world.as_ref()
     }
 
-    /// The point that a keypoint sees.
+    /// The point that a keypoint observes.
     pub fn point_of(&self, keypoint: u32) -> Option<PointId> {
         self.points[keypoint as usize]
     }
 
-    /// The points that the keypoints see, one entry a keypoint.
+    /// The points that the keypoints observe, one entry for each keypoint.
     pub fn points(&self) -> &[Option<PointId>] {
         &self.points
     }
 
-    /// How many keypoints see a point.
+    /// Number of keypoints that observe a point.
     pub fn num_points(&self) -> usize {
         self.points.iter().flatten().count()
     }

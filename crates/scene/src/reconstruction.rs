@@ -1,6 +1,5 @@
-//! The owner of cameras, images and tracks. Every change goes through a method that keeps both
-//! directions of the relation "this keypoint sees this point" true; [`Reconstruction::validate`]
-//! checks them all.
+//! The owner of cameras, images and tracks. All changes go through methods that keep keypoints and
+//! tracks consistent with each other. [`Reconstruction::validate`] checks all invariants.
 
 use std::sync::Arc;
 
@@ -10,18 +9,18 @@ use tiepoint_geometry::{Rigid3, Sim3};
 use crate::rig::is_same_pose;
 use crate::{Camera, CameraId, Frame, Image, ImageId, Observation, PointId, Rig, Track};
 
-/// A model: cameras, images with poses, points with tracks; rigs and frames where images are
-/// rigidly connected.
+/// A model: cameras, images with poses, points with tracks; rigs and frames for rigidly connected
+/// images.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reconstruction {
     cameras: Vec<Camera>,
     images: Vec<Image>,
-    /// `None` where a point was deleted: ids stay valid.
+    /// `None` for deleted points, so that ids stay valid.
     tracks: Vec<Option<Track>>,
-    /// Rigs of more than one camera with rigid frames; images in no frame ride alone. A camera is
-    /// on one rig at most.
+    /// Rigs of more than one camera. A camera is on at most one rig.
     pub rigs: Vec<Rig>,
-    /// The frames of those rigs. An image is in one frame at most.
+    /// Frames of the rigs. An image is in at most one frame; an image in no frame has an
+    /// independent pose.
     pub frames: Vec<Frame>,
 }
 
@@ -38,17 +37,17 @@ impl Reconstruction {
         ImageId::from_index(self.images.len() - 1)
     }
 
-    /// A camera.
+    /// The camera with this id.
     pub fn camera(&self, id: CameraId) -> &Camera {
         &self.cameras[id.index()]
     }
 
-    /// A camera, to change.
+    /// The camera with this id, for changes.
     pub fn camera_mut(&mut self, id: CameraId) -> &mut Camera {
         &mut self.cameras[id.index()]
     }
 
-    /// How many cameras.
+    /// Number of cameras.
     pub fn num_cameras(&self) -> usize {
         self.cameras.len()
     }
@@ -58,12 +57,12 @@ impl Reconstruction {
         self.cameras.iter().enumerate().map(|(index, camera)| (CameraId::from_index(index), camera))
     }
 
-    /// An image.
+    /// The image with this id.
     pub fn image(&self, id: ImageId) -> &Image {
         &self.images[id.index()]
     }
 
-    /// How many images, registered or not.
+    /// Number of images, registered or not.
     pub fn num_images(&self) -> usize {
         self.images.len()
     }
@@ -73,13 +72,13 @@ impl Reconstruction {
         self.images.iter().enumerate().map(|(index, image)| (ImageId::from_index(index), image))
     }
 
-    /// Images with a pose, in order of their ids.
+    /// Registered images with their poses (`cam_from_world`), in order of their ids.
     pub fn registered(&self) -> impl Iterator<Item = (ImageId, &Image, &Rigid3)> {
         self.images()
             .filter_map(|(id, image)| image.cam_from_world.as_ref().map(|pose| (id, image, pose)))
     }
 
-    /// How many images have a pose.
+    /// Number of registered images.
     pub fn num_registered(&self) -> usize {
         self.registered().count()
     }
@@ -89,8 +88,8 @@ impl Reconstruction {
         self.camera(self.image(image).camera)
     }
 
-    /// Gives an image a pose, or another one. An image in a frame leaves it, unless the pose is the
-    /// one that the frame gives.
+    /// Sets the pose of an image. An image of a frame leaves it, unless the pose is the one
+    /// composed of frame and rig.
     pub fn register(&mut self, image: ImageId, cam_from_world: Rigid3) {
         self.images[image.index()].cam_from_world = Some(cam_from_world);
         let camera = self.image(image).camera;
@@ -104,7 +103,7 @@ impl Reconstruction {
         }
     }
 
-    /// Takes an image out of its frame, and the frame away with its last image.
+    /// Removes an image from its frame, and the frame if it becomes empty.
     fn leave_frame(&mut self, image: ImageId) {
         for frame in &mut self.frames {
             frame.images.retain(|other| *other != image);
@@ -112,7 +111,7 @@ impl Reconstruction {
         self.frames.retain(|frame| !frame.images.is_empty());
     }
 
-    /// Moves the keypoints of an image, one pixel each.
+    /// Sets the positions of an image's keypoints, in pixels.
     pub fn move_keypoints(&mut self, image: ImageId, pixels: &[Vector2<f64>]) {
         let keypoints = Arc::make_mut(&mut self.images[image.index()].keypoints);
         for (keypoint, pixel) in keypoints.iter_mut().zip(pixels) {
@@ -120,13 +119,13 @@ impl Reconstruction {
         }
     }
 
-    /// Sets the time of an image on its camera's clock.
+    /// Sets the time of an image on its camera's clock, in seconds.
     pub fn set_time(&mut self, image: ImageId, time_s: Option<f64>) {
         self.images[image.index()].time_s = time_s;
     }
 
-    /// Takes an image's pose away, and its observations with it; tracks left with fewer than two
-    /// are deleted. An image in a frame leaves it.
+    /// Removes the pose of an image and its observations. Tracks with fewer than two remaining
+    /// observations are deleted. An image of a frame leaves it.
     pub fn deregister(&mut self, image: ImageId) {
         for keypoint in 0..self.image(image).points.len() as u32 {
             self.remove_observation(Observation { image, keypoint });
@@ -135,8 +134,8 @@ impl Reconstruction {
         self.leave_frame(image);
     }
 
-    /// Adds a point. Its observations must be of keypoints that see no point yet, each once, in
-    /// images with a pose.
+    /// Adds a track. Its observations must be in registered images, of keypoints without a point,
+    /// each once.
     pub fn add_track(&mut self, track: Track) -> PointId {
         let id = PointId::from_index(self.tracks.len());
         for observation in &track.observations {
@@ -149,26 +148,26 @@ impl Reconstruction {
         id
     }
 
-    /// A point, unless it was deleted.
+    /// The track of a point; `None` if it was deleted.
     pub fn track(&self, id: PointId) -> Option<&Track> {
         self.tracks.get(id.index()).and_then(Option::as_ref)
     }
 
-    /// A point's position, colour and hold-out flag, to change. (Its observations change through
-    /// the methods beside this.)
+    /// A track, for changes of position, colour and hold-out flag. Observations are changed through
+    /// the other methods.
     pub fn track_mut(&mut self, id: PointId) -> Option<&mut Track> {
         self.tracks.get_mut(id.index()).and_then(Option::as_mut)
     }
 
-    /// All points, in order of their ids.
+    /// All tracks, in order of their ids.
     pub fn tracks(&self) -> impl Iterator<Item = (PointId, &Track)> {
         self.tracks.iter().enumerate().filter_map(|(index, track)| {
             track.as_ref().map(|track| (PointId::from_index(index), track))
         })
     }
 
-    /// The points that some images see, each once, in order of their ids.
-    pub fn points_seen_by<'a>(
+    /// The points that the images observe, each once, in order of their ids.
+    pub fn points_observed_by<'a>(
         &self,
         images: impl IntoIterator<Item = &'a ImageId>,
     ) -> Vec<PointId> {
@@ -179,28 +178,28 @@ impl Reconstruction {
         points
     }
 
-    /// How many points.
+    /// Number of points.
     pub fn num_tracks(&self) -> usize {
         self.tracks.iter().flatten().count()
     }
 
-    /// One more than the largest point id ever given: the length of a table indexed by point.
+    /// One more than the largest point id ever used: the length of a table indexed by point.
     pub fn point_id_bound(&self) -> usize {
         self.tracks.len()
     }
 
-    /// How many observations all points have together.
+    /// Number of observations of all points.
     pub fn num_observations(&self) -> usize {
         self.tracks.iter().flatten().map(|track| track.observations.len()).sum()
     }
 
-    /// Observations a point.
+    /// Mean number of observations of a point.
     pub fn mean_track_length(&self) -> f64 {
         self.num_observations() as f64 / self.num_tracks().max(1) as f64
     }
 
-    /// Lets a keypoint of an image with a pose see a point; nothing happens if it sees one already
-    /// or the point is deleted.
+    /// Adds an observation in a registered image to a point. Does nothing if the keypoint observes
+    /// a point already, or if the point is deleted.
     pub fn add_observation(&mut self, point: PointId, observation: Observation) {
         let slot =
             &mut self.images[observation.image.index()].points[observation.keypoint as usize];
@@ -210,7 +209,7 @@ impl Reconstruction {
         }
     }
 
-    /// Lets a keypoint see nothing; a point left with fewer than two observations is deleted.
+    /// Removes an observation. A track with fewer than two remaining observations is deleted.
     pub fn remove_observation(&mut self, observation: Observation) {
         let slot =
             &mut self.images[observation.image.index()].points[observation.keypoint as usize];
@@ -223,7 +222,7 @@ impl Reconstruction {
         }
     }
 
-    /// Deletes a point; its keypoints are free again.
+    /// Deletes a point with its observations.
     pub fn delete_track(&mut self, point: PointId) {
         let Some(track) = self.tracks.get_mut(point.index()).and_then(Option::take) else { return };
         for observation in &track.observations {
@@ -231,8 +230,8 @@ impl Reconstruction {
         }
     }
 
-    /// Replaces two points by one at `xyz` with all their observations. `None`, and nothing
-    /// changes, where one is deleted.
+    /// Replaces two points by one at `xyz` with the observations of both. `None` without changes if
+    /// one of them is deleted.
     pub fn merge_tracks(
         &mut self,
         one: PointId,
@@ -250,38 +249,43 @@ impl Reconstruction {
         Some(self.add_track(merged))
     }
 
-    /// Reprojection error of one observation of a point, in pixels; `None` where the camera does
-    /// not see it.
+    /// Reprojection error of one observation of a point, in pixels; `None` if the point does not
+    /// project.
     pub fn reprojection_error_px(&self, point: PointId, observation: usize) -> Option<f64> {
         let track = self.track(point)?;
-        self.error_of_px(track.observations.get(observation)?, &track.xyz)
+        self.observation_error_px(track.observations.get(observation)?, &track.xyz)
     }
 
-    /// Distance between a keypoint and the projection of a point, in pixels; `None` where the image
-    /// has no pose or the camera does not see the point.
-    pub fn error_of_px(&self, observation: &Observation, xyz: &Vector3<f64>) -> Option<f64> {
+    /// Reprojection error of a point at `xyz` (world frame), in pixels; `None` if the image is not
+    /// registered or the point does not project.
+    pub fn observation_error_px(
+        &self,
+        observation: &Observation,
+        xyz: &Vector3<f64>,
+    ) -> Option<f64> {
         let image = self.image(observation.image);
         let point_in_cam = *image.cam_from_world()? * *xyz;
         let pixel = self.camera(image.camera).intrinsics.project(&point_in_cam)?;
         Some((pixel - image.keypoints[observation.keypoint as usize].pixel).norm())
     }
 
-    /// Mean of the reprojection errors of a point's observations, in pixels.
+    /// Mean reprojection error of a track's observations, in pixels.
     pub fn track_error_px(&self, track: &Track) -> f64 {
-        let errors = track.observations.iter().filter_map(|o| self.error_of_px(o, &track.xyz));
+        let errors =
+            track.observations.iter().filter_map(|o| self.observation_error_px(o, &track.xyz));
         let (sum, count) =
             errors.fold((0.0, 0usize), |(sum, count), error| (sum + error, count + 1));
         sum / count.max(1) as f64
     }
 
-    /// Mean over the points of each point's mean reprojection error, in pixels: what COLMAP calls
-    /// the mean reprojection error.
+    /// Mean over the points of their mean reprojection errors, in pixels. COLMAP's mean
+    /// reprojection error.
     pub fn mean_reprojection_error_px(&self) -> f64 {
         let sum: f64 = self.tracks.iter().flatten().map(|track| self.track_error_px(track)).sum();
         sum / self.num_tracks().max(1) as f64
     }
 
-    /// Moves the world: poses, points and frames.
+    /// Applies a similarity to poses, points and frames.
     pub fn transform(&mut self, new_from_old: &Sim3) {
         for pose in self.images.iter_mut().filter_map(|image| image.cam_from_world.as_mut()) {
             *pose = new_from_old.transform_pose(pose);

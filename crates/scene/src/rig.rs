@@ -1,39 +1,39 @@
-//! Cameras that are rigidly connected, and the images that they took at the same moments.
+//! Rigs of rigidly connected cameras, and frames of images from one instant (COLMAP's concepts).
 
 use tiepoint_geometry::Rigid3;
 
 use crate::{CameraId, ImageId, RigId};
 
-/// How far an image's pose may be from the one that its frame and its rig give it: in radians, and
-/// in the model's unit of length per one plus the length of the pose's translation. Far above
-/// rounding, far below what anything can measure.
+/// Tolerance between an image's pose and the pose composed of its frame and rig: in radians, and in
+/// units of the model relative to one plus the norm of the translation. It is far above rounding
+/// errors and far below any measurement error.
 pub const FRAME_POSE_TOLERANCE: f64 = 1e-6;
 
-/// A camera's place on a rig.
+/// A camera on a rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigSensor {
-    /// Which camera.
+    /// The camera.
     pub camera: CameraId,
-    /// Its pose on the rig, once known; of the reference, which is the first sensor, identity or
-    /// nothing.
+    /// Pose of the camera on the rig, if known. The pose of the reference sensor, which is the
+    /// first one, is the identity or `None`.
     pub cam_from_rig: Option<Rigid3>,
 }
 
-/// Cameras that ride together; the first sensor is the reference. A lone camera is a rig of one.
+/// Rigidly connected cameras. The first sensor is the reference. A single camera is a rig of one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rig {
-    /// Its cameras.
+    /// The sensors.
     pub sensors: Vec<RigSensor>,
 }
 
 impl Rig {
-    /// The sensor that a camera is, where it is on the rig.
+    /// The sensor with a camera, if it is on the rig.
     pub fn sensor(&self, camera: CameraId) -> Option<&RigSensor> {
         self.sensors.iter().find(|sensor| sensor.camera == camera)
     }
 
-    /// The pose of a camera on the rig: identity for the reference; `None` where the camera is not
-    /// on the rig, or its pose is not known.
+    /// Pose of a camera on the rig: identity for the reference sensor; `None` if the camera is not
+    /// on the rig, or if its pose is unknown.
     pub fn cam_from_rig(&self, camera: CameraId) -> Option<Rigid3> {
         match self.sensors.first() {
             Some(reference) if reference.camera == camera => Some(Rigid3::identity()),
@@ -42,26 +42,26 @@ impl Rig {
     }
 }
 
-/// The images of one moment, rigidly connected.
+/// Images of one instant, rigidly connected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Which rig took them.
+    /// The rig.
     pub rig: RigId,
     /// Pose of the rig.
     pub rig_from_world: Rigid3,
-    /// Its images, one a camera at most. Their poses are those that frame and rig give them.
+    /// The images, at most one of each camera. Their poses are composed of frame and rig.
     pub images: Vec<ImageId>,
 }
 
 impl Frame {
-    /// The pose that the frame gives to its image of a camera on `rig`, the frame's rig; `None`
-    /// where the camera is not on the rig, or its pose there is not known.
+    /// Pose of the frame's image of a camera. `rig` must be the frame's rig. `None` if the camera
+    /// is not on the rig, or if its pose is unknown.
     pub fn cam_from_world(&self, rig: &Rig, camera: CameraId) -> Option<Rigid3> {
         rig.cam_from_rig(camera).map(|cam_from_rig| cam_from_rig * self.rig_from_world)
     }
 }
 
-/// Whether two poses of an image are the same up to [`FRAME_POSE_TOLERANCE`].
+/// Whether two poses of an image are equal up to [`FRAME_POSE_TOLERANCE`].
 pub fn is_same_pose(one: &Rigid3, other: &Rigid3) -> bool {
     let rotation_rad = one.rotation.angle_to(&other.rotation);
     let translation = (one.translation - other.translation).norm();

@@ -12,13 +12,13 @@ pub struct ImagePair {
 }
 
 impl ImagePair {
-    /// Orders the two; `None` for an image with itself.
+    /// Orders two images; `None` if they are the same.
     pub fn new(one: ImageId, other: ImageId) -> Option<Self> {
         (one != other).then(|| Self { a: one.min(other), b: one.max(other) })
     }
 }
 
-/// Keypoint `a` of the first image corresponds to keypoint `b` of the second.
+/// A correspondence between two images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Match {
     /// Keypoint of the first image.
@@ -27,49 +27,49 @@ pub struct Match {
     pub b: u32,
 }
 
-/// What relates two images; numbers and names are COLMAP's configurations.
+/// Kind of a two-view geometry. Numbers and names are COLMAP's configurations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TwoViewKind {
-    /// Not examined.
+    /// Not verified.
     #[default]
     Undefined = 0,
     /// Too few inliers.
     Degenerate = 1,
-    /// An essential matrix, both cameras being calibrated.
+    /// Essential matrix with calibrated cameras.
     Calibrated = 2,
-    /// A fundamental matrix.
+    /// Fundamental matrix.
     Uncalibrated = 3,
-    /// A homography, of a plane seen from two places.
+    /// Homography of a plane.
     Planar = 4,
-    /// A homography, of a camera that turned without moving.
+    /// Homography of a pure rotation.
     Panoramic = 5,
-    /// A homography, of either kind.
+    /// Homography of a plane or of a pure rotation.
     PlanarOrPanoramic = 6,
-    /// Inliers that do not move between the images: a watermark or a dirty lens.
+    /// Inliers without motion between the images: a watermark or a dirty lens.
     Watermark = 7,
-    /// Several models, each with its own inliers.
+    /// Several models with separate inliers.
     Multiple = 8,
 }
 
-/// The verified relation of an image pair.
+/// Two-view geometry of an image pair.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TwoView {
-    /// What kind of relation.
+    /// Kind of the geometry.
     pub kind: TwoViewKind,
-    /// x₂ᵀ F x₁ = 0, in pixels.
+    /// Fundamental matrix: x₂ᵀ F x₁ = 0, in pixels.
     pub fundamental: Option<Matrix3<f64>>,
-    /// y₂ᵀ E y₁ = 0, for bearings.
+    /// Essential matrix: y₂ᵀ E y₁ = 0, for bearings.
     pub essential: Option<Matrix3<f64>>,
-    /// x₂ ~ H x₁, in pixels.
+    /// Homography: x₂ ~ H x₁, in pixels.
     pub homography: Option<Matrix3<f64>>,
     /// Relative pose with a translation of unit length (zero for a panoramic pair).
     pub cam2_from_cam1: Option<Rigid3>,
-    /// The matches that agree with it.
+    /// Inlier matches.
     pub matches: Vec<Match>,
 }
 
 impl TwoView {
-    /// Whether it relates the two images at all.
+    /// Whether the pair is verified.
     pub fn is_verified(&self) -> bool {
         !matches!(
             self.kind,

@@ -1,25 +1,25 @@
-//! The invariants of a [`Reconstruction`], each checked and named.
+//! The invariants of a [`Reconstruction`].
 //!
-//! Two keypoints of one image may see the same point: COLMAP's mapper makes such tracks, and so
-//! does ours, since SIFT gives a keypoint with two orientations twice. On fountain-P11, 332 of
-//! 14,357 tracks are such ones; without them the mean centre error is the same 2.407 mm, on
-//! Herz-Jesus-P8 it is 3.630 mm and not 3.623 mm.
+//! Two keypoints of one image may observe the same point. COLMAP's mapper creates such tracks, and
+//! so does ours, since SIFT detects a keypoint with two orientations twice. On fountain-P11, 332 of
+//! 14,357 tracks are of this kind. Without them the mean centre error is the same 2.407 mm; on
+//! Herz-Jesus-P8 it is 3.630 mm instead of 3.623 mm.
 
 use tiepoint_geometry::{Rigid3, nalgebra::Quaternion};
 
 use crate::rig::is_same_pose;
 use crate::{CameraId, Error, FrameId, Image, ImageId, Observation, Reconstruction, RigId};
 
-/// How far the norm of a rotation's quaternion may be from 1: far above the rounding of a thousand
-/// products, which is 1e-13, far below what moves a point.
+/// Tolerance of the norm of a rotation's quaternion. It is far above the rounding of a thousand
+/// products, 1e-13, and far below a deviation that moves a point.
 const UNIT_TOLERANCE: f64 = 1e-9;
 
 impl Reconstruction {
-    /// Checks every invariant, in the order of cameras, images, rigs, frames and tracks.
+    /// Checks all invariants, in the order of cameras, images, rigs, frames and tracks.
     ///
     /// # Errors
     ///
-    /// The first invariant that is broken.
+    /// The first broken invariant.
     pub fn validate(&self) -> Result<(), Error> {
         for (id, camera) in self.cameras() {
             let is_finite = camera.intrinsics.params().iter().all(|param| param.is_finite());

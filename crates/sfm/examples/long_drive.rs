@@ -1,8 +1,8 @@
-//! How the time of mapping grows with the images:
-//! `cargo run --release -p tiepoint-sfm --example long_drive -- 250 500 1000`.
+//! Mapping time over the number of images: `cargo run --release -p tiepoint-sfm --example
+//! long_drive -- 250 500 1000`.
 //!
-//! For each number of moments a drive of two cameras, as features and verified matches, mapped with
-//! `--rig off` and with `soft`.
+//! For each number of frames, a drive of two cameras is mapped from keypoints and verified matches
+//! with `--rig off` and with `soft`.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -13,10 +13,10 @@ use tiepoint_sfm::{MapperOptions, RefineIntrinsics, RigTerm, map};
 use tiepoint_synth::{Drive, DriveOptions, FeatureOptions, FeatureScene, MatchOptions, RouteKind};
 
 const RATE_HZ: f64 = 10.0;
-const METRES_A_MOMENT: f64 = 0.6;
+const METRES_PER_FRAME: f64 = 0.6;
 const MIN_LENGTH_M: f64 = 160.0;
 const OBSERVATIONS_AN_IMAGE: usize = 1500;
-/// Keypoints without any match: most are.
+/// Keypoints without a match, which are the majority.
 const CLUTTER: usize = 3000;
 const WINDOW: usize = 10;
 
@@ -25,15 +25,15 @@ fn main() {
         "{:>8} {:>14} {:>10} {:>10} {:>12}",
         "images", "observations", "off, s", "soft, s", "ms an image"
     );
-    for moments in
-        std::env::args().skip(1).map(|word| word.parse::<usize>().expect("numbers of moments"))
+    for frames in
+        std::env::args().skip(1).map(|word| word.parse::<usize>().expect("numbers of frames"))
     {
-        let length_m = (METRES_A_MOMENT * moments as f64).max(MIN_LENGTH_M);
+        let length_m = (METRES_PER_FRAME * frames as f64).max(MIN_LENGTH_M);
         let route = RouteKind::Open;
         let options = DriveOptions { length_m, rate_hz: RATE_HZ, route, ..DriveOptions::default() };
         let mut drive = Drive::new(&options).expect("a street");
-        drive.keep_first(moments);
-        let observations = 2 * OBSERVATIONS_AN_IMAGE * moments;
+        drive.keep_first(frames);
+        let observations = 2 * OBSERVATIONS_AN_IMAGE * frames;
         let features =
             FeatureOptions { observations, clutter: CLUTTER, ..FeatureOptions::default() };
         let scene = FeatureScene::new(&drive, &features).expect("sound options");

@@ -1,9 +1,10 @@
-//! What `--rig` does under each effect, on scenes of features:
-//! `cargo run --release -p tiepoint-sfm --example rig_grid -- SEEDS FRAMES [FIRST]`.
+//! Effect of `--rig` under each disturbance, on synthetic features: `cargo run --release -p
+//! tiepoint-sfm --example rig_grid -- SEEDS FRAMES [FIRST]`.
 //!
-//! Per cell and mode, the trajectory's error (ATE, centimetres, mean over the seeds), and for
-//! `auto` how far the clock and the calibration are off (from their mean, where the mount gives); a
-//! cell is bad where auto is worse than 1.05 times off and two standard deviations of off.
+//! Prints for each cell and mode the trajectory error (ATE in centimetres, mean over the seeds),
+//! and for `auto` the errors of clock and calibration (for a flexible mount relative to the mean
+//! calibration). A cell is marked bad if the error of `auto` exceeds 1.05 times that of `off` plus
+//! two standard deviations of `off`.
 
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
@@ -18,8 +19,8 @@ use tiepoint_synth::{
 
 const RATE_HZ: f64 = 5.0;
 
-/// A cell of the grid: its name, what is not ideal, and how many right images in a hundred have
-/// another one's time.
+/// A cell of the grid: its name, the disturbances, and the percentage of right images with the time
+/// of another image.
 type Cell = (&'static str, Effects, usize);
 
 fn cells() -> Vec<Cell> {
@@ -74,7 +75,7 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
     let scene = FeatureScene::new(&drive, &features).expect("sound options");
     let graph = scene.graph(&MatchOptions { window: Some(6), ..MatchOptions::default() });
     let mut blank = scene.without_poses();
-    // Right images swap their times with others from elsewhere.
+    // Some right images swap their times.
     let rights: Vec<ImageId> =
         blank.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
     let wrong = rights.len() * wrong_percent / 100 / 2;
@@ -90,12 +91,12 @@ fn scene(seed: u64, (_, effects, wrong_percent): &Cell, frames: usize) -> Scene 
     Scene { drive, graph, truth: scene.truth().clone(), blank }
 }
 
-/// What came of a drive.
+/// Result of a drive.
 struct Outcome {
     ate_m: f64,
     scale: f64,
     right: Option<CalibratedCamera>,
-    /// What tracks that took no part are explained to, in pixels, without a term and with it.
+    /// Error of the held-out tracks in pixels, without and with the rig constraint.
     held_out_px: [f64; 2],
 }
 
@@ -154,9 +155,9 @@ fn main() {
                 };
                 let (true_mount, clock) =
                     (scene.drive.cam_from_rig(1), scene.drive.cameras()[1].clock);
-                let pivot_s = camera.rig_sensor.clock.pivot_s;
+                let pivot_s = camera.sensor_pair.clock.pivot_s;
                 let offset_s =
-                    camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+                    camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
                 let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
                 let turn =
                     camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
@@ -165,7 +166,7 @@ fn main() {
                 let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
                 notes += &format!(
                     " {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};",
-                    camera.rig_sensor.clock_state
+                    camera.sensor_pair.clock_state
                 );
             }
         }

@@ -1,7 +1,7 @@
-/// Why a mapping or an adjustment could not be done.
+/// Error of a mapping or an adjustment.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// No two images overlap enough to begin with.
+    /// No image pair has enough matches that triangulate.
     #[error(
         "no image pair can start a model: {verified} verified pairs, the best has {best_inliers} \
         matches that triangulate \
@@ -9,54 +9,55 @@ pub enum Error {
          different places"
     )]
     NoInitialPair {
-        /// How many verified pairs there are.
+        /// Number of verified pairs.
         verified: usize,
-        /// Triangulated matches of the best of them.
+        /// Triangulated matches of the best pair.
         best_inliers: usize,
-        /// How many are asked for.
+        /// Required number.
         required: usize,
     },
-    /// Fewer than two images with a pose and a common point.
+    /// Fewer than two registered images have a common point.
     #[error(
         "nothing to adjust: {images} posed images, {points} points, {observations} observations"
     )]
     NothingToAdjust {
-        /// Images with a pose.
+        /// Registered images.
         images: usize,
         /// Points.
         points: usize,
         /// Observations.
         observations: usize,
     },
-    /// What was taken off the keypoints cannot have been done to them.
+    /// The rolling-shutter correction left too few images with observations.
     #[error("only {after} of {before} images keep observations")]
     ImagesLost {
-        /// Images with a pose before,
+        /// Registered images before the correction.
         before: usize,
-        /// and after.
+        /// Registered images after the correction.
         after: usize,
     },
-    /// Making the matches of torn pairs one point costs more matches elsewhere.
+    /// Closing a loop removed more matches elsewhere than it added.
     #[error(
         "a loop of {pairs} pairs of images was not closed: their matches contradict the others'"
     )]
     LoopNotClosed {
-        /// Pairs of images.
+        /// Image pairs of the loop.
         pairs: usize,
     },
-    /// Terms compose the pose of an image twice, or of another image than they said.
+    /// The terms compose the pose of an image twice, or of an image that no
+    /// [`crate::Term::composed_images`] named.
     #[error(
         "the terms of an adjustment compose the pose of an image twice, or of an image that they \
         did not name"
     )]
     ComposedPoses,
-    /// A term of the caller's own cannot join an adjustment.
+    /// Error of a caller's own term.
     #[error(transparent)]
     Term(Box<dyn std::error::Error + Send + Sync>),
-    /// The optimiser refused the problem.
+    /// Error of the optimiser.
     #[error(transparent)]
     Adjustment(#[from] tiepoint_ba::Error),
-    /// The caller's callback asked to stop.
+    /// The callback asked to stop.
     #[error("stopped on request")]
     Cancelled,
 }

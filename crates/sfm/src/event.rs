@@ -4,77 +4,81 @@ use tiepoint_scene::ImageId;
 
 use crate::Error;
 
-/// What the mapper tells while it works. Results are in [`crate::MappedModel`].
+/// Progress event of the mapper. Results are in [`crate::MappedModel`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A model was begun.
+    /// A model was initialised from an image pair.
     Initialised {
         /// The image at the origin.
         image1: ImageId,
-        /// The other one.
+        /// The second image.
         image2: ImageId,
-        /// Points triangulated from the two.
+        /// Number of triangulated points.
         num_points: usize,
     },
-    /// One more image has a pose.
+    /// An image was registered.
     Registered {
-        /// Which.
+        /// The image.
         image: ImageId,
-        /// Images with a pose in this model.
+        /// Registered images of this model.
         num_registered: usize,
-        /// Images that could have one.
+        /// Images that are in no earlier model.
         num_images: usize,
-        /// Points in this model.
+        /// Points of this model.
         num_points: usize,
     },
-    /// Pairs of images that were torn apart by drift are together again.
+    /// A loop was closed: image pairs separated by drift have common points again.
     LoopClosed {
-        /// How many.
+        /// Number of these pairs.
         num_pairs: usize,
     },
-    /// Everything was adjusted.
+    /// A global bundle adjustment ended.
     Adjusted {
-        /// Images with a pose in this model.
+        /// Registered images of this model.
         num_images: usize,
-        /// Observations in this model.
+        /// Observations of this model.
         num_observations: usize,
-        /// ½ Σ ρ at the end.
+        /// Final cost ½ Σ ρ.
         cost: f64,
-        /// Steps taken.
+        /// Number of iterations.
         iterations: usize,
     },
-    /// A stage failed; the model is as it was before.
+    /// A stage failed. The model is as it was before the stage.
     Failed(Failure),
-    /// Models of cameras that see nothing in common were joined, since they move as one.
-    Joined {
-        /// Images with a pose in the whole.
+    /// Two models without common points were merged, because their cameras move as one rig.
+    Merged {
+        /// Registered images of the merged model.
         num_images: usize,
     },
 }
 
-/// A stage that was undone.
+/// A stage that failed and was undone.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    /// Which.
+    /// The stage.
     pub stage: OptionalStage,
-    /// Why, as a sentence.
+    /// The reason, as a sentence.
     pub why: String,
 }
 
-/// A stage without which a model is finished, too.
+/// A stage that may fail without failing the mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptionalStage {
-    /// What a rolling shutter did is taken off the keypoints.
+    /// Rolling-shutter correction of the keypoints.
     RollingShutter,
-    /// Cameras are held to each other.
+    /// Estimation of the rig and constraint of the cameras.
     Rig,
 }
 
-/// Gets every event of the mapper; what it returns stops the run.
+/// Receives every event of the mapper. A `Break` stops the run.
 pub(crate) type Watch<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 
-/// Tells an event; an error where the answer is to stop.
-pub(crate) fn tell(watch: &mut Watch, event: &Event) -> Result<(), Error> {
+/// Sends an event.
+///
+/// # Errors
+///
+/// [`Error::Cancelled`] if the receiver asks to stop.
+pub(crate) fn notify(watch: &mut Watch, event: &Event) -> Result<(), Error> {
     match watch(event) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),

@@ -28,10 +28,10 @@ pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigTerm};
 pub use register::{RegisterOptions, register_image};
 pub use rigs::{
-    BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, ClosedSplit,
-    Descriptors, ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair,
-    RigPairs, RigSensor, RigidCamera, constrain_rigidly, final_links, growing_links,
-    relative_poses, rig_pairs, rig_sensors,
+    BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
+    ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,
+    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, growing_links,
+    relative_poses, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;

@@ -6,25 +6,22 @@ use crate::event::Failure;
 use crate::rigs::CalibratedRig;
 use crate::rolling_shutter::{RollingShutter, RowPoses};
 
-/// A model with everything that was found out about it.
+/// A model with the results of its optional stages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MappedModel {
-    /// Cameras, images with poses, points; frames where cameras are held rigidly.
+    /// Cameras, registered images and points; frames if the cameras are constrained rigidly.
     pub reconstruction: Reconstruction,
-    /// The images that the model began with. With the paper's rig term the first of them is at the
-    /// origin.
+    /// The initial pair. With the paper's rig term the first image is at the origin.
     pub initial_pair: ImagePair,
-    /// Of cameras that ride together, with a rig term that looks for their mounting; `None` where
-    /// there is nothing to hold, or that failed.
+    /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
+    /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,
-    /// The shutters of its cameras, where they are known or were to be found.
+    /// Rolling shutters of the cameras, given or estimated.
     pub shutters: Vec<RollingShutter>,
-    /// Where the cameras were while each row was exposed: of images with a rolling shutter whose
-    /// motion is known.
+    /// Motion during the exposure of each rolling-shutter image whose motion is known.
     pub row_poses: BTreeMap<ImageId, RowPoses>,
-    /// Pairs of images that drift had torn apart where the way meets itself, and that are one place
-    /// now.
+    /// Number of image pairs reconnected by loop closure.
     pub num_loop_pairs: usize,
-    /// Stages that failed: the model is as it would be without them.
+    /// Stages that failed. The model is as it would be without them.
     pub failures: Vec<Failure>,
 }

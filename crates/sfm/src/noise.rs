@@ -1,32 +1,32 @@
-//! How precise a keypoint is, from its scale.
+//! Standard deviation of keypoints by their scale.
 //!
-//! A blob found at a Gaussian of σ pixels is localised to a fraction of σ, on top of what the
-//! sensor and the interpolation of the extremum leave (Lowe 2004, section 4). On photos the rms
-//! residual grows from 0.3 px at scale 2 to 0.7 px at scale 15. To weigh by that in full costs
-//! accuracy on the road, where the large blobs are what ties frames far apart: on KITTI 04, with a
-//! squared loss, the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without; the
-//! photos hardly care.
+//! A blob at a Gaussian of σ pixels is localised to a fraction of σ, plus the error of the sensor
+//! and of the interpolation of the extremum (Lowe 2004, section 4). On photos the rms residual
+//! grows from 0.3 px at scale 2 to 0.7 px at scale 15. The full weight of this relation reduces
+//! accuracy on roads, where large blobs connect distant frames. On KITTI 04 with a squared loss,
+//! the trajectory error is 24.8 mm with the knee at 8 px and 23.7 mm without. The photo sets hardly
+//! change.
 
 use tiepoint_geometry::Loss;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::Reconstruction;
 
-/// Localisation error of the smallest keypoints, in pixels; also the unit in which residuals are
-/// weighed.
+/// Standard deviation of the smallest keypoints, in pixels. It is the unit of weighted residuals.
 const FLOOR_PX: f64 = 1.0;
-/// Scale at which the error has grown by √2, in pixels.
+/// Scale, in pixels, at which the standard deviation has grown by √2.
 const KNEE_SCALE_PX: f64 = 32.0;
 
-/// Standard deviation of a keypoint's position relative to that of a small one (1 at scale 0).
+/// Standard deviation of a keypoint relative to that of a keypoint of scale 0. `scale_px` is in
+/// pixels.
 pub fn keypoint_sigma_px(scale_px: f32) -> f64 {
     let relative = f64::from(scale_px) / KNEE_SCALE_PX;
     FLOOR_PX * (1.0 + relative * relative).sqrt()
 }
 
-/// Standard deviation of a model's keypoints, as a multiple of [`keypoint_sigma_px`]: from the
-/// median error, and what the fit has taken away.
+/// Noise scale of a model's keypoints (σ₀) as a multiple of [`keypoint_sigma_px`]: the median
+/// error, corrected for the degrees of freedom.
 pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
-    // Of a vector of two unit normals.
+    // Median norm of a vector of two standard normal variables.
     const MEDIAN_OF_TWO: f64 = 1.177;
     let Errors { mut relative, freedom } = Errors::of(model);
     median(&mut relative)
@@ -34,16 +34,16 @@ pub(crate) fn relative_noise(model: &Reconstruction) -> f64 {
         .max(f64::MIN_POSITIVE)
 }
 
-/// The σ with which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss, W its weights ρ', as
-/// a multiple of [`keypoint_sigma_px`]. Of an M-estimator the covariance is E ψ² / (E ψ')² (JᵀJ)⁻¹
-/// (Huber 1981, section 7.6), with JᵀWJ = E ρ' JᵀJ; for the plain square it is the root mean square
+/// The σ for which σ² (JᵀWJ)⁻¹ is the covariance of a fit with a robust loss and weights W = ρ', as
+/// a multiple of [`keypoint_sigma_px`]. The covariance of an M-estimator is E ψ² / (E ψ')² (JᵀJ)⁻¹
+/// (Huber 1981, section 7.6), and JᵀWJ = E ρ' JᵀJ. For the squared loss σ is the root mean square
 /// error.
 pub(crate) fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
     let Errors { relative, freedom } = Errors::of(model);
     let (mut squares, mut slopes, mut weights) = (0.0, 0.0, 0.0);
     for s in relative.iter().map(|error| error * error) {
         let [_, d1, d2] = loss.evaluate(s);
-        // Of a residual of two coordinates, each.
+        // Per coordinate of a two-dimensional residual.
         squares += 0.5 * d1 * d1 * s;
         slopes += d1 + d2 * s;
         weights += d1;
@@ -55,10 +55,10 @@ pub(crate) fn noise_of_fit(model: &Reconstruction, loss: &Loss) -> f64 {
     }
 }
 
-/// How far keypoints are from where the model has them, as a multiple of [`keypoint_sigma_px`].
+/// Reprojection errors of a model as multiples of [`keypoint_sigma_px`].
 struct Errors {
     relative: Vec<f64>,
-    /// The share of the equations that the unknowns leave.
+    /// Degrees of freedom divided by the number of equations.
     freedom: f64,
 }
 
@@ -70,7 +70,10 @@ impl Errors {
             num_points += 1;
             relative.extend(track.observations.iter().filter_map(|o| {
                 let keypoint = &model.image(o.image).keypoints[o.keypoint as usize];
-                Some(model.error_of_px(o, &track.xyz)? / keypoint_sigma_px(keypoint.scale_px))
+                Some(
+                    model.observation_error_px(o, &track.xyz)?
+                        / keypoint_sigma_px(keypoint.scale_px),
+                )
             }));
         }
         let (equations, unknowns) =

@@ -1,4 +1,4 @@
-//! How to map.
+//! Options of the mapper.
 
 use tiepoint_geometry::Loss;
 
@@ -7,51 +7,51 @@ use crate::register::RegisterOptions;
 use crate::rolling_shutter::Readout;
 use crate::tracks::{FilterOptions, TrackOptions};
 
-/// What holds cameras that ride together to each other.
+/// Constraint between the cameras of a rig.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RigTerm {
-    /// Nothing.
+    /// No constraint.
     #[default]
     Off,
-    /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4), to the letter. What the
-    /// paper leaves open: one unit is the distance of the initial pair, which is held, with the
-    /// pose of its first image, and never normalised again.
+    /// The baseline constraint of Huang, Elhashash & Qin 2022, Eq. (2)-(4). The paper leaves the
+    /// gauge open: the unit is the baseline of the initial pair. Baseline and pose of the pair's
+    /// first image stay fixed, without later normalisation.
     Paper,
-    /// One mounting for each camera, held up to standard deviations that are found by held-out
-    /// tracks.
+    /// One relative pose for each camera, with standard deviations selected on held-out tracks.
     Soft,
-    /// One mounting for each camera, held exactly.
+    /// One relative pose for each camera, exactly.
     Hard,
-    /// Of off, soft and hard the firmest that held-out tracks do not contradict.
+    /// The most rigid of off, soft and hard that does not increase the error of held-out tracks
+    /// beyond a tolerance.
     Auto,
 }
 
-/// How to map.
+/// Options of the mapper.
 #[derive(Clone, Copy, Debug)]
 pub struct MapperOptions {
-    /// What may be refined of the cameras.
+    /// Intrinsics that bundle adjustment refines.
     pub refine: RefineIntrinsics,
-    /// Tracks.
+    /// Options of track creation.
     pub tracks: TrackOptions,
-    /// Filters.
+    /// Options of the point filter.
     pub filter: FilterOptions,
-    /// Registration.
+    /// Options of registration.
     pub register: RegisterOptions,
-    /// Fewer triangulated matches cannot start a model.
+    /// Minimum number of triangulated matches of the initial pair.
     pub min_initial_inliers: usize,
-    /// Models with fewer images are dropped, unless it is the only one.
+    /// Smaller models are dropped unless there is only one.
     pub min_model_size: usize,
-    /// Of each weighted residual while the model grows.
+    /// Loss on each weighted residual while the model grows.
     pub loss: Loss,
-    /// Images in a local adjustment.
+    /// Number of images in a local bundle adjustment.
     pub local_images: usize,
-    /// A global adjustment follows when images or points have grown by this factor.
+    /// Global bundle adjustment runs when the number of images or points has grown by this factor.
     pub global_growth: f64,
-    /// Between cameras that ride together.
+    /// Constraint between the cameras of a rig.
     pub rig: RigTerm,
-    /// Of cameras with a rolling shutter; by default all rows count as exposed at once.
+    /// Readout time of rolling-shutter cameras; `None` for global shutters.
     pub readout: Option<Readout>,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 

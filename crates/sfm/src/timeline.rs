@@ -1,11 +1,11 @@
-//! The images of one camera in time.
+//! The images of a camera in order of time.
 
 use std::collections::BTreeMap;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-/// The images of each camera.
+/// Returns the images of each camera.
 pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Vec<ImageId>> {
     let mut images: BTreeMap<CameraId, Vec<ImageId>> = BTreeMap::new();
     for (id, image) in scene.images() {
@@ -14,7 +14,7 @@ pub(crate) fn images_of_cameras(scene: &Reconstruction) -> BTreeMap<CameraId, Ve
     images
 }
 
-/// Times of the images, in order; `None` unless all have one.
+/// Returns the times of the images in order; `None` unless all images have a time.
 pub(crate) fn images_in_time(
     scene: &Reconstruction,
     images: &[ImageId],
@@ -25,7 +25,7 @@ pub(crate) fn images_in_time(
     Some(times)
 }
 
-/// Those of a camera's images of which time and pose are known, in order of time.
+/// Returns the registered images of a camera with a time, in order of time.
 pub(crate) fn posed_in_time(
     model: &Reconstruction,
     camera: CameraId,
@@ -37,11 +37,11 @@ pub(crate) fn posed_in_time(
     posed
 }
 
-/// The share of the steps at which a camera is no faster than usual.
-const USUAL: f64 = 0.9;
+/// Quantile of the speeds that defines the usual speed.
+const USUAL_QUANTILE: f64 = 0.9;
 
-/// How fast a camera of these speeds is nine times in ten.
-pub(crate) fn usual(mut speeds: Vec<f64>) -> Option<f64> {
+/// Returns the 90 % quantile of the speeds.
+pub(crate) fn usual_speed(mut speeds: Vec<f64>) -> Option<f64> {
     speeds.sort_by(f64::total_cmp);
-    speeds.get((USUAL * speeds.len().saturating_sub(1) as f64) as usize).copied()
+    speeds.get((USUAL_QUANTILE * speeds.len().saturating_sub(1) as f64) as usize).copied()
 }

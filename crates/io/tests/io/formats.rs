@@ -138,7 +138,7 @@ proptest! {
             let track = model.track(tiepoint_scene::PointId(observation.point)).unwrap();
             let ours = track.observations.iter().find(|o| o.image == image).unwrap();
             // Behind a camera we see nothing.
-            if let Some(error) = model.error_of_px(ours, point) {
+            if let Some(error) = model.observation_error_px(ours, point) {
                 prop_assert!(
                     (error - residual).abs() < 1e-9 * (1.0 + residual),
                     "{} {}",
@@ -426,7 +426,9 @@ fn bal_problems_of_others() {
         .sum();
     let ours: f64 = model
         .tracks()
-        .flat_map(|(_, track)| track.observations.iter().map(|o| model.error_of_px(o, &track.xyz)))
+        .flat_map(|(_, track)| {
+            track.observations.iter().map(|o| model.observation_error_px(o, &track.xyz))
+        })
         .map(|error| error.unwrap_or(f64::NAN).powi(2))
         .sum();
     assert!((ours / cost - 1.0).abs() < 1e-9, "{ours} {cost}");

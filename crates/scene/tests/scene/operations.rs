@@ -1,5 +1,5 @@
-//! Whatever is done to a model through its methods leaves a valid one: both directions of "this
-//! keypoint sees this point" agree, and images are in the frames that give them their poses.
+//! Every sequence of operations leaves a valid model: keypoints and tracks are consistent, and
+//! images are in the frames that their poses are composed of.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ use tiepoint_scene::{
 };
 
 const FRAMES: u32 = 3;
-/// Left and right of each frame, and two of a camera that is on no rig.
+/// Left and right images of each frame, and two of a camera that is on no rig.
 const IMAGES: u32 = 2 * FRAMES + 2;
 const KEYPOINTS: u32 = 5;
 
@@ -31,7 +31,7 @@ fn operation() -> impl Strategy<Value = Operation> {
     let image = (0..IMAGES).prop_map(ImageId);
     let observation = (0..IMAGES, 0..KEYPOINTS)
         .prop_map(|(image, keypoint)| Observation { image: ImageId(image), keypoint });
-    // More than there are at most times: ids of points that never were count, too.
+    // The range includes ids of points that do not exist.
     let point = (0..12u32).prop_map(PointId);
     let vector = [-1.0..1.0, -1.0..1.0, -1.0..1.0].prop_map(Vector3::from);
     prop_oneof![
@@ -47,7 +47,7 @@ fn operation() -> impl Strategy<Value = Operation> {
     ]
 }
 
-/// The images of the rig have poses and are in frames; the last two have none.
+/// The images of the rig are registered and in frames. The last two images are not registered.
 fn model() -> Reconstruction {
     let mut model = Reconstruction::default();
     let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
@@ -86,8 +86,8 @@ fn apply(model: &mut Reconstruction, operation: &Operation) {
         Operation::Register(image, v) => model.register(*image, Rigid3::from_axis_angle(*v, *v)),
         Operation::Deregister(image) => model.deregister(*image),
         Operation::AddTrack(observations) => {
-            // What the caller must see to: keypoints of images with a pose that see no point yet,
-            // each once.
+            // Precondition of `add_track`: keypoints of registered images without a point, each
+            // once.
             let mut free = observations.clone();
             free.sort_unstable();
             free.dedup();
@@ -147,7 +147,7 @@ proptest! {
 
 /// The first image of each frame is of the left camera.
 #[test]
-fn an_image_that_gets_another_pose_leaves_its_frame() {
+fn an_image_with_a_new_pose_leaves_its_frame() {
     let (mut model, [left, right]) = (model(), [ImageId(0), ImageId(1)]);
     let pose = *model.image(right).cam_from_world().unwrap();
     model.register(right, pose);
@@ -165,7 +165,7 @@ fn an_image_that_gets_another_pose_leaves_its_frame() {
 }
 
 #[test]
-fn a_point_ends_with_its_last_but_one_observation_and_deregistering_frees_keypoints() {
+fn a_track_with_one_observation_is_deleted_and_deregistering_frees_keypoints() {
     let mut model = model();
     let seen = |image| Observation { image: ImageId(image), keypoint: 1 };
     let long = model.add_track(Track::new(Vector3::z(), vec![seen(0), seen(1), seen(2)]));

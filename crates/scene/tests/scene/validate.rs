@@ -1,4 +1,4 @@
-//! [`Reconstruction::validate`] names each broken invariant; what COLMAP allows passes.
+//! [`Reconstruction::validate`] reports each broken invariant and accepts COLMAP's models.
 #![allow(clippy::unwrap_used)]
 
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
@@ -23,8 +23,8 @@ fn rig_from_world(frame: u32) -> Rigid3 {
     Rigid3::from_axis_angle(Vector3::new(0.0, 0.0, 0.2), Vector3::new(0.0, 0.0, -f64::from(frame)))
 }
 
-/// Cameras 0 and 1 on a rig, camera 2 alone. Images 0 and 1 are frame 0, images 2 and 3 frame 1;
-/// image 4 is of camera 2; image 5 of camera 0 has no pose. One track, in images 0, 1 and 4.
+/// Cameras 0 and 1 on a rig, camera 2 on none. Images 0 and 1 are frame 0, images 2 and 3 frame 1.
+/// Image 4 is of camera 2. Image 5 of camera 0 is not registered. One track, in images 0, 1 and 4.
 fn model() -> Reconstruction {
     let mut model = Reconstruction::default();
     let cameras = [0; 3].map(|_| model.add_camera(camera()));
@@ -67,17 +67,17 @@ fn not_unit() -> Rigid3 {
 }
 
 #[test]
-fn a_sound_model_passes() {
+fn a_valid_model_passes() {
     model().validate().unwrap();
     let mut model = model();
-    // The reference may have the identity instead of nothing, and a rig no frame.
+    // The reference sensor may have the identity instead of `None`, and a rig may have no frame.
     model.rigs[0].sensors[0].cam_from_rig = Some(Rigid3::identity());
     model.rigs.push(Rig { sensors: vec![RigSensor { camera: CameraId(2), cam_from_rig: None }] });
     model.validate().unwrap();
 }
 
 #[test]
-fn each_broken_invariant_is_named() {
+fn each_broken_invariant_is_reported() {
     type Break = fn(&mut Reconstruction);
     let faults: [(&str, Break); 18] = [
         ("rig RigId(1) has no camera", |model| model.rigs.push(Rig::default())),

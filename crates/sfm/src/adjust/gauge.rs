@@ -3,17 +3,19 @@ use tiepoint_geometry::Rigid3;
 
 use crate::Error;
 
-/// Holds what no pixel depends on: place, orientation and size of the world.
+/// Fixes the seven degrees of freedom of the gauge: position, orientation and scale of the world
+/// frame.
 ///
-/// These are the pose of one camera and, of another, the one coordinate in which its centre moves
-/// most when the world is scaled about the first: scaling by 1 + ε moves a centre c by ε (c − c₁),
-/// which in its own frame is τ = −ε R (c − c₁). `poses` are `cam_from_world`; those of `fixed` are
-/// held already, and with two of them there is nothing left to hold. `pair` asks for the two poses
-/// to hold, by their indices; by default they are the first and the one farthest from it.
+/// Fixed are the pose of one camera and one coordinate of another camera's centre. The coordinate
+/// is the one that changes most when the world is scaled about the first centre: a scaling by 1 + ε
+/// moves a centre c by ε (c − c₁), which in its own frame is τ = −ε R (c − c₁). `poses` are
+/// `cam_from_world`. The poses marked in `fixed` are constant already; two of them fix the gauge.
+/// `pair` selects the two poses by their indices. By default they are the first pose and the one
+/// farthest from it.
 ///
 /// # Errors
 ///
-/// Where a pose is no variable of the problem.
+/// If a pose is no variable of the problem.
 pub fn fix_gauge(
     problem: &mut Problem,
     poses: &[Key<Rigid3>],
@@ -43,7 +45,7 @@ pub fn fix_gauge(
             .max_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared())),
     };
     if let Some((key, direction)) = second {
-        // The tangent of a pose is its rotation, then how its centre moves in its frame.
+        // The tangent of a pose is its rotation, then the motion of the centre in the camera frame.
         problem.fix_dofs(key, &[3 + direction.iamax()])?;
     }
     Ok(())

@@ -1,5 +1,4 @@
-//! The intrinsics of a camera in an adjustment: which parameters stay, and what is known of them
-//! beforehand.
+//! Intrinsics in bundle adjustment: constant parameters and priors.
 
 use tiepoint_ba::factors::Prior;
 use tiepoint_geometry::CameraModelKind;
@@ -8,12 +7,13 @@ use tiepoint_scene::{Camera, CameraId};
 
 use super::options::{AdjustOptions, RefineIntrinsics};
 
-/// Standard deviation of the ratio of two focal lengths. Ten times as much is enough for a million
-/// keypoints.
+/// Standard deviation of the ratio of two focal lengths. A value ten times as large suffices for a
+/// million keypoints.
 const FOCAL_RATIO_SIGMA: f64 = 1e-6;
 
-/// Indices of the parameters that stay. What a turn of the camera does as well is one of them: a
-/// hundredth of a pixel of systematic error would turn the camera by a tenth of a degree.
+/// Returns the indices of the constant parameters. Parameters that act like a rotation of the
+/// camera are constant: a systematic error of a hundredth of a pixel would rotate the camera by a
+/// tenth of a degree.
 pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
     (0..kind.num_params())
         .filter(|index| {
@@ -28,9 +28,9 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
         .collect()
 }
 
-/// What is known of a camera before looking: the principal point is near the middle, distortion is
-/// small, the focal lengths keep their ratio, and what the options say of the first one. In units
-/// of the keypoints' noise, as residuals are.
+/// Prior on the intrinsics: principal point near the image centre, small distortion, constant ratio
+/// of the focal lengths, and the options' prior on the first focal length. Standard deviations are
+/// divided by the noise of the keypoints.
 pub(super) fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,

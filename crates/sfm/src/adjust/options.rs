@@ -1,4 +1,4 @@
-//! What an adjustment may move, and how hard it tries.
+//! Scope and options of a bundle adjustment.
 
 use std::collections::BTreeSet;
 
@@ -8,55 +8,54 @@ use tiepoint_scene::{ImageId, ImagePair, PointId, Reconstruction};
 use crate::noise::relative_noise;
 use crate::two_view::FocalPrior;
 
-/// Which intrinsics an adjustment may move.
+/// Intrinsics that a bundle adjustment refines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefineIntrinsics {
-    /// Focal lengths, in the ratio that they have: the pixels of cameras are square. From a street,
-    /// which leaves itself as it is when heights grow and no camera rolls, keypoints that are a
-    /// twentieth of a pixel off tell another one, by a thousandth.
+    /// Focal lengths, at a constant ratio, since pixels are square. On a street where no camera
+    /// rolls, a change of the ratio is nearly equivalent to scaling all heights. A keypoint error
+    /// of a twentieth of a pixel would change the ratio by a thousandth.
     pub focal: bool,
-    /// The principal point, held near the middle of the image by a prior.
+    /// The principal point, with a prior at the image centre.
     pub principal_point: bool,
-    /// Distortion.
+    /// Distortion coefficients.
     pub distortion: bool,
 }
 
 impl RefineIntrinsics {
-    /// Nothing: the calibration is known.
+    /// No intrinsics, for a known calibration.
     pub const NONE: Self = Self { focal: false, principal_point: false, distortion: false };
-    /// Focal length and distortion, the principal point staying where it is.
+    /// Focal length and distortion with a constant principal point.
     pub const FOCAL_AND_DISTORTION: Self =
         Self { focal: true, principal_point: false, distortion: true };
-    /// Everything.
+    /// All intrinsics.
     pub const ALL: Self = Self { focal: true, principal_point: true, distortion: true };
 }
 
-/// How to adjust.
+/// Options of a bundle adjustment.
 #[derive(Clone, Copy, Debug)]
 pub struct AdjustOptions<'a> {
-    /// What may move of the cameras.
+    /// Intrinsics to refine.
     pub refine: RefineIntrinsics,
-    /// Whether points that are enough to place the images take part alone: those seen most often,
-    /// all over every image.
+    /// Whether only a grid-based selection of the points takes part: the longest tracks,
+    /// distributed over every image.
     pub selects_points: bool,
-    /// Of the weighted residual.
+    /// Loss on the weighted residuals.
     pub loss: Loss,
-    /// Standard deviation of the principal point's prior, as a share of the image's larger side.
+    /// Standard deviation of the principal point's prior, relative to the larger side of the image.
     pub principal_point_sigma: f64,
     /// Standard deviation of the prior on each distortion coefficient, around 0.
     pub distortion_sigma: f64,
-    /// Standard deviation of the keypoints, as a multiple of [`crate::keypoint_sigma_px`], against
-    /// which the priors are weighed.
+    /// Noise scale of the keypoints as a multiple of [`crate::keypoint_sigma_px`]. Standard
+    /// deviations of priors are divided by it.
     pub noise: f64,
-    /// What is believed of the focal lengths; of cameras that are not listed, nothing.
+    /// Priors on focal lengths. Cameras that are not listed have none.
     pub focal_priors: &'a [FocalPrior],
-    /// The images that hold place, orientation and size of the world: the first one's pose, and one
-    /// coordinate in which the second one's centre moves. By default the first and the one farthest
-    /// from it.
+    /// The images that fix the gauge: the pose of the first and one coordinate of the second one's
+    /// centre. By default the first image and the one farthest from it.
     pub gauge: Option<ImagePair>,
-    /// Steps at most.
+    /// Maximum number of iterations.
     pub max_iterations: usize,
-    /// Stop when a step lowers the cost by less than this share.
+    /// Relative decrease of the cost below which the adjustment ends.
     pub function_tolerance: f64,
 }
 
@@ -77,19 +76,18 @@ impl Default for AdjustOptions<'_> {
     }
 }
 
-/// Where the loss of a finished model departs from the square, in standard deviations of its
-/// keypoints: 95 % as efficient as the square on Gaussian noise (Holland and Welsch 1977).
+/// Scale of the Cauchy loss in standard deviations of the keypoints: 95 % efficiency on Gaussian
+/// noise (Holland and Welsch 1977).
 const CAUCHY_SIGMAS: f64 = 2.385;
-/// No keypoint is more precise, in standard deviations of [`crate::keypoint_sigma_px`]: where
-/// synthetic ones are, rounding is no outlier.
+/// Minimum noise scale as a multiple of [`crate::keypoint_sigma_px`]. On synthetic keypoints with
+/// less noise, rounding errors would count as outliers.
 const MIN_NOISE: f64 = 0.05;
 
 impl AdjustOptions<'_> {
-    /// With priors and loss weighed against the noise that a finished model leaves
-    /// ([`AdjustOptions::noise`]): precise keypoints decide alone, and one that is off by much more
-    /// than most counts little. Noise beyond what was expected is the model's own, and gives the
-    /// priors no more weight.
-    pub fn weighed_against(self, model: &Reconstruction) -> Self {
+    /// Sets priors and loss for the noise scale of a finished model ([`AdjustOptions::noise`]). The
+    /// weight of the priors does not increase beyond that for a noise scale of 1, because larger
+    /// residuals are errors of the model.
+    pub fn with_noise_of(self, model: &Reconstruction) -> Self {
         self.with_noise(relative_noise(model))
     }
 
@@ -102,18 +100,18 @@ impl AdjustOptions<'_> {
     }
 }
 
-/// Which images and points an adjustment moves.
+/// The images and points that an adjustment changes.
 #[derive(Clone, Debug)]
 pub enum Scope<'a> {
-    /// Everything that is registered.
+    /// All registered images and all points.
     Global,
-    /// These images and the points that they see; the other images that see those points hold them
-    /// in place.
+    /// The given images and the points that they observe. Other images that observe these points
+    /// are constant.
     Local(&'a BTreeSet<ImageId>),
 }
 
 impl Scope<'_> {
-    /// Whether an image's pose is adjusted.
+    /// Whether the image's pose is variable.
     pub fn moves(&self, image: ImageId) -> bool {
         match self {
             Self::Global => true,
@@ -121,11 +119,11 @@ impl Scope<'_> {
         }
     }
 
-    /// The points that the images see, held out or not, in order.
+    /// The points that the images observe, held out or not, in order of their ids.
     pub(super) fn points(&self, model: &Reconstruction) -> Vec<PointId> {
         match self {
             Self::Global => model.tracks().map(|(point, _)| point).collect(),
-            Self::Local(images) => model.points_seen_by(*images),
+            Self::Local(images) => model.points_observed_by(*images),
         }
     }
 }

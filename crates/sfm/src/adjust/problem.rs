@@ -1,9 +1,9 @@
-//! A reconstruction as a least-squares problem.
+//! Construction of the least-squares problem of a reconstruction.
 //!
-//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), σ growing with the keypoint's scale
-//! ([`crate::keypoint_sigma_px`]), with priors on the intrinsics and whatever [`Term`]s add. The
-//! gauge is held by leaving columns out ([`fix_gauge`]). Points that are held out do not take part,
-//! nor do those that are not needed.
+//! E = ½ Σ ρ(|x − π(k, R X + t)|² / σ²), where σ grows with the keypoint's scale
+//! ([`crate::keypoint_sigma_px`]), plus priors on the intrinsics and the factors of [`Term`]s. The
+//! gauge is fixed by leaving columns out ([`fix_gauge`]). Held-out points take no part; with point
+//! selection, neither do points that were not selected.
 
 use std::collections::BTreeSet;
 
@@ -22,14 +22,14 @@ use crate::Error;
 use crate::noise::keypoint_sigma_px;
 use crate::tracks::select_points;
 
-/// The keypoints of each image that see a point of the problem.
+/// For each image: its keypoints that observe a point of the problem.
 type Observations = Vec<Vec<(u32, Key<Vector3<f64>>)>>;
 
-/// Makes the problem of a model.
+/// Builds the problem of a model.
 ///
 /// # Errors
 ///
-/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point.
+/// [`Error::NothingToAdjust`] if fewer than two registered images observe a point.
 pub(crate) fn build(
     model: &Reconstruction,
     scope: &Scope,
@@ -59,14 +59,15 @@ pub(crate) fn build(
     if found.len() < variables.composed.len() || found != composed {
         return Err(Error::ComposedPoses);
     }
-    fix_gauge_here(&mut variables, &context, options)?;
-    carry(&mut variables, &observations)?;
+    fix_problem_gauge(&mut variables, &context, options)?;
+    set_tree_retraction(&mut variables, &observations)?;
     for (camera, _) in model.cameras() {
         add_camera(&mut variables, &context, options, terms, &observations, camera)?;
     }
     Ok(variables)
 }
 
+/// Adds the points of the scope as landmarks, without held-out and unselected ones.
 fn add_points(
     variables: &mut Variables,
     context: &TermContext,
@@ -90,6 +91,7 @@ fn add_points(
     observations
 }
 
+/// Adds the poses that are not composed. Poses outside the scope are constant.
 fn add_poses(
     variables: &mut Variables,
     context: &TermContext,
@@ -106,7 +108,8 @@ fn add_poses(
     }
 }
 
-fn fix_gauge_here(
+/// Fixes the gauge on the poses of images and frames.
+fn fix_problem_gauge(
     variables: &mut Variables,
     context: &TermContext,
     options: &AdjustOptions,
@@ -118,7 +121,7 @@ fn fix_gauge_here(
     let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
     fix_gauge(variables.problem_mut(), &keys, &fixed, pair)?;
     if let (1, Some((_, composed))) = (keys.len(), variables.composed.first()) {
-        // One moment of a rig: the distance of two of its cameras is the size of the world.
+        // A single frame of a rig: the baseline of two of its cameras fixes the scale.
         let cam_from_rig = composed.cam_from_rig;
         let place = variables.problem().get(cam_from_rig).translation;
         variables.problem_mut().fix_dofs(cam_from_rig, &[3 + place.iamax()])?;
@@ -126,29 +129,33 @@ fn fix_gauge_here(
     Ok(())
 }
 
-/// Lets steps move each pose relative to others that see the same points ([`SpanningTree`]).
-fn carry(variables: &mut Variables, observations: &Observations) -> Result<(), Error> {
+/// Sets a retraction that moves each pose relative to others that observe the same points
+/// ([`SpanningTree`]).
+fn set_tree_retraction(
+    variables: &mut Variables,
+    observations: &Observations,
+) -> Result<(), Error> {
     let own = variables.poses.iter().copied();
     let composed = variables.composed.iter().map(|(image, pose)| (*image, pose.rig_from_world));
-    let sights: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
+    let views: Vec<(Key<Rigid3>, Key<Vector3<f64>>)> = own
         .chain(composed)
         .flat_map(|(image, pose)| {
             observations[image.index()].iter().map(move |(_, point)| (pose, *point))
         })
         .collect();
-    let tree = SpanningTree::new(variables.problem(), &sights)?;
+    let tree = SpanningTree::new(variables.problem(), &views)?;
     variables.problem_mut().set_retraction(tree);
     Ok(())
 }
 
-/// Where the pose of an image stands.
+/// Representation of an image's pose.
 #[derive(Clone, Copy)]
 enum Pose {
-    Own(Key<Rigid3>),
+    Variable(Key<Rigid3>),
     Composed(Composed),
 }
 
-/// Adds the intrinsics of a camera and what its images observe.
+/// Adds the intrinsics of a camera and the observations of its images.
 fn add_camera(
     variables: &mut Variables,
     context: &TermContext,
@@ -158,7 +165,7 @@ fn add_camera(
     camera: CameraId,
 ) -> Result<(), Error> {
     let model = context.model;
-    let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Own(*key)));
+    let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Variable(*key)));
     let composed = variables.composed.iter().map(|(image, pose)| (*image, Pose::Composed(*pose)));
     let is_of_camera = |(image, _): &(ImageId, Pose)| model.image(*image).camera == camera;
     let images: Vec<(ImageId, Pose)> = own.chain(composed).filter(is_of_camera).collect();
@@ -168,16 +175,17 @@ fn add_camera(
     for term in terms.iter_mut() {
         term.add_to_camera(context, camera, variables)?;
     }
-    // A local adjustment sees too little of a camera that has images elsewhere.
+    // The images of a local adjustment determine the intrinsics too weakly if the camera has other
+    // images.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
     let refine = if all.all(|(id, ..)| context.scope.moves(id)) {
         options.refine
     } else {
         RefineIntrinsics::NONE
     };
-    let described = model.camera(camera);
-    with_camera_model!(&described.intrinsics, M, params => {
-        let kind = described.intrinsics.kind();
+    let camera_of_images = model.camera(camera);
+    with_camera_model!(&camera_of_images.intrinsics, M, params => {
+        let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
         let problem = variables.problem_mut();
         let key = problem.add_parameter(*params, Order::Shared);
@@ -185,17 +193,18 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            problem.add(key, intrinsics_prior(params, camera, described, options)?, Loss::Trivial)?;
+            let prior = intrinsics_prior(params, camera, camera_of_images, options)?;
+            problem.add(key, prior, Loss::Trivial)?;
         }
         for (image, pose) in &images {
             let shifts = terms.iter().find_map(|term| term.shifts_of(camera, *image));
-            let of_image = OfImage {
+            let observations_of_image = ImageObservations {
                 keypoints: &model.image(*image).keypoints,
-                seen: &observations[image.index()],
+                observed: &observations[image.index()],
                 pose: *pose,
                 shifts,
             };
-            of_image.add::<M>(problem, key, options.loss)?;
+            observations_of_image.add::<M>(problem, key, options.loss)?;
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
         variables.cameras.push((camera, Box::new(read)));
@@ -203,33 +212,34 @@ fn add_camera(
     Ok(())
 }
 
-/// What an image observes.
-struct OfImage<'a> {
+/// The observations of an image.
+struct ImageObservations<'a> {
     keypoints: &'a [Keypoint],
-    seen: &'a [(u32, Key<Vector3<f64>>)],
+    observed: &'a [(u32, Key<Vector3<f64>>)],
     pose: Pose,
     shifts: Option<(Key<Vector1<f64>>, &'a [Shifted])>,
 }
 
-impl OfImage<'_> {
+impl ImageObservations<'_> {
+    /// Adds a reprojection factor for each observed point.
     fn add<M: CameraModel>(
         &self,
         problem: &mut Problem,
         params: Key<M::Params>,
         loss: Loss,
     ) -> Result<(), Error> {
-        for &(index, point) in self.seen {
+        for &(index, point) in self.observed {
             let index = index as usize;
             let keypoint = &self.keypoints[index];
             let (pixel, sigma_px) = (keypoint.pixel, keypoint_sigma_px(keypoint.scale_px));
             match (self.pose, self.shifts) {
-                (Pose::Own(pose), Some((amount, shifts))) => {
+                (Pose::Variable(pose), Some((shift_scale, shifts))) => {
                     let Shifted { pixel, shift } = shifts[index];
                     let unshifted = Reprojection::<M>::new(pixel, sigma_px);
                     let factor = ShiftedReprojection { unshifted, shift };
-                    problem.add((params, pose, amount, point), factor, loss)?;
+                    problem.add((params, pose, shift_scale, point), factor, loss)?;
                 }
-                (Pose::Own(pose), None) => {
+                (Pose::Variable(pose), None) => {
                     problem.add(
                         (params, pose, point),
                         Reprojection::<M>::new(pixel, sigma_px),

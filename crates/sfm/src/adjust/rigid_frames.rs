@@ -1,11 +1,10 @@
-//! Rigs and frames of a model in an adjustment.
+//! Rigs and frames of a model in bundle adjustment.
 //!
-//! An image of a frame is seen from cam_from_rig · rig_from_world. The pose of the rig is that of
-//! the reference sensor's image, where the frame has one with observations; otherwise it is a
-//! variable of its own. Each further sensor's cam_from_rig is one variable, constant where no
-//! observation tells it. In an adjustment of some images alone all of these are constant, since
-//! most frames take no part; there a frame moves with its reference image, or, without one, with
-//! any of its images.
+//! The pose of an image in a frame is `cam_from_rig` · `rig_from_world`. The pose of the frame is
+//! that of the reference sensor's image if it has observations, and a variable of its pose_keys
+//! otherwise. `cam_from_rig` of each other sensor is one variable, constant if no observation
+//! determines it. In a local adjustment all sensor poses are constant, since most frames take no
+//! part. There a frame moves with its reference image or, without one, with any of its images.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,7 +22,7 @@ pub(super) struct RigidFrames {
     rigs: Vec<Rig>,
     frames: Vec<Frame>,
     cameras: BTreeMap<ImageId, CameraId>,
-    /// The images that take their pose from the rig's, and their places in the order of the poses.
+    /// Images with composed poses, and their positions in the order of the poses.
     composed: BTreeMap<ImageId, u32>,
     cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
     rig_from_world: Vec<Option<Key<Rigid3>>>,
@@ -42,35 +41,38 @@ impl RigidFrames {
         }
     }
 
-    /// The place of an image's camera among the sensors of the frame's rig, and where it is on
-    /// that.
+    /// Returns the index of an image's camera among the sensors of the frame's rig, and its
+    /// `cam_from_rig`.
     fn sensor_of(&self, frame: &Frame, image: ImageId) -> Option<(usize, Rigid3)> {
         let sensors = &self.rigs.get(frame.rig.index())?.sensors;
-        let place = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
+        let sensor = sensors.iter().position(|sensor| sensor.camera == self.cameras[&image])?;
         let cam_from_rig =
-            if place == 0 { Rigid3::identity() } else { sensors[place].cam_from_rig? };
-        Some((place, cam_from_rig))
+            if sensor == 0 { Rigid3::identity() } else { sensors[sensor].cam_from_rig? };
+        Some((sensor, cam_from_rig))
     }
 
-    /// Whether an image takes its pose from the rig's instead of being it.
-    fn is_further(&self, frame: &Frame, image: ImageId) -> bool {
-        self.sensor_of(frame, image).is_some_and(|(place, _)| place > 0)
+    /// Whether the image's sensor is not the reference sensor.
+    fn is_composed(&self, frame: &Frame, image: ImageId) -> bool {
+        self.sensor_of(frame, image).is_some_and(|(sensor, _)| sensor > 0)
     }
 
-    /// Sensors whose place on their rig no observation tells: of each group of sensors that are
-    /// joined by the observations of common frames, and not to the reference, the first.
+    /// Returns the sensors whose `cam_from_rig` is not determined: the first sensor of each group
+    /// that is connected by observations in common frames, but not connected to the reference
+    /// sensor.
     fn undetermined(&self, is_observed: impl Fn(ImageId) -> bool) -> BTreeSet<(usize, usize)> {
-        // Of each sensor, the first one that it is known to be joined with.
+        // For each sensor, the first sensor of its group.
         let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();
         for frame in &self.frames {
             let rig = frame.rig.index();
             let observed = frame.images.iter().filter(|image| is_observed(**image));
-            let places: Vec<usize> = observed
+            let sensors_seen: Vec<usize> = observed
                 .filter_map(|image| self.sensor_of(frame, *image))
-                .map(|(place, _)| place)
+                .map(|(sensor, _)| sensor)
                 .collect();
-            let groups: BTreeSet<usize> =
-                places.iter().map(|place| *first.entry((rig, *place)).or_insert(*place)).collect();
+            let groups: BTreeSet<usize> = sensors_seen
+                .iter()
+                .map(|sensor| *first.entry((rig, *sensor)).or_insert(*sensor))
+                .collect();
             let Some(&least) = groups.first() else { continue };
             let of_rig = first.range_mut((rig, 0)..=(rig, usize::MAX));
             of_rig
@@ -79,12 +81,12 @@ impl RigidFrames {
         }
         first
             .into_iter()
-            .filter(|((_, place), group)| *place > 0 && place == group)
+            .filter(|((_, sensor), group)| *sensor > 0 && sensor == group)
             .map(|(key, _)| key)
             .collect()
     }
 
-    /// Makes the model's rigs, frames and the poses of all images in them what came out.
+    /// Writes rigs, frames and the poses of their images to the model.
     pub(super) fn write_back(self, model: &mut Reconstruction) {
         for frame in &self.frames {
             for &image in &frame.images {
@@ -104,7 +106,7 @@ impl Term for RigidFrames {
         for frame in &self.frames {
             for &image in &frame.images {
                 if let Ok(order) = posed.binary_search(&image)
-                    && self.is_further(frame, image)
+                    && self.is_composed(frame, image)
                 {
                     self.composed.insert(image, order as u32);
                 }
@@ -113,24 +115,29 @@ impl Term for RigidFrames {
         self.composed.keys().copied().collect()
     }
 
+    /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig` of
+    /// each other sensor, and composes the poses of the images.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let is_local = matches!(context.scope, Scope::Local(_));
-        let own: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
-        let undetermined = self
-            .undetermined(|image| own.contains_key(&image) || self.composed.contains_key(&image));
+        let pose_keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
+        let undetermined = self.undetermined(|image| {
+            pose_keys.contains_key(&image) || self.composed.contains_key(&image)
+        });
         for (index, frame) in self.frames.iter().enumerate() {
             let reference = frame.images.iter().find(|image| {
-                self.sensor_of(frame, **image).is_some_and(|(place, _)| place == 0)
-                    && own.contains_key(image)
+                self.sensor_of(frame, **image).is_some_and(|(sensor, _)| sensor == 0)
+                    && pose_keys.contains_key(image)
             });
-            let further = || frame.images.iter().filter(|image| self.composed.contains_key(image));
-            let rig_from_world = match (reference, further().next()) {
-                (Some(image), _) => own[image],
+            let composed_images_of_frame =
+                || frame.images.iter().filter(|image| self.composed.contains_key(image));
+            let rig_from_world = match (reference, composed_images_of_frame().next()) {
+                (Some(image), _) => pose_keys[image],
                 (None, Some(first)) => {
                     let key = variables
                         .problem_mut()
                         .add_parameter(frame.rig_from_world, Order::At(self.composed[first]));
-                    let is_fixed = !further().any(|image| context.scope.moves(*image));
+                    let is_fixed =
+                        !composed_images_of_frame().any(|image| context.scope.moves(*image));
                     if is_fixed {
                         variables.problem_mut().fix(key);
                     }
@@ -140,12 +147,12 @@ impl Term for RigidFrames {
                 (None, None) => continue,
             };
             self.rig_from_world[index] = Some(rig_from_world);
-            for &image in further() {
-                let Some((place, pose)) = self.sensor_of(frame, image) else { continue };
+            for &image in composed_images_of_frame() {
+                let Some((sensor, pose)) = self.sensor_of(frame, image) else { continue };
                 let key =
-                    *self.cam_from_rig.entry((frame.rig.index(), place)).or_insert_with(|| {
+                    *self.cam_from_rig.entry((frame.rig.index(), sensor)).or_insert_with(|| {
                         let key = variables.problem_mut().add_parameter(pose, Order::Shared);
-                        if is_local || undetermined.contains(&(frame.rig.index(), place)) {
+                        if is_local || undetermined.contains(&(frame.rig.index(), sensor)) {
                             variables.problem_mut().fix(key);
                         }
                         key
@@ -162,8 +169,8 @@ impl Term for RigidFrames {
                 frame.rig_from_world = problem.get(*key);
             }
         }
-        for (&(rig, place), key) in &self.cam_from_rig {
-            self.rigs[rig].sensors[place].cam_from_rig = Some(problem.get(*key));
+        for (&(rig, sensor), key) in &self.cam_from_rig {
+            self.rigs[rig].sensors[sensor].cam_from_rig = Some(problem.get(*key));
         }
     }
 }

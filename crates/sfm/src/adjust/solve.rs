@@ -10,19 +10,19 @@ use super::problem::build;
 use super::rigid_frames::RigidFrames;
 use super::term::Term;
 use crate::Error;
-use crate::tracks::seen_at;
+use crate::tracks::triangulate_observations;
 
-/// Adjusts a model with further terms; the model is changed to where the optimiser ended, whatever
-/// the reason.
+/// Runs bundle adjustment with additional terms. The model receives the final state for every
+/// termination reason.
 ///
-/// Images in the model's frames stay rigidly connected: what moves are their rigs' poses, and where
-/// the cameras are on the rigs. Points that took no part are moved to where the adjusted poses see
-/// them.
+/// Images of the model's frames stay rigidly connected: the poses of the frames and of the sensors
+/// on their rigs are variables. Points that take no part are triangulated again from the adjusted
+/// poses.
 ///
 /// # Errors
 ///
-/// [`Error::NothingToAdjust`] where fewer than two images with a pose see a point, and where the
-/// optimiser refuses the problem.
+/// [`Error::NothingToAdjust`] if fewer than two registered images observe a point; other errors if
+/// the optimiser rejects the problem.
 pub fn adjust(
     model: &mut Reconstruction,
     scope: &Scope,
@@ -43,7 +43,7 @@ pub fn adjust(
     };
     let problem = variables.problem_mut();
     let summary = Solver::new(problem, &solver_options)?.solve(problem, watch)?;
-    // They come back with the poses that their rigs have now.
+    // `RigidFrames::write_back` restores the frames with their new poses.
     model.frames.clear();
     variables.write_back(model);
     terms.iter_mut().for_each(|term| term.read(variables.problem()));
@@ -54,24 +54,25 @@ pub fn adjust(
     Ok(summary)
 }
 
-/// Watches an adjustment that nothing stops.
+/// Callback that never stops an adjustment.
 pub(crate) fn keep_going(_: &IterationRecord) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// Moves each point that took no part to where the poses see it now; those that did come in order.
+/// Triangulates each point that took no part from the adjusted poses. `adjusted` is sorted.
 fn retriangulate_others(
     model: &mut Reconstruction,
     scope: &Scope,
     adjusted: &[(PointId, Key<Vector3<f64>>)],
 ) {
-    let took_no_part =
+    let is_not_adjusted =
         |point: &PointId| adjusted.binary_search_by_key(point, |(other, _)| *other).is_err();
-    let others: Vec<PointId> = scope.points(model).into_iter().filter(took_no_part).collect();
-    let place = |point: &PointId| seen_at(model, &model.track(*point)?.observations);
-    let places: Vec<_> = others.par_iter().map(place).collect();
-    for (point, place) in others.into_iter().zip(places) {
-        if let (Some(xyz), Some(track)) = (place, model.track_mut(point)) {
+    let others: Vec<PointId> = scope.points(model).into_iter().filter(is_not_adjusted).collect();
+    let triangulated =
+        |point: &PointId| triangulate_observations(model, &model.track(*point)?.observations);
+    let positions: Vec<_> = others.par_iter().map(triangulated).collect();
+    for (point, triangulated) in others.into_iter().zip(positions) {
+        if let (Some(xyz), Some(track)) = (triangulated, model.track_mut(point)) {
             track.xyz = xyz;
         }
     }

@@ -6,34 +6,33 @@ use super::options::Scope;
 use super::variables::Variables;
 use crate::Error;
 
-/// What an adjustment has beside the reprojection errors: variables and factors of its own, as of
-/// cameras on a rig or of a rolling shutter.
+/// An addition to the reprojection errors of an adjustment, with its own variables and factors,
+/// such as rig constraints or rolling shutters.
 ///
-/// [`super::adjust`] adds one itself for the frames that a model has, which composes the poses of
-/// their images.
+/// [`super::adjust`] adds a term for the frames of a model, which composes the poses of their
+/// images.
 ///
-/// The methods are called in the order in which they stand here, each of them on all terms before
-/// the next one.
+/// The methods are called in the order below, each on all terms before the next one.
 pub trait Term {
-    /// The images among `posed` (in order of their ids) whose pose is no variable of its own:
-    /// [`Term::add`] composes it of others, by [`Variables::compose_pose`].
+    /// Returns the images among `posed` (sorted by id) whose pose is not a variable. [`Term::add`]
+    /// composes it of other variables with [`Variables::compose_pose`].
     fn composed_images(&mut self, posed: &[ImageId]) -> Vec<ImageId> {
         let _ = posed;
         Vec::new()
     }
 
-    /// Adds variables and factors; the poses are variables already, intrinsics are not.
+    /// Adds variables and factors. Poses are variables already, intrinsics are not.
     ///
     /// # Errors
     ///
-    /// Where the optimiser refuses one of them; [`Error::Term`] for a reason of its own.
+    /// If the optimiser rejects one of them; [`Error::Term`] for errors of the term.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error>;
 
-    /// Adds what concerns one camera, before its intrinsics and its observations.
+    /// Adds variables and factors of one camera, before its intrinsics and observations.
     ///
     /// # Errors
     ///
-    /// Where the optimiser refuses it.
+    /// If the optimiser rejects one of them.
     fn add_to_camera(
         &mut self,
         context: &TermContext,
@@ -44,9 +43,9 @@ pub trait Term {
         Ok(())
     }
 
-    /// A variable that shifts the keypoints of an image in proportion, and how far each: keypoint −
-    /// shift · variable is what a camera that sees all rows at once would have detected. There is
-    /// one for each keypoint of the image. Images whose pose is composed are not asked.
+    /// Returns a scalar variable that shifts the keypoints of an image, and a shift per keypoint.
+    /// The corrected keypoint is `pixel` − `shift` · variable; for a rolling shutter this is the
+    /// keypoint of a global shutter. Images with composed poses are not asked.
     fn shifts_of(
         &self,
         camera: CameraId,
@@ -56,28 +55,28 @@ pub trait Term {
         None
     }
 
-    /// Takes its variables out of the solved problem.
+    /// Reads its variables from the solved problem.
     fn read(&mut self, problem: &Problem) {
         let _ = problem;
     }
 }
 
-/// What a term may look at.
+/// Input of a term.
 #[derive(Clone, Copy)]
 pub struct TermContext<'a> {
-    /// The model as it is before the adjustment.
+    /// The model before the adjustment.
     pub model: &'a Reconstruction,
-    /// What moves.
+    /// The scope of the adjustment.
     pub scope: &'a Scope<'a>,
     /// [`super::AdjustOptions::noise`]: standard deviations of priors are divided by it.
     pub noise: f64,
 }
 
-/// Where a keypoint was detected, and how far a unit of a variable shifted it, in pixels.
+/// A detected keypoint, and its shift per unit of a scalar variable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shifted {
-    /// In pixels.
+    /// Detected position in pixels.
     pub pixel: Vector2<f64>,
-    /// In pixels for each unit of the variable.
+    /// Shift in pixels per unit of the variable.
     pub shift: Vector2<f64>,
 }

@@ -3,14 +3,13 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, PointId, Reconstruction};
 
-/// A least-squares problem, and which of its variables is what.
+/// A least-squares problem, with the keys of its variables.
 pub struct Variables {
     problem: Problem,
     pub(super) cameras: Vec<(CameraId, ReadCamera)>,
     pub(super) poses: Vec<(ImageId, Key<Rigid3>)>,
     pub(super) composed: Vec<(ImageId, Composed)>,
-    /// Poses of a rig at moments of which no image has a pose of its own, and whether they are
-    /// held.
+    /// Poses of frames without a pose variable of an image, and whether they are constant.
     pub(super) rig_poses: Vec<(Key<Rigid3>, bool)>,
     pub(super) points: Vec<(PointId, Key<Vector3<f64>>)>,
 }
@@ -22,8 +21,8 @@ pub(super) struct Composed {
     pub(super) rig_from_world: Key<Rigid3>,
 }
 
-/// Reads the intrinsics of one camera out of the solved problem; its parameter block has a type of
-/// its own.
+/// Reads the intrinsics of a camera from the solved problem. The type of the parameter block
+/// depends on the camera model.
 type ReadCamera = Box<dyn Fn(&Problem) -> Vec<f64>>;
 
 impl Variables {
@@ -38,23 +37,23 @@ impl Variables {
         }
     }
 
-    /// The problem, to read.
+    /// The problem.
     pub fn problem(&self) -> &Problem {
         &self.problem
     }
 
-    /// The problem, to add variables and factors to.
+    /// The problem, for adding variables and factors.
     pub fn problem_mut(&mut self) -> &mut Problem {
         &mut self.problem
     }
 
-    /// The images whose pose (`cam_from_world`) is a variable of its own, in order of their ids.
+    /// The images whose pose (`cam_from_world`) is a variable, in order of their ids.
     pub fn poses(&self) -> &[(ImageId, Key<Rigid3>)] {
         &self.poses
     }
 
-    /// Lets an image of [`super::Term::composed_images`] see its points from cam_from_rig ·
-    /// rig_from_world.
+    /// Composes the pose of an image of [`super::Term::composed_images`] as `cam_from_rig` ·
+    /// `rig_from_world`.
     pub fn compose_pose(
         &mut self,
         image: ImageId,
@@ -64,7 +63,7 @@ impl Variables {
         self.composed.push((image, Composed { cam_from_rig, rig_from_world }));
     }
 
-    /// Changes the model to where the problem ended.
+    /// Copies the solution to the model.
     pub(super) fn write_back(&self, model: &mut Reconstruction) {
         for (camera, read) in &self.cameras {
             model.camera_mut(*camera).intrinsics.params_mut().copy_from_slice(&read(&self.problem));

@@ -1,16 +1,18 @@
-//! Loops that did not close.
+//! Detection of loops that drift left open.
 //!
-//! A drive that comes back is mapped from both sides towards where the two meet. If it has drifted
-//! by more than points may be off there, the images on both sides stay apart although their matches
-//! say that they see the same: the model is torn. Such pairs are easily told from others: nearly
-//! none of their matches became one point, and no chain of few images that do see points in common
-//! leads from one to the other (where it does, the pair is a wrong one: windows of a facade, seen
-//! from places that differ by their distance, agree with the epipolar geometry of a camera that
-//! drives along it). What their matches say of how they stand to each other is brought about by
-//! moving all images a little ([`crate::pose_graph`]); then these points are made one, everything
-//! is adjusted, and all tracks are made anew. The loop stays closed if that makes more of all
-//! verified matches one point, about as many as were torn: wrong pairs, which look alike and are
-//! not, cost others what they gain.
+//! A trajectory that returns to a place is mapped up to that place from both ends. If the drift
+//! exceeds the tolerance of track merging, the images of both ends have no common points, although
+//! they have verified matches. Such a pair of images is an open-loop pair. Two criteria separate
+//! open-loop pairs from others: nearly none of their matches are merged into common points, and no
+//! short path in the covisibility graph connects the two images. A pair with a short path is a
+//! wrong match: windows of a facade, seen from positions that differ by their spacing, fit the
+//! epipolar geometry of a camera that drives along it.
+//!
+//! The matches of each open-loop pair give a similarity between the two images. Pose-graph
+//! optimisation distributes the drift ([`super::pose_graph`]). Then the matched points are merged,
+//! everything is adjusted, and tracks are re-created. The closure is accepted if the number of
+//! verified matches with a common point grows by about the number of matches of the open-loop
+//! pairs. Wrong pairs destroy as many correct tracks as they create.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,23 +20,23 @@ use tiepoint_scene::{
     CorrespondenceGraph, ImageId, ImagePair, Observation, PointId, Reconstruction, TwoView,
 };
 
-use crate::tracks::middle;
+use crate::tracks::mean_position;
 
-/// Pairs of which fewer matches see points on both sides tell nothing.
+/// Minimum number of matches whose keypoints observe points on both sides.
 const MIN_MATCHES: usize = 15;
-/// A pair is torn when no more than this share of those is one point: of other pairs it is 0.9 and
-/// more.
-const MAX_JOINED: f64 = 0.1;
-/// Drift tears many pairs apart at once: those on both sides of where the model meets itself. One
-/// or two are pairs that look alike.
+/// A pair is an open-loop pair if at most this fraction of its matches has a common point. Other
+/// pairs have 0.9 and more.
+const MAX_COMMON_FRACTION: f64 = 0.1;
+/// Minimum number of open-loop pairs. Drift separates many pairs at once; one or two are wrong
+/// matches.
 pub(crate) const MIN_PAIRS: usize = 3;
-/// A model cannot tear between images that so few pairs in a row join, which see points in common.
-const MAX_STEPS: usize = 4;
-/// A loop is closed when so many of the torn matches have become one point, in total.
+/// Maximum length of a covisibility path that excludes drift between its ends.
+const MAX_PATH_LENGTH: usize = 4;
+/// Minimum gain of matches with a common point, relative to the matches of the open-loop pairs.
 const MIN_GAIN: f64 = 0.5;
 
-/// The points that a pair's matches see on both sides.
-fn points<'a>(
+/// Returns the points that a pair's matches observe on both sides.
+fn points_of_matches<'a>(
     model: &'a Reconstruction,
     (pair, two_view): (&'a ImagePair, &'a TwoView),
 ) -> impl Iterator<Item = (PointId, PointId)> + 'a {
@@ -42,16 +44,15 @@ fn points<'a>(
     two_view.matches.iter().filter_map(|m| Some((a.point_of(m.a)?, b.point_of(m.b)?)))
 }
 
-/// Pairs of images whose matches see points.
-pub(crate) struct Pairs {
-    /// Whose images see the same by their matches, and not by their points; none where these are
-    /// too few to be a loop.
-    pub(crate) torn: Vec<ImagePair>,
-    /// Whose images see points in common.
-    pub(crate) joined: CovisibilityGraph,
+/// Image pairs classified by their matches.
+pub(crate) struct ClassifiedPairs {
+    /// Pairs with matches but without common points; empty if there are too few for a loop.
+    pub(crate) open_loop: Vec<ImagePair>,
+    /// Graph of the pairs with common points.
+    pub(crate) covisibility: CovisibilityGraph,
 }
 
-/// Which images see points in common with which others.
+/// Images connected by common points.
 #[derive(Default)]
 pub(crate) struct CovisibilityGraph(BTreeMap<ImageId, Vec<ImageId>>);
 
@@ -61,71 +62,80 @@ impl CovisibilityGraph {
         self.0.entry(pair.b).or_default().push(pair.a);
     }
 
-    /// Each pair once.
+    /// Returns each pair once.
     pub(crate) fn pairs(&self) -> impl Iterator<Item = ImagePair> {
         self.0.iter().flat_map(|(a, others)| {
             others.iter().filter_map(|b| ImagePair::new(*a, *b)).filter(|pair| pair.a == *a)
         })
     }
 
-    /// The images that at most [`MAX_STEPS`] pairs lead to from an image, itself among them.
-    pub(crate) fn near(&self, image: ImageId) -> BTreeSet<ImageId> {
+    /// Returns the images within [`MAX_PATH_LENGTH`] edges of an image, including itself.
+    pub(crate) fn within_path_length(&self, image: ImageId) -> BTreeSet<ImageId> {
         let others = |of: &ImageId| self.0.get(of).into_iter().flatten().copied();
-        let mut reached = BTreeSet::from([image]);
-        let mut last = reached.clone();
-        for _ in 0..MAX_STEPS {
-            last = last.iter().flat_map(others).filter(|image| !reached.contains(image)).collect();
-            reached.extend(&last);
+        let mut visited = BTreeSet::from([image]);
+        let mut boundary = visited.clone();
+        for _ in 0..MAX_PATH_LENGTH {
+            boundary =
+                boundary.iter().flat_map(others).filter(|image| !visited.contains(image)).collect();
+            visited.extend(&boundary);
         }
-        reached
+        visited
     }
 }
 
-/// Tells the pairs that are torn from the others.
-pub(crate) fn pairs(graph: &CorrespondenceGraph, model: &Reconstruction) -> Pairs {
-    let (mut torn, mut joined) = (Vec::new(), CovisibilityGraph::default());
+/// Classifies the pairs of a model.
+pub(crate) fn classify_pairs(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+) -> ClassifiedPairs {
+    let (mut open_loop, mut covisibility) = (Vec::new(), CovisibilityGraph::default());
     for pair in graph.pairs() {
-        let (mut same, mut seen) = (0, 0);
-        for (a, b) in points(model, pair) {
-            same += usize::from(a == b);
-            seen += 1;
+        let (mut num_common, mut num_matches) = (0, 0);
+        for (a, b) in points_of_matches(model, pair) {
+            num_common += usize::from(a == b);
+            num_matches += 1;
         }
-        if seen < MIN_MATCHES {
+        if num_matches < MIN_MATCHES {
             continue;
         }
-        if same as f64 <= MAX_JOINED * seen as f64 {
-            torn.push(*pair.0);
+        if num_common as f64 <= MAX_COMMON_FRACTION * num_matches as f64 {
+            open_loop.push(*pair.0);
         } else {
-            joined.insert(*pair.0);
+            covisibility.insert(*pair.0);
         }
     }
-    torn.retain(|pair| !joined.near(pair.a).contains(&pair.b));
-    if torn.len() < MIN_PAIRS {
-        torn.clear();
+    open_loop.retain(|pair| !covisibility.within_path_length(pair.a).contains(&pair.b));
+    if open_loop.len() < MIN_PAIRS {
+        open_loop.clear();
     }
-    Pairs { torn, joined }
+    ClassifiedPairs { open_loop, covisibility }
 }
 
-/// Whether a model that was made of another one by closing loops has made enough more matches one
-/// point.
+/// Whether loop closure increased the number of verified matches with a common point enough.
 pub(crate) fn is_closed(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     before: &Reconstruction,
-    torn: &[ImagePair],
+    open_loop: &[ImagePair],
 ) -> bool {
-    let pairs = torn.iter().filter_map(|pair| graph.pairs().get_key_value(pair));
-    let wanted = pairs.flat_map(|pair| points(before, pair)).count();
-    num_joined(graph, model) as f64 >= num_joined(graph, before) as f64 + MIN_GAIN * wanted as f64
+    let pairs = open_loop.iter().filter_map(|pair| graph.pairs().get_key_value(pair));
+    let num_open_matches = pairs.flat_map(|pair| points_of_matches(before, pair)).count();
+    num_matches_with_common_point(graph, model) as f64
+        >= num_matches_with_common_point(graph, before) as f64 + MIN_GAIN * num_open_matches as f64
 }
 
-/// How many of all verified matches are one point.
-fn num_joined(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
-    graph.pairs().iter().flat_map(|pair| points(model, pair)).filter(|(a, b)| a == b).count()
+/// Number of verified matches with a common point.
+fn num_matches_with_common_point(graph: &CorrespondenceGraph, model: &Reconstruction) -> usize {
+    graph
+        .pairs()
+        .iter()
+        .flat_map(|pair| points_of_matches(model, pair))
+        .filter(|(a, b)| a == b)
+        .count()
 }
 
-/// Makes the two points of every match of these pairs one, in the middle of their observations.
-pub(crate) fn join(
+/// Merges the two points of every match of these pairs, at the mean weighted by observations.
+pub(crate) fn merge_matched_points(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     pairs: impl IntoIterator<Item = ImagePair>,
@@ -142,7 +152,7 @@ pub(crate) fn join(
             let (Some(track), Some(other_track)) = (model.track(one), model.track(other)) else {
                 continue;
             };
-            let xyz = middle(track, other_track);
+            let xyz = mean_position(track, other_track);
             model.merge_tracks(one, other, xyz);
         }
     }
@@ -156,15 +166,14 @@ mod tests {
 
     use super::*;
 
-    /// Images in a row, of which each sees points with the next one; the last ones are so many
-    /// pairs from the first ones.
+    /// Images in a row. Each has common points with the next one.
     const IMAGES: usize = 12;
-    /// Pairs that look alike: so many pairs apart, from each image that has one.
-    const ALIKE: usize = 3;
+    /// Index difference of the pairs with wrong matches.
+    const WRONG_DISTANCE: usize = 3;
 
-    /// Every image has as many keypoints for the one before as for the one behind, and a point for
-    /// each two that match.
-    fn row() -> (Reconstruction, Vec<ImageId>) {
+    /// Every image has as many keypoints for the previous image as for the next one, and a point
+    /// for each match.
+    fn sequence() -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
         let intrinsics =
             Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
@@ -187,8 +196,8 @@ mod tests {
         (model, images)
     }
 
-    /// The pairs of neighbours, whose matches are points, and others, whose matches see other
-    /// points on each side.
+    /// The neighbouring pairs, whose matches have common points, and other pairs, whose matches
+    /// have different points on each side.
     fn graph(
         images: &[ImageId],
         others: impl Iterator<Item = (usize, usize)>,
@@ -207,13 +216,16 @@ mod tests {
     }
 
     #[test]
-    fn images_that_few_pairs_join_only_look_alike() {
-        let (model, images) = row();
-        let alike = || (0..IMAGES - ALIKE).map(|i| (i, i + ALIKE));
-        assert_eq!(pairs(&graph(&images, alike()), &model).torn, []);
+    fn pairs_with_a_short_covisibility_path_are_no_open_loop() {
+        let (model, images) = sequence();
+        let wrong = || (0..IMAGES - WRONG_DISTANCE).map(|i| (i, i + WRONG_DISTANCE));
+        assert_eq!(classify_pairs(&graph(&images, wrong()), &model).open_loop, []);
         let ends = || (0..MIN_PAIRS).map(|i| (i, IMAGES - 1 - i));
-        let torn: Vec<_> =
+        let open_loop: Vec<_> =
             ends().filter_map(|(a, b)| ImagePair::new(images[a], images[b])).collect();
-        assert_eq!(pairs(&graph(&images, alike().chain(ends())), &model).torn, torn);
+        assert_eq!(
+            classify_pairs(&graph(&images, wrong().chain(ends())), &model).open_loop,
+            open_loop
+        );
     }
 }

@@ -1,27 +1,26 @@
-//! Focal lengths where neither the user nor EXIF nor the pairs tell them: tried, and judged by what
-//! a small model explains.
+//! Selection of focal lengths by trial models, for cameras whose focal length neither the user nor
+//! EXIF nor the image pairs determine.
 
 use std::ops::ControlFlow;
 
 use tiepoint_scene::{CameraId, CorrespondenceGraph, Reconstruction};
 
-use super::explained::explained;
 use super::growth::Mapper;
+use super::support::support;
 use crate::adjust::RefineIntrinsics;
 use crate::options::MapperOptions;
 use crate::two_view::with_focal;
 
-/// Focal lengths that are tried where the pairs tell nothing, relative to the larger side of the
-/// image: 127° to 26° of view.
+/// Trial focal lengths relative to the larger side of the image: fields of view of 127° to 26°.
 const FOCAL_HYPOTHESES: [f64; 8] = [0.25, 0.35, 0.5, 0.65, 0.85, 1.2, 1.6, 2.2];
-/// Images in the model that each of them is tried on.
+/// Number of images of a trial model.
 const MAX_TRIAL_IMAGES: usize = 14;
-/// A hypothesis must explain this much more than the guess does.
+/// Minimum ratio of a hypothesis' support to that of the initial guess.
 const MIN_TRIAL_GAIN: f64 = 1.05;
 
-/// Where neither the user nor EXIF nor the pairs tell the focal length, as on a straight drive,
-/// begins a model with each of several and keeps the one that explains the most. All such cameras
-/// are given the same, relative to their images.
+/// Maps a small model with each trial focal length and keeps the one with the largest support. Used
+/// where image pairs do not determine the focal length, as on a straight drive. All such cameras
+/// get the same focal length relative to their image size.
 pub(super) fn choose_focal_lengths(
     graph: &CorrespondenceGraph,
     scene: &mut Reconstruction,
@@ -37,14 +36,14 @@ pub(super) fn choose_focal_lengths(
         return;
     }
     let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*options };
-    let explained = |scene: &Reconstruction| -> f64 {
+    let support = |scene: &Reconstruction| -> f64 {
         let mut mapper = Mapper::new(graph, scene, options);
         mapper.max_images = Some(MAX_TRIAL_IMAGES);
-        // A hypothesis under which nothing can be begun explains nothing; what a failed trial has
-        // reached counts.
+        // A hypothesis that cannot initialise a model has no support. A failed trial counts with
+        // the images that it registered.
         let watch = &mut |_: &_| ControlFlow::Continue(());
         let _ = mapper.initialise(&mapper.candidates(), watch).and_then(|_| mapper.grow(watch));
-        explained(&mapper.solution.model).0
+        support(&mapper.solution.model).0
     };
     let with = |scene: &Reconstruction, relative: f64| {
         let mut changed = scene.clone();
@@ -55,14 +54,14 @@ pub(super) fn choose_focal_lengths(
         }
         changed
     };
-    let guess = explained(scene);
+    let guess = support(scene);
     let mut best = (MIN_TRIAL_GAIN * guess, scene.clone());
     for relative in FOCAL_HYPOTHESES {
         let candidate = with(scene, relative);
         if unknown.iter().all(|&id| candidate.camera(id) == scene.camera(id)) {
             continue; // The guess, which has been tried.
         }
-        let score = explained(&candidate);
+        let score = support(&candidate);
         if score > best.0 {
             best = (score, candidate);
         }

@@ -1,8 +1,8 @@
-//! One model in the making: begin with a pair, add image after image, adjust as the model grows.
+//! Growth of one model: initialisation, registration of one image after another, and bundle
+//! adjustment.
 //!
-//! After Schönberger & Frahm 2016. Everything random is drawn from streams keyed by (seed, images),
-//! every parallel step collects in order: the result depends on the input, the options and the seed
-//! alone.
+//! After Schönberger & Frahm 2016. Random streams are keyed by (seed, images), and parallel results
+//! are collected in order. The result depends only on the input, the options and the seed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_going};
-use crate::event::{Event, Watch, tell};
+use crate::event::{Event, Watch, notify};
 use crate::noise::relative_noise;
 use crate::options::{MapperOptions, RigTerm};
 use crate::register::NextBestView;
@@ -24,28 +24,28 @@ use crate::tracks::{
 };
 use crate::two_view::FocalPrior;
 
-/// A refinement is over when a round changes the number of observations and the cost by less than
-/// this share.
+/// A refinement ends when the number of observations and the cost change by less than this
+/// fraction.
 const MIN_CHANGE: f64 = 5e-4;
-/// With fewer images the distortion is too weakly determined to be moved.
+/// Minimum number of images for refining the distortion.
 const MIN_IMAGES_FOR_DISTORTION: usize = 5;
-/// Cameras that only move, without turning by this much (20°), hide their focal lengths and
-/// principal points: others stretch and shear the world.
-const MIN_TURN_RAD: f64 = 0.35;
+/// Minimum rotation of a camera (20°) for refining focal length and principal point. Without
+/// rotation, other values of these shear the world.
+const MIN_ROTATION_RAD: f64 = 0.35;
 
-/// One model in the making.
+/// A model under construction.
 pub(super) struct Mapper<'a> {
     pub(super) graph: &'a CorrespondenceGraph,
     pub(super) options: &'a MapperOptions,
     pub(super) focal_priors: &'a [FocalPrior],
-    /// Cameras of which the paper's term is asked.
-    pub(super) rigs: &'a [RigPairs],
+    /// Camera pairs of the paper's rig term.
+    pub(super) rig_pairs: &'a [RigPairs],
     /// Images of earlier models.
-    pub(super) taken: BTreeSet<ImageId>,
-    /// Where a trial stops; `None` for all images.
+    pub(super) mapped_images: BTreeSet<ImageId>,
+    /// Maximum number of images of a trial; `None` for all images.
     pub(super) max_images: Option<usize>,
-    pub(super) queue: NextBestView,
-    /// The pair that the model began with.
+    pub(super) next_best_view: NextBestView,
+    /// The initial pair.
     pub(super) initial: Option<ImagePair>,
     pub(super) solution: Solution,
 }
@@ -60,27 +60,27 @@ impl<'a> Mapper<'a> {
             graph,
             options,
             focal_priors: &[],
-            rigs: &[],
-            taken: BTreeSet::new(),
+            rig_pairs: &[],
+            mapped_images: BTreeSet::new(),
             max_images: None,
-            queue: NextBestView::new(scene, options.seed),
+            next_best_view: NextBestView::new(scene, options.seed),
             initial: None,
             solution: Solution::new(scene.clone()),
         }
     }
 
-    /// From here on keypoints weigh by the noise that they have now.
-    pub(super) fn weigh(&mut self) {
+    /// Estimates the noise scale of the keypoints, which later adjustments use.
+    pub(super) fn estimate_noise(&mut self) {
         self.solution.noise = Some(relative_noise(&self.solution.model));
     }
 
-    /// Registers all images that can be, adjusting as the model grows.
+    /// Registers all images that can be registered, with local and global adjustments.
     pub(super) fn grow(&mut self, watch: &mut Watch) -> Result<(), Error> {
         let mut images_at_global = self.solution.model.num_registered();
         let mut points_at_global = self.solution.model.num_tracks();
         loop {
             while let Some(image) = self.register_next() {
-                self.take_in(image, watch)?;
+                self.add_image(image, watch)?;
                 let (images, points) =
                     (self.solution.model.num_registered(), self.solution.model.num_tracks());
                 let grown = |now: usize, then: usize| {
@@ -92,38 +92,43 @@ impl<'a> Mapper<'a> {
                         (self.solution.model.num_registered(), self.solution.model.num_tracks());
                 }
             }
-            // What fails before the last refinement may succeed after it.
+            // Registration that failed before the last refinement may succeed after it.
             self.refine_globally(&RefinementSchedule::GROWING, watch)?;
-            self.queue.reset_trials();
-            // One that failed before, if any can be now.
+            self.next_best_view.reset_trials();
+            // Retries one failed image.
             let Some(image) = self.register_next() else { return Ok(()) };
-            self.take_in(image, watch)?;
+            self.add_image(image, watch)?;
         }
     }
 
-    /// Gives a new image its points, adjusts it with its neighbours, and tells.
-    fn take_in(&mut self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
+    /// Triangulates the points of a new image, adjusts it with its neighbours, and reports it.
+    fn add_image(&mut self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
         triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
         self.adjust_locally(image)?;
         self.report(image, watch)
     }
 
-    /// Images that are not registered and have a verified pair with one that is: no other sees
-    /// anything of the model.
+    /// Returns the unregistered images with a verified pair to a registered image.
     fn frontier(&self) -> Vec<ImageId> {
         let has_pose = |id: &ImageId| self.solution.model.image(*id).cam_from_world().is_some();
-        let is_open = |id: &ImageId| !self.taken.contains(id) && !has_pose(id);
+        let is_unregistered = |id: &ImageId| !self.mapped_images.contains(id) && !has_pose(id);
         let is_next = |id: &ImageId| self.graph.neighbours(*id).iter().any(has_pose);
-        self.solution.model.images().map(|(id, _)| id).filter(is_open).filter(is_next).collect()
+        self.solution
+            .model
+            .images()
+            .map(|(id, _)| id)
+            .filter(is_unregistered)
+            .filter(is_next)
+            .collect()
     }
 
-    /// Registers one more image; `None` when none can be.
+    /// Registers the next image; `None` if no image can be registered.
     fn register_next(&mut self) -> Option<ImageId> {
         if self.max_images.is_some_and(|most| self.solution.model.num_registered() >= most) {
             return None;
         }
         let images = self.frontier();
-        self.queue.register_next(
+        self.next_best_view.register_next(
             self.graph,
             &mut self.solution.model,
             images,
@@ -150,15 +155,15 @@ impl<'a> Mapper<'a> {
         let mut neighbours: Vec<(usize, ImageId)> =
             shared.into_iter().map(|(id, count)| (count, id)).collect();
         neighbours.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
-        let bundle: BTreeSet<ImageId> = std::iter::once(image)
+        let local_images: BTreeSet<ImageId> = std::iter::once(image)
             .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
             .collect();
-        let links = growing_links(&self.solution.model, self.rigs);
+        let links = growing_links(&self.solution.model, self.rig_pairs);
         let options = self.adjust_options(&RefinementSchedule::LOCAL);
         let terms: &mut [&mut dyn Term] = &mut [&mut BaselineTerm { links: &links }];
         match adjust(
             &mut self.solution.model,
-            &Scope::Local(&bundle),
+            &Scope::Local(&local_images),
             &options,
             terms,
             &mut keep_going,
@@ -166,15 +171,15 @@ impl<'a> Mapper<'a> {
             Ok(_) | Err(Error::NothingToAdjust { .. }) => {}
             Err(error) => return Err(error),
         }
-        let points = self.solution.model.points_seen_by(&bundle);
+        let points = self.solution.model.points_observed_by(&local_images);
         complete_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
         merge_tracks(self.graph, &mut self.solution.model, &points, &self.options.tracks);
-        let points = self.solution.model.points_seen_by(&bundle);
+        let points = self.solution.model.points_observed_by(&local_images);
         filter_points(&mut self.solution.model, &points, &self.options.filter);
         Ok(())
     }
 
-    /// Re-triangulates, completes, merges, adjusts and filters everything until little changes.
+    /// Re-creates tracks, adjusts and filters until the changes are small.
     pub(super) fn refine_globally(
         &mut self,
         schedule: &RefinementSchedule,
@@ -183,7 +188,7 @@ impl<'a> Mapper<'a> {
         let mut before = (self.solution.model.num_observations(), f64::INFINITY);
         for _ in 0..schedule.rounds {
             recreate_tracks(self.graph, &mut self.solution.model, &self.options.tracks);
-            let links = growing_links(&self.solution.model, self.rigs);
+            let links = growing_links(&self.solution.model, self.rig_pairs);
             let after = self.adjust_globally(&links, schedule, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
             if !changed(after.0 as f64, before.0 as f64) && !changed(after.1, before.1) {
@@ -194,7 +199,7 @@ impl<'a> Mapper<'a> {
         Ok(())
     }
 
-    /// Adjusts and filters everything. Returns the number of observations and the cost.
+    /// Runs global bundle adjustment and filters. Returns the number of observations and the cost.
     pub(super) fn adjust_globally(
         &mut self,
         links: &[BaselineLink],
@@ -210,15 +215,17 @@ impl<'a> Mapper<'a> {
         let (num_observations, cost) = (self.solution.model.num_observations(), summary.final_cost);
         let (num_images, iterations) =
             (self.solution.model.num_registered(), summary.iterations.len());
-        tell(watch, &Event::Adjusted { num_images, num_observations, cost, iterations })?;
+        notify(watch, &Event::Adjusted { num_images, num_observations, cost, iterations })?;
         Ok((num_observations, cost))
     }
 
+    /// Options of an adjustment: intrinsics are refined as far as the registered images determine
+    /// them.
     pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
         let mut refine = self.options.refine;
-        let turns = self.turns();
-        refine.focal &= self.solution.noise.is_some() || turns;
-        refine.principal_point &= self.solution.noise.is_some() && turns;
+        let has_rotation = self.has_rotation();
+        refine.focal &= self.solution.noise.is_some() || has_rotation;
+        refine.principal_point &= self.solution.noise.is_some() && has_rotation;
         if self.solution.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
             refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
         }
@@ -237,21 +244,21 @@ impl<'a> Mapper<'a> {
         };
         match self.solution.noise {
             Some(noise) => options.with_noise(noise),
-            // While it grows, a model is worse than its keypoints.
+            // The residuals of a growing model are dominated by errors of the model.
             None => options,
         }
     }
 
-    /// Whether some image looks elsewhere than the first one of its camera: two cameras on one
-    /// mount look apart without ever turning. Where each image has a camera of its own, photos are
-    /// compared with each other.
-    fn turns(&self) -> bool {
+    /// Whether some image is rotated relative to the first image of its camera. Two cameras of a
+    /// rig have different orientations without rotating. If each image has its own camera, images
+    /// are compared with each other.
+    fn has_rotation(&self) -> bool {
         let is_shared =
             self.solution.model.cameras().count() < self.solution.model.images().count();
         let mut first = BTreeMap::new();
         self.solution.model.registered().any(|(_, image, pose)| {
             let camera = is_shared.then_some(image.camera);
-            first.entry(camera).or_insert(pose.rotation).angle_to(&pose.rotation) > MIN_TURN_RAD
+            first.entry(camera).or_insert(pose.rotation).angle_to(&pose.rotation) > MIN_ROTATION_RAD
         })
     }
 
@@ -263,10 +270,10 @@ impl<'a> Mapper<'a> {
         let event = Event::Registered {
             image,
             num_registered: self.solution.model.num_registered(),
-            num_images: self.solution.model.images().count() - self.taken.len(),
+            num_images: self.solution.model.images().count() - self.mapped_images.len(),
             num_points: self.solution.model.num_tracks(),
         };
-        tell(watch, &event)
+        notify(watch, &event)
     }
 }
 
@@ -281,12 +288,13 @@ mod tests {
     use crate::mapper::test_scene::scene;
     use crate::register::RegisterOptions;
 
-    /// More than the number of times that an image may fail before the others are refined.
+    /// More than the number of failed trials that an image may have.
     const TRIALS: usize = 4;
 
-    /// An image that failed is registered once the others were refined, and told like them.
+    /// An image that failed is registered after the refinement of the others, and reported like
+    /// them.
     #[test]
-    fn every_image_is_told_also_one_that_had_failed() {
+    fn every_image_is_reported_including_one_that_had_failed() {
         let scene = scene();
         let graph = scene.graph(&MatchOptions::default());
         let options = MapperOptions { refine: RefineIntrinsics::NONE, ..MapperOptions::default() };
@@ -300,13 +308,14 @@ mod tests {
         let impossible = RegisterOptions { min_inlier_share: 1.1, ..options.register };
         for _ in 0..TRIALS {
             let model = &mut mapper.solution.model;
-            let found = mapper.queue.register_next(&graph, model, vec![failing], &impossible);
+            let found =
+                mapper.next_best_view.register_next(&graph, model, vec![failing], &impossible);
             assert_eq!(found, None);
         }
-        let mut told = BTreeSet::from([pair.a, pair.b]);
+        let mut reported = BTreeSet::from([pair.a, pair.b]);
         let mut watch = |event: &Event| {
             if let Event::Registered { image, .. } = event {
-                told.insert(*image);
+                reported.insert(*image);
             }
             ControlFlow::Continue(())
         };
@@ -314,6 +323,6 @@ mod tests {
         let registered: BTreeSet<ImageId> =
             mapper.solution.model.registered().map(|(id, ..)| id).collect();
         assert_eq!(registered.len(), blank.images().count());
-        assert_eq!(told, registered);
+        assert_eq!(reported, registered);
     }
 }

@@ -1,5 +1,5 @@
-//! The incremental mapper: models of everything that hangs together, and of cameras that ride
-//! together.
+//! The incremental mapper: one model for each connected component of the image graph, and merging
+//! of models from one rig.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -10,17 +10,21 @@ use super::focal_trials::choose_focal_lengths;
 use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
-use crate::event::{Event, OptionalStage, Watch, tell};
+use crate::event::{Event, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
-use crate::rigs::{CalibratedRig, Descriptors, joined, rig_pairs};
+use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
 use crate::rolling_shutter::row_poses;
 use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 
-/// Maps all images that hang together, one model for each connected part, the one with the most
-/// images first. `scene` gives the cameras and the images with their keypoints; poses and points in
-/// it are ignored. `descriptors` is asked where images are to be matched again, which only
-/// [`RigTerm::Soft`], [`RigTerm::Hard`] and [`RigTerm::Auto`] do: without any they are not.
+/// Maps all images. Each connected component gives a model; the model with the most images comes
+/// first. `scene` gives cameras and images with keypoints; its poses and points are ignored.
+/// `descriptors` is used for guided matching with [`RigTerm::Soft`], [`RigTerm::Hard`] and
+/// [`RigTerm::Auto`]. If it returns nothing, no images are matched again.
+///
+/// # Errors
+///
+/// If the first model fails, or if `watch` asks to stop.
 pub fn map(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
@@ -41,24 +45,23 @@ pub fn map(
         choose_focal_lengths(graph, &mut scene, options, &found);
     }
     let focal_priors = focal_priors(&scene, &found);
-    let rigs = match options.rig {
+    let pairs_of_rig = match options.rig {
         RigTerm::Paper => rig_pairs(&scene),
         _ => Vec::new(),
     };
     let mut models: Vec<MappedModel> = Vec::new();
-    let mut taken: BTreeSet<ImageId> = BTreeSet::new();
+    let mut mapped_images: BTreeSet<ImageId> = BTreeSet::new();
     loop {
         let mut mapper = Mapper::new(graph, &scene, options);
         mapper.focal_priors = &focal_priors;
-        mapper.rigs = &rigs;
-        mapper.taken = taken.clone();
+        mapper.rig_pairs = &pairs_of_rig;
+        mapper.mapped_images = mapped_images.clone();
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {
                 return Err(error);
             }
-            // What the earlier models left does not begin, or falls apart again: that is no reason
-            // to lose those.
+            // The remaining images cannot be mapped. The earlier models are kept.
             Err(_) => break,
         };
         let registered: Vec<ImageId> =
@@ -66,22 +69,23 @@ pub fn map(
         if models.is_empty() || registered.len() >= options.min_model_size {
             models.push(mapped);
         }
-        let before = taken.len();
-        taken.extend(registered);
-        if taken.len() == before {
+        let before = mapped_images.len();
+        mapped_images.extend(registered);
+        if mapped_images.len() == before {
             break;
         }
     }
     models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
     if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
-        join(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+        merge_rig_models(graph, &focal_priors, options, &mut models, descriptors, watch)?;
     }
     Ok(models)
 }
 
-/// Joins the largest model with those of cameras that see nothing of it and ride with it, if
-/// holding them to a mounting explains tracks that took no part as well as holding nothing.
-fn join(
+/// Merges the largest model with models of other cameras that have no common points with it but
+/// move as one rig. A merge is accepted if a rig constraint does not increase the error of held-out
+/// tracks.
+fn merge_rig_models(
     graph: &CorrespondenceGraph,
     focal_priors: &[FocalPrior],
     options: &MapperOptions,
@@ -91,32 +95,33 @@ fn join(
 ) -> Result<(), Error> {
     let mut index = 1;
     while index < models.len() {
-        let whole = joined(&models[0].reconstruction, &models[index].reconstruction);
-        // What cannot be held stays apart.
-        let held =
-            whole.and_then(|model| held(graph, model, focal_priors, options, descriptors).ok()?);
-        let Some((reconstruction, rig)) = held else {
+        let merged = merge_by_motion(&models[0].reconstruction, &models[index].reconstruction);
+        // If the constraint fails, the models stay separate.
+        let constrained = merged.and_then(|model| {
+            constrained(graph, model, focal_priors, options, descriptors).ok()?
+        });
+        let Some((reconstruction, rig)) = constrained else {
             index += 1;
             continue;
         };
-        let further = models.remove(index);
-        let whole = &mut models[0];
-        whole.reconstruction = reconstruction;
-        whole.rig = Some(rig);
-        // They have no camera in common.
-        whole.shutters.extend(further.shutters);
-        whole.row_poses = row_poses(&whole.reconstruction, &whole.shutters);
-        whole.num_loop_pairs += further.num_loop_pairs;
-        whole.failures.extend(further.failures);
-        // What failed for one of them has been done for both.
-        whole.failures.retain(|failure| failure.stage != OptionalStage::Rig);
-        tell(watch, &Event::Joined { num_images: whole.reconstruction.num_registered() })?;
+        let other = models.remove(index);
+        let merged = &mut models[0];
+        merged.reconstruction = reconstruction;
+        merged.rig = Some(rig);
+        // The models have no camera in common.
+        merged.shutters.extend(other.shutters);
+        merged.row_poses = row_poses(&merged.reconstruction, &merged.shutters);
+        merged.num_loop_pairs += other.num_loop_pairs;
+        merged.failures.extend(other.failures);
+        // The rig stage has run on the merged model.
+        merged.failures.retain(|failure| failure.stage != OptionalStage::Rig);
+        notify(watch, &Event::Merged { num_images: merged.reconstruction.num_registered() })?;
     }
     Ok(())
 }
 
-/// A model with its cameras held to their mountings; `None` where they are better not held.
-fn held(
+/// Constrains the cameras of a model; `None` if no constraint is accepted.
+fn constrained(
     graph: &CorrespondenceGraph,
     model: Reconstruction,
     focal_priors: &[FocalPrior],
@@ -125,8 +130,8 @@ fn held(
 ) -> Result<Option<(Reconstruction, CalibratedRig)>, Error> {
     let mut mapper = Mapper::new(graph, &model, options);
     mapper.focal_priors = focal_priors;
-    mapper.weigh();
-    mapper.constraint(descriptors)?;
+    mapper.estimate_noise();
+    mapper.constrain_rig(descriptors)?;
     let Solution { model, rig, .. } = mapper.solution;
     Ok(rig.filter(|rig| rig.constraint.is_some()).map(|rig| (model, rig)))
 }

@@ -1,4 +1,4 @@
-//! Loops are closed that the mapping has left open.
+//! Loop closure of a mapped model.
 
 use rayon::prelude::*;
 use tiepoint_scene::ImagePair;
@@ -6,76 +6,76 @@ use tiepoint_scene::ImagePair;
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
 use crate::Error;
-use crate::event::{Event, Watch, tell};
+use crate::event::{Event, Watch, notify};
 use crate::loop_closure::{
-    CovisibilityGraph, LoopConstraint, MIN_PAIRS, Pairs, consistent_set, distribute_drift,
-    is_closed, join, pairs,
+    ClassifiedPairs, CovisibilityGraph, LoopConstraint, MIN_PAIRS, classify_pairs, consistent_set,
+    distribute_drift, is_closed, merge_matched_points,
 };
 
-/// How often loops are closed: one that is hides another.
+/// Maximum number of closures. One open loop can hide another.
 const MAX_CLOSURES: usize = 3;
 
 impl Mapper<'_> {
-    /// Closes loops that the mapping has left open ([`crate::loop_closure`]).
+    /// Closes loops that drift left open ([`crate::loop_closure`]).
     pub(super) fn close_loops(&mut self, watch: &mut Watch) -> Result<(), Error> {
         for _ in 0..MAX_CLOSURES {
-            let Pairs { torn, joined } = pairs(self.graph, &self.solution.model);
-            let loop_constraints = self.loop_constraints(&torn, &joined);
+            let ClassifiedPairs { open_loop, covisibility } =
+                classify_pairs(self.graph, &self.solution.model);
+            let loop_constraints = self.loop_constraints(&open_loop, &covisibility);
             if loop_constraints.len() < MIN_PAIRS {
                 break;
             }
-            let torn: Vec<ImagePair> =
+            let open_loop: Vec<ImagePair> =
                 loop_constraints.iter().map(|loop_constraint| loop_constraint.pair).collect();
-            // What tears them is not drift where it fails. Where the pairs are wrong, or the lens
-            // is, closing may leave nothing to adjust.
+            // On failure drift is not the cause. With wrong pairs or a wrong lens model, the
+            // closure may leave nothing to adjust.
             let closed = self.transaction(|mapper| {
                 let before = mapper.solution.model.clone();
-                mapper.close_loop(&joined, &loop_constraints, watch)?;
-                if is_closed(mapper.graph, &mapper.solution.model, &before, &torn) {
+                mapper.close_loop(&covisibility, &loop_constraints, watch)?;
+                if is_closed(mapper.graph, &mapper.solution.model, &before, &open_loop) {
                     Ok(())
                 } else {
-                    Err(Error::LoopNotClosed { pairs: torn.len() })
+                    Err(Error::LoopNotClosed { pairs: open_loop.len() })
                 }
             })?;
             if closed.is_err() {
                 break;
             }
-            self.solution.num_loop_pairs += torn.len();
-            tell(watch, &Event::LoopClosed { num_pairs: torn.len() })?;
+            self.solution.num_loop_pairs += open_loop.len();
+            notify(watch, &Event::LoopClosed { num_pairs: open_loop.len() })?;
         }
         Ok(())
     }
 
-    /// How the images of torn pairs should stand to each other.
+    /// Estimates the relative similarities of open-loop pairs.
     fn loop_constraints(
         &self,
-        torn: &[ImagePair],
-        joined: &CovisibilityGraph,
+        open_loop: &[ImagePair],
+        covisibility: &CovisibilityGraph,
     ) -> Vec<LoopConstraint> {
         let loop_constraint = |pair: &ImagePair| {
             let seed = self.seed_of(&[pair.a.0.into(), pair.b.0.into()]);
             LoopConstraint::new(&self.solution.model, *pair, self.graph.pairs().get(pair)?, seed)
         };
         let loop_constraints: Vec<LoopConstraint> =
-            torn.par_iter().filter_map(loop_constraint).collect();
-        consistent_set(&self.solution.model, &loop_constraints, joined)
+            open_loop.par_iter().filter_map(loop_constraint).collect();
+        consistent_set(&self.solution.model, &loop_constraints, covisibility)
     }
 
-    /// Spreads over the model what it takes for pairs to meet, and makes their matches one point
-    /// each.
+    /// Distributes the drift, merges the matched points and refines the model.
     fn close_loop(
         &mut self,
-        joined: &CovisibilityGraph,
+        covisibility: &CovisibilityGraph,
         loop_constraints: &[LoopConstraint],
         watch: &mut Watch,
     ) -> Result<(), Error> {
-        distribute_drift(&mut self.solution.model, joined, loop_constraints)?;
-        join(
+        distribute_drift(&mut self.solution.model, covisibility, loop_constraints)?;
+        merge_matched_points(
             self.graph,
             &mut self.solution.model,
             loop_constraints.iter().map(|loop_constraint| loop_constraint.pair),
         );
-        self.refine_globally(&RefinementSchedule::CLOSED, watch)
+        self.refine_globally(&RefinementSchedule::AFTER_LOOP_CLOSURE, watch)
     }
 }
 
@@ -92,8 +92,7 @@ mod tests {
     use crate::mapper::test_scene::scene;
     use crate::options::MapperOptions;
 
-    /// Every pair of images is said to see the same where it does not: nothing is left of the model
-    /// then, but what was before.
+    /// All pairs get wrong matches. No closure succeeds, and the model stays unchanged.
     #[test]
     fn a_loop_that_cannot_be_closed_leaves_the_model_as_it_was() {
         let scene = scene();
@@ -111,7 +110,7 @@ mod tests {
             (0..).zip(model.image(id).points()).filter_map(|(k, point)| point.map(|_| k)).collect()
         };
         let wrong = graph.pairs().keys().map(|&pair| {
-            // What one sees first, the other sees last.
+            // The matches are in reverse order.
             let (a, b) = (seen(pair.a).into_iter(), seen(pair.b).into_iter().rev());
             let matches = a.zip(b).map(|(a, b)| Match { a, b }).collect();
             (pair, TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() })
@@ -121,7 +120,7 @@ mod tests {
             solution: Solution::new(model.clone()),
             ..Mapper::new(&graph, &blank, &options)
         };
-        assert!(!pairs(&graph, &model).torn.is_empty());
+        assert!(!classify_pairs(&graph, &model).open_loop.is_empty());
         mapper.close_loops(watch).expect("no reason to end the run");
         assert!(mapper.solution.model == model);
     }

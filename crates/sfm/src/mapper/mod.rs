@@ -1,6 +1,5 @@
-//! The mapper: from verified pairs to models.
+//! The incremental mapper.
 
-mod explained;
 mod focal_trials;
 mod growth;
 mod incremental;
@@ -9,6 +8,7 @@ mod refinement_schedule;
 mod solution;
 mod stages;
 mod start;
+mod support;
 #[cfg(test)]
 mod test_scene;
 mod transaction;

@@ -1,38 +1,41 @@
-//! How hard a model is worked on, at each stage of its making.
+//! Refinement schedules of the mapping stages.
 
-/// What a refinement or an adjustment may take.
+/// Limits of a refinement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefinementSchedule {
-    /// Rounds of re-triangulation and adjustment at most.
+    /// Maximum number of rounds of track re-creation and adjustment.
     pub(crate) rounds: usize,
-    /// An adjustment ends when a step lowers the cost by less than this share,
+    /// Relative decrease of the cost below which an adjustment ends.
     pub(crate) tolerance: f64,
-    /// or after so many steps.
+    /// Maximum number of iterations of an adjustment.
     pub(crate) max_iterations: usize,
-    /// Whether points that are enough to place the images take part alone.
+    /// Whether only selected points take part ([`crate::AdjustOptions::selects_points`]).
     pub(crate) selects_points: bool,
 }
 
 impl RefinementSchedule {
-    /// For the pair that a model begins with.
+    /// The initial pair.
     pub(crate) const INITIAL: Self =
         Self { rounds: 1, tolerance: 1e-5, max_iterations: 50, selects_points: true };
-    /// For a new image with its neighbours.
+    /// A new image with its neighbours.
     pub(crate) const LOCAL: Self =
         Self { rounds: 1, tolerance: 1e-4, max_iterations: 25, selects_points: true };
-    /// For everything while it grows.
+    /// Global refinement during growth.
     pub(crate) const GROWING: Self =
         Self { rounds: 1, tolerance: 1e-5, max_iterations: 30, selects_points: true };
-    /// For everything that has grown, to see where it does not hang together.
-    pub(crate) const GROWN: Self = Self { rounds: 1, selects_points: true, ..Self::FINAL };
-    /// For a loop that has just been closed.
-    pub(crate) const CLOSED: Self = Self { rounds: 3, selects_points: true, ..Self::FINAL };
-    /// To find how cameras are mounted.
-    pub(crate) const HOLDING: Self = Self { selects_points: true, ..Self::FINAL };
-    /// At the end. With a tolerance of 1e-6 all of mapping takes a quarter to a half more time,
-    /// since far points creep on, and trajectories on KITTI change by a thousandth of their error.
+    /// Global refinement of the complete model, before loop detection.
+    pub(crate) const BEFORE_LOOP_CLOSURE: Self =
+        Self { rounds: 1, selects_points: true, ..Self::FINAL };
+    /// After loop closure.
+    pub(crate) const AFTER_LOOP_CLOSURE: Self =
+        Self { rounds: 3, selects_points: true, ..Self::FINAL };
+    /// Estimation of the rig.
+    pub(crate) const RIG: Self = Self { selects_points: true, ..Self::FINAL };
+    /// The final refinement. With a tolerance of 1e-6 the mapping takes a quarter to a half more
+    /// time, because distant points converge slowly, and the trajectories on KITTI change by a
+    /// thousandth of their error.
     pub(crate) const FINAL: Self =
         Self { rounds: 5, tolerance: 1e-5, max_iterations: 100, selects_points: false };
-    /// Between keypoints that a rolling shutter no longer shifts.
-    pub(crate) const STRAIGHTENED: Self = Self { rounds: 1, ..Self::FINAL };
+    /// After rolling-shutter correction.
+    pub(crate) const RECTIFIED: Self = Self { rounds: 1, ..Self::FINAL };
 }

@@ -3,16 +3,14 @@ use tiepoint_scene::Reconstruction;
 use crate::rigs::CalibratedRig;
 use crate::rolling_shutter::RollingShutters;
 
-/// A model in the making with what was found out about it: what a stage that fails leaves as it
-/// was.
+/// A model under construction with the results of its stages. A failed stage restores it.
 #[derive(Clone)]
 pub(super) struct Solution {
     pub(super) model: Reconstruction,
-    /// Of the keypoints, as a multiple of what is expected; once all images that can be are
-    /// registered.
+    /// Noise scale of the keypoints as a multiple of their nominal standard deviation; set when all
+    /// images are registered.
     pub(super) noise: Option<f64>,
-    /// What is known of rolling shutters; `None` where they are not asked for, or could not be
-    /// found.
+    /// Rolling shutters; `None` if they are not asked for, or could not be estimated.
     pub(super) shutters: Option<RollingShutters>,
     pub(super) num_loop_pairs: usize,
     pub(super) rig: Option<CalibratedRig>,

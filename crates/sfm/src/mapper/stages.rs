@@ -1,39 +1,38 @@
-//! What is made of a model once no further image can be registered: a list of stages, each of which
-//! the next one builds on.
+//! Stages that follow the growth of a model, in a list.
 
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
 use crate::Error;
-use crate::event::{Event, Failure, OptionalStage, Watch, tell};
+use crate::event::{Event, Failure, OptionalStage, Watch, notify};
 use crate::mapped_model::MappedModel;
 use crate::options::RigTerm;
 use crate::rigs::{Context, Descriptors, constrain_rig, final_links};
 use crate::rolling_shutter::{RollingShutters, row_poses};
 
-/// How often keypoints are straightened by the model in the end, and the model made by them.
-const STRAIGHT_ROUNDS: usize = 3;
+/// Rounds of rolling-shutter correction and refinement in the last correction stage.
+const RECTIFICATION_ROUNDS: usize = 3;
 /// A wrong readout time removes most observations, because the shifted keypoints no longer fit any
-/// pose: at least this share of the images must keep theirs.
-const MIN_STRAIGHTENED: f64 = 0.5;
+/// pose. At least this fraction of the images must keep theirs.
+const MIN_REMAINING_IMAGES: f64 = 0.5;
 
 /// A stage.
 #[derive(Clone, Copy)]
 enum Stage {
-    /// Everything is refined, keypoints weighing by the noise that they have now.
+    /// Re-estimates the noise scale and refines globally.
     Refine(RefinementSchedule),
-    /// What rolling shutters did is taken off the keypoints.
+    /// Corrects the keypoints for rolling shutters.
     RollingShutter { is_last: bool },
-    /// Loops are closed.
+    /// Closes loops.
     Loops,
-    /// Cameras are held to each other.
+    /// Constrains the cameras of a rig.
     Rig,
 }
 
-/// Shutters come before loops, too: a rolling shutter makes a drive grow or shrink on its way,
-/// sevenfold in 2 km, and no loop closes over that.
+/// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
+/// along a drive, sevenfold in 2 km, and no loop closes over such a change.
 const STAGES: [Stage; 6] = [
-    Stage::Refine(RefinementSchedule::GROWN),
+    Stage::Refine(RefinementSchedule::BEFORE_LOOP_CLOSURE),
     Stage::RollingShutter { is_last: false },
     Stage::Loops,
     Stage::Refine(RefinementSchedule::FINAL),
@@ -42,7 +41,7 @@ const STAGES: [Stage; 6] = [
 ];
 
 impl Stage {
-    /// Whether a model is finished without it, too: where it fails, it is undone.
+    /// The optional stage, which is undone if it fails; `None` for a stage that must succeed.
     fn optional(self) -> Option<OptionalStage> {
         match self {
             Self::RollingShutter { .. } => Some(OptionalStage::RollingShutter),
@@ -53,14 +52,14 @@ impl Stage {
 }
 
 impl Mapper<'_> {
-    /// Maps what hangs together.
+    /// Maps one connected component.
     pub(super) fn run(
         mut self,
         descriptors: &mut Descriptors,
         watch: &mut Watch,
     ) -> Result<MappedModel, Error> {
         let candidates = self.candidates();
-        let initial_pair = match self.best_start(&candidates) {
+        let initial_pair = match self.best_initial_pair(&candidates) {
             Some(pair) => self.initialise(&[pair], watch)?,
             None => self.initialise(&candidates, watch)?,
         };
@@ -70,12 +69,14 @@ impl Mapper<'_> {
         let mut failures = Vec::new();
         for stage in STAGES {
             let Some(optional) = stage.optional() else {
-                self.work(stage, descriptors, watch)?;
+                self.run_stage(stage, descriptors, watch)?;
                 continue;
             };
-            if let Err(error) = self.transaction(|mapper| mapper.work(stage, descriptors, watch))? {
+            if let Err(error) =
+                self.transaction(|mapper| mapper.run_stage(stage, descriptors, watch))?
+            {
                 let failure = Failure { stage: optional, why: error.to_string() };
-                tell(watch, &Event::Failed(failure.clone()))?;
+                notify(watch, &Event::Failed(failure.clone()))?;
                 failures.push(failure);
                 if matches!(stage, Stage::RollingShutter { is_last: false }) {
                     self.solution.shutters = None;
@@ -98,7 +99,7 @@ impl Mapper<'_> {
         })
     }
 
-    fn work(
+    fn run_stage(
         &mut self,
         stage: Stage,
         descriptors: &mut Descriptors,
@@ -106,7 +107,7 @@ impl Mapper<'_> {
     ) -> Result<(), Error> {
         match stage {
             Stage::Refine(schedule) => {
-                self.weigh();
+                self.estimate_noise();
                 self.refine_globally(&schedule, watch)
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
@@ -114,21 +115,21 @@ impl Mapper<'_> {
             Stage::Rig => match self.options.rig {
                 RigTerm::Off => Ok(()),
                 RigTerm::Paper => {
-                    let links = final_links(&self.solution.model, self.rigs);
+                    let links = final_links(&self.solution.model, self.rig_pairs);
                     self.adjust_globally(&links, &RefinementSchedule::FINAL, watch).map(|_| ())
                 }
-                RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.constraint(descriptors),
+                RigTerm::Soft | RigTerm::Hard | RigTerm::Auto => self.constrain_rig(descriptors),
             },
         }
     }
 
-    /// Holds the cameras of the finished model to their mountings.
-    pub(super) fn constraint(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
+    /// Estimates the rig of the finished model and constrains its cameras.
+    pub(super) fn constrain_rig(&mut self, descriptors: &mut Descriptors) -> Result<(), Error> {
         let context = Context {
             graph: self.graph,
             tracks: &self.options.tracks,
             filter: &self.options.filter,
-            adjust: self.adjust_options(&RefinementSchedule::HOLDING),
+            adjust: self.adjust_options(&RefinementSchedule::RIG),
             seed: self.options.seed,
         };
         self.solution.rig =
@@ -136,30 +137,29 @@ impl Mapper<'_> {
         Ok(())
     }
 
-    /// Takes off the keypoints what rolling shutters did to them, and refines the model with what
-    /// is left.
+    /// Estimates readout times, corrects the keypoints and refines the model.
     fn rectify_shutters(&mut self, is_last: bool, watch: &mut Watch) -> Result<(), Error> {
         let Some(mut shutters) = self.solution.shutters.take() else { return Ok(()) };
         let (schedule, rounds) = if is_last {
-            (&RefinementSchedule::STRAIGHTENED, STRAIGHT_ROUNDS)
+            (&RefinementSchedule::RECTIFIED, RECTIFICATION_ROUNDS)
         } else {
-            (&RefinementSchedule::GROWN, 1)
+            (&RefinementSchedule::BEFORE_LOOP_CLOSURE, 1)
         };
         let (options, before) =
             (self.adjust_options(schedule), self.solution.model.num_registered());
-        shutters.find(&mut self.solution.model, &options)?;
+        shutters.estimate(&mut self.solution.model, &options)?;
         if is_last {
-            shutters.find_deviations(&self.solution.model, &options)?;
+            shutters.estimate_standard_deviations(&self.solution.model, &options)?;
         }
         for round in 0..rounds {
             if round > 0 {
                 shutters.rectify(&mut self.solution.model);
             }
-            self.weigh();
+            self.estimate_noise();
             self.refine_globally(schedule, watch)?;
         }
         let after = self.solution.model.num_registered();
-        if (after as f64) < MIN_STRAIGHTENED * before as f64 {
+        if (after as f64) < MIN_REMAINING_IMAGES * before as f64 {
             return Err(Error::ImagesLost { before, after });
         }
         self.solution.shutters = Some(shutters);

@@ -1,43 +1,44 @@
-//! Where a model begins.
+//! Selection of the initial pair.
 
 use std::ops::ControlFlow;
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{ImageId, ImagePair};
 
-use super::explained::explained;
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
+use super::support::support;
 use crate::Error;
 use crate::adjust::{RefineIntrinsics, Scope, adjust, keep_going};
-use crate::event::{Event, Watch, tell};
+use crate::event::{Event, Watch, notify};
 use crate::options::MapperOptions;
 use crate::tracks::{filter_all_points, triangulate_image};
-use crate::two_view::{InitialPair, initial_pairs, refine};
+use crate::two_view::{InitialPair, estimate_relative_pose, initial_pairs};
 
-/// How many initial pairs are tried before giving up.
-const MAX_INITIAL_TRIALS: usize = 20;
-/// Initial pairs considered.
+/// Maximum number of initial pairs that are tried.
+const MAX_INITIAL_PAIRS: usize = 20;
+/// Maximum number of candidate pairs.
 const MAX_CANDIDATES: usize = 400;
-/// Images mapped from an initial pair to see whether it is sound, and how many pairs are tried so.
-const MAX_START_IMAGES: usize = 7;
-const MAX_STARTS: usize = 6;
-/// A start that explains this share is taken at once: its rms error is below 0.5 px.
-const GOOD_START_SHARE: f64 = 0.94;
+/// Images of a trial model, and the number of trial models.
+const MAX_TRIAL_IMAGES: usize = 7;
+const MAX_TRIAL_MODELS: usize = 6;
+/// A trial model with this relative support is accepted at once. Its rms error is below 0.5 px.
+const ACCEPTED_SUPPORT: f64 = 0.94;
 
 impl Mapper<'_> {
-    /// Pairs to begin with, the best first.
+    /// Returns the candidate pairs, best first.
     pub(super) fn candidates(&self) -> Vec<InitialPair> {
-        let is_free =
-            |pair: ImagePair| !self.taken.contains(&pair.a) && !self.taken.contains(&pair.b);
+        let is_free = |pair: ImagePair| {
+            !self.mapped_images.contains(&pair.a) && !self.mapped_images.contains(&pair.b)
+        };
         let max_error_px = self.options.filter.max_error_px;
         initial_pairs(self.graph, &self.solution.model, &is_free, max_error_px, MAX_CANDIDATES)
     }
 
-    /// Texture that repeats fools pairs: they agree on wrong depths, and only further images tell.
-    /// So a few images are mapped from the best pair, and unless they fit well, from others
-    /// elsewhere, and the pair that explains the most is taken.
-    pub(super) fn best_start(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
+    /// Returns the candidate whose trial model has the largest support. Repeated texture gives
+    /// pairs that are consistent with wrong depths; only further images reveal them. Candidates
+    /// near to a tried pair are skipped.
+    pub(super) fn best_initial_pair(&self, candidates: &[InitialPair]) -> Option<InitialPair> {
         let options = &MapperOptions { refine: RefineIntrinsics::NONE, ..*self.options };
         let mut tried: Vec<ImageId> = Vec::new();
         let mut best: Option<(f64, InitialPair)> = None;
@@ -48,28 +49,28 @@ impl Mapper<'_> {
                 continue;
             }
             let mut trial = Mapper {
-                taken: self.taken.clone(),
-                max_images: Some(MAX_START_IMAGES),
+                mapped_images: self.mapped_images.clone(),
+                max_images: Some(MAX_TRIAL_IMAGES),
                 ..Mapper::new(self.graph, &self.solution.model, options)
             };
             if trial.initialise(&[*candidate], &mut |_| ControlFlow::Continue(())).is_err() {
                 continue;
             }
-            // What a failed trial has reached counts.
+            // A failed trial counts with the images that it registered.
             let _ = trial.grow(&mut |_| ControlFlow::Continue(()));
             tried.extend(images);
-            let (score, share) = explained(&trial.solution.model);
+            let (score, relative_support) = support(&trial.solution.model);
             if best.as_ref().is_none_or(|(most, _)| score > *most) {
                 best = Some((score, *candidate));
             }
-            if share > GOOD_START_SHARE || tried.len() == 2 * MAX_STARTS {
+            if relative_support > ACCEPTED_SUPPORT || tried.len() == 2 * MAX_TRIAL_MODELS {
                 break;
             }
         }
         best.map(|(_, candidate)| candidate)
     }
 
-    /// Begins with the first of the pairs that gives enough points.
+    /// Initialises the model with the first candidate that gives enough points.
     pub(super) fn initialise(
         &mut self,
         candidates: &[InitialPair],
@@ -77,10 +78,12 @@ impl Mapper<'_> {
     ) -> Result<ImagePair, Error> {
         let start = self.solution.model.clone();
         let mut most = 0;
-        for candidate in candidates.iter().take(MAX_INITIAL_TRIALS) {
+        for candidate in candidates.iter().take(MAX_INITIAL_PAIRS) {
             let pair = candidate.pair;
             let seed = self.seed_of(&[u64::from(pair.a.0), u64::from(pair.b.0)]);
-            let Some(cam2_from_cam1) = refine(self.graph, &self.solution.model, pair, seed) else {
+            let Some(cam2_from_cam1) =
+                estimate_relative_pose(self.graph, &self.solution.model, pair, seed)
+            else {
                 continue;
             };
             self.solution.model.register(pair.a, Rigid3::identity());
@@ -101,7 +104,7 @@ impl Mapper<'_> {
                 && self.solution.model.num_tracks() >= self.options.min_initial_inliers
             {
                 let num_points = self.solution.model.num_tracks();
-                tell(watch, &Event::Initialised { image1: pair.a, image2: pair.b, num_points })?;
+                notify(watch, &Event::Initialised { image1: pair.a, image2: pair.b, num_points })?;
                 return Ok(pair);
             }
             self.solution.model = start.clone();

@@ -2,8 +2,8 @@ use super::growth::Mapper;
 use crate::Error;
 
 impl Mapper<'_> {
-    /// Does something that may fail: where it does, the solution is as it was before, and the error
-    /// is the inner one. Only a request to stop is the outer one.
+    /// Runs `work` and restores the solution if it fails. The error of `work` is the inner one;
+    /// [`Error::Cancelled`] is the outer one.
     pub(super) fn transaction<T>(
         &mut self,
         work: impl FnOnce(&mut Self) -> Result<T, Error>,

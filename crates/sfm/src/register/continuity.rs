@@ -1,8 +1,9 @@
-//! What the times of images tell of where they are: a camera does not jump.
+//! Plausibility of a pose by the continuity of the camera's motion.
 //!
-//! Texture that repeats (windows of a facade) makes a wrong place look as good as the right one, or
-//! better. A camera that has just been seen nearby cannot be there; but only the images right
-//! before and behind tell, so images are registered one after the other where they can be.
+//! With repeated texture (windows of a facade) a wrong pose may have as many inliers as the correct
+//! one, or more. The times of the images exclude poses that the camera cannot have reached from its
+//! neighbours. Only neighbouring images have that information, so images are registered in order of
+//! time if possible.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,23 +11,23 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::timeline::usual;
+use crate::timeline::usual_speed;
 
-/// A camera is as fast as it is nine times in ten, among so many steps before and behind: the scale
-/// of a long drive drifts until its lens and its shutter are known. Of a camera of which fewer
-/// steps are known nothing is known.
+/// The usual speed is the 90 % quantile over this many steps before and after an image, because the
+/// scale of a long drive drifts until lens and shutter are estimated. With fewer than `MIN_STEPS`
+/// steps the speed is unknown.
 const KNOWN_STEPS: usize = 300;
 const MIN_STEPS: usize = 10;
-/// Who is not where its neighbours' motion leads, by more than this many times the way that the
-/// camera makes meanwhile, jumps: to turn back at once it would take twice that way. Windows 8.7 m
-/// apart moved a camera that makes 1 m a frame by 8.7 times, next to a frame that was lost by 4.
-const MAX_CHANGE: f64 = 2.0;
-/// The nearest image of the model is looked for among so many before and behind.
-const MAX_WAITING: usize = 20;
-/// How many images before and behind may tell that one jumps.
-const MAX_STEPS: usize = 3;
+/// Maximum deviation from the position that the neighbours' velocity predicts, relative to the
+/// distance travelled at the usual speed. An immediate reversal gives 2. Windows 8.7 m apart moved
+/// a camera that makes 1 m a frame by 8.7 times, next to a wrongly registered frame by 4.
+const MAX_DEVIATION: f64 = 2.0;
+/// Number of images before and after an image that are searched for a registered one.
+const MAX_SEARCH: usize = 20;
+/// Number of images before and after an image that are checked for a jump.
+const MAX_NEIGHBOURS: usize = 3;
 
-/// The images of each camera in the order of their times.
+/// The images of each camera in order of time.
 pub(crate) struct Timelines {
     cameras: BTreeMap<CameraId, Vec<(f64, ImageId)>>,
     places: BTreeMap<ImageId, usize>,
@@ -48,7 +49,7 @@ impl Timelines {
         Self { cameras, places }
     }
 
-    /// The images of its camera before one and behind it, the nearest first.
+    /// Returns the images of the same camera before and after an image, nearest first.
     fn sides<'a>(
         &'a self,
         model: &Reconstruction,
@@ -56,13 +57,12 @@ impl Timelines {
     ) -> Option<[Vec<&'a (f64, ImageId)>; 2]> {
         let (images, place) =
             (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
-        let before = images[..place].iter().rev().take(MAX_WAITING).collect();
-        Some([before, images[place + 1..].iter().take(MAX_WAITING).collect()])
+        let before = images[..place].iter().rev().take(MAX_SEARCH).collect();
+        Some([before, images[place + 1..].iter().take(MAX_SEARCH).collect()])
     }
 
-    /// Whether images between this one and the nearest of its camera in the model could be
-    /// registered first.
-    pub(crate) fn waits(
+    /// Whether a candidate lies between this image and the nearest registered image of its camera.
+    pub(crate) fn must_wait(
         &self,
         model: &Reconstruction,
         image: ImageId,
@@ -76,20 +76,19 @@ impl Timelines {
         })
     }
 
-    /// How fast the camera of an image is about then, in units a second; `None` where too little is
-    /// known of it.
+    /// Returns the usual speed of the camera around an image, in units of the model a second;
+    /// `None` with too few registered neighbours.
     pub(crate) fn usual_speed(&self, model: &Reconstruction, image: ImageId) -> Option<f64> {
         let (images, place) =
             (self.cameras.get(&model.image(image).camera)?, *self.places.get(&image)?);
         let around = place.saturating_sub(KNOWN_STEPS)..images.len().min(place + KNOWN_STEPS);
         let speed = |pair: &[(f64, ImageId)]| Some(velocity(model, &pair[0], &pair[1])?.norm());
         let speeds: Vec<f64> = images[around].windows(2).filter_map(speed).collect();
-        if speeds.len() < MIN_STEPS { None } else { usual(speeds) }
+        if speeds.len() < MIN_STEPS { None } else { usual_speed(speeds) }
     }
 
-    /// Whether a camera of this usual speed would have to jump from the images next to this one to
-    /// be here.
-    pub(crate) fn jumps(
+    /// Whether a pose contradicts the motion of the neighbouring images at this usual speed.
+    pub(crate) fn contradicts_motion(
         &self,
         model: &Reconstruction,
         image: ImageId,
@@ -99,21 +98,23 @@ impl Timelines {
         let Some(sides) = self.sides(model, image) else { return false };
         let Some(time_s) = model.image(image).time_s else { return false };
         let centre = cam_from_world.origin_in_a();
-        let is_off = |side: &[&(f64, ImageId)], step: usize| {
+        let is_implausible = |side: &[&(f64, ImageId)], step: usize| {
             let near = side[step];
             let (elapsed_s, Some(from)) = (time_s - near.0, centre_of(model, near.1)) else {
                 return false;
             };
-            // Where nothing further on that side tells of its motion, it stands.
-            let way = side
+            // Without a second registered image on that side, the velocity is zero.
+            let velocity_there = side
                 .get(step + 1)
-                .and_then(|further| velocity(model, further, near))
+                .and_then(|beyond| velocity(model, beyond, near))
                 .unwrap_or_default();
             elapsed_s != 0.0
-                && (centre - from - way * elapsed_s).norm()
-                    > MAX_CHANGE * usual_speed * elapsed_s.abs()
+                && (centre - from - velocity_there * elapsed_s).norm()
+                    > MAX_DEVIATION * usual_speed * elapsed_s.abs()
         };
-        sides.iter().any(|side| (0..side.len().min(MAX_STEPS)).any(|step| is_off(side, step)))
+        sides
+            .iter()
+            .any(|side| (0..side.len().min(MAX_NEIGHBOURS)).any(|step| is_implausible(side, step)))
     }
 }
 
@@ -121,7 +122,7 @@ fn centre_of(model: &Reconstruction, image: ImageId) -> Option<Vector3<f64>> {
     Some(model.image(image).cam_from_world()?.origin_in_a())
 }
 
-/// Between two images with a pose, at different times; in units a second.
+/// Velocity between two registered images, in units of the model a second; `None` for equal times.
 fn velocity(
     model: &Reconstruction,
     from: &(f64, ImageId),
@@ -144,8 +145,8 @@ mod tests {
         Rigid3 { translation: Vector3::new(-x, 0.0, 0.0), ..Rigid3::identity() }
     }
 
-    /// Images of one camera, a second and a unit apart, of which the first so many have a pose;
-    /// their order is not that of time.
+    /// Images of one camera, one second and one unit apart, of which the first `num_registered` are
+    /// registered. Their ids are not in order of time.
     fn drive(num_registered: usize) -> (Reconstruction, Vec<ImageId>) {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
@@ -165,40 +166,52 @@ mod tests {
     }
 
     #[test]
-    fn an_image_waits_for_those_between_it_and_the_model() {
+    fn an_image_waits_for_candidates_between_it_and_the_model() {
         let (model, images) = drive(4);
         let timelines = Timelines::new(&model);
         let candidates = BTreeSet::from([images[4], images[7]]);
-        assert!(!timelines.waits(&model, images[4], &candidates));
-        assert!(timelines.waits(&model, images[7], &candidates));
-        // Nothing that could be registered is between them.
-        assert!(!timelines.waits(&model, images[7], &BTreeSet::from([images[7], images[9]])));
+        assert!(!timelines.must_wait(&model, images[4], &candidates));
+        assert!(timelines.must_wait(&model, images[7], &candidates));
+        // No candidate lies between.
+        assert!(!timelines.must_wait(&model, images[7], &BTreeSet::from([images[7], images[9]])));
     }
 
     #[test]
-    fn cameras_without_times_wait_for_nothing() {
+    fn cameras_without_times_do_not_wait() {
         let (mut model, images) = drive(4);
         images.iter().for_each(|&image| model.set_time(image, None));
         let timelines = Timelines::new(&model);
-        assert!(!timelines.waits(&model, images[7], &images.iter().copied().collect()));
+        assert!(!timelines.must_wait(&model, images[7], &images.iter().copied().collect()));
         assert_eq!(timelines.usual_speed(&model, images[7]), None);
     }
 
     #[test]
-    fn a_camera_that_stands_where_it_cannot_have_come_to_jumps() {
+    fn a_pose_beyond_the_reach_of_the_camera_contradicts_its_motion() {
         let last = MIN_STEPS + 1;
         let (model, images) = drive(last);
         let timelines = Timelines::new(&model);
         let speed = timelines.usual_speed(&model, images[last]).expect("steps enough");
         assert!((speed - 1.0).abs() < 1e-12);
-        let jumps = |x: f64| timelines.jumps(&model, images[last], &at(last as f64 + x), speed);
-        // Where it stops, turns back and comes twice as far, and where it does not.
-        assert!(!jumps(0.0) && !jumps(-1.0) && !jumps(-1.9) && !jumps(1.0));
-        assert!(jumps(2.1) && jumps(-2.1));
-        // Of an image of the same moment the motion tells nothing.
+        let contradicts_motion = |x: f64| {
+            timelines.contradicts_motion(&model, images[last], &at(last as f64 + x), speed)
+        };
+        // Stopping and reversing are plausible; larger deviations are not.
+        assert!(
+            !contradicts_motion(0.0)
+                && !contradicts_motion(-1.0)
+                && !contradicts_motion(-1.9)
+                && !contradicts_motion(1.0)
+        );
+        assert!(contradicts_motion(2.1) && contradicts_motion(-2.1));
+        // Equal times give no velocity.
         let mut twice = model.clone();
         twice.set_time(images[last], Some((last - 1) as f64));
-        assert!(!Timelines::new(&twice).jumps(&twice, images[last], &at(last as f64), speed));
+        assert!(!Timelines::new(&twice).contradicts_motion(
+            &twice,
+            images[last],
+            &at(last as f64),
+            speed
+        ));
         let (model, images) = drive(last - 1);
         assert_eq!(Timelines::new(&model).usual_speed(&model, images[last]), None);
     }

@@ -1,9 +1,9 @@
-//! Registration: which image is next, and where it is.
+//! Registration: selection of the next image, and estimation of its pose.
 
+mod absolute_pose;
 mod continuity;
 mod next_image;
-mod place;
 mod visibility;
 
+pub use absolute_pose::{RegisterOptions, register_image};
 pub(crate) use next_image::NextBestView;
-pub use place::{RegisterOptions, register_image};

@@ -1,11 +1,10 @@
-//! Which image is registered next: the one that sees the most of the model, best spread, unless it
-//! had better wait.
+//! Next-best-view selection: the image with the best visibility score (Schönberger & Frahm 2016),
+//! unless it is deferred.
 //!
-//! Where texture repeats (windows of a facade), images that should see nothing of the model yet see
-//! it by matches that are wrong and agree with each other, and drag all that follow along. The
-//! right neighbours settle that, so they come first: images wait for those that are between them
-//! and the model in time; and who finds less of what it ought to see than those around it did, or
-//! jumps, waits for all others that do not wait for it.
+//! With repeated texture, wrong matches that agree with each other register images at wrong poses,
+//! and later images follow them. Correct neighbours prevent this, so they come first: an image
+//! waits for candidates between it and the model in time, and an image with low visible-point
+//! recall or an implausible motion is deferred until no other candidate is left.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,42 +13,41 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
+use super::absolute_pose::{Placement, RegisterOptions, estimate_placement};
 use super::continuity::Timelines;
-use super::place::{Placement, RegisterOptions, place_image};
 use super::visibility::{Visibility, visibility};
 
-/// An image that could not be registered is tried again at most this often; and one that was, and
-/// was taken out again since.
+/// Maximum number of failed registrations of an image between resets, and of registrations of an
+/// image that filtering removed again.
 const MAX_TRIALS: usize = 3;
-/// An image that waits is placed again when it sees so many times as much of the model.
+/// A deferred image is placed again when the number of its visible points has grown by this factor.
 const MIN_GROWTH: f64 = 1.1;
-/// An image waits when it finds less than this share of what it ought to see, relative to the
-/// images around it. Where all is well that is 0.76 and more; where windows were taken for others,
-/// 0.49 to 0.75.
-const MIN_SHARE_OF_USUAL: f64 = 0.75;
+/// An image is deferred if its visible-point recall is below this fraction of the median of its
+/// neighbours. Correct images have 0.76 and more; images registered at a wrong window 0.49 to 0.75.
+const MIN_RELATIVE_RECALL: f64 = 0.75;
 
-/// What is known of images that were registered, and of those that were not.
+/// State of the selection.
 pub(crate) struct NextBestView {
     seed: u64,
     timelines: Timelines,
-    /// How often each image failed to register.
+    /// Failed registrations of each image.
     trials: BTreeMap<ImageId, usize>,
-    /// How often each image was registered: what is filtered out every time would be for ever.
+    /// Registrations of each image. The limit prevents endless registration and filtering.
     registrations: BTreeMap<ImageId, usize>,
-    /// Of what each image ought to have seen when it was registered, how much it did.
-    shares: BTreeMap<ImageId, f64>,
-    /// Images that could have been registered, and had better wait.
-    poor: BTreeMap<ImageId, DeferredImage>,
+    /// Visible-point recall of each image at its registration.
+    recalls: BTreeMap<ImageId, f64>,
+    /// Deferred images.
+    deferred: BTreeMap<ImageId, DeferredImage>,
 }
 
-/// An image that waits for others.
+/// An image that could be registered, but waits for others.
 #[derive(Clone, Copy, Debug)]
 struct DeferredImage {
-    /// What it saw of the model.
+    /// Number of visible points when it was placed.
     num_points: usize,
-    /// How much it found of what it ought to see, as a share of what is usual around it; nothing if
-    /// it jumps.
-    share: f64,
+    /// Visible-point recall relative to the median of its neighbours; zero if its motion is
+    /// implausible.
+    recall: f64,
 }
 
 impl NextBestView {
@@ -59,17 +57,17 @@ impl NextBestView {
             timelines: Timelines::new(scene),
             trials: BTreeMap::new(),
             registrations: BTreeMap::new(),
-            shares: BTreeMap::new(),
-            poor: BTreeMap::new(),
+            recalls: BTreeMap::new(),
+            deferred: BTreeMap::new(),
         }
     }
 
-    /// Images that failed are tried again.
+    /// Failed images may be tried again.
     pub(crate) fn reset_trials(&mut self) {
         self.trials.clear();
     }
 
-    /// Registers the next one of some images; `None` when none can be.
+    /// Registers the next of `images`; `None` if none can be registered.
     pub(crate) fn register_next(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -78,8 +76,8 @@ impl NextBestView {
         options: &RegisterOptions,
     ) -> Option<ImageId> {
         let may_try = |image: &ImageId| {
-            let tried = [&self.trials, &self.registrations].map(|times| times.get(image));
-            tried.into_iter().flatten().all(|times| *times < MAX_TRIALS)
+            let attempts = [&self.trials, &self.registrations].map(|times| times.get(image));
+            attempts.into_iter().flatten().all(|times| *times < MAX_TRIALS)
         };
         let mut candidates: Vec<(Visibility, ImageId)> = images
             .into_par_iter()
@@ -101,14 +99,14 @@ impl NextBestView {
             };
             placement.apply(model);
             *self.registrations.entry(placement.image).or_insert(0) += 1;
-            self.shares.insert(placement.image, placement.share);
-            self.poor.remove(&placement.image);
+            self.recalls.insert(placement.image, placement.recall);
+            self.deferred.remove(&placement.image);
             return Some(placement.image);
         }
     }
 
-    /// The first of the candidates; or those that have no pose, if any; or the best of those that
-    /// had better wait.
+    /// Returns the placement of the first candidate that is not deferred. If there is none: an
+    /// error with the candidates that have no pose, or else the best deferred candidate.
     fn choose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -116,41 +114,45 @@ impl NextBestView {
         candidates: &[(Visibility, ImageId)],
         options: &RegisterOptions,
     ) -> Result<Placement, BTreeSet<ImageId>> {
-        let open: BTreeSet<ImageId> = candidates.iter().map(|(_, image)| *image).collect();
+        let unregistered: BTreeSet<ImageId> = candidates.iter().map(|(_, image)| *image).collect();
         let mut failed = BTreeSet::new();
-        let mut waiting: Vec<(f64, ImageId)> = Vec::new();
+        let mut deferred_candidates: Vec<(f64, ImageId)> = Vec::new();
         for &(Visibility { num_points, .. }, image) in candidates {
-            if self.timelines.waits(model, image, &open) {
+            if self.timelines.must_wait(model, image, &unregistered) {
                 continue;
             }
-            // Who sees hardly more than it saw has hardly another pose.
-            let is_known =
-                |poor: &&DeferredImage| (num_points as f64) < MIN_GROWTH * poor.num_points as f64;
-            let share = match self.poor.get(&image).filter(is_known) {
-                Some(known) => known.share,
+            // With hardly more visible points the pose would hardly change.
+            let is_known = |deferred: &&DeferredImage| {
+                (num_points as f64) < MIN_GROWTH * deferred.num_points as f64
+            };
+            let recall = match self.deferred.get(&image).filter(is_known) {
+                Some(known) => known.recall,
                 None => {
-                    let Some(placement) = self.place(graph, model, image, options) else {
+                    let Some(placement) = self.estimate_pose(graph, model, image, options) else {
                         failed.insert(image);
                         continue;
                     };
-                    let usual = self.usual_share(graph, model, image);
-                    if placement.is_plausible && placement.share >= MIN_SHARE_OF_USUAL * usual {
+                    let expected = self.neighbours_recall(graph, model, image);
+                    if placement.is_plausible && placement.recall >= MIN_RELATIVE_RECALL * expected
+                    {
                         return Ok(placement);
                     }
-                    let share = if placement.is_plausible { placement.share / usual } else { 0.0 };
-                    self.poor.insert(image, DeferredImage { num_points, share });
-                    share
+                    let recall =
+                        if placement.is_plausible { placement.recall / expected } else { 0.0 };
+                    self.deferred.insert(image, DeferredImage { num_points, recall });
+                    recall
                 }
             };
-            waiting.push((share, image));
+            deferred_candidates.push((recall, image));
         }
-        // Others may have waited for these alone, and come before those that had better wait.
+        // Other candidates may have waited only for the failed ones. They come before deferred
+        // images.
         if !failed.is_empty() {
             return Err(failed);
         }
-        waiting.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
-        for (_, image) in waiting {
-            match self.place(graph, model, image, options) {
+        deferred_candidates.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.cmp(other)));
+        for (_, image) in deferred_candidates {
+            match self.estimate_pose(graph, model, image, options) {
                 Some(placement) => return Ok(placement),
                 None => failed.insert(image),
             };
@@ -158,8 +160,8 @@ impl NextBestView {
         Err(failed)
     }
 
-    /// The pose of an image; that there is none counts as a trial.
-    fn place(
+    /// Estimates the pose of an image. A failure counts as a trial.
+    fn estimate_pose(
         &mut self,
         graph: &CorrespondenceGraph,
         model: &Reconstruction,
@@ -170,27 +172,26 @@ impl NextBestView {
         let seed = Rng::stream(self.seed, &key).next_u64();
         let speed = self.timelines.usual_speed(model, image);
         let is_plausible = |pose: &Rigid3| {
-            speed.is_none_or(|speed| !self.timelines.jumps(model, image, pose, speed))
+            speed.is_none_or(|speed| !self.timelines.contradicts_motion(model, image, pose, speed))
         };
-        let placement = place_image(graph, model, image, options, seed, &is_plausible);
+        let placement = estimate_placement(graph, model, image, options, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
         }
         placement
     }
 
-    /// Of what images of the model with verified pairs with this one ought to have seen, how much
-    /// they did: the median.
-    fn usual_share(
+    /// Median visible-point recall of the registered neighbours of an image; zero without any.
+    fn neighbours_recall(
         &self,
         graph: &CorrespondenceGraph,
         model: &Reconstruction,
         image: ImageId,
     ) -> f64 {
         let has_pose = |other: &&ImageId| model.image(**other).cam_from_world().is_some();
-        let around = graph.neighbours(image).iter().filter(has_pose);
-        let mut shares: Vec<f64> =
-            around.filter_map(|other| self.shares.get(other)).copied().collect();
-        median(&mut shares).unwrap_or(0.0)
+        let neighbours = graph.neighbours(image).iter().filter(has_pose);
+        let mut recalls: Vec<f64> =
+            neighbours.filter_map(|other| self.recalls.get(other)).copied().collect();
+        median(&mut recalls).unwrap_or(0.0)
     }
 }

@@ -1,26 +1,26 @@
-//! How well the points seen so far are spread over an image that is still to be registered.
+//! Visibility score of an unregistered image.
 //!
-//! Schönberger & Frahm 2016, section 4.2: the image is divided into 2ˡ × 2ˡ cells for l = 1..=L;
-//! every occupied cell of level l counts 2ˡ × 2ˡ, so that many points in one corner score less than
-//! as many all over.
+//! Schönberger & Frahm 2016, section 4.2: the image is divided into 2ˡ × 2ˡ cells for l = 1..=L.
+//! Every occupied cell of level l scores 2ˡ × 2ˡ, so that points concentrated in one corner score
+//! less than as many distributed points.
 
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, Reconstruction};
 
 use crate::image_grid::cell;
 
-/// Levels of the pyramid; the finest has 2⁶ × 2⁶ cells (COLMAP's).
+/// Levels of the pyramid. The finest has 2⁶ × 2⁶ cells, as in COLMAP.
 const NUM_LEVELS: u32 = 6;
 
-/// What an unregistered image sees of the model.
+/// Visible points of an unregistered image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Visibility {
-    /// Keypoints that match a keypoint which sees a point.
+    /// Number of keypoints with a match that observes a point.
     pub num_points: usize,
-    /// Their spread; larger is better.
+    /// Visibility score; larger is better.
     pub score: u64,
 }
 
-/// What `image` sees of the model.
+/// Computes the visibility of `image`.
 pub(crate) fn visibility(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -37,11 +37,11 @@ pub(crate) fn visibility(
             occupied[cell(camera, &keypoint.pixel, side)] = true;
         }
     }
-    Visibility { num_points, score: spread(occupied, side) }
+    Visibility { num_points, score: pyramid_score(occupied, side) }
 }
 
-/// Σ over levels of occupied cells × cells of that level.
-fn spread(mut occupied: Vec<bool>, mut side: usize) -> u64 {
+/// Sum over levels of the number of occupied cells times the number of cells of the level.
+fn pyramid_score(mut occupied: Vec<bool>, mut side: usize) -> u64 {
     let mut score = 0;
     while side > 1 {
         score += occupied.iter().filter(|&&o| o).count() as u64 * (side * side) as u64;
@@ -57,10 +57,10 @@ fn spread(mut occupied: Vec<bool>, mut side: usize) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::spread;
+    use super::pyramid_score;
 
     #[test]
-    fn points_all_over_beat_as_many_in_a_corner() {
+    fn distributed_points_score_more_than_as_many_in_a_corner() {
         let side = 8;
         let corner: Vec<bool> = (0..side * side).map(|i| i / side < 2 && i % side < 2).collect();
         let everywhere: Vec<bool> =
@@ -69,6 +69,6 @@ mod tests {
             corner.iter().filter(|o| **o).count(),
             everywhere.iter().filter(|o| **o).count()
         );
-        assert!(spread(everywhere, side) > spread(corner, side));
+        assert!(pyramid_score(everywhere, side) > pyramid_score(corner, side));
     }
 }

@@ -1,22 +1,25 @@
-//! How long what a mounting leaves goes on from moment to moment.
+//! Autocorrelation of the residuals of a rig constraint over time.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
-/// By how much the variance of the mean of what is left is larger than if moments were independent:
-/// the integrated autocorrelation time, summed for as long as the autocorrelation is positive
-/// (after Geyer 1992, section 3.3). `left` is in standard deviations of each component; where it is
-/// far within them it is the images' noise that the mounting takes away, and no property of the
-/// mount.
-pub(super) fn autocorrelation_time(left: &[Vector3<f64>]) -> f64 {
-    let together = |lag: usize| left.iter().zip(&left[lag..]).map(|(a, b)| a.dot(b)).sum::<f64>();
-    let all = together(0);
-    if all <= 0.0 {
+/// Integrated autocorrelation time: the ratio of the variance of the mean to that of independent
+/// residuals. The sum ends at the first autocorrelation that is not positive (after Geyer 1992,
+/// section 3.3). `residuals` are whitened. Residuals far below one standard deviation come from
+/// image noise and not from the mount, so the sum is scaled by their mean square if that is below
+/// one.
+pub(super) fn autocorrelation_time(residuals: &[Vector3<f64>]) -> f64 {
+    let autocovariance =
+        |lag: usize| residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let variance = autocovariance(0);
+    if variance <= 0.0 {
         return 1.0;
     }
-    let shares = (1..left.len()).map(|lag| together(lag) / all).take_while(|share| *share > 0.0);
-    let goes_on = 2.0 * shares.sum::<f64>();
-    let of_deviation = (all / (3 * left.len()) as f64).min(1.0);
-    1.0 + goes_on * of_deviation
+    let correlations = (1..residuals.len())
+        .map(|lag| autocovariance(lag) / variance)
+        .take_while(|correlation| *correlation > 0.0);
+    let twice_sum = 2.0 * correlations.sum::<f64>();
+    let mean_square = (variance / (3 * residuals.len()) as f64).min(1.0);
+    1.0 + twice_sum * mean_square
 }
 
 #[cfg(test)]
@@ -24,8 +27,8 @@ mod tests {
     use super::*;
     use tiepoint_geometry::Rng;
 
-    const MOMENTS: usize = 4000;
-    /// Of a time that is estimated from so many moments: the lags that are summed by accident.
+    const NUM_SAMPLES: usize = 4000;
+    /// Relative error of a time estimated from [`NUM_SAMPLES`] residuals.
     const TOLERANCE: f64 = 0.25;
 
     fn noise(rng: &mut Rng) -> Vector3<f64> {
@@ -33,23 +36,23 @@ mod tests {
     }
 
     #[test]
-    fn independent_moments_count_fully() {
+    fn independent_residuals_have_time_one() {
         let mut rng = Rng::stream(1, &[]);
-        let left: Vec<_> = (0..MOMENTS).map(|_| noise(&mut rng)).collect();
+        let residuals: Vec<_> = (0..NUM_SAMPLES).map(|_| noise(&mut rng)).collect();
         assert!(
-            (autocorrelation_time(&left) - 1.0).abs() < TOLERANCE,
+            (autocorrelation_time(&residuals) - 1.0).abs() < TOLERANCE,
             "{}",
-            autocorrelation_time(&left)
+            autocorrelation_time(&residuals)
         );
     }
 
-    /// Of x' = a x + √(1 - a²) noise the integrated autocorrelation time is (1 + a)/(1 - a).
+    /// The process x' = a x + √(1 - a²) noise has the autocorrelation time (1 + a)/(1 - a).
     #[test]
-    fn what_goes_on_is_told() {
+    fn what_twice_sum_is_told() {
         const A: f64 = 0.8;
         let mut rng = Rng::stream(2, &[]);
         let mut x = noise(&mut rng);
-        let left: Vec<_> = (0..MOMENTS)
+        let residuals: Vec<_> = (0..NUM_SAMPLES)
             .map(|_| {
                 x = x * A + noise(&mut rng) * (1.0 - A * A).sqrt();
                 x
@@ -57,21 +60,21 @@ mod tests {
             .collect();
         let expected = (1.0 + A) / (1.0 - A);
         assert!(
-            (autocorrelation_time(&left) / expected - 1.0).abs() < TOLERANCE,
+            (autocorrelation_time(&residuals) / expected - 1.0).abs() < TOLERANCE,
             "{}",
-            autocorrelation_time(&left)
+            autocorrelation_time(&residuals)
         );
-        // What is far within the deviations says nothing of the mount.
-        let little: Vec<_> = left.iter().map(|x| x * 0.1).collect();
+        // Residuals far below one standard deviation count as independent.
+        let small: Vec<_> = residuals.iter().map(|x| x * 0.1).collect();
         assert!(
-            (autocorrelation_time(&little) - 1.0).abs() < TOLERANCE,
+            (autocorrelation_time(&small) - 1.0).abs() < TOLERANCE,
             "{}",
-            autocorrelation_time(&little)
+            autocorrelation_time(&small)
         );
     }
 
     #[test]
-    fn nothing_left_is_fine() {
+    fn zero_residuals_have_time_one() {
         assert_eq!(autocorrelation_time(&[]), 1.0);
         assert_eq!(autocorrelation_time(&[Vector3::zeros(); 3]), 1.0);
     }

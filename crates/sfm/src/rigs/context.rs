@@ -1,5 +1,5 @@
-//! What the steps that find how cameras are held have in common: a model is refined with its
-//! mountings.
+//! State shared by the estimation steps of the rig, and joint refinement of a model and its
+//! extrinsics.
 
 use tiepoint_scene::{CorrespondenceGraph, Reconstruction};
 
@@ -9,12 +9,11 @@ use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, recreate_tracks};
 
-/// Tracks are merged across cameras that were just brought together with this many times the usual
-/// error.
-pub(super) const WIDENED: f64 = 2.0;
+/// Factor on the merge threshold of tracks directly after cameras moved relative to each other.
+pub(super) const MERGE_ERROR_FACTOR: f64 = 2.0;
 pub(super) const ITERATIONS: usize = 50;
 
-/// What the steps need of the mapper.
+/// Inputs that the rig estimation takes from the mapper.
 pub(crate) struct Context<'a> {
     pub(crate) graph: &'a CorrespondenceGraph,
     pub(crate) tracks: &'a TrackOptions,
@@ -24,17 +23,18 @@ pub(crate) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Adjusts, re-creates tracks between the poses that came out, and adjusts again.
+    /// Runs bundle adjustment, re-creates tracks from the adjusted poses, runs bundle adjustment
+    /// again and filters points. `merge_error_factor` scales the merge threshold of tracks.
     pub(super) fn refine(
         &self,
         model: &mut Reconstruction,
         all_extrinsics: &mut [RigExtrinsics],
-        widened: f64,
+        merge_error_factor: f64,
     ) -> Result<(), Error> {
         let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
         adjust_with_extrinsics(model, &options, all_extrinsics)?;
         let tracks = TrackOptions {
-            max_merge_error_px: widened * self.tracks.max_merge_error_px,
+            max_merge_error_px: merge_error_factor * self.tracks.max_merge_error_px,
             ..*self.tracks
         };
         recreate_tracks(self.graph, model, &tracks);

@@ -1,4 +1,5 @@
-//! A camera beside the first one of a rig: how it is mounted, and how firmly.
+//! Extrinsics of a camera relative to the reference camera, and the constraint on the relative
+//! poses.
 
 use tiepoint_ba::Factor;
 use tiepoint_geometry::Rigid3;
@@ -8,36 +9,36 @@ use tiepoint_rig::{Clock, RelativePose, SynchronousExtrinsics};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::autocorrelation_time::autocorrelation_time;
-use super::rig_sensor::{ReferencedImage, RigSensor};
+use super::sensor_pair::{ReferencedImage, SensorPair};
 
-/// A camera's mounting beside the first one, and how firmly it holds.
+/// Extrinsics of a camera relative to the reference camera, with the images that they constrain.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct RigExtrinsics {
-    /// Which cameras, and the other one's clock; that is adjusted where it is free.
-    pub rig_sensor: RigSensor,
-    /// Where the two are held to each other.
+    /// The cameras and the clock, which is estimated if its state says so.
+    pub sensor_pair: SensorPair,
+    /// The constrained images.
     pub referenced_images: Vec<ReferencedImage>,
-    /// The calibration to begin with; it is adjusted.
+    /// Extrinsics: initial value, and estimate after an adjustment.
     pub right_from_left: Rigid3,
-    /// How firmly.
+    /// Constraint on the relative poses.
     pub constraint: RigConstraint,
-    /// At these of the moments the model had the camera elsewhere, for want of matches with the
-    /// first one.
-    pub(crate) closed: Vec<Closed>,
+    /// Those of the images that belong to a split of the model.
+    pub(crate) split_images: Vec<SplitImage>,
 }
 
-/// How firmly a mounting holds.
+/// Constraint of the relative poses of two cameras to their extrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RigConstraint {
-    /// Up to standard deviations.
+    /// A residual per image.
     Soft {
-        /// Of each coordinate of the centre, in baselines, or in the unit of cameras that see
-        /// nothing in common.
+        /// Standard deviation of each coordinate of the centre, in baselines, or in units of
+        /// [`SensorPair::assumed_baseline`] if that is set.
         sigma_translation: f64,
-        /// Of each component of the rotation, in radians.
+        /// Standard deviation of each component of the rotation, in radians.
         sigma_rotation_rad: f64,
     },
-    /// Exactly: the right camera's pose is the left one's, moved by the calibration.
+    /// The right camera's pose is composed of the reference camera's pose and the extrinsics. It is
+    /// no variable of its own.
     Rigid,
 }
 
@@ -46,7 +47,7 @@ impl RigConstraint {
         Self::Soft { sigma_translation: sigmas.0, sigma_rotation_rad: sigmas.1 }
     }
 
-    /// With standard deviations that many times as large.
+    /// Multiplies the standard deviations by `factor`.
     pub(crate) fn scaled(self, factor: f64) -> Self {
         match self {
             Self::Soft { sigma_translation, sigma_rotation_rad } => {
@@ -57,34 +58,34 @@ impl RigConstraint {
     }
 }
 
-/// Rotation (radians, R ← Exp(δ) R), translation (units of the model), offset (seconds), drift.
+/// Covariance of the extrinsics and the clock. Order: rotation (radians, R ← Exp(δ) R), translation
+/// (units of the model), offset (seconds), drift (no unit).
 pub type ExtrinsicsCovariance = SMatrix<f64, 8, 8>;
 
-/// An image that was brought back, and its partner.
+/// An image of a split, and the nearest image of the reference camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Closed {
+pub(crate) struct SplitImage {
     pub(crate) right: ImageId,
     pub(crate) left: ImageId,
 }
 
-impl Closed {
+impl SplitImage {
     pub(crate) fn new(referenced: &ReferencedImage, clock: &Clock) -> Self {
-        Self { right: referenced.right, left: referenced.nearest_left(clock) }
+        Self { right: referenced.right, left: referenced.nearest_reference(clock) }
     }
 }
 
-/// Cameras are held when their relative poses end within this many standard deviations of the
-/// mounting. Where clocks disagree or a mount gives, they do not follow, and the firmest deviations
-/// at which they did are kept. With 3 a mount that swings passed, and pulled the clock by 6 ms.
-const MAX_LEFT: f64 = 2.0;
-/// The motion tells nothing of a camera's place along a direction when it leaves a standard
-/// deviation of more than this share of the unit: what the models have drifted apart would decide
-/// it.
-const MAX_PLACE_SD: f64 = 0.1;
+/// A soft constraint is consistent if the median residual is within this many standard deviations.
+/// Wrong clocks and flexible mounts are not consistent at small standard deviations. With a value
+/// of 3, the constraint of a swinging mount passed and changed the clock offset by 6 ms.
+const MAX_MEDIAN_RESIDUAL: f64 = 2.0;
+/// A direction of the centre is unobservable if its standard deviation is larger than this fraction
+/// of the assumed baseline. Drift of the models would dominate the estimate.
+const MAX_CENTRE_SD: f64 = 0.1;
 
 impl RigExtrinsics {
-    /// With standard deviations that many times as large, also of what is doubtful about its
-    /// moments.
+    /// Multiplies the standard deviations of the constraint and of the interpolated poses by
+    /// `factor`.
     pub(crate) fn scaled(&self, factor: f64) -> Self {
         let mut scaled = Self { constraint: self.constraint.scaled(factor), ..self.clone() };
         scaled
@@ -94,48 +95,48 @@ impl RigExtrinsics {
         scaled
     }
 
-    /// What is left between the cameras at each moment, in standard deviations: of the translation,
-    /// then of the rotation; none of cameras that are held exactly.
-    fn left(&self, model: &Reconstruction) -> Vec<Vector6<f64>> {
+    /// Whitened residuals of the constrained images: translation, then rotation. Empty for a rigid
+    /// constraint.
+    fn whitened_residuals(&self, model: &Reconstruction) -> Vec<Vector6<f64>> {
         let RigConstraint::Soft { sigma_translation, sigma_rotation_rad } = self.constraint else {
             return Vec::new();
         };
-        let mounted = SynchronousExtrinsics {
+        let synchronous = SynchronousExtrinsics {
             sigma_translation,
             sigma_rotation_rad,
-            assumed_baseline: self.rig_sensor.assumed_baseline,
+            assumed_baseline: self.sensor_pair.assumed_baseline,
         };
-        let left_over = |referenced: &ReferencedImage| {
-            let left = referenced.left_from_world(model, &self.rig_sensor.clock)?;
+        let whitened = |referenced: &ReferencedImage| {
+            let left = referenced.left_from_world(model, &self.sensor_pair.clock)?;
             let right = model.image(referenced.right).cam_from_world()?;
-            let residual = mounted.residual((&left, right, &self.right_from_left))?;
-            Some(referenced.whitening(&mounted, &left, &self.right_from_left) * residual)
+            let residual = synchronous.residual((&left, right, &self.right_from_left))?;
+            Some(referenced.whitening(&synchronous, &left, &self.right_from_left) * residual)
         };
-        self.referenced_images.iter().filter_map(left_over).collect()
+        self.referenced_images.iter().filter_map(whitened).collect()
     }
 
-    /// Whether the cameras follow in translation, and in rotation: half of the moments are within a
-    /// few standard deviations.
-    pub(super) fn follows(&self, model: &Reconstruction) -> [bool; 2] {
-        let left = self.left(model);
+    /// Whether the median residuals of translation and of rotation are within
+    /// [`MAX_MEDIAN_RESIDUAL`].
+    pub(super) fn residuals_consistent(&self, model: &Reconstruction) -> [bool; 2] {
+        let residuals = self.whitened_residuals(model);
         [0, 3].map(|first| {
             let mut norms: Vec<f64> =
-                left.iter().map(|r| r.fixed_rows::<3>(first).norm()).collect();
-            median(&mut norms).is_none_or(|norm| norm <= MAX_LEFT * MEDIAN_OF_THREE)
+                residuals.iter().map(|r| r.fixed_rows::<3>(first).norm()).collect();
+            median(&mut norms).is_none_or(|norm| norm <= MAX_MEDIAN_RESIDUAL * MEDIAN_OF_THREE)
         })
     }
 
-    /// With standard deviations so large that moments count as if what is left at one told nothing
-    /// of the next: what a mount that swings leaves goes on from moment to moment, and n of them
-    /// tell less than n would.
-    pub(crate) fn as_if_independent(&self, model: &Reconstruction) -> Self {
+    /// Increases the standard deviations by the square root of the residuals' autocorrelation time.
+    /// The residuals of a swinging mount are correlated in time, so n images carry less information
+    /// than n independent ones.
+    pub(crate) fn with_autocorrelation(&self, model: &Reconstruction) -> Self {
         let RigConstraint::Soft { sigma_translation, sigma_rotation_rad } = self.constraint else {
             return self.clone();
         };
-        let left = self.left(model);
+        let residuals = self.whitened_residuals(model);
         let [translation, rotation] = [0, 3].map(|first| {
             let series: Vec<Vector3<f64>> =
-                left.iter().map(|r| r.fixed_rows::<3>(first).into_owned()).collect();
+                residuals.iter().map(|r| r.fixed_rows::<3>(first).into_owned()).collect();
             autocorrelation_time(&series).sqrt()
         });
         let constraint =
@@ -143,42 +144,45 @@ impl RigExtrinsics {
         Self { constraint, ..self.clone() }
     }
 
-    /// Moves the further camera to where a calibration has it, at every moment.
-    pub(super) fn place(&self, model: &mut Reconstruction, right_from_left: &Rigid3) {
+    /// Registers each constrained image at `right_from_left` relative to the reference camera.
+    pub(super) fn register_images(&self, model: &mut Reconstruction, right_from_left: &Rigid3) {
         for referenced in &self.referenced_images {
-            if let Some(left) = referenced.left_from_world(model, &self.rig_sensor.clock) {
+            if let Some(left) = referenced.left_from_world(model, &self.sensor_pair.clock) {
                 model.register(referenced.right, *right_from_left * left);
             }
         }
     }
 
-    /// The direction of the camera's centre, in the first camera's frame, that the motion does not
-    /// tell.
+    /// Returns the direction of the camera's centre, in the reference camera's frame, that the
+    /// motion does not determine; `None` if all directions are determined.
     pub(super) fn unobservable_direction(
         &self,
         covariance: &ExtrinsicsCovariance,
     ) -> Option<Vector3<f64>> {
-        let assumed_baseline = self.rig_sensor.assumed_baseline?;
-        // c = -Rᵀ t; what the rotation adds is less by the baseline over a radian.
+        let assumed_baseline = self.sensor_pair.assumed_baseline?;
+        // c = -Rᵀ t. The part of the rotation's covariance is smaller by the baseline over a radian
+        // and is left out.
         let rotation = self.right_from_left.rotation.to_rotation_matrix().into_inner();
         let of_centre = rotation.transpose() * covariance.fixed_view::<3, 3>(3, 3) * rotation;
         let eigen = of_centre.symmetric_eigen();
         let (index, variance) = eigen.eigenvalues.argmax();
-        (variance.max(0.0).sqrt() > MAX_PLACE_SD * assumed_baseline).then(|| {
+        (variance.max(0.0).sqrt() > MAX_CENTRE_SD * assumed_baseline).then(|| {
             let direction = eigen.eigenvectors.column(index);
-            // Of the two signs, that of its largest part.
+            // The sign is chosen so that the largest component is positive.
             direction * direction[direction.iamax()].signum()
         })
     }
 
-    /// Along the direction that the motion does not tell, a place is known by what was believed
-    /// beforehand.
-    pub(super) fn with_belief(&self, mut covariance: ExtrinsicsCovariance) -> ExtrinsicsCovariance {
-        if let RigSensor {
+    /// Adds the variance of the prior along the unobservable direction.
+    pub(super) fn with_prior_variance(
+        &self,
+        mut covariance: ExtrinsicsCovariance,
+    ) -> ExtrinsicsCovariance {
+        if let SensorPair {
             assumed_baseline: Some(assumed_baseline),
             unobservable_direction: Some(unobservable_direction),
             ..
-        } = self.rig_sensor
+        } = self.sensor_pair
         {
             let along = self.right_from_left.rotation * unobservable_direction * assumed_baseline;
             let mut of_place = covariance.fixed_view_mut::<3, 3>(3, 3);
@@ -188,7 +192,7 @@ impl RigExtrinsics {
     }
 }
 
-/// The relative poses at those of some moments where both cameras have one.
+/// Returns the relative poses of the images for which both cameras have a pose.
 pub(super) fn relative_poses(
     model: &Reconstruction,
     referenced_images: &[ReferencedImage],
@@ -200,14 +204,16 @@ pub(super) fn relative_poses(
         .collect()
 }
 
-/// Distance of the centres in baselines, and angle.
+/// Returns the distance of the centres in baselines and the angle of the relative rotation in
+/// radians.
 pub(super) fn deviation(a: &RelativePose, b: &RelativePose, baseline: f64) -> (f64, f64) {
     let (distance, angle) = a.distance_and_angle(b);
     (distance / baseline.max(f64::MIN_POSITIVE), angle)
 }
 
-/// Medians of the deviations as standard deviations of a component.
-pub(super) fn spread_of(
+/// Robust standard deviations of a component of translation (in baselines) and of rotation
+/// (radians), from the medians of the deviations.
+pub(super) fn robust_sigmas(
     poses: &[RelativePose],
     average: &RelativePose,
     assumed_baseline: Option<f64>,
@@ -219,5 +225,5 @@ pub(super) fn spread_of(
     (sigma(&mut ts), sigma(&mut rs))
 }
 
-/// The median length of a vector of three unit normals.
+/// Median norm of a vector of three standard normal variables.
 const MEDIAN_OF_THREE: f64 = 1.538;

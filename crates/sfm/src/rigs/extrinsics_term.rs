@@ -1,4 +1,5 @@
-//! Mountings in an adjustment: as variables with their clocks, as terms or as rigid poses.
+//! Rig extrinsics and clocks as variables of a bundle adjustment: soft residuals and composed
+//! poses.
 
 use std::collections::BTreeMap;
 
@@ -10,24 +11,22 @@ use tiepoint_rig::{Clock, InterpolatedExtrinsics, SynchronousExtrinsics};
 use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
-use super::rig_sensor::{ClockState, ReferencePose};
+use super::sensor_pair::{ClockState, ReferencePose};
 use crate::Error;
 use crate::adjust::{AdjustOptions, Scope, Term, TermContext, Variables, adjust, keep_going};
 
-/// What is believed of a clock's offset beside what was found by motion, and of its drift (quartz:
-/// tens of parts per million).
+/// Prior standard deviations of the clock offset around its initial estimate, and of the drift
+/// (quartz: tens of parts per million).
 const CLOCK_SIGMA_S: f64 = 1.0;
 const DRIFT_SIGMA: f64 = 5e-5;
 
-/// What is believed of the rotation of a mounting between cameras that see nothing in common; of
-/// the centre it is the unit.
-const UNSEEN_SIGMA_RAD: f64 = 1.0;
-/// How firmly a place that the motion does not tell stays at zero, as a share of what is believed
-/// of it.
-const BLIND_SIGMA: f64 = 1e-3;
+/// Prior standard deviation of the extrinsic rotation between cameras without common points. That
+/// of the centre is the assumed baseline.
+const PRIOR_SIGMA_ROTATION_RAD: f64 = 1.0;
+/// Factor on the prior standard deviation of the centre along an unobservable direction.
+const UNOBSERVABLE_SIGMA_FACTOR: f64 = 1e-3;
 
-/// Adjusts everything with cameras held to mountings, which are adjusted with it: calibration and
-/// clock.
+/// Bundle adjustment with extrinsics and clocks as variables.
 pub(super) fn adjust_with_extrinsics(
     model: &mut Reconstruction,
     options: &AdjustOptions,
@@ -42,12 +41,12 @@ pub(super) fn adjust_with_extrinsics(
     )
 }
 
-/// Mountings as a term of an adjustment; what comes out for them is written back.
+/// Extrinsics as a term of an adjustment. The estimates are written back to `all_extrinsics`.
 pub(super) struct ExtrinsicsTerm<'a> {
     all_extrinsics: &'a mut [RigExtrinsics],
-    /// Calibration and clock of each mounting.
+    /// Keys of the extrinsics and, if estimated, of the clock.
     pub(super) keys: Vec<(Key<Rigid3>, Option<Key<Clock>>)>,
-    /// Images that take their pose from another's: by which mounting, and whose.
+    /// Images with composed poses: index of the extrinsics, and the image of the reference camera.
     rigid: BTreeMap<ImageId, (usize, ImageId)>,
 }
 
@@ -63,27 +62,27 @@ impl Term for ExtrinsicsTerm<'_> {
         self.rigid.keys().copied().collect()
     }
 
-    /// Adds the mountings as variables, soft ones with a term for each moment; what is believed of
-    /// them is weighed against the noise.
+    /// Adds the extrinsics as variables, a residual per image for soft constraints, and priors. The
+    /// standard deviations of priors are divided by the noise of the keypoints.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let TermContext { model, noise, .. } = *context;
         let keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         let key = |image: &ImageId| keys.get(image).copied();
         for (index, extrinsics) in self.all_extrinsics.iter().enumerate() {
-            let mount =
+            let pose_key =
                 variables.problem_mut().add_parameter(extrinsics.right_from_left, Order::Shared);
-            let moves = extrinsics
+            let is_interpolated = extrinsics
                 .referenced_images
                 .iter()
                 .any(|m| matches!(m.reference, ReferencePose::Interpolated { .. }));
-            let clock = moves.then(|| {
-                variables.problem_mut().add_parameter(extrinsics.rig_sensor.clock, Order::Shared)
+            let clock = is_interpolated.then(|| {
+                variables.problem_mut().add_parameter(extrinsics.sensor_pair.clock, Order::Shared)
             });
             if let Some(clock) = clock {
-                match extrinsics.rig_sensor.clock_state {
+                match extrinsics.sensor_pair.clock_state {
                     ClockState::Estimated => {
                         let sigmas = [CLOCK_SIGMA_S, DRIFT_SIGMA].map(|sigma| sigma / noise);
-                        let stamps = Clock { drift: 0.0, ..extrinsics.rig_sensor.clock };
+                        let stamps = Clock { drift: 0.0, ..extrinsics.sensor_pair.clock };
                         variables.problem_mut().add(
                             clock,
                             Prior::new(stamps, &sigmas)?,
@@ -95,23 +94,23 @@ impl Term for ExtrinsicsTerm<'_> {
                     }
                 }
             }
-            if let Some(assumed_baseline) = extrinsics.rig_sensor.assumed_baseline {
+            if let Some(assumed_baseline) = extrinsics.sensor_pair.assumed_baseline {
                 variables.problem_mut().add(
-                    mount,
-                    belief(extrinsics, assumed_baseline, noise)?,
+                    pose_key,
+                    extrinsics_prior(extrinsics, assumed_baseline, noise)?,
                     Loss::Trivial,
                 )?;
             }
-            self.keys.push((mount, clock));
+            self.keys.push((pose_key, clock));
             for referenced in &extrinsics.referenced_images {
                 let right = key(&referenced.right);
                 match (extrinsics.constraint, referenced.reference, clock) {
                     (RigConstraint::Rigid, ReferencePose::Synchronous(left), _) => {
-                        if let (Some(left), Some(&(by, _))) =
+                        if let (Some(left), Some(&(by_index, _))) =
                             (key(&left), self.rigid.get(&referenced.right))
-                            && by == index
+                            && by_index == index
                         {
-                            variables.compose_pose(referenced.right, mount, left);
+                            variables.compose_pose(referenced.right, pose_key, left);
                         }
                     }
                     (
@@ -123,9 +122,13 @@ impl Term for ExtrinsicsTerm<'_> {
                         let factor = SynchronousExtrinsics {
                             sigma_translation,
                             sigma_rotation_rad,
-                            assumed_baseline: extrinsics.rig_sensor.assumed_baseline,
+                            assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
                         };
-                        variables.problem_mut().add((left, right, mount), factor, Loss::Trivial)?;
+                        variables.problem_mut().add(
+                            (left, right, pose_key),
+                            factor,
+                            Loss::Trivial,
+                        )?;
                     }
                     (
                         RigConstraint::Soft { sigma_translation, sigma_rotation_rad },
@@ -137,31 +140,31 @@ impl Term for ExtrinsicsTerm<'_> {
                         else {
                             continue;
                         };
-                        let mounted = SynchronousExtrinsics {
+                        let synchronous = SynchronousExtrinsics {
                             sigma_translation,
                             sigma_rotation_rad,
-                            assumed_baseline: extrinsics.rig_sensor.assumed_baseline,
+                            assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
                         };
                         let Some(left) =
-                            referenced.left_from_world(model, &extrinsics.rig_sensor.clock)
+                            referenced.left_from_world(model, &extrinsics.sensor_pair.clock)
                         else {
                             continue;
                         };
                         let whitening =
-                            referenced.whitening(&mounted, &left, &extrinsics.right_from_left);
+                            referenced.whitening(&synchronous, &left, &extrinsics.right_from_left);
                         let factor = InterpolatedExtrinsics {
-                            extrinsics: mounted,
+                            mounted: synchronous,
                             left_times_s: times_s,
                             right_time_s,
                             whitening,
                         };
                         variables.problem_mut().add(
-                            (a, b, c, d, right, mount, clock),
+                            (a, b, c, d, right, pose_key, clock),
                             factor,
                             Loss::Trivial,
                         )?;
                     }
-                    // Images of different instants are never rigid.
+                    // A rigid constraint needs images of the same instant.
                     (_, ReferencePose::Interpolated { .. }, _) => {}
                 }
             }
@@ -170,36 +173,39 @@ impl Term for ExtrinsicsTerm<'_> {
     }
 
     fn read(&mut self, problem: &Problem) {
-        for (extrinsics, (mount, clock)) in self.all_extrinsics.iter_mut().zip(&self.keys) {
-            extrinsics.right_from_left = problem.get(*mount);
+        for (extrinsics, (pose_key, clock)) in self.all_extrinsics.iter_mut().zip(&self.keys) {
+            extrinsics.right_from_left = problem.get(*pose_key);
             if let Some(clock) = clock {
-                extrinsics.rig_sensor.clock = problem.get(*clock);
+                extrinsics.sensor_pair.clock = problem.get(*clock);
             }
         }
     }
 }
 
-/// What is believed of a camera that sees nothing in common with the first one: its rotation is as
-/// it comes, its centre near the other's, and at zero where the motion does not tell it.
-fn belief(
+/// Prior on the extrinsics of cameras without common points: the rotation around its current value,
+/// the centre around zero, with a small standard deviation along an unobservable direction.
+fn extrinsics_prior(
     extrinsics: &RigExtrinsics,
     assumed_baseline: f64,
     noise: f64,
 ) -> Result<Prior<Rigid3, 6>, Error> {
-    let sigmas: [f64; 6] =
-        std::array::from_fn(|k| if k < 3 { UNSEEN_SIGMA_RAD } else { assumed_baseline } / noise);
+    let sigmas: [f64; 6] = std::array::from_fn(
+        |k| if k < 3 { PRIOR_SIGMA_ROTATION_RAD } else { assumed_baseline } / noise,
+    );
     let rotation = extrinsics.right_from_left.rotation;
     let mut prior = Prior::new(Rigid3::new(rotation, Vector3::zeros()), &sigmas)?;
-    if let Some(unobservable_direction) = extrinsics.rig_sensor.unobservable_direction {
+    if let Some(unobservable_direction) = extrinsics.sensor_pair.unobservable_direction {
         let along = rotation * unobservable_direction;
-        let firmer = Matrix3::identity() + along * along.transpose() * (1.0 / BLIND_SIGMA - 1.0);
+        let firmer = Matrix3::identity()
+            + along * along.transpose() * (1.0 / UNOBSERVABLE_SIGMA_FACTOR - 1.0);
         let of_place = prior.sqrt_information.fixed_view::<3, 3>(3, 3) * firmer;
         prior.sqrt_information.fixed_view_mut::<3, 3>(3, 3).copy_from(&of_place);
     }
     Ok(prior)
 }
 
-/// Images that take their pose from another's: by which mounting, and whose.
+/// Returns the images with composed poses: index of the extrinsics, and the image of the reference
+/// camera.
 fn rigid_pairs(
     all_extrinsics: &[RigExtrinsics],
     posed: &[ImageId],

@@ -1,4 +1,4 @@
-//! What rigid mountings make of a model: poses, rigs and frames.
+//! Rigid constraints applied to a model: poses, rigs and frames.
 
 use std::collections::BTreeMap;
 
@@ -7,23 +7,23 @@ use tiepoint_rig::robust_average;
 use tiepoint_scene::{Frame, ImageId, Reconstruction, Rig, RigId, RigSensor};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics, relative_poses};
-use super::rig_sensor::ReferencePose;
+use super::sensor_pair::ReferencePose;
 
-/// Moves the right cameras to where rigid mountings have them.
-pub(super) fn make_rigid(model: &mut Reconstruction, all_extrinsics: &[RigExtrinsics]) {
+/// Registers the right cameras at the robust average of their relative poses.
+pub(super) fn register_rigidly(model: &mut Reconstruction, all_extrinsics: &[RigExtrinsics]) {
     for extrinsics in
         all_extrinsics.iter().filter(|extrinsics| extrinsics.constraint == RigConstraint::Rigid)
     {
-        // After an adjustment all moments have one relative pose, before it their average serves.
+        // After an adjustment all relative poses are equal, and the average is exact.
         let poses =
-            relative_poses(model, &extrinsics.referenced_images, &extrinsics.rig_sensor.clock);
+            relative_poses(model, &extrinsics.referenced_images, &extrinsics.sensor_pair.clock);
         let Some(average) = robust_average(&poses) else { continue };
-        extrinsics.place(model, &average.right_from_left());
+        extrinsics.register_images(model, &average.right_from_left());
     }
 }
 
-/// Rigid mountings become the model's rig, their moments its frames.
-pub(super) fn make_frames(model: &mut Reconstruction, all_extrinsics: &[RigExtrinsics]) {
+/// Converts rigid extrinsics to a rig of the model, and synchronous images to its frames.
+pub(super) fn add_frames(model: &mut Reconstruction, all_extrinsics: &[RigExtrinsics]) {
     let mut sensors: Vec<RigSensor> = Vec::new();
     let mut images: BTreeMap<ImageId, Vec<ImageId>> = BTreeMap::new();
     for extrinsics in
@@ -41,13 +41,13 @@ pub(super) fn make_frames(model: &mut Reconstruction, all_extrinsics: &[RigExtri
         for (left, right, left_from_world, right_from_world) in both {
             if sensors.is_empty() {
                 sensors.push(RigSensor {
-                    camera: extrinsics.rig_sensor.left,
+                    camera: extrinsics.sensor_pair.left,
                     cam_from_rig: Some(Rigid3::identity()),
                 });
             }
-            if sensors.iter().all(|sensor| sensor.camera != extrinsics.rig_sensor.right) {
+            if sensors.iter().all(|sensor| sensor.camera != extrinsics.sensor_pair.right) {
                 let cam_from_rig = Some(right_from_world * left_from_world.inverse());
-                sensors.push(RigSensor { camera: extrinsics.rig_sensor.right, cam_from_rig });
+                sensors.push(RigSensor { camera: extrinsics.sensor_pair.right, cam_from_rig });
             }
             images.entry(left).or_insert_with(|| vec![left]).push(right);
         }

@@ -1,14 +1,15 @@
-//! How a model is judged: by tracks that took no part in its adjustment.
+//! Model comparison by the reprojection error of tracks that are held out of the adjustment.
 
 use tiepoint_scene::{Observation, Reconstruction};
 
-use crate::tracks::seen_at;
+use crate::tracks::triangulate_observations;
 
-/// ConstrainedModel-out observations count up to this error, in pixels.
+/// Truncation of the reprojection errors of held-out observations, in pixels.
 const MAX_HELD_OUT_ERROR_PX: f64 = 4.0;
 
-/// Observations of the tracks that are held out and can contradict the poses.
-pub(super) fn held_out(model: &Reconstruction) -> Vec<Vec<Observation>> {
+/// Returns the observations of the held-out tracks with at least three observations. Tracks of two
+/// rarely contradict the poses.
+pub(super) fn held_out_observations(model: &Reconstruction) -> Vec<Vec<Observation>> {
     model
         .tracks()
         .filter(|(_, track)| track.is_held_out && track.observations.len() >= 3)
@@ -16,7 +17,7 @@ pub(super) fn held_out(model: &Reconstruction) -> Vec<Vec<Observation>> {
         .collect()
 }
 
-/// Tracks that took no part, and how well a model without any term explains them.
+/// The held-out tracks, and their error in the model without a rig constraint.
 pub(super) struct HeldOutComparison {
     tracks: Vec<Vec<Observation>>,
     pub(super) error_off_px: f64,
@@ -24,19 +25,19 @@ pub(super) struct HeldOutComparison {
 
 impl HeldOutComparison {
     pub(super) fn new(tracks: Vec<Vec<Observation>>, off: &Reconstruction) -> Self {
-        let mut held_out = Self { tracks, error_off_px: 0.0 };
-        held_out.error_off_px = held_out.error_px(off);
-        held_out
+        let mut comparison = Self { tracks, error_off_px: 0.0 };
+        comparison.error_off_px = comparison.error_px(off);
+        comparison
     }
 
-    /// Root mean square of the truncated errors of the tracks, triangulated anew between the poses
-    /// of now: the same observations whatever the model did with them.
+    /// Root mean square of the truncated reprojection errors in pixels. The tracks are triangulated
+    /// from the model's poses, so that all models are compared on the same observations.
     pub(super) fn error_px(&self, model: &Reconstruction) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);
         for observations in &self.tracks {
-            let xyz = seen_at(model, observations);
+            let xyz = triangulate_observations(model, observations);
             for observation in observations {
-                let error = xyz.and_then(|xyz| model.error_of_px(observation, &xyz));
+                let error = xyz.and_then(|xyz| model.observation_error_px(observation, &xyz));
                 sum += error.unwrap_or(f64::INFINITY).min(MAX_HELD_OUT_ERROR_PX).powi(2);
                 count += 1;
             }
@@ -44,12 +45,12 @@ impl HeldOutComparison {
         (sum / count.max(1) as f64).sqrt()
     }
 
-    /// A difference of errors as a share of the error without any term.
-    pub(super) fn share(&self, difference_px: f64) -> f64 {
+    /// A difference of errors relative to the error without a constraint.
+    pub(super) fn relative(&self, difference_px: f64) -> f64 {
         difference_px / self.error_off_px
     }
 
-    /// Whether an error is larger than that without any term by more than a share of it.
+    /// Whether an error exceeds the error without a constraint by more than the relative tolerance.
     pub(super) fn is_worse(&self, error_px: f64, tolerance: f64) -> bool {
         error_px > (1.0 + tolerance) * self.error_off_px
     }

@@ -1,4 +1,5 @@
-//! Cameras on a rig: which images belong together, and how the cameras are held to each other.
+//! Rig calibration: image association across cameras, estimation of extrinsics and clock offsets,
+//! and constraints on relative poses.
 
 mod autocorrelation_time;
 mod constrain;
@@ -7,24 +8,24 @@ mod covariance;
 mod extrinsics;
 mod extrinsics_term;
 mod frames;
+mod gating;
 mod held_out;
-mod join;
-mod members;
+mod merge_by_motion;
 mod pairs;
 mod paper;
 mod rematch;
-mod rig_sensor;
 mod rigid;
+mod sensor_pair;
 mod sigma_selection;
 mod solution;
 
 pub(crate) use constrain::constrain_rig;
 pub(crate) use context::Context;
 pub use extrinsics::{ExtrinsicsCovariance, RigConstraint};
-pub(crate) use join::joined;
+pub(crate) use merge_by_motion::merge_by_motion;
 pub use pairs::{RigPair, RigPairs, relative_poses, rig_pairs};
 pub use paper::{BaselineLink, BaselineTerm, final_links, growing_links};
 pub use rematch::Descriptors;
-pub use rig_sensor::{ClockState, ReferencePose, ReferencedImage, RigSensor, rig_sensors};
 pub use rigid::{RigidCamera, constrain_rigidly};
-pub use solution::{CalibratedCamera, CalibratedRig, ClosedSplit};
+pub use sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair, sensor_pairs};
+pub use solution::{CalibratedCamera, CalibratedRig, SplitRepair};

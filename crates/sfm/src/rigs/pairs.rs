@@ -1,9 +1,7 @@
-//! Cameras that ride together: which images were taken at one moment, and what is asked of their
-//! relative poses.
+//! Image pairs of one instant from two cameras of a rig, and their relative poses.
 //!
-//! Images are paired by their times, each camera's on its own clock, so the clocks need only agree
-//! to better than half the time between two images. Without times, images of the same file name in
-//! their cameras' folders are a pair.
+//! Images are paired by time, each on its camera's own clock, so the clocks must agree to within
+//! half the interval between images. Without times, images with the same file name are paired.
 
 use std::collections::BTreeMap;
 
@@ -12,28 +10,28 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use crate::timeline::{images_in_time, images_of_cameras};
 
-/// Two images of one moment.
+/// Two images of one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RigPair {
-    /// Of the first camera.
+    /// Image of the reference camera.
     pub left: ImageId,
-    /// Of another one.
+    /// Image of another camera.
     pub right: ImageId,
 }
 
-/// The moments of two cameras.
+/// The image pairs of two cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RigPairs {
-    /// The first camera: the others are related to it.
+    /// The reference camera.
     pub left: CameraId,
-    /// Another one.
+    /// The other camera.
     pub right: CameraId,
-    /// In order of time.
+    /// The pairs, in order of time.
     pub pairs: Vec<RigPair>,
 }
 
-/// Pairs the images of every camera with those of the first one. Cameras without a pair are left
-/// out.
+/// Pairs the images of every camera with those of the reference camera, which is the first one.
+/// Cameras without a pair are left out.
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
     let images = images_of_cameras(scene);
     let mut cameras = images.iter();
@@ -51,7 +49,7 @@ pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
         .collect()
 }
 
-/// Pairs of images that are each other's nearest in time, by less than half a typical interval.
+/// Returns the pairs of mutually nearest images in time, closer than half the median interval.
 pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
     let interval = |referenced_images: &[(f64, ImageId)]| {
         interval_s(&referenced_images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
@@ -74,6 +72,7 @@ pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Ve
     pairs
 }
 
+/// Returns the pairs of images with the same file name, sorted by that.
 pub(crate) fn by_name(
     scene: &Reconstruction,
     lefts: &[ImageId],
@@ -89,7 +88,7 @@ pub(crate) fn by_name(
     pairs.into_iter().map(|(_, pair)| pair).collect()
 }
 
-/// The relative poses of the pairs of which both images have a pose, in order of time.
+/// Returns the relative poses of the pairs with two registered images, in order of time.
 pub fn relative_poses(model: &Reconstruction, pairs: &[RigPair]) -> Vec<(RigPair, RelativePose)> {
     let pose = |image| model.image(image).cam_from_world();
     pairs
@@ -106,7 +105,8 @@ mod tests {
     use tiepoint_geometry::{CameraModelKind, Intrinsics};
     use tiepoint_scene::{Camera, Image};
 
-    /// Two cameras with images at the given times; the right one's follow the left one's.
+    /// Two cameras with images at the given times; the ids of the right images follow the left
+    /// ones.
     fn scene(lefts: &[Option<f64>], rights: &[Option<f64>]) -> Reconstruction {
         let mut scene = Reconstruction::default();
         for (folder, times) in [("left", lefts), ("right", rights)] {
@@ -135,15 +135,15 @@ mod tests {
     }
 
     #[test]
-    fn images_of_one_moment_are_each_others_nearest() {
-        // The right clock is 0.04 s ahead, its second image is missing, and it runs on for longer.
+    fn images_of_one_instant_are_mutually_nearest() {
+        // The right clock is 0.04 s ahead, its second image is missing, and it records longer.
         let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
         let rights = [0.04, 0.24, 0.34, 0.44].map(Some);
         assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5), (3, 6)]);
     }
 
     #[test]
-    fn at_another_rate_some_images_stay_alone() {
+    fn at_different_rates_some_images_are_unpaired() {
         let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
         let rights = [0.01, 0.21].map(Some);
         assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5)]);
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn without_times_file_names_decide() {
+    fn without_times_images_are_paired_by_file_name() {
         assert_eq!(pairs(&scene(&[None; 3], &[None, Some(0.0)])), [(0, 3), (1, 4)]);
         assert!(rig_pairs(&scene(&[None; 3], &[])).is_empty(), "a lone camera");
     }

@@ -11,28 +11,28 @@ use super::pairs::{RigPair, RigPairs, relative_poses};
 use crate::Error;
 use crate::adjust::{Term, TermContext, Variables};
 
-/// The relative poses of two moments, which should be equal: ½ w ‖p_i − p_{i+1}‖².
+/// Equality of the relative poses of two consecutive pairs: cost ½ w ‖p_i − p_{i+1}‖².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaselineLink {
-    /// One moment.
+    /// Pair i.
     pub now: RigPair,
-    /// The next one.
+    /// Pair i + 1.
     pub next: RigPair,
-    /// w.
+    /// Weight w.
     pub weight: f64,
-    /// Which way rotations are written as axis-angle vectors.
+    /// Relative pose that selects the branch of the axis-angle vectors.
     pub near: RelativePose,
 }
 
 impl BaselineLink {
-    /// In the order of [`tiepoint_rig::Baseline`]'s variables.
+    /// The images in the order of [`tiepoint_rig::Baseline`]'s variables.
     pub(crate) fn images(&self) -> [ImageId; 4] {
         [self.now.left, self.now.right, self.next.left, self.next.right]
     }
 }
 
-/// Links as a term of an adjustment: those of which some image moves. Images that are in no other
-/// term are constant.
+/// Links as a term of an adjustment. Links without a variable image are skipped. Images of a link
+/// that are in no other term are constant.
 #[derive(Clone, Copy, Debug)]
 pub struct BaselineTerm<'a> {
     /// The links.
@@ -71,19 +71,21 @@ impl Term for BaselineTerm<'_> {
     }
 }
 
-/// The links of Huang, Elhashash & Qin 2022 while mapping: λ N_p/N_t each (Eq. 2).
+/// The links of Huang, Elhashash & Qin 2022 during mapping, with the weight λ N_p/N_t (Eq. 2).
 pub fn growing_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLink> {
     links(model, rigs, |poses, total| {
         vec![paper::growing_weight(poses.len(), total); poses.len().saturating_sub(1)]
     })
 }
 
-/// The links of the last adjustment, weighed by how far the relative poses are from their mean now
-/// (Eq. 4).
+/// The links of the last adjustment, weighted by the deviation of the relative poses from their
+/// mean (Eq. 4).
 pub fn final_links(model: &Reconstruction, rigs: &[RigPairs]) -> Vec<BaselineLink> {
     links(model, rigs, |poses, _| paper::final_link_weights(poses))
 }
 
+/// Links consecutive pairs with two registered images. `weights` gets the relative poses and the
+/// number of all pairs.
 fn links(
     model: &Reconstruction,
     rigs: &[RigPairs],

@@ -1,10 +1,9 @@
-//! Matches again what a split had kept apart.
+//! Guided matching of images of a repaired split.
 //!
-//! Images that were brought back to where their mounting has them have no matches with their
-//! partners: nothing but the mounting holds them there, and they spring back when it is taken away.
-//! Now that their poses are known, they are matched with their partners and all that those match,
-//! along epipolar lines; what was found must then pass the verification of any other pair, which
-//! knows nothing of the poses.
+//! These images have no matches across cameras. Only the rig constraint connects them, and without
+//! it the split opens again. With the poses known, they are matched along epipolar lines with their
+//! reference images and the neighbours of those. The new pairs must pass two-view verification,
+//! which does not use the poses.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,49 +16,48 @@ use tiepoint_scene::{
     Camera, CorrespondenceGraph, ImageId, ImagePair, Match, Reconstruction, TwoView,
 };
 
-use super::extrinsics::Closed;
+use super::extrinsics::SplitImage;
 use crate::two_view::{VerifyOptions, View, verify_pair};
 
-/// Where the descriptors of an image's keypoints come from, one for each in order; none where there
-/// are none.
+/// Returns the descriptors of an image in the order of its keypoints; empty if there are none.
 pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
 
-/// Partners lie this near to epipolar lines, in pixels: the poses come from the mounting and not
-/// from these images.
+/// Maximum distance from the epipolar line, in pixels. The value is large because the poses come
+/// from the rig constraint and not from these images.
 const MAX_GUIDE_ERROR_PX: f64 = 8.0;
 
-/// The verified pairs that come to the graph's.
+/// Returns the new verified pairs.
 pub(super) fn rematch(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
-    closed: &BTreeSet<Closed>,
+    split_images: &BTreeSet<SplitImage>,
     descriptors: &mut Descriptors,
     seed: u64,
 ) -> Vec<(ImagePair, TwoView)> {
-    let pairs_of = |closed: &Closed| {
-        let of_partner = graph.neighbours(closed.left);
+    let pairs_of = |split_images: &SplitImage| {
+        let of_reference = graph.neighbours(split_images.left);
         let others: BTreeSet<ImageId> =
-            std::iter::once(&closed.left).chain(of_partner).copied().collect();
+            std::iter::once(&split_images.left).chain(of_reference).copied().collect();
         let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
         let pairs = others.into_iter().filter(has_pose);
-        let pairs = pairs.filter_map(|other| ImagePair::new(closed.right, other));
+        let pairs = pairs.filter_map(|other| ImagePair::new(split_images.right, other));
         pairs.filter(|pair| !graph.pairs().contains_key(pair)).collect::<Vec<_>>()
     };
     let mut found: BTreeMap<ImagePair, TwoView> = BTreeMap::new();
-    // Of the neighbours of one image after the other, which are mostly those of the one before.
+    // Cache. Consecutive images share most of their neighbours.
     let mut features: BTreeMap<ImageId, Features> = BTreeMap::new();
-    for closed in closed {
+    for split_images in split_images {
         let pairs: Vec<ImagePair> =
-            pairs_of(closed).into_iter().filter(|pair| !found.contains_key(pair)).collect();
+            pairs_of(split_images).into_iter().filter(|pair| !found.contains_key(pair)).collect();
         let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
         features.retain(|image, _| needed.contains(image));
         for image in needed {
             features
                 .entry(image)
-                .or_insert_with(|| through_a_pinhole(model, image, descriptors(image)));
+                .or_insert_with(|| undistorted_features(model, image, descriptors(image)));
         }
         let two_view = |pair: &ImagePair| {
-            let matches = guided(model, pair, &features[&pair.a], &features[&pair.b])?;
+            let matches = guided_matches(model, pair, &features[&pair.a], &features[&pair.b])?;
             let camera = |image| Camera { has_focal_prior: true, ..*model.camera_of(image) };
             let (camera_a, camera_b) = (camera(pair.a), camera(pair.b));
             let a = View { keypoints: &model.image(pair.a).keypoints, camera: &camera_a };
@@ -72,10 +70,10 @@ pub(super) fn rematch(
     found.into_iter().filter(|(_, two_view)| two_view.is_verified()).collect()
 }
 
-/// Keypoints as a lens without distortion would see them, from the principal point: there epipolar
-/// lines are straight. What lies at the side of the camera or behind it has no place, and
-/// descriptors that are not one for each keypoint count as none.
-fn through_a_pinhole(
+/// Projects keypoints to a pinhole camera with the principal point at the origin, where epipolar
+/// lines are straight. Rays with z ≤ 0 give NaN. Returns no features if the number of descriptors
+/// differs from the number of keypoints.
+fn undistorted_features(
     model: &Reconstruction,
     image: ImageId,
     descriptors: Vec<Descriptor>,
@@ -96,7 +94,8 @@ fn through_a_pinhole(
     Features { keypoints: keypoints.iter().map(keypoint).collect(), descriptors }
 }
 
-fn guided(
+/// Matches two images along the epipolar lines of their poses.
+fn guided_matches(
     model: &Reconstruction,
     pair: &ImagePair,
     a: &Features,
@@ -133,16 +132,16 @@ mod tests {
     use super::*;
 
     const POINTS: usize = 400;
-    /// Points that look like another one, as windows of a facade do: the ratio test refuses them
-    /// unless a line tells them apart.
-    const TWINS: usize = 200;
-    /// Of a fisheye, so that lines are straight through a pinhole alone.
+    /// Points with the descriptor of another point, as repeated windows have. The ratio test
+    /// rejects them without an epipolar line.
+    const NUM_REPEATED: usize = 200;
+    /// Focal length of a fisheye, so that epipolar lines are curved in the image.
     const FOCAL_PX: f64 = 200.0;
-    /// A twin may lie on the line, too.
+    /// Some repeated points lie on the same epipolar line.
     const MIN_SHARE: f64 = 0.8;
 
-    /// Three images of the same points: a left one and its neighbour, which match, and a right one,
-    /// which matches neither.
+    /// Three images of the same points: a left image and its neighbour, which match, and a right
+    /// image without matches.
     fn scene() -> (Reconstruction, CorrespondenceGraph) {
         let mut rng = Rng::stream(1, &[]);
         let mut model = Reconstruction::default();
@@ -177,26 +176,26 @@ mod tests {
     }
 
     fn descriptor(k: usize) -> Descriptor {
-        let mut rng = Rng::stream(2, &[(k % (POINTS - TWINS)) as u64]);
+        let mut rng = Rng::stream(2, &[(k % (POINTS - NUM_REPEATED)) as u64]);
         std::array::from_fn(|_| rng.below(90) as u8)
     }
 
     #[test]
-    fn an_image_that_was_brought_back_is_matched_with_its_partner_and_what_that_matches() {
+    fn a_split_image_is_matched_with_its_reference_image_and_that_ones_neighbours() {
         let (model, graph) = scene();
-        let closed = BTreeSet::from([Closed { right: ImageId(2), left: ImageId(0) }]);
+        let split_images = BTreeSet::from([SplitImage { right: ImageId(2), left: ImageId(0) }]);
         let mut asked = Vec::new();
         let mut descriptors = |image| {
             asked.push(image);
             (0..POINTS).map(descriptor).collect()
         };
-        let found = rematch(&graph, &model, &closed, &mut descriptors, 0);
+        let found = rematch(&graph, &model, &split_images, &mut descriptors, 0);
         assert_eq!(asked, [ImageId(0), ImageId(1), ImageId(2)], "each is read once");
         let pairs: Vec<(u32, u32)> = found.iter().map(|(pair, _)| (pair.a.0, pair.b.0)).collect();
         assert_eq!(pairs, [(0, 2), (1, 2)]);
         for (_, two_view) in &found {
             let right = two_view.matches.iter().filter(|m| m.a == m.b).count();
-            assert_eq!(right, two_view.matches.len(), "no twin is taken for the other");
+            assert_eq!(right, two_view.matches.len(), "repeated points are told apart");
             assert!(right as f64 >= MIN_SHARE * POINTS as f64, "{right}");
         }
         let extended = graph.extended(found);
@@ -206,7 +205,7 @@ mod tests {
     #[test]
     fn without_descriptors_there_are_no_further_pairs() {
         let (model, graph) = scene();
-        let closed = BTreeSet::from([Closed { right: ImageId(2), left: ImageId(0) }]);
-        assert_eq!(rematch(&graph, &model, &closed, &mut |_| Vec::new(), 0), []);
+        let split_images = BTreeSet::from([SplitImage { right: ImageId(2), left: ImageId(0) }]);
+        assert_eq!(rematch(&graph, &model, &split_images, &mut |_| Vec::new(), 0), []);
     }
 }

@@ -1,8 +1,8 @@
-//! A finished model made rigid, whatever it was: each further camera with one calibration, exactly,
-//! at every moment.
+//! Rigid adjustment of a finished model: each camera beside the reference camera gets one relative
+//! pose.
 //!
-//! The further cameras are moved to where the calibration has them; then everything is adjusted,
-//! calibration, lenses and points included, with their poses being no variables at all.
+//! The poses of these cameras are composed of the reference camera's pose and the extrinsics.
+//! Extrinsics, intrinsics and points are adjusted.
 
 use tiepoint_ba::Summary;
 use tiepoint_geometry::Rigid3;
@@ -11,28 +11,32 @@ use tiepoint_scene::{CameraId, Reconstruction};
 
 use super::extrinsics::{RigConstraint, RigExtrinsics};
 use super::extrinsics_term::adjust_with_extrinsics;
-use super::frames::make_frames;
+use super::frames::add_frames;
 use super::pairs::RigPair;
-use super::rig_sensor::{ClockState, ReferencePose, ReferencedImage, RigSensor};
+use super::sensor_pair::{ClockState, ReferencePose, ReferencedImage, SensorPair};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::tracks::{FilterOptions, filter_all_points};
 
-/// A camera to be held exactly.
+/// A camera with a rigid constraint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigidCamera {
-    /// The first camera.
+    /// The reference camera.
     pub left: CameraId,
-    /// The other one.
+    /// The other camera.
     pub right: CameraId,
-    /// The calibration to begin with; it is adjusted.
+    /// Extrinsics: initial value, and estimate after the adjustment.
     pub right_from_left: Rigid3,
-    /// Images of one moment. Others of the camera stay free.
+    /// Pairs of one instant. Other images of the camera stay free.
     pub pairs: Vec<RigPair>,
 }
 
-/// Holds cameras exactly, adjusts the model, drops observations that no longer fit, and makes the
-/// moments the model's frames.
+/// Adds rigid constraints, adjusts the model, removes observations with large errors, and stores
+/// the pairs as frames of a rig. The model's earlier rigs and frames are replaced.
+///
+/// # Errors
+///
+/// Fails if an adjustment fails.
 pub fn constrain_rigidly(
     model: &mut Reconstruction,
     cameras: &mut [RigidCamera],
@@ -44,12 +48,12 @@ pub fn constrain_rigidly(
     let mut all_extrinsics: Vec<RigExtrinsics> =
         cameras.iter().map(RigidCamera::extrinsics).collect();
     for extrinsics in &all_extrinsics {
-        extrinsics.place(model, &extrinsics.right_from_left);
+        extrinsics.register_images(model, &extrinsics.right_from_left);
     }
     adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
     filter_all_points(model, filter);
     let summary = adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
-    make_frames(model, &all_extrinsics);
+    add_frames(model, &all_extrinsics);
     for (camera, extrinsics) in cameras.iter_mut().zip(&all_extrinsics) {
         camera.right_from_left = extrinsics.right_from_left;
     }
@@ -57,13 +61,14 @@ pub fn constrain_rigidly(
 }
 
 impl RigidCamera {
+    /// The extrinsics as a rigid constraint of a synchronised sensor pair.
     fn extrinsics(&self) -> RigExtrinsics {
         let referenced = |pair: &RigPair| ReferencedImage {
             right: pair.right,
             reference: ReferencePose::Synchronous(pair.left),
         };
         RigExtrinsics {
-            rig_sensor: RigSensor {
+            sensor_pair: SensorPair {
                 left: self.left,
                 right: self.right,
                 clock: Clock::default(),
@@ -74,7 +79,7 @@ impl RigidCamera {
             referenced_images: self.pairs.iter().map(referenced).collect(),
             right_from_left: self.right_from_left,
             constraint: RigConstraint::Rigid,
-            closed: Vec::new(),
+            split_images: Vec::new(),
         }
     }
 }

@@ -1,46 +1,47 @@
-//! How firmly cameras hold: standard deviations, tightened for as long as tracks that took no part
-//! are explained no worse.
+//! Selection of the standard deviations of a soft rig constraint by the error of held-out tracks.
 
 use std::collections::BTreeSet;
 
 use tiepoint_rig::robust_average;
 use tiepoint_scene::Reconstruction;
 
-use super::context::{Context, ITERATIONS, WIDENED};
-use super::extrinsics::{Closed, RigConstraint, RigExtrinsics, relative_poses, spread_of};
+use super::context::{Context, ITERATIONS, MERGE_ERROR_FACTOR};
+use super::extrinsics::{RigConstraint, RigExtrinsics, SplitImage, relative_poses, robust_sigmas};
 use super::extrinsics_term::adjust_with_extrinsics;
+use super::gating::UnmatchedImages;
 use super::held_out::HeldOutComparison;
-use super::members::Unmatched;
-use super::rig_sensor::{ClockState, RigSensor};
+use super::sensor_pair::{ClockState, SensorPair};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 use crate::options::RigTerm;
 
-/// Least standard deviations: what holds by a ten-thousandth of a baseline is rigid to any image.
-/// Where it is less firm than the mount, small biases of the lenses, seen by all tracks, bend a
-/// drive with more confidence than they deserve: on KITTI 01 half a percent left 29 cm of error, a
-/// twentieth of a percent 11.6 cm, a fiftieth 10.2 cm, where a rigid rig has 9.7 cm.
+/// Smallest standard deviations: translation in baselines, rotation in radians. At this level the
+/// constraint is rigid for any image. If the value is larger than the mount's flexibility, small
+/// lens biases, common to all tracks, bend the trajectory. On KITTI 01 half a percent gives 29 cm
+/// of trajectory error, a twentieth of a percent 11.6 cm, a fiftieth 10.2 cm, and a rigid rig 9.7
+/// cm.
 const SIGMA_FLOOR: (f64, f64) = (0.0001, 0.0006 * std::f64::consts::PI / 180.0);
-/// Greatest standard deviations to begin with.
+/// Largest initial standard deviations.
 const SIGMA_CEILING: (f64, f64) = (0.3, 0.05);
-/// How much the standard deviations are tightened from step to step, and how often at most.
-const TIGHTEN: f64 = 3.0;
+/// Division of the standard deviations in each step, and the number of steps.
+const SIGMA_STEP: f64 = 3.0;
 const MAX_STEPS: usize = 8;
-/// The term may cost the held-out tracks this much, relatively, for the same reason: on KITTI 01 a
-/// rigid rig costs them 6 %. Clocks that disagree by as much as matters cost them far more.
+/// Maximum relative increase of the held-out error by the constraint. Lens biases cause an
+/// increase: on KITTI 01 a rigid rig causes 6 %. Clock errors that matter cause far more.
 const HELD_OUT_TOLERANCE: f64 = 0.08;
-/// To tighten the rotation as well as the translation may cost the held-out tracks this much more
-/// than the translation alone; else the mount gives, and the rotation stays as firm as it was. It
-/// costs 3 % where a mount swings by a tenth of a degree (features, 0.5 px of noise), and on KITTI
-/// 01, where the term costs 4 % in all, 0.1 % a step.
+/// Maximum relative increase of the held-out error by tightening the rotation as well as the
+/// translation. Above it the mount is flexible, and the rotation's standard deviation stays. The
+/// increase is 3 % for a mount that swings by a tenth of a degree (synthetic features with 0.5 px
+/// of noise). On KITTI 01, where the constraint causes 4 % in all, it is 0.1 % a step.
 const ROTATION_TOLERANCE: f64 = 0.003;
-/// Images from far away are brought nearer with standard deviations that are so many times as
-/// large, one after the other.
-const CLOSING_STEPS: [f64; 3] = [30.0, 10.0, 3.0];
-/// Before tracks are all re-created, a split that was closed may cost held-out tracks this much.
-const CLOSING_TOLERANCE: f64 = 0.3;
+/// Factors on the standard deviations, applied one after the other, to move images of a split
+/// towards their extrinsics.
+const SPLIT_SIGMA_FACTORS: [f64; 3] = [30.0, 10.0, 3.0];
+/// Maximum relative increase of the held-out error for a repaired split, before all tracks are
+/// re-created.
+const SPLIT_TOLERANCE: f64 = 0.3;
 
-/// A model whose cameras are held.
+/// A model adjusted with a rig constraint.
 pub(super) struct ConstrainedModel {
     pub(super) model: Reconstruction,
     pub(super) all_extrinsics: Vec<RigExtrinsics>,
@@ -49,175 +50,201 @@ pub(super) struct ConstrainedModel {
 }
 
 impl ConstrainedModel {
-    /// Whether all cameras follow in translation, and in rotation.
-    fn follows(&self) -> [bool; 2] {
-        let each = self.all_extrinsics.iter().map(|extrinsics| extrinsics.follows(&self.model));
+    /// Whether the residuals of translation and of rotation are consistent for all cameras.
+    fn residuals_consistent(&self) -> [bool; 2] {
+        let each = self
+            .all_extrinsics
+            .iter()
+            .map(|extrinsics| extrinsics.residuals_consistent(&self.model));
         each.fold([true; 2], |all, one| [all[0] && one[0], all[1] && one[1]])
     }
 
-    pub(super) fn is_anything_together(&self) -> bool {
+    pub(super) fn has_synchronised_sensors(&self) -> bool {
         self.all_extrinsics
             .iter()
-            .any(|extrinsics| extrinsics.rig_sensor.clock_state == ClockState::Synchronised)
+            .any(|extrinsics| extrinsics.sensor_pair.clock_state == ClockState::Synchronised)
     }
 }
 
-/// Cameras held as firmly as they can be.
+/// Result of the selection.
 #[derive(Default)]
 pub(super) struct SigmaSelection {
     pub(super) best: Option<ConstrainedModel>,
-    /// Whether that is as firmly as can be asked for.
-    pub(super) is_firm: bool,
-    /// Images that were brought back from a split without a word from their own matches.
-    pub(super) closed: BTreeSet<Closed>,
+    /// Whether `best` has the smallest standard deviations.
+    pub(super) is_at_floor: bool,
+    /// Images of splits that were constrained without matches across cameras.
+    pub(super) split_images: BTreeSet<SplitImage>,
 }
 
 impl Context<'_> {
-    /// Soft mountings, tighter from step to step. `model` and the sensors' clocks are left where
-    /// the last accepted step had them. Splits without a word from their own matches are closed for
-    /// as long as held-out tracks allow.
+    /// Selects the standard deviations of soft constraints. `model` and the clocks end at the last
+    /// accepted step. Splits without matches across cameras are repaired only if the held-out error
+    /// permits it.
     pub(super) fn select_sigmas(
         &self,
         model: &mut Reconstruction,
-        rig_sensors: &mut [RigSensor],
+        sensor_pairs: &mut [SensorPair],
         term: RigTerm,
-        held_out: &HeldOutComparison,
+        comparison: &HeldOutComparison,
     ) -> Result<SigmaSelection, Error> {
-        let (mut closed, mut clocks) = (model.clone(), rig_sensors.to_vec());
-        let tight =
-            self.select_sigmas_with(&mut closed, &mut clocks, term, held_out, Unmatched::Rows)?;
-        let is_worse =
-            |held: &ConstrainedModel| held_out.is_worse(held.error_px, HELD_OUT_TOLERANCE);
-        if !tight.closed.is_empty() && tight.best.as_ref().is_none_or(is_worse) {
-            return self.select_sigmas_with(model, rig_sensors, term, held_out, Unmatched::None);
+        let (mut repaired, mut clocks) = (model.clone(), sensor_pairs.to_vec());
+        let selection = self.select_sigmas_with(
+            &mut repaired,
+            &mut clocks,
+            term,
+            comparison,
+            UnmatchedImages::ConstrainRuns,
+        )?;
+        let is_worse = |constrained: &ConstrainedModel| {
+            comparison.is_worse(constrained.error_px, HELD_OUT_TOLERANCE)
+        };
+        if !selection.split_images.is_empty() && selection.best.as_ref().is_none_or(is_worse) {
+            return self.select_sigmas_with(
+                model,
+                sensor_pairs,
+                term,
+                comparison,
+                UnmatchedImages::Exclude,
+            );
         }
-        *model = closed;
-        rig_sensors.copy_from_slice(&clocks);
-        Ok(tight)
+        *model = repaired;
+        sensor_pairs.copy_from_slice(&clocks);
+        Ok(selection)
     }
 
-    /// The same with splits closed or left alone.
+    /// The selection with or without repair of splits.
     fn select_sigmas_with(
         &self,
         model: &mut Reconstruction,
-        rig_sensors: &mut [RigSensor],
+        sensor_pairs: &mut [SensorPair],
         term: RigTerm,
-        held_out: &HeldOutComparison,
-        unmatched: Unmatched,
+        comparison: &HeldOutComparison,
+        unmatched: UnmatchedImages,
     ) -> Result<SigmaSelection, Error> {
-        let found = widest_spread(model, rig_sensors);
+        let found = largest_sigmas(model, sensor_pairs);
         let mut sigmas = (
             found.0.clamp(SIGMA_FLOOR.0, SIGMA_CEILING.0),
             found.1.clamp(SIGMA_FLOOR.1, SIGMA_CEILING.1),
         );
-        let mut tight = SigmaSelection::default();
-        // Whether the rotation gives more than the translation; error and standard deviation of the
-        // rotation of the last step.
-        let (mut gives, mut last) = (false, None);
+        let mut selection = SigmaSelection::default();
+        // State of the loop: whether the rotation is flexible; error and rotation sigma of the last
+        // step.
+        let (mut is_flexible, mut last) = (false, None);
         for step in 0..MAX_STEPS {
-            let widened = if step == 0 { WIDENED } else { 1.0 };
-            let (mut held, tolerance) =
-                self.constrain_softly(model, rig_sensors, sigmas, unmatched, widened, held_out)?;
-            if let Some((last_px, last_rotation)) = last.filter(|_| !gives)
-                && (held_out.share(held.error_px - last_px) > ROTATION_TOLERANCE
-                    || !held.follows()[1])
+            let merge_error_factor = if step == 0 { MERGE_ERROR_FACTOR } else { 1.0 };
+            let (mut constrained, tolerance) = self.constrain_softly(
+                model,
+                sensor_pairs,
+                sigmas,
+                unmatched,
+                merge_error_factor,
+                comparison,
+            )?;
+            if let Some((last_px, last_rotation)) = last.filter(|_| !is_flexible)
+                && (comparison.relative(constrained.error_px - last_px) > ROTATION_TOLERANCE
+                    || !constrained.residuals_consistent()[1])
             {
                 let looser = (sigmas.0, last_rotation);
                 let (loose, _) = self.constrain_softly(
                     model,
-                    rig_sensors,
+                    sensor_pairs,
                     looser,
                     unmatched,
-                    widened,
-                    held_out,
+                    merge_error_factor,
+                    comparison,
                 )?;
-                let costs = held_out.share(held.error_px - loose.error_px) > ROTATION_TOLERANCE;
-                gives = costs || !held.follows()[1];
-                if gives {
-                    (held, sigmas) = (loose, looser);
+                let is_costly =
+                    comparison.relative(constrained.error_px - loose.error_px) > ROTATION_TOLERANCE;
+                is_flexible = is_costly || !constrained.residuals_consistent()[1];
+                if is_flexible {
+                    (constrained, sigmas) = (loose, looser);
                 }
             }
-            let ConstrainedModel { model: candidate, all_extrinsics, error_px, .. } = held;
-            tight.closed.extend(
-                all_extrinsics.iter().flat_map(|extrinsics| extrinsics.closed.iter().copied()),
+            let ConstrainedModel { model: candidate, all_extrinsics, error_px, .. } = constrained;
+            selection.split_images.extend(
+                all_extrinsics
+                    .iter()
+                    .flat_map(|extrinsics| extrinsics.split_images.iter().copied()),
             );
-            let is_asked_for = term != RigTerm::Auto && step == 0;
-            if !is_asked_for && held_out.is_worse(error_px, tolerance) {
+            let is_mandatory = term != RigTerm::Auto && step == 0;
+            if !is_mandatory && comparison.is_worse(error_px, tolerance) {
                 break;
             }
             for extrinsics in &all_extrinsics {
-                rig_sensors
+                sensor_pairs
                     .iter_mut()
-                    .filter(|rig_sensor| rig_sensor.right == extrinsics.rig_sensor.right)
-                    .for_each(|rig_sensor| rig_sensor.clock = extrinsics.rig_sensor.clock);
+                    .filter(|sensor_pair| sensor_pair.right == extrinsics.sensor_pair.right)
+                    .for_each(|sensor_pair| sensor_pair.clock = extrinsics.sensor_pair.clock);
             }
-            let held =
+            let constrained =
                 ConstrainedModel { model: candidate.clone(), all_extrinsics, error_px, sigmas };
-            if held.follows() == [true; 2] || is_asked_for {
-                tight.best = Some(held);
-                tight.is_firm = sigmas == SIGMA_FLOOR;
+            if constrained.residuals_consistent() == [true; 2] || is_mandatory {
+                selection.best = Some(constrained);
+                selection.is_at_floor = sigmas == SIGMA_FLOOR;
             }
             *model = candidate;
             last = Some((error_px, sigmas.1));
-            let tightened = |sigma: f64, floor: f64| (sigma / TIGHTEN).max(floor);
-            let rotation = if gives { sigmas.1 } else { tightened(sigmas.1, SIGMA_FLOOR.1) };
-            let next = (tightened(sigmas.0, SIGMA_FLOOR.0), rotation);
+            let divided = |sigma: f64, floor: f64| (sigma / SIGMA_STEP).max(floor);
+            let rotation = if is_flexible { sigmas.1 } else { divided(sigmas.1, SIGMA_FLOOR.1) };
+            let next = (divided(sigmas.0, SIGMA_FLOOR.0), rotation);
             if next == sigmas {
                 break;
             }
             sigmas = next;
         }
-        Ok(tight)
+        Ok(selection)
     }
 
-    /// A model with its cameras held up to standard deviations, and what that may cost held-out
-    /// tracks.
+    /// Adjusts a model with a soft constraint. Also returns the tolerance on its held-out error.
     fn constrain_softly(
         &self,
         model: &Reconstruction,
-        rig_sensors: &[RigSensor],
+        sensor_pairs: &[SensorPair],
         sigmas: (f64, f64),
-        unmatched: Unmatched,
-        widened: f64,
-        held_out: &HeldOutComparison,
+        unmatched: UnmatchedImages,
+        merge_error_factor: f64,
+        comparison: &HeldOutComparison,
     ) -> Result<(ConstrainedModel, f64), Error> {
         let mut model = model.clone();
         let mut all_extrinsics = self.rig_extrinsics(
             &model,
-            rig_sensors,
+            sensor_pairs,
             RigConstraint::soft(sigmas),
             sigmas,
             unmatched,
         );
-        let tolerance = if all_extrinsics.iter().any(|extrinsics| !extrinsics.closed.is_empty()) {
-            self.close(&mut model, &mut all_extrinsics)?;
-            CLOSING_TOLERANCE
-        } else {
-            HELD_OUT_TOLERANCE
-        };
-        self.refine(&mut model, &mut all_extrinsics, widened)?;
-        let error_px = held_out.error_px(&model);
+        let tolerance =
+            if all_extrinsics.iter().any(|extrinsics| !extrinsics.split_images.is_empty()) {
+                self.approach_extrinsics(&mut model, &mut all_extrinsics)?;
+                SPLIT_TOLERANCE
+            } else {
+                HELD_OUT_TOLERANCE
+            };
+        self.refine(&mut model, &mut all_extrinsics, merge_error_factor)?;
+        let error_px = comparison.error_px(&model);
         Ok((ConstrainedModel { model, all_extrinsics, error_px, sigmas }, tolerance))
     }
 
-    /// Brings images that stand far away near to where their mountings have them, step by step, at
-    /// the clocks of now: all at once the adjustment would need hundreds of steps, and lead the
-    /// clocks astray meanwhile.
-    fn close(
+    /// Moves images of a split near to their extrinsics with decreasing standard deviations and
+    /// constant clocks. In a single step the adjustment would need hundreds of iterations and would
+    /// move the clocks to wrong values.
+    fn approach_extrinsics(
         &self,
         model: &mut Reconstruction,
         all_extrinsics: &mut [RigExtrinsics],
     ) -> Result<(), Error> {
         let options = AdjustOptions { max_iterations: ITERATIONS, ..self.adjust };
-        for factor in CLOSING_STEPS {
+        for factor in SPLIT_SIGMA_FACTORS {
             let mut loose: Vec<RigExtrinsics> = all_extrinsics
                 .iter()
                 .map(|m| {
-                    let rig_sensor =
-                        RigSensor { clock_state: m.rig_sensor.clock_state.held(), ..m.rig_sensor };
+                    let sensor_pair = SensorPair {
+                        clock_state: m.sensor_pair.clock_state.constant(),
+                        ..m.sensor_pair
+                    };
                     RigExtrinsics {
                         constraint: m.constraint.scaled(factor),
-                        rig_sensor,
+                        sensor_pair,
                         ..m.clone()
                     }
                 })
@@ -231,14 +258,15 @@ impl Context<'_> {
     }
 }
 
-/// The widest spread of any camera, as standard deviations of components.
-fn widest_spread(model: &Reconstruction, rig_sensors: &[RigSensor]) -> (f64, f64) {
-    let mut widest = (0.0_f64, 0.0_f64);
-    for rig_sensor in rig_sensors {
-        let poses = relative_poses(model, &rig_sensor.referenced_images(model), &rig_sensor.clock);
+/// The largest robust standard deviations over all sensor pairs.
+fn largest_sigmas(model: &Reconstruction, sensor_pairs: &[SensorPair]) -> (f64, f64) {
+    let mut largest = (0.0_f64, 0.0_f64);
+    for sensor_pair in sensor_pairs {
+        let poses =
+            relative_poses(model, &sensor_pair.referenced_images(model), &sensor_pair.clock);
         let Some(average) = robust_average(&poses) else { continue };
-        let (t, r) = spread_of(&poses, &average, rig_sensor.assumed_baseline);
-        widest = (widest.0.max(t), widest.1.max(r));
+        let (t, r) = robust_sigmas(&poses, &average, sensor_pair.assumed_baseline);
+        largest = (largest.0.max(t), largest.1.max(r));
     }
-    widest
+    largest
 }

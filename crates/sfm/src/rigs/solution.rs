@@ -1,55 +1,55 @@
-//! What comes out for the cameras of a rig.
+//! Results of the rig calibration.
 
 use tiepoint_geometry::Rigid3;
 use tiepoint_rig::RelativePoseStatistics;
 
 use super::extrinsics::{ExtrinsicsCovariance, RigConstraint};
 use super::pairs::RigPair;
-use super::rig_sensor::RigSensor;
+use super::sensor_pair::SensorPair;
 
-/// How the cameras of a model are held to each other, and why.
+/// Constraint of a model's cameras, their calibration, and the errors that led to the choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedRig {
-    /// How firmly; `None` where any mounting would have explained held-out tracks worse.
+    /// The constraint; `None` if every constraint increased the error of the held-out tracks.
     pub constraint: Option<RigConstraint>,
-    /// Each camera that is held to the first one.
+    /// The calibration of each constrained camera.
     pub cameras: Vec<CalibratedCamera>,
-    /// Images of one moment that agree with the mounting neither in the model nor by their own
-    /// matches, and take no part in it.
+    /// Pairs of one instant that agree with the extrinsics neither in the model nor by their
+    /// two-view geometry. They are not constrained.
     pub bad_pairs: Vec<RigPair>,
-    /// Where a split of the model was closed.
-    pub split: Option<ClosedSplit>,
-    /// Error of the held-out tracks without any mounting, in pixels.
+    /// Set if a split of the model was repaired.
+    pub split: Option<SplitRepair>,
+    /// Error of the held-out tracks without a rig constraint, in pixels.
     pub error_off_px: f64,
-    /// The same with the mountings, in pixels.
+    /// Error of the held-out tracks with the constraint, in pixels.
     pub error_px: f64,
 }
 
-/// The calibration of a camera that rides with the first one.
+/// Calibration of a camera relative to the reference camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedCamera {
-    /// Which cameras, and the other one's clock.
-    pub rig_sensor: RigSensor,
-    /// The calibration, in units of the model.
+    /// The cameras and the clock.
+    pub sensor_pair: SensorPair,
+    /// Extrinsics, in units of the model.
     pub right_from_left: Rigid3,
-    /// Of calibration and clock; `None` where something is not determined. Along
-    /// [`RigSensor::blind`] the camera is where it was believed to be, and that is known to a unit.
+    /// Covariance of extrinsics and clock; `None` if something is not determined. Along
+    /// [`SensorPair::unobservable_direction`] the centre has the prior's mean, zero, and a standard
+    /// deviation of one assumed baseline.
     pub covariance: Option<ExtrinsicsCovariance>,
-    /// How firmly it is held.
+    /// The constraint.
     pub constraint: RigConstraint,
-    /// Moments at which the two could be compared.
+    /// Number of images whose relative pose is defined.
     pub num_referenced_images: usize,
-    /// Of the relative poses at the moments that are held.
+    /// Statistics of the relative poses of the constrained images.
     pub statistics: Option<RelativePoseStatistics>,
 }
 
-/// Images that had no matches with their partners and stood elsewhere, and were brought back to
-/// where their mounting has them.
+/// A repaired split: images without matches across cameras that were far from their extrinsics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ClosedSplit {
-    /// How many images.
+pub struct SplitRepair {
+    /// Number of images.
     pub num_images: usize,
-    /// Pairs that matched when they were matched again; with none, nothing but the mounting holds
-    /// these images.
-    pub num_pairs_matched_again: usize,
+    /// Number of image pairs verified after guided matching. If zero, only the rig constraint
+    /// connects these images.
+    pub num_rematched_pairs: usize,
 }

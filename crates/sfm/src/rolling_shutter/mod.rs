@@ -1,4 +1,4 @@
-//! Rolling shutters: how long the rows of an image take, and what that does to its keypoints.
+//! Rolling shutters: estimation of readout times, and correction of keypoints.
 
 mod motion;
 mod readout;

@@ -1,4 +1,4 @@
-//! How cameras move while they take an image, and what that does to keypoints of a rolling shutter.
+//! Motion of cameras during the exposure of an image, and the shift of keypoints that it causes.
 
 use std::collections::BTreeMap;
 
@@ -11,24 +11,24 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
 use super::readout::RollingShutter;
 use crate::adjust::Shifted;
-use crate::timeline::{posed_in_time, usual};
+use crate::timeline::{posed_in_time, usual_speed};
 
-/// A camera is no more than so many times as fast as it usually is.
+/// Maximum speed of a camera relative to its usual speed.
 const MAX_SPEED: f64 = 3.0;
-/// Velocities are differences over this time, in seconds.
+/// Step of the differences for velocities, in seconds.
 const DIFFERENCE_S: f64 = 1e-3;
 
-/// How a camera moves while it takes an image.
+/// Velocity of a camera at the time of an image.
 struct Motion {
-    /// In the world, units a second.
+    /// In the world frame, units of the model a second.
     velocity: Vector3<f64>,
-    /// In the camera's frame, radians a second.
+    /// In the camera frame, radians a second.
     angular_velocity: Vector3<f64>,
 }
 
-/// Of the images of which times and neighbours are known, and that do not stand where their camera
-/// cannot have been: next to one that was registered at the wrong place cameras fly, and a few such
-/// images outweigh thousands in what the readout is.
+/// Returns the motion of the images with known times and neighbours. Images with an implausible
+/// speed are left out: a camera next to a wrongly registered image seems to move fast, and a few
+/// such images outweigh thousands in the estimate of the readout time.
 fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
     let mut motions = Vec::new();
     for (camera, _) in model.cameras() {
@@ -45,13 +45,16 @@ fn motions(model: &Reconstruction) -> Vec<(ImageId, Motion)> {
             of_camera.push((id, Motion { velocity, angular_velocity }));
         }
         let speed = |(_, motion): &(ImageId, Motion)| motion.velocity.norm();
-        let usual = usual(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
-        motions.extend(of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual));
+        let usual_speed = usual_speed(of_camera.iter().map(speed).collect()).unwrap_or(0.0);
+        motions.extend(
+            of_camera.into_iter().filter(|motion| speed(motion) <= MAX_SPEED * usual_speed),
+        );
     }
     motions
 }
 
-/// How far the shutters shift all keypoints, about the readouts of now.
+/// Returns the shift per second of readout of all keypoints, linearised at the current readout
+/// times.
 pub(super) fn shifted(
     model: &Reconstruction,
     detected: &BTreeMap<ImageId, Vec<Vector2<f64>>>,
@@ -59,7 +62,7 @@ pub(super) fn shifted(
 ) -> BTreeMap<ImageId, Vec<Shifted>> {
     let of_image = |(id, motion): &(ImageId, Motion)| {
         let readout_s = readout_s(shutters, model.image(*id).camera);
-        // A shift is a difference, and needs some time to be one.
+        // The shift is a difference quotient and needs a step.
         let readout_s = if readout_s.abs() < DIFFERENCE_S { DIFFERENCE_S } else { readout_s };
         (*id, shifts(model, *id, &detected[id], motion, readout_s))
     };
@@ -73,7 +76,8 @@ pub(super) fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
         .map_or(0.0, |shutter| shutter.readout_s)
 }
 
-/// The same of an image. What sees no point is taken to be as far away as the median of what does.
+/// Shifts of the keypoints of one image. Keypoints without a point get the median distance of those
+/// with one.
 fn shifts(
     model: &Reconstruction,
     image: ImageId,
@@ -107,12 +111,12 @@ fn shifts(
     pixels.iter().enumerate().map(shifted).collect()
 }
 
-/// Where a camera with a rolling shutter was while it took an image.
+/// Motion of a rolling-shutter camera during the exposure of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowPoses {
-    /// Of the camera's centre in the world, in units of the model a second.
+    /// Velocity of the camera centre in the world frame, in units of the model a second.
     pub velocity_in_world: Vector3<f64>,
-    /// In the camera's frame, in radians a second.
+    /// Angular velocity in the camera frame, in radians a second.
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Time from the first row to the last one, in seconds.
     pub readout_s: f64,
@@ -121,8 +125,8 @@ pub struct RowPoses {
 }
 
 impl RowPoses {
-    /// The pose when the row at `y_px` was exposed, from that of the image, which is its middle
-    /// row's.
+    /// Returns the pose at the exposure of the row `y_px`, given the pose of the image, which is
+    /// that of the middle row.
     pub fn cam_from_world(&self, middle: &Rigid3, y_px: f64) -> Rigid3 {
         let time_s = (y_px / self.height_px - 0.5) * self.readout_s;
         let shift = middle.rotation * self.velocity_in_world * time_s;
@@ -131,7 +135,7 @@ impl RowPoses {
     }
 }
 
-/// Of the images of which the motion is known, whose camera has a rolling shutter.
+/// Returns the motion of the images of rolling-shutter cameras, if known.
 pub(crate) fn row_poses(
     model: &Reconstruction,
     shutters: &[RollingShutter],
@@ -159,11 +163,11 @@ mod tests {
     const RATE_HZ: f64 = 10.0;
     const SPEED: f64 = 2.0;
     const MISPLACED: usize = 50;
-    /// The cubics through it give these images a speed.
-    const BESIDE: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
+    /// Images whose velocity depends on the misplaced one.
+    const AFFECTED: std::ops::RangeInclusive<usize> = MISPLACED - 2..=MISPLACED + 1;
 
-    /// A camera at constant speed, one of whose images stands far off.
-    fn drive(off_by: f64) -> Reconstruction {
+    /// A camera at constant speed with one misplaced image.
+    fn drive(error: f64) -> Reconstruction {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         let camera =
@@ -171,7 +175,7 @@ mod tests {
         for i in 0..IMAGES {
             let id = model.add_image(Image::new(format!("{i}.png"), camera, Vec::new()));
             let time_s = i as f64 / RATE_HZ;
-            let along = SPEED * time_s + if i == MISPLACED { off_by } else { 0.0 };
+            let along = SPEED * time_s + if i == MISPLACED { error } else { 0.0 };
             model.set_time(id, Some(time_s));
             model.register(
                 id,
@@ -182,12 +186,12 @@ mod tests {
     }
 
     const READOUT_S: f64 = 0.02;
-    /// Of a pixel: the shift is a difference over the readout time.
+    /// Rounding error in pixels of the difference over the readout time.
     const ROUNDING_PX: f64 = 1e-9;
 
-    /// What the pose of its row sees of a point is where the shutter has shifted the keypoint to.
+    /// The projection with the pose of the row equals the keypoint shifted by the rolling shutter.
     #[test]
-    fn the_pose_of_a_row_sees_what_the_shutter_shifts() {
+    fn the_pose_of_a_row_projects_to_the_shifted_keypoint() {
         let mut model = drive(0.0);
         let id = ImageId(MISPLACED as u32);
         let motion = Motion {
@@ -230,9 +234,9 @@ mod tests {
     }
 
     #[test]
-    fn beside_an_image_at_the_wrong_place_no_motion_is_known() {
-        let of = |off_by: f64| {
-            let motions = motions(&drive(off_by));
+    fn images_near_a_misplaced_one_have_no_motion() {
+        let of = |error: f64| {
+            let motions = motions(&drive(error));
             motions
                 .into_iter()
                 .map(|(id, motion)| (id.index(), motion.velocity.x))
@@ -240,6 +244,9 @@ mod tests {
         };
         assert_eq!(of(0.0).len(), IMAGES);
         let around: Vec<usize> = of(30.0).into_iter().map(|(index, _)| index).collect();
-        assert_eq!(around, (0..IMAGES).filter(|index| !BESIDE.contains(index)).collect::<Vec<_>>());
+        assert_eq!(
+            around,
+            (0..IMAGES).filter(|index| !AFFECTED.contains(index)).collect::<Vec<_>>()
+        );
     }
 }

@@ -1,22 +1,21 @@
 use tiepoint_scene::CameraId;
 
-/// Time from the first row of an image to the last one, in seconds.
+/// Readout time: time from the first row of an image to the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Readout {
-    /// As given, for every camera.
+    /// The given time in seconds, for every camera.
     Known(f64),
-    /// Found, for each camera on its own.
+    /// Estimated for each camera.
     Estimated,
 }
 
-/// What the shutter of a camera does.
+/// Rolling shutter of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RollingShutter {
-    /// Which camera.
+    /// The camera.
     pub camera: CameraId,
-    /// Time from the first row to the last one, in seconds; negative where the last row comes
-    /// first.
+    /// Readout time in seconds; negative if the last row is exposed first.
     pub readout_s: f64,
-    /// Its standard deviation, where it was found; infinite where the images tell nothing.
+    /// Standard deviation in seconds, if estimated; infinite if the images do not determine it.
     pub readout_sd_s: Option<f64>,
 }

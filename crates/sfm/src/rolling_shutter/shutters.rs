@@ -1,16 +1,15 @@
-//! Rolling shutter: rows are read one after the other, while the camera moves.
+//! Rolling-shutter correction: rows are exposed one after the other
+//! while the camera moves.
 //!
-//! A row at y of a frame of height h is exposed (y/h − ½) · readout after the middle one, whose
-//! pose is the image's. In that time the camera's centre goes on with the velocity, and its
-//! rotation with the angular velocity, that the cubic through its neighbouring images has there. So
-//! a point X is seen at π(exp(s ω) R (X − c − s ċ)) instead of at π(R (X − c)), and what lies
-//! between the two is taken off the keypoint: afterwards the model is one of cameras that see all
-//! rows at once, and nothing else needs to know. The shift hardly changes with the pose (a
-//! hundredth of what the point's depth does), so that it is computed between adjustments and not in
-//! them.
+//! In an image of height h, the row y is exposed at s = (y/h − ½) · readout after the middle row,
+//! whose pose is the image's. Velocity ċ and angular velocity ω come from the cubic through the
+//! neighbouring images. A point X is observed at π(exp(s ω) R (X − c − s ċ)) instead of π(R (X −
+//! c)). The difference is subtracted from the keypoint, so that all other code can assume a global
+//! shutter. The shift depends weakly on the pose, a hundredth as much as on the point's depth, and
+//! is computed between adjustments.
 //!
-//! Where the readouts are to be found, they are variables of an adjustment in which each keypoint
-//! is shifted in proportion; the shifts of a second of readout are computed anew between its steps.
+//! To estimate readout times, they become variables of an adjustment in which each keypoint shifts
+//! in proportion. The shifts per second of readout are recomputed between the adjustments.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,25 +19,25 @@ use tiepoint_scene::{ImageId, Reconstruction};
 
 use super::motion::{readout_s, shifted};
 use super::readout::{Readout, RollingShutter};
-use super::term::{ShutterTerm, adjust_readouts, with_deviations};
+use super::term::{ShutterTerm, adjust_readouts, with_standard_deviations};
 use crate::Error;
 use crate::adjust::AdjustOptions;
 
-/// The readouts are found when a step moves them by less than this, in seconds, or after so many
-/// steps.
+/// The estimation ends if the readout times change by less than this, in seconds, or after
+/// `MAX_STEPS` adjustments.
 const MIN_STEP_S: f64 = 5e-5;
 const MAX_STEPS: usize = 6;
-/// The shutters of a model's cameras, and what they did to its keypoints.
+/// The rolling shutters of a model's cameras, and the uncorrected keypoints.
 #[derive(Clone)]
 pub(crate) struct RollingShutters {
     readout: Readout,
-    /// The keypoints as they were detected.
+    /// The keypoints as detected.
     detected: Arc<BTreeMap<ImageId, Vec<Vector2<f64>>>>,
     shutters: Vec<RollingShutter>,
 }
 
 impl RollingShutters {
-    /// Of a model whose keypoints are as they were detected.
+    /// Takes a model with uncorrected keypoints.
     pub(crate) fn new(model: &Reconstruction, readout: Readout) -> Self {
         let pixels = |(id, image): (ImageId, &tiepoint_scene::Image)| {
             (id, image.keypoints.iter().map(|keypoint| keypoint.pixel).collect())
@@ -55,14 +54,14 @@ impl RollingShutters {
         }
     }
 
-    /// What is known of each shutter.
+    /// The state of each shutter.
     pub(crate) fn get(&self) -> &[RollingShutter] {
         &self.shutters
     }
 
-    /// Finds the readouts where they are not given, from those that were found before, and takes
-    /// off the keypoints what they did. The model is left adjusted for them.
-    pub(crate) fn find(
+    /// Estimates the readout times if they are not given, starting from the current ones, and
+    /// corrects the keypoints. With estimation the model is adjusted, too.
+    pub(crate) fn estimate(
         &mut self,
         model: &mut Reconstruction,
         options: &AdjustOptions,
@@ -75,36 +74,39 @@ impl RollingShutters {
             let keypoints = shifted(model, &self.detected, &self.shutters);
             let found =
                 adjust_readouts(model, options, ShutterTerm::new(&self.shutters, &keypoints))?;
-            let has_moved = |(a, b): (&RollingShutter, &RollingShutter)| {
+            let has_changed = |(a, b): (&RollingShutter, &RollingShutter)| {
                 (a.readout_s - b.readout_s).abs() > MIN_STEP_S
             };
-            let is_over = !self.shutters.iter().zip(&found).any(has_moved);
+            let has_converged = !self.shutters.iter().zip(&found).any(has_changed);
             self.shutters = found;
-            // In each step, for points that take no part in the next one are put where the
-            // keypoints say.
+            // Needed in each step: points outside the selection are triangulated from the corrected
+            // keypoints.
             self.rectify(model);
-            if is_over {
+            if has_converged {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Says how well the readouts that were found are known.
-    pub(crate) fn find_deviations(
+    /// Computes the standard deviations of estimated readout times.
+    pub(crate) fn estimate_standard_deviations(
         &mut self,
         model: &Reconstruction,
         options: &AdjustOptions,
     ) -> Result<(), Error> {
         if self.readout == Readout::Estimated {
             let keypoints = shifted(model, &self.detected, &self.shutters);
-            self.shutters =
-                with_deviations(model, options, ShutterTerm::new(&self.shutters, &keypoints))?;
+            self.shutters = with_standard_deviations(
+                model,
+                options,
+                ShutterTerm::new(&self.shutters, &keypoints),
+            )?;
         }
         Ok(())
     }
 
-    /// Puts the keypoints where a global shutter would have them, as the cameras move in the model.
+    /// Moves the keypoints to their positions under a global shutter.
     pub(crate) fn rectify(&self, model: &mut Reconstruction) {
         for (id, keypoints) in shifted(model, &self.detected, &self.shutters) {
             let readout_s = readout_s(&self.shutters, model.image(id).camera);

@@ -1,5 +1,4 @@
-//! The readouts of rolling shutters in an adjustment: each keypoint is shifted in proportion to its
-//! camera's.
+//! Readout times as variables of an adjustment.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +16,14 @@ use crate::adjust::{
 use crate::noise::noise_of_fit;
 use crate::tracks::without_points_at_infinity;
 
-/// What is believed of a readout, in seconds: cameras take 5 to 35 ms.
+/// Standard deviation of the prior on a readout time, in seconds. Cameras have 5 to 35 ms.
 const READOUT_SIGMA_S: f64 = 0.03;
 
-/// The shutters of the cameras, and all keypoints of the images of which they are known to shift
-/// any.
+/// The shutters, and the keypoints with shifts of the images with known motion.
 pub(super) struct ShutterTerm<'a> {
     shutters: &'a [RollingShutter],
     keypoints: &'a BTreeMap<ImageId, Vec<Shifted>>,
-    /// How long the shutter of a camera takes, in seconds.
+    /// Readout time of each camera, in seconds.
     keys: BTreeMap<CameraId, Key<Vector1<f64>>>,
     found: Vec<RollingShutter>,
 }
@@ -44,7 +42,7 @@ impl Term for ShutterTerm<'_> {
         Ok(())
     }
 
-    /// The readout of a camera as a variable.
+    /// Adds the readout time of a camera with a prior.
     fn add_to_camera(
         &mut self,
         context: &TermContext,
@@ -78,7 +76,7 @@ impl Term for ShutterTerm<'_> {
     }
 }
 
-/// Adjusts everything with the readouts as variables, and says where those ended.
+/// Runs bundle adjustment with the readout times as variables. Returns their estimates.
 pub(super) fn adjust_readouts(
     model: &mut Reconstruction,
     options: &AdjustOptions,
@@ -88,8 +86,8 @@ pub(super) fn adjust_readouts(
     Ok(shutters.found)
 }
 
-/// The same with standard deviations, from the noise that the model leaves.
-pub(super) fn with_deviations(
+/// Returns the shutters with standard deviations at the noise of the fit.
+pub(super) fn with_standard_deviations(
     model: &Reconstruction,
     options: &AdjustOptions,
     mut shutters: ShutterTerm,

@@ -1,5 +1,5 @@
-//! Dropping what does not fit: observations that project too far from their keypoint, points seen
-//! under too small an angle, images left with nothing.
+//! Filters: observations with large reprojection errors, points with small triangulation angles,
+//! and images with few points.
 
 use std::collections::BTreeSet;
 
@@ -7,12 +7,12 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
-/// What is good enough to stay.
+/// Thresholds of the filter.
 #[derive(Clone, Copy, Debug)]
 pub struct FilterOptions {
-    /// Largest distance between keypoint and projection, in pixels.
+    /// Maximum reprojection error, in pixels.
     pub max_error_px: f64,
-    /// Smallest angle between any two rays of a point, in radians.
+    /// Minimum of the largest triangulation angle of a point, in radians.
     pub min_angle_rad: f64,
 }
 
@@ -22,13 +22,13 @@ impl Default for FilterOptions {
     }
 }
 
-/// Filters the given points; returns how many observations were dropped.
+/// Filters the given points. Returns the number of removed observations.
 pub fn filter_points(
     model: &mut Reconstruction,
     points: &[PointId],
     options: &FilterOptions,
 ) -> usize {
-    let mut dropped = 0;
+    let mut num_removed = 0;
     for &point in points {
         let Some(track) = model.track(point) else { continue };
         let (xyz, count) = (track.xyz, track.observations.len());
@@ -36,33 +36,36 @@ pub fn filter_points(
             .observations
             .iter()
             .copied()
-            .filter(|o| model.error_of_px(o, &xyz).is_none_or(|error| error > options.max_error_px))
+            .filter(|o| {
+                model.observation_error_px(o, &xyz).is_none_or(|error| error > options.max_error_px)
+            })
             .collect();
         if bad.len() + 2 > count {
             model.delete_track(point);
-            dropped += count;
+            num_removed += count;
             continue;
         }
-        dropped += bad.len();
+        num_removed += bad.len();
         bad.into_iter().for_each(|o| model.remove_observation(o));
         if let Some(track) = model.track(point)
             && !has_angle(model, &track.observations, &xyz, options.min_angle_rad)
         {
-            dropped += track.observations.len();
+            num_removed += track.observations.len();
             model.delete_track(point);
         }
     }
-    dropped
+    num_removed
 }
 
-/// A point this much nearer to a camera than half of what that sees is none: matches between two
-/// images of a stop meet anywhere, also in the lens, and there they would tell more of the two
-/// poses than all others together.
+/// Minimum distance of a point from a camera, relative to the median distance of the points that
+/// the camera observes. Matches between images of a stationary camera can triangulate at the camera
+/// centre. Such points would dominate the two poses.
 const MIN_RELATIVE_DISTANCE: f64 = 1e-3;
 
-/// Filters all points, also those that are in a camera.
+/// Filters all points, including those that lie at a camera centre. Returns the number of removed
+/// observations.
 pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) -> usize {
-    let mut inside: BTreeSet<PointId> = BTreeSet::new();
+    let mut at_centre: BTreeSet<PointId> = BTreeSet::new();
     for (_, image, pose) in model.registered() {
         let centre = pose.origin_in_a();
         let seen: Vec<(f64, PointId)> = image
@@ -73,20 +76,20 @@ pub fn filter_all_points(model: &mut Reconstruction, options: &FilterOptions) ->
             .collect();
         let mut distances: Vec<f64> = seen.iter().map(|(distance, _)| *distance).collect();
         let least = MIN_RELATIVE_DISTANCE * median(&mut distances).unwrap_or(0.0);
-        inside
+        at_centre
             .extend(seen.iter().filter(|(distance, _)| *distance < least).map(|(_, point)| *point));
     }
-    let dropped: usize = inside
+    let num_removed: usize = at_centre
         .iter()
         .filter_map(|point| model.track(*point))
         .map(|track| track.observations.len())
         .sum();
-    inside.into_iter().for_each(|point| model.delete_track(point));
+    at_centre.into_iter().for_each(|point| model.delete_track(point));
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-    dropped + filter_points(model, &points, options)
+    num_removed + filter_points(model, &points, options)
 }
 
-/// Whether any two cameras see the point under at least `min_angle_rad`.
+/// Whether two cameras observe the point with a triangulation angle of at least `min_angle_rad`.
 fn has_angle(
     model: &Reconstruction,
     observations: &[Observation],
@@ -105,15 +108,15 @@ fn has_angle(
         .any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
 }
 
-/// Takes the pose of images that see fewer than `min_points` points; returns them.
+/// Deregisters images that observe fewer than `min_points` points. Returns them.
 pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
-    let poor: Vec<ImageId> = model
+    let removed: Vec<ImageId> = model
         .registered()
         .filter(|(_, image, _)| image.num_points() < min_points)
         .map(|(id, ..)| id)
         .collect();
-    poor.iter().for_each(|&image| model.deregister(image));
-    poor
+    removed.iter().for_each(|&image| model.deregister(image));
+    removed
 }
 
 #[cfg(test)]
@@ -124,17 +127,17 @@ mod tests {
 
     use super::*;
 
-    /// Two images that hardly differ, as at a stop, and a third from elsewhere; each point projects
+    /// Two images of a nearly stationary camera, and a third at a distance. Each point projects
     /// exactly to its keypoints.
     #[test]
-    fn points_inside_a_lens_are_dropped_and_near_ones_stay() {
+    fn points_at_a_camera_centre_are_removed_and_near_ones_stay() {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 1000, 1000);
         let places = [0.0, 1e-6, 1.0]
             .map(|x| Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-x, 0.0, 0.0)));
-        // In metres: ordinary ones, one on the bonnet, and one in the lens of the first two.
+        // In metres: distant points, one near the cameras, and one at the centre of the first two.
         let points: Vec<Vector3<f64>> =
             (0..5).map(|k| Vector3::new(0.3 * f64::from(k), 0.2, 10.0)).collect();
-        let (bonnet, lens) = (Vector3::new(0.4, 0.1, 0.6), Vector3::new(5e-7, 2e-7, 1e-6));
+        let (near, at_lens) = (Vector3::new(0.4, 0.1, 0.6), Vector3::new(5e-7, 2e-7, 1e-6));
         let mut model = Reconstruction::default();
         let camera = model.add_camera(Camera {
             intrinsics,
@@ -142,7 +145,7 @@ mod tests {
             height: 1000,
             has_focal_prior: true,
         });
-        let all: Vec<Vector3<f64>> = points.iter().copied().chain([bonnet, lens]).collect();
+        let all: Vec<Vector3<f64>> = points.iter().copied().chain([near, at_lens]).collect();
         let images = places.map(|pose| {
             let keypoint = |xyz: &Vector3<f64>| Keypoint {
                 pixel: intrinsics.project(&(pose * *xyz)).unwrap_or_else(|| Vector2::new(0.0, 0.0)),
@@ -159,8 +162,8 @@ mod tests {
                 seen_by.iter().map(|&image| Observation { image, keypoint: index as u32 });
             model.add_track(Track::new(*xyz, observations.collect()));
         }
-        let dropped = filter_all_points(&mut model, &FilterOptions::default());
-        assert_eq!((dropped, model.num_tracks()), (2, all.len() - 1));
-        assert!(model.tracks().all(|(_, track)| track.xyz != lens));
+        let num_removed = filter_all_points(&mut model, &FilterOptions::default());
+        assert_eq!((num_removed, model.num_tracks()), (2, all.len() - 1));
+        assert!(model.tracks().all(|(_, track)| track.xyz != at_lens));
     }
 }

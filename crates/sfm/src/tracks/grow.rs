@@ -1,5 +1,5 @@
-//! Tracks: create, continue, complete, merge. Each is a verb of its own that can be called again at
-//! any time; each leaves a consistent model behind and says how many observations it changed.
+//! Creation, continuation, completion and merging of tracks. Each function can be called at any
+//! time, leaves a consistent model, and returns the number of changed observations.
 //!
 //! After Schönberger & Frahm 2016, sections 4.3 and 4.4.
 
@@ -10,21 +10,20 @@ use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconst
 
 use super::triangulation::{self, ViewRay};
 
-/// When observations belong to one point.
+/// Thresholds of track creation.
 #[derive(Clone, Copy, Debug)]
 pub struct TrackOptions {
-    /// Largest distance between keypoint and projection when a point is created or continued, in
-    /// pixels.
+    /// Maximum reprojection error for creating or continuing a track, in pixels.
     pub max_create_error_px: f64,
-    /// The same when tracks are completed and merged, between poses that have been adjusted.
+    /// Maximum reprojection error for completing and merging tracks, in pixels. These run on
+    /// adjusted poses.
     pub max_merge_error_px: f64,
-    /// Smallest angle between two rays of a new point, in radians.
+    /// Minimum triangulation angle of a new point, in radians.
     pub min_angle_rad: f64,
-    /// Whether keypoints that match nothing but each other become points. They are many, their
-    /// points are the least certain, and nothing contradicts them; with two images there is nothing
-    /// else.
+    /// Whether two keypoints that match only each other become a point. Such points are numerous,
+    /// uncertain, and no third image can contradict them. A model of two images needs them.
     pub two_view: bool,
-    /// How many correspondences away from a track its further observations are looked for.
+    /// Maximum number of correspondences between a track and an observation that completes it.
     pub max_transitivity: usize,
 }
 
@@ -40,8 +39,8 @@ impl Default for TrackOptions {
     }
 }
 
-/// Lets each keypoint of a registered image see a point: one that its correspondences see, or a new
-/// one triangulated with them. Returns how many observations were added.
+/// Continues tracks with the keypoints of a registered image, and triangulates new points from its
+/// correspondences. Returns the number of added observations.
 pub fn triangulate_image(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -75,10 +74,10 @@ pub fn triangulate_image(
             .chain(targets)
             .filter(|o| model.image(o.image).point_of(o.keypoint).is_none())
             .collect();
-        // What one point leaves over may belong to another, where a keypoint was matched to two
-        // things.
+        // If a keypoint was matched to two scene points, the remaining observations may give
+        // another point.
         while free.len() >= 2 {
-            let Some((xyz, members)) = create(model, &free, options) else { break };
+            let Some((xyz, members)) = create_point(model, &free, options) else { break };
             added += members.len();
             free.retain(|o| !members.contains(o));
             model.add_track(Track::new(xyz, members));
@@ -87,7 +86,7 @@ pub fn triangulate_image(
     added
 }
 
-/// Lets a keypoint see the best-fitting of the points that its correspondences see.
+/// Adds a keypoint to the best-fitting point of its correspondences.
 fn continue_track(
     model: &mut Reconstruction,
     observation: Observation,
@@ -97,7 +96,7 @@ fn continue_track(
     let candidates: BTreeSet<PointId> =
         targets.iter().filter_map(|t| model.image(t.image).point_of(t.keypoint)).collect();
     let errors = candidates.into_iter().filter_map(|point| {
-        let error = model.error_of_px(&observation, &model.track(point)?.xyz)?;
+        let error = model.observation_error_px(&observation, &model.track(point)?.xyz)?;
         (error <= max_error_px).then_some((error, point))
     });
     match errors.min_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -109,34 +108,33 @@ fn continue_track(
     }
 }
 
-/// A new point from keypoints that see none, with those of them that agree on it.
-fn create(
+/// Triangulates a new point from keypoints without points. Returns it with its inliers.
+fn create_point(
     model: &Reconstruction,
     free: &[Observation],
     options: &TrackOptions,
 ) -> Option<(Vector3<f64>, Vec<Observation>)> {
-    let (members, sights): (Vec<Observation>, Vec<ViewRay>) =
+    let (members, rays): (Vec<Observation>, Vec<ViewRay>) =
         free.iter().filter_map(|o| Some((*o, ViewRay::of(model, o)?))).unzip();
     let found =
-        triangulation::triangulate(&sights, options.max_create_error_px, options.min_angle_rad)?;
+        triangulation::triangulate(&rays, options.max_create_error_px, options.min_angle_rad)?;
     Some((found.xyz, found.inliers.into_iter().map(|index| members[index]).collect()))
 }
 
-/// Tries [`triangulate_image`] again on every registered image: what failed between the poses of an
-/// earlier day may succeed between those of today.
+/// Calls [`triangulate_image`] on every registered image, since poses have changed after an
+/// adjustment. Returns the number of added observations.
 pub fn retriangulate(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     options: &TrackOptions,
 ) -> usize {
-    // Between adjusted poses, what is off by more than a merge allows would be filtered right
-    // after.
+    // Between adjusted poses, observations above the merge threshold would be filtered again.
     let options = &TrackOptions { max_create_error_px: options.max_merge_error_px, ..*options };
     let images: Vec<ImageId> = model.registered().map(|(id, ..)| id).collect();
     images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
 }
 
-/// [`retriangulate`], [`complete_tracks`] and [`merge_tracks`] of everything, one after the other.
+/// Runs [`retriangulate`], [`complete_tracks`] and [`merge_tracks`] on the whole model.
 pub(crate) fn recreate_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -148,8 +146,8 @@ pub(crate) fn recreate_tracks(
     merge_tracks(graph, model, &points, options);
 }
 
-/// Adds to each of `points` the keypoints that are connected to its track by correspondences, see
-/// no point yet and fit.
+/// Adds keypoints without points to the tracks of `points` if correspondences connect them and they
+/// fit. Returns the number of added observations.
 pub fn complete_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -170,7 +168,7 @@ pub fn complete_tracks(
             for &next in graph.correspondences(observation) {
                 if model.image(next.image).point_of(next.keypoint).is_none()
                     && model
-                        .error_of_px(&next, &xyz)
+                        .observation_error_px(&next, &xyz)
                         .is_some_and(|e| e <= options.max_merge_error_px)
                     && visited.insert(next)
                 {
@@ -184,8 +182,8 @@ pub fn complete_tracks(
     added
 }
 
-/// Merges points that a correspondence connects and that all their observations agree on. Returns
-/// how many observations found themselves in a longer track.
+/// Merges points that a correspondence connects if all observations fit the merged point. Returns
+/// the number of observations in merged tracks.
 pub fn merge_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -209,13 +207,13 @@ pub fn merge_tracks(
     merged_observations
 }
 
-/// Where two points would be as one: in the middle of their observations.
-pub(crate) fn middle(one: &Track, other: &Track) -> Vector3<f64> {
+/// Mean of two points, weighted by their numbers of observations.
+pub(crate) fn mean_position(one: &Track, other: &Track) -> Vector3<f64> {
     let (n, m) = (one.observations.len() as f64, other.observations.len() as f64);
     (one.xyz * n + other.xyz * m) / (n + m)
 }
 
-/// Another point that is the same as `point`, and where the two would be together.
+/// Returns a point that can be merged with `point`, and the merged position.
 fn mergeable(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -231,9 +229,10 @@ fn mergeable(
                 continue;
             }
             let Some(other_track) = model.track(other) else { continue };
-            let xyz = middle(track, other_track);
-            let fits =
-                |o: &Observation| model.error_of_px(o, &xyz).is_some_and(|e| e <= max_error_px);
+            let xyz = mean_position(track, other_track);
+            let fits = |o: &Observation| {
+                model.observation_error_px(o, &xyz).is_some_and(|e| e <= max_error_px)
+            };
             if track.observations.iter().chain(&other_track.observations).all(fits) {
                 return Some((other, xyz));
             }

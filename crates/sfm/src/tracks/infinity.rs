@@ -1,13 +1,14 @@
-//! Points whose depth their rays do not tell.
+//! Points at infinity, whose depth the rays do not determine.
 
 use tiepoint_geometry::nalgebra::Matrix3;
 use tiepoint_scene::{PointId, Reconstruction, Track};
 
-/// A point whose depth its rays tell this much worse than its direction (as a ratio of information)
-/// is at infinity: the undamped system is singular for it.
+/// Minimum ratio of depth information to direction information. Below it the undamped normal
+/// equations are singular.
 const MIN_DEPTH_INFORMATION: f64 = 1e-8;
 
-/// With such points set aside; they move nothing but rotations, which all others move too.
+/// Returns a copy of the model in which points at infinity are held out. Such points constrain only
+/// rotations, which the other points constrain as well.
 pub(crate) fn without_points_at_infinity(model: &Reconstruction) -> Reconstruction {
     let is_far = |track: &Track| {
         let mut information = Matrix3::zeros();
@@ -19,7 +20,7 @@ pub(crate) fn without_points_at_infinity(model: &Reconstruction) -> Reconstructi
                 (Matrix3::identity() - direction * direction.transpose()) / ray.norm_squared();
         }
         let eigenvalues = information.symmetric_eigenvalues();
-        // Not a number is nowhere.
+        // NaN counts as infinity.
         let is_near = eigenvalues.min() > MIN_DEPTH_INFORMATION * eigenvalues.max();
         !is_near
     };

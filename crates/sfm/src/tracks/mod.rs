@@ -1,4 +1,4 @@
-//! Points and their tracks: how they are made, completed, merged, selected and dropped.
+//! Tracks: triangulation, creation, completion, merging, selection and filtering.
 
 mod filter;
 mod grow;
@@ -9,9 +9,9 @@ mod triangulation;
 
 pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
-pub(crate) use grow::{middle, recreate_tracks};
+pub(crate) use grow::{mean_position, recreate_tracks};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
 pub(crate) use selection::select_points;
-pub(crate) use triangulation::seen_at;
+pub(crate) use triangulation::triangulate_observations;
 pub use triangulation::{Triangulated, ViewRay, triangulate};

@@ -1,21 +1,20 @@
-//! Points that are enough to place the images: those seen most often, all over every image.
+//! Grid-based track selection: the longest tracks, distributed over every image.
 //!
-//! What a point tells of the poses grows with how often it is seen, and points beside each other in
-//! an image tell the same. While a model grows, some hundreds an image place it as well as ten
-//! thousand do, and a step of the adjustment costs as much less.
+//! The information of a point on the poses grows with its number of observations, and neighbouring
+//! points are redundant. While a model grows, some hundreds of points an image determine the poses
+//! as well as ten thousand, and an iteration costs proportionally less.
 
 use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
 
 use crate::image_grid;
 
-/// Each image is divided into so many cells on a side; a cell that sees anything has one of the
-/// points.
+/// Cells along each side of an image. At least one point of each occupied cell is selected.
 const CELLS: usize = 10;
-/// So many points are taken of every image that has them.
+/// Minimum number of selected points in every image that has them.
 const MIN_POINTS: u32 = 200;
 
-/// Of `points`, those that every image that `moves` needs, in the order given: the longest tracks
-/// first, of equal ones the first.
+/// Selects the points that the images accepted by `moves` need, longest tracks first. Ties go to
+/// the earlier point. The result has the order of `points`.
 pub(crate) fn select_points(
     model: &Reconstruction,
     points: Vec<PointId>,
@@ -28,29 +27,29 @@ pub(crate) fn select_points(
         .collect();
     tracks.sort_by_key(|(place, track)| (std::cmp::Reverse(track.observations.len()), *place));
     let mut is_covered = vec![false; CELLS * CELLS * model.images().count()];
-    let mut num_taken = vec![0; model.images().count()];
-    let mut is_taken = vec![false; points.len()];
+    let mut num_selected = vec![0; model.images().count()];
+    let mut is_selected = vec![false; points.len()];
     for (place, track) in tracks {
         let moving = || track.observations.iter().filter(|o| moves(o.image));
         let is_needed = |o: &Observation| {
-            num_taken[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
+            num_selected[o.image.index()] < MIN_POINTS || !is_covered[cell(model, o)]
         };
-        is_taken[place] = moving().any(is_needed);
-        if is_taken[place] {
+        is_selected[place] = moving().any(is_needed);
+        if is_selected[place] {
             for observation in moving() {
                 is_covered[cell(model, observation)] = true;
-                num_taken[observation.image.index()] += 1;
+                num_selected[observation.image.index()] += 1;
             }
         }
     }
     points
         .into_iter()
-        .zip(is_taken)
-        .filter_map(|(point, is_taken)| is_taken.then_some(point))
+        .zip(is_selected)
+        .filter_map(|(point, is_selected)| is_selected.then_some(point))
         .collect()
 }
 
-/// The number of the cell that a keypoint is in, among those of all images.
+/// Index of a keypoint's cell among the cells of all images.
 fn cell(model: &Reconstruction, observation: &Observation) -> usize {
     let pixel = &model.image(observation.image).keypoints[observation.keypoint as usize].pixel;
     let of_image = image_grid::cell(model.camera_of(observation.image), pixel, CELLS);
@@ -66,8 +65,8 @@ mod tests {
     use super::*;
 
     const SEED: u64 = 1;
-    /// Points, and of how many in a hundred each image sees one; the last image sees fewer than are
-    /// taken.
+    /// Number of points, and the fraction that each image observes. The last image observes fewer
+    /// than the minimum.
     const POINTS: usize = 3000;
     const SEEN: [f64; 4] = [0.9, 0.6, 0.5, 0.03];
 
@@ -78,7 +77,7 @@ mod tests {
         let camera =
             model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         for (index, seen) in SEEN.iter().enumerate() {
-            // Squares crowd the keypoints into a corner.
+            // The square concentrates the keypoints on one side.
             let keypoint = |u: f64, v: f64| Keypoint {
                 pixel: Vector2::new(640.0 * u * u, 480.0 * v),
                 scale_px: 2.0,
@@ -99,7 +98,7 @@ mod tests {
         model
     }
 
-    /// What an image sees of some points: how many there are, and in which cells.
+    /// Number of observations of an image and their cells.
     fn seen(
         model: &Reconstruction,
         points: &[PointId],
@@ -115,38 +114,38 @@ mod tests {
     }
 
     #[test]
-    fn every_image_keeps_its_cells_and_some_hundreds_of_points() {
+    fn every_image_keeps_its_cells_and_a_minimum_of_points() {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
-        let taken = select_points(&model, all.clone(), |_| true);
+        let selected = select_points(&model, all.clone(), |_| true);
         assert!(
-            taken.is_sorted() && taken.len() < all.len() / 2,
+            selected.is_sorted() && selected.len() < all.len() / 2,
             "{} of {}",
-            taken.len(),
+            selected.len(),
             all.len()
         );
         for (image, _) in model.images() {
-            let (count, cells) = seen(&model, &taken, image);
+            let (count, cells) = seen(&model, &selected, image);
             let (all_count, all_cells) = seen(&model, &all, image);
             assert_eq!(cells, all_cells);
             assert!(count >= all_count.min(MIN_POINTS as usize), "{count} of {all_count}");
         }
-        // Longer tracks go before shorter ones.
+        // Long tracks are preferred.
         let mean = |points: &[PointId]| {
             let lengths =
                 points.iter().filter_map(|p| model.track(*p)).map(|track| track.observations.len());
             lengths.sum::<usize>() as f64 / points.len() as f64
         };
-        assert!(mean(&taken) > mean(&all));
+        assert!(mean(&selected) > mean(&all));
     }
 
     #[test]
-    fn images_that_stay_need_no_points() {
+    fn constant_images_need_no_points() {
         let model = model();
         let all: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
         let moving = ImageId(3);
-        let taken = select_points(&model, all.clone(), |image| image == moving);
+        let selected = select_points(&model, all.clone(), |image| image == moving);
         let expected = seen(&model, &all, moving);
-        assert_eq!((taken.len(), seen(&model, &taken, moving)), (expected.0, expected));
+        assert_eq!((selected.len(), seen(&model, &selected, moving)), (expected.0, expected));
     }
 }

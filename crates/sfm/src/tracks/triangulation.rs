@@ -1,26 +1,26 @@
-//! A point from several sightings, some of which may be wrong.
+//! Robust triangulation of a point from several views.
 
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{Intrinsics, Rigid3};
 use tiepoint_scene::{Observation, Reconstruction};
 
-/// A keypoint of a posed image.
+/// A keypoint of a registered image as a ray.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewRay<'a> {
-    /// The image's pose.
+    /// Pose of the image.
     pub cam_from_world: &'a Rigid3,
-    /// The image's camera.
+    /// Intrinsics of the image's camera.
     pub intrinsics: &'a Intrinsics,
-    /// Where the point was seen, in pixels.
+    /// Position of the keypoint, in pixels.
     pub pixel: Vector2<f64>,
-    /// The centre of the camera.
+    /// Camera centre.
     centre_in_world: Vector3<f64>,
-    /// The unit ray through the keypoint.
+    /// Unit ray through the keypoint.
     ray_in_world: Vector3<f64>,
 }
 
 impl<'a> ViewRay<'a> {
-    /// `None` where no ray leads through the pixel.
+    /// Returns `None` if the pixel has no ray.
     pub fn new(
         cam_from_world: &'a Rigid3,
         intrinsics: &'a Intrinsics,
@@ -36,15 +36,14 @@ impl<'a> ViewRay<'a> {
         })
     }
 
-    /// The sighting that an observation is; `None` where its image has no pose.
+    /// The ray of an observation; `None` if its image is not registered.
     pub fn of(model: &'a Reconstruction, observation: &Observation) -> Option<Self> {
         let image = model.image(observation.image);
         let pixel = image.keypoints[observation.keypoint as usize].pixel;
         Self::new(image.cam_from_world()?, &model.camera(image.camera).intrinsics, pixel)
     }
 
-    /// Squared distance between keypoint and projection, in pixels²; infinite where the camera does
-    /// not see the point.
+    /// Squared reprojection error in pixels²; infinite if the point does not project.
     fn squared_error(&self, xyz: &Vector3<f64>) -> f64 {
         let projected = self.intrinsics.project(&(*self.cam_from_world * *xyz));
         projected.map_or(f64::INFINITY, |pixel| (pixel - self.pixel).norm_squared())
@@ -54,33 +53,35 @@ impl<'a> ViewRay<'a> {
 /// A triangulated point.
 #[derive(Clone, Debug)]
 pub struct Triangulated {
-    /// Where.
+    /// Position in the world frame.
     pub xyz: Vector3<f64>,
-    /// Which sightings agree.
+    /// Indices of the inlier rays.
     pub inliers: Vec<usize>,
 }
 
-/// Above this many sightings, not every pair is tried but those with the first ones.
+/// Up to this number of rays all pairs are hypotheses; above it, only pairs with one of the first
+/// rays.
 const MAX_EXHAUSTIVE: usize = 12;
 
-/// The point that most sightings agree on to `max_error_px`, at least two of them with an angle of
-/// `min_angle_rad` between their rays. Hypotheses are the midpoints of pairs; the best is refined
-/// on all that agree.
+/// Triangulates a point with the smallest truncated squared reprojection error (MSAC, threshold
+/// `max_error_px`). Hypotheses are the midpoints of pairs of rays; the best is refined on its
+/// inliers. Returns `None` with fewer than two inliers, or with a triangulation angle below
+/// `min_angle_rad`.
 pub fn triangulate(
-    sights: &[ViewRay],
+    rays: &[ViewRay],
     max_error_px: f64,
     min_angle_rad: f64,
 ) -> Option<Triangulated> {
     let max_squared = max_error_px * max_error_px;
     let max_cosine = min_angle_rad.cos();
     let mut best: Option<(f64, Vector3<f64>)> = None;
-    for i in 0..sights.len().min(MAX_EXHAUSTIVE) {
-        for j in i + 1..sights.len() {
-            if sights[i].ray_in_world.dot(&sights[j].ray_in_world) > max_cosine {
+    for i in 0..rays.len().min(MAX_EXHAUSTIVE) {
+        for j in i + 1..rays.len() {
+            if rays[i].ray_in_world.dot(&rays[j].ray_in_world) > max_cosine {
                 continue;
             }
-            let Some(xyz) = nearest_to_rays([&sights[i], &sights[j]].into_iter()) else { continue };
-            let score: f64 = sights.iter().map(|s| s.squared_error(&xyz).min(max_squared)).sum();
+            let Some(xyz) = nearest_to_rays([&rays[i], &rays[j]].into_iter()) else { continue };
+            let score: f64 = rays.iter().map(|s| s.squared_error(&xyz).min(max_squared)).sum();
             if best.is_none_or(|(least, _)| score < least) {
                 best = Some((score, xyz));
             }
@@ -88,52 +89,51 @@ pub fn triangulate(
     }
     let (score, mut xyz) = best?;
     let inliers_of = |xyz: &Vector3<f64>| {
-        (0..sights.len()).filter(|&i| sights[i].squared_error(xyz) < max_squared).collect()
+        (0..rays.len()).filter(|&i| rays[i].squared_error(xyz) < max_squared).collect()
     };
     let mut inliers: Vec<usize> = inliers_of(&xyz);
     if inliers.len() > 2
-        && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &sights[i]))
-        && sights.iter().map(|s| s.squared_error(&refined).min(max_squared)).sum::<f64>() < score
+        && let Some(refined) = nearest_to_rays(inliers.iter().map(|&i| &rays[i]))
+        && rays.iter().map(|s| s.squared_error(&refined).min(max_squared)).sum::<f64>() < score
     {
         xyz = refined;
         inliers = inliers_of(&xyz);
     }
     let has_angle = inliers.iter().enumerate().any(|(n, &i)| {
-        inliers[..n].iter().any(|&j| angle_cosine(&sights[i], &sights[j], &xyz) <= max_cosine)
+        inliers[..n].iter().any(|&j| angle_cosine(&rays[i], &rays[j], &xyz) <= max_cosine)
     });
     (inliers.len() >= 2 && has_angle).then_some(Triangulated { xyz, inliers })
 }
 
-/// Where the poses of now see a point, by all its observations; `None` where their rays do not
-/// meet.
-pub(crate) fn seen_at(
+/// Triangulates a point from all observations with the current poses; `None` if the rays do not
+/// determine it.
+pub(crate) fn triangulate_observations(
     model: &Reconstruction,
     observations: &[Observation],
 ) -> Option<Vector3<f64>> {
-    let sights: Vec<ViewRay> = observations.iter().filter_map(|o| ViewRay::of(model, o)).collect();
-    nearest_to_rays(sights.iter())
+    let rays: Vec<ViewRay> = observations.iter().filter_map(|o| ViewRay::of(model, o)).collect();
+    nearest_to_rays(rays.iter())
 }
 
-/// Cosine of the angle under which two cameras see a point.
+/// Cosine of the triangulation angle.
 fn angle_cosine(a: &ViewRay, b: &ViewRay, xyz: &Vector3<f64>) -> f64 {
     (a.centre_in_world - xyz).normalize().dot(&(b.centre_in_world - xyz).normalize())
 }
 
-/// The point nearest to all rays, each weighed by the inverse square of its distance once that is
-/// known, so that what is small is the angle and not the length: Σ w (I − d dᵀ)(x − c) = 0, twice.
+/// The point with the least squared distances from all rays, each weighted by the inverse square of
+/// its length in a second iteration, so that angles are minimised: Σ w (I − d dᵀ)(x − c) = 0.
 fn nearest_to_rays<'a>(
-    sights: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
+    rays: impl Iterator<Item = &'a ViewRay<'a>> + Clone,
 ) -> Option<Vector3<f64>> {
     let mut xyz: Option<Vector3<f64>> = None;
     for _ in 0..2 {
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
-        for sight in sights.clone() {
-            let weight = xyz.map_or(1.0, |x| 1.0 / (x - sight.centre_in_world).norm_squared());
-            let projector = (Matrix3::identity()
-                - sight.ray_in_world * sight.ray_in_world.transpose())
-                * weight;
+        for ray in rays.clone() {
+            let weight = xyz.map_or(1.0, |x| 1.0 / (x - ray.centre_in_world).norm_squared());
+            let projector =
+                (Matrix3::identity() - ray.ray_in_world * ray.ray_in_world.transpose()) * weight;
             a += projector;
-            b += projector * sight.centre_in_world;
+            b += projector * ray.centre_in_world;
         }
         xyz = Some(a.cholesky()?.solve(&b)).filter(|x| x.iter().all(|v| v.is_finite()));
         xyz?;

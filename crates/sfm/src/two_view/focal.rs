@@ -1,13 +1,12 @@
-//! Focal lengths from pairs of images, before any pose is known.
+//! Estimation of focal lengths from image pairs.
 //!
-//! For each candidate focal length, the relative pose of every pair is estimated; the candidate's
-//! cost is the sum of the Sampson errors that are left, truncated (MSAC). Conditions on the
-//! singular values of the fundamental matrices (Mendonça & Cipolla 1999) are quicker and fail on
-//! the road: where a camera moves without turning, any focal length explains a pair, so that they
-//! see only its noise, and where texture repeats, half of the matches that a fundamental matrix
-//! explains may be wrong. In pixels, the first kind of pair says nothing and the second little, and
-//! the pairs in which the camera turns decide. The cost has several minima, so a grid is searched,
-//! camera by camera.
+//! For each candidate focal length, the relative pose of every pair is estimated. The cost of the
+//! candidate is the sum of the truncated squared Sampson errors (MSAC). Conditions on the singular
+//! values of fundamental matrices (Mendonça & Cipolla 1999) are faster, but fail on roads. If a
+//! camera translates without rotating, any focal length explains a pair, and the conditions depend
+//! on noise only. With repeated texture, half of the inliers of a fundamental matrix may be wrong.
+//! In the cost in pixels, such pairs have little influence, and pairs with rotation decide. The
+//! cost has several minima, so it is evaluated on a grid, one camera after the other.
 
 use std::collections::BTreeMap;
 
@@ -19,52 +18,51 @@ use tiepoint_scene::{
     CameraId, CorrespondenceGraph, ImageId, ImagePair, Reconstruction, TwoView, TwoViewKind,
 };
 
-/// Range of focal lengths considered, relative to the larger side of the image: 130° to 10° of
-/// view.
+/// Range of focal lengths relative to the larger side of the image: fields of view of 130° to 10°.
 const RANGE: (f64, f64) = (0.25, 6.0);
-/// Steps of the grid: 14 % each over that range.
+/// Grid points, 14 % apart.
 const NUM_STEPS: usize = 25;
-/// Steps of the search within the best cell of the grid: 2 % are left.
+/// Iterations of the golden-section search within the best grid cell. An interval of 2 % remains.
 const NUM_GOLDEN_STEPS: usize = 6;
-/// Largest Sampson error of a match that a relative pose explains, in pixels: several times what a
-/// keypoint is off by, and less than what verification allows.
+/// Maximum Sampson error of an inlier, in pixels: several times the noise of a keypoint, and less
+/// than the threshold of verification.
 const MAX_ERROR_PX: f64 = 1.0;
-/// Samples drawn for a relative pose, at most; where more were needed, the pair would not have been
-/// verified.
+/// Maximum number of RANSAC samples. A pair that needs more would not have been verified.
 const MAX_SAMPLES: usize = 200;
-/// The minimum counts when half as large and twice as large focal lengths cost this much more. In
-/// degenerate motions the cost is flat.
+/// A minimum is accepted if the cost at half and at twice the focal length is larger by this
+/// factor. In degenerate motions the cost is flat.
 const MIN_RELATIVE_RISE: f64 = 1.05;
-/// Pairs with fewer matches say little; more of a pair than this, or more pairs, add little.
+/// Minimum number of matches of a pair, and maximum numbers of matches per pair and of pairs that
+/// are used.
 const MIN_MATCHES: usize = 30;
 const MAX_MATCHES: usize = 100;
 const MAX_PAIRS: usize = 80;
-/// Pairs whose matches move less than this share of the image's side say little; more than the
-/// second one adds nothing.
+/// Minimum median displacement of a pair's matches relative to the image side, and the displacement
+/// from which on the merit of a pair is constant.
 const FLOW: (f64, f64) = (0.01, 0.05);
-/// Rounds over the cameras where each depends on the others' focal lengths.
+/// Rounds over the cameras, because pairs depend on the focal lengths of both cameras.
 const NUM_ROUNDS: usize = 3;
 
-/// What is believed of a camera's focal length before anything is adjusted.
+/// Prior on the focal length of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FocalPrior {
-    /// Which camera.
+    /// The camera.
     pub camera: CameraId,
-    /// Value, in pixels.
+    /// Mean, in pixels.
     pub mean_px: f64,
-    /// Standard deviation, in pixels. It is wide enough to yield to any model that determines the
-    /// focal length, and keeps a model that does not (a few images of straight motion) from
-    /// wandering off.
+    /// Standard deviation, in pixels. It is wide enough for any model that determines the focal
+    /// length. It keeps the focal length near the mean in a model that does not, such as a few
+    /// images of straight motion.
     pub sigma_px: f64,
 }
 
-/// Standard deviation of a prior, relative to its value: of a focal length that was estimated from
-/// pairs, one from EXIF or the user, and a mere guess.
+/// Relative standard deviation of a prior: for focal lengths estimated from pairs, from EXIF or the
+/// user, and guessed.
 const FOUND_SIGMA: f64 = 0.03;
 const GIVEN_SIGMA: f64 = 0.1;
 const GUESSED_SIGMA: f64 = 0.1;
 
-/// The priors of all cameras at their present focal lengths, `found` being those from
+/// Returns the priors of all cameras at their current focal lengths. `found` are the cameras from
 /// [`estimate_focal_lengths`].
 pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrior> {
     let prior = |(camera, c): (CameraId, &tiepoint_scene::Camera)| {
@@ -79,8 +77,8 @@ pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrio
     model.cameras().map(prior).collect()
 }
 
-/// Estimates the focal length of each camera that has none from elsewhere; returns those that were
-/// found.
+/// Estimates and sets the focal length of each camera without a focal prior. Returns the cameras
+/// for which it is determined.
 pub fn estimate_focal_lengths(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -93,7 +91,7 @@ pub fn estimate_focal_lengths(
         unknown.iter().map(|&camera| pairs_of(graph, model, camera)).collect();
     for round in 0..rounds {
         for (index, (&camera, (pairs, is_alone))) in unknown.iter().zip(&pairs).enumerate() {
-            // What depends on this camera alone is settled by the first round.
+            // Pairs within one camera do not change after the first round.
             if round > 0 && *is_alone {
                 continue;
             }
@@ -112,7 +110,7 @@ struct Pair {
     images: ImagePair,
     cameras: [CameraId; 2],
     pixels: [Vec<Vector2<f64>>; 2],
-    /// How much it is likely to tell.
+    /// Expected information of the pair.
     merit: f64,
 }
 
@@ -158,8 +156,8 @@ impl Pair {
     }
 }
 
-/// The pairs that tell of a camera, the best one of each image; those within the camera alone where
-/// there are enough of them.
+/// Returns the best pair of each image of a camera: pairs within the camera if there are enough,
+/// whose flag is true, and all pairs otherwise.
 fn pairs_of(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -186,6 +184,8 @@ fn pairs_of(
     (choose(&|a, b| a == camera || b == camera), false)
 }
 
+/// Returns the focal length with the least cost, in pixels; `None` if the pairs do not determine
+/// it.
 fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Option<f64> {
     if pairs.is_empty() {
         return None;
@@ -220,7 +220,7 @@ fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Op
         .then(|| golden_section(cost, focal_px / ratio, focal_px * ratio, NUM_GOLDEN_STEPS))
 }
 
-/// The same with another focal length, in both directions.
+/// Returns the intrinsics with another focal length in both directions.
 pub(crate) fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
     let mut changed = *intrinsics;
     for &param in intrinsics.kind().focal_indices() {

@@ -1,31 +1,32 @@
-//! Where to begin: the pair with the most matches that triangulate well.
+//! Selection of initial pairs by the number of matches that triangulate well.
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{RansacOptions, Rigid3, epipolar, estimate, triangulate};
 use tiepoint_scene::{CorrespondenceGraph, ImagePair, Reconstruction, TwoView};
 
-/// An angle of this size, in radians, is as good as a larger one.
+/// Triangulation angles from this size on, in radians, score 1.
 const FULL_ANGLE_RAD: f64 = 16.0 * std::f64::consts::PI / 180.0;
-/// Matches under a smaller angle, in radians, do not triangulate.
+/// Minimum triangulation angle, in radians.
 const MIN_ANGLE_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
-/// A pair is rated on this many of its matches, evenly chosen.
-const MAX_RATED_MATCHES: usize = 500;
-/// What a pair that a homography explains is worth: its pose is uncertain.
+/// A pair is scored on this many of its matches, evenly chosen.
+const MAX_SCORED_MATCHES: usize = 500;
+/// Factor on the score of pairs that a homography explains. Their pose is uncertain.
 const PLANAR_FACTOR: f64 = 0.3;
 
-/// A pair to begin with.
+/// A candidate for initialisation.
 #[derive(Clone, Copy, Debug)]
 pub struct InitialPair {
     /// The two images.
     pub pair: ImagePair,
-    /// Their relative pose, with a translation of unit length.
+    /// Relative pose with a translation of unit length.
     pub cam2_from_cam1: Rigid3,
-    /// How many of its matches triangulate, each counted by its angle up to 16°.
+    /// Number of matches that triangulate, each weighted by min(angle / 16°, 1).
     pub score: f64,
 }
 
-/// The best pairs among the images that `is_free` allows, best first, at most `count`.
+/// Returns at most `count` pairs among those that `is_free` accepts, best first. `max_error_px` is
+/// the maximum reprojection error of a match.
 pub fn initial_pairs(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -35,22 +36,22 @@ pub fn initial_pairs(
 ) -> Vec<InitialPair> {
     let pairs: Vec<(&ImagePair, &TwoView)> =
         graph.pairs().iter().filter(|(pair, _)| is_free(**pair)).collect();
-    let mut rated: Vec<InitialPair> = pairs
+    let mut scored: Vec<InitialPair> = pairs
         .par_iter()
         .filter_map(|(pair, two_view)| {
             let cam2_from_cam1 = relative_pose(model, pair, two_view)?;
             let factor = if two_view.homography.is_some() { PLANAR_FACTOR } else { 1.0 };
-            let score = factor * rate(model, pair, two_view, &cam2_from_cam1, max_error_px);
+            let score = factor * score_pair(model, pair, two_view, &cam2_from_cam1, max_error_px);
             Some(InitialPair { pair: **pair, cam2_from_cam1, score })
         })
         .collect();
-    rated.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.pair.cmp(&b.pair)));
-    rated.truncate(count);
-    rated
+    scored.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.pair.cmp(&b.pair)));
+    scored.truncate(count);
+    scored
 }
 
-/// The relative pose that the verification found, or the one that its fundamental matrix means for
-/// the present intrinsics.
+/// Returns the relative pose from the verification, or the pose of its fundamental matrix with the
+/// current intrinsics.
 pub(crate) fn relative_pose(
     model: &Reconstruction,
     pair: &ImagePair,
@@ -60,7 +61,7 @@ pub(crate) fn relative_pose(
         return Some(pose);
     }
     let (rays1, rays2) =
-        rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_RATED_MATCHES));
+        rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_SCORED_MATCHES));
     let calibration1 = model.camera_of(pair.a).intrinsics.calibration_matrix();
     let calibration2 = model.camera_of(pair.b).intrinsics.calibration_matrix();
     let essential =
@@ -68,8 +69,8 @@ pub(crate) fn relative_pose(
     epipolar::pose_from_essential(&essential, &rays1, &rays2).map(|(pose, _)| pose)
 }
 
-/// Estimates the relative pose of an initial pair anew with the present intrinsics.
-pub(crate) fn refine(
+/// Estimates the relative pose of a pair again with the current intrinsics.
+pub(crate) fn estimate_relative_pose(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     pair: ImagePair,
@@ -104,29 +105,30 @@ fn rays(
         .unzip()
 }
 
-/// Σ over matches that triangulate in front of both cameras and project back, of min(angle / 16°,
-/// 1).
-fn rate(
+/// Σ min(angle / 16°, 1) over the matches that triangulate in front of both cameras with small
+/// reprojection errors.
+fn score_pair(
     model: &Reconstruction,
     pair: &ImagePair,
     two_view: &TwoView,
     cam2_from_cam1: &Rigid3,
     max_error_px: f64,
 ) -> f64 {
-    let step = two_view.matches.len().div_ceil(MAX_RATED_MATCHES).max(1);
+    let step = two_view.matches.len().div_ceil(MAX_SCORED_MATCHES).max(1);
     let (rays1, rays2) = rays(model, pair, two_view, step);
     let centre2 = cam2_from_cam1.origin_in_a();
     let max_error_rad = max_error_px / model.camera_of(pair.a).intrinsics.mean_focal_px();
-    let rated = rays1.iter().zip(&rays2).filter_map(|(ray1, ray2)| {
+    let scored = rays1.iter().zip(&rays2).filter_map(|(ray1, ray2)| {
         let point = triangulate::triangulate_two_view(ray1, ray2, cam2_from_cam1)?;
         let point2 = *cam2_from_cam1 * point;
-        let off = |ray: &Vector3<f64>, point: &Vector3<f64>| ray.cross(point).norm() / point.norm();
+        let ray_error_rad =
+            |ray: &Vector3<f64>, point: &Vector3<f64>| ray.cross(point).norm() / point.norm();
         let fits = ray1.dot(&point) > 0.0
             && ray2.dot(&point2) > 0.0
-            && off(ray1, &point) < max_error_rad
-            && off(ray2, &point2) < max_error_rad;
+            && ray_error_rad(ray1, &point) < max_error_rad
+            && ray_error_rad(ray2, &point2) < max_error_rad;
         let angle = triangulate::triangulation_angle(&Vector3::zeros(), &centre2, &point);
         (fits && angle > MIN_ANGLE_RAD).then_some((angle / FULL_ANGLE_RAD).min(1.0))
     });
-    rated.sum::<f64>() * step as f64
+    scored.sum::<f64>() * step as f64
 }

@@ -1,4 +1,4 @@
-//! Pairs of images before there is a model: their geometry, focal lengths, and where to begin.
+//! Two-view geometry: verification of pairs, focal lengths, and initial pairs.
 
 mod focal;
 mod initial_pair;
@@ -7,5 +7,5 @@ mod verify;
 pub(crate) use focal::with_focal;
 pub use focal::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub use initial_pair::{InitialPair, initial_pairs};
-pub(crate) use initial_pair::{refine, relative_pose};
+pub(crate) use initial_pair::{estimate_relative_pose, relative_pose};
 pub use verify::{VerifyOptions, View, verify_pair};

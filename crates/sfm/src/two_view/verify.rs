@@ -1,24 +1,25 @@
-//! Two-view geometry: which matches of an image pair a single rigid scene explains, and how.
+//! Two-view verification: the matches of an image pair that one rigid scene explains.
 //!
-//! After Schönberger & Frahm 2016, section 4.1: an essential matrix where both cameras are
-//! calibrated, a fundamental matrix otherwise, and a homography to tell planes and pure rotations.
+//! After Schönberger & Frahm 2016, section 4.1: an essential matrix if both cameras are calibrated,
+//! a fundamental matrix otherwise, and a homography to detect planes and pure rotations.
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{RansacOptions, epipolar};
 use tiepoint_scene::{Camera, Keypoint, Match, TwoView, TwoViewKind};
 
-/// What counts as verified.
+/// Thresholds of the verification.
 #[derive(Clone, Copy, Debug)]
 pub struct VerifyOptions {
-    /// Largest Sampson or transfer error of an inlier, in pixels.
+    /// Maximum Sampson or transfer error of an inlier, in pixels.
     pub max_error_px: f64,
-    /// Fewer inliers are no relation.
+    /// Minimum number of inliers.
     pub min_num_inliers: usize,
-    /// The essential matrix must hold this share of the fundamental matrix's inliers; otherwise the
-    /// calibration is wrong.
+    /// Minimum number of inliers of the essential matrix relative to the fundamental matrix. Below
+    /// it the calibration is considered wrong.
     pub min_essential_share: f64,
-    /// A homography that holds this share of the inliers means a plane or a rotation.
+    /// A homography with more than this fraction of the inliers indicates a plane or a pure
+    /// rotation.
     pub max_homography_share: f64,
 }
 
@@ -33,16 +34,16 @@ impl Default for VerifyOptions {
     }
 }
 
-/// One side of a pair.
+/// One image of a pair.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
-    /// What was detected.
+    /// The keypoints of the image.
     pub keypoints: &'a [Keypoint],
-    /// By which camera.
+    /// The camera of the image.
     pub camera: &'a Camera,
 }
 
-/// Verifies the matches of two images. `seed` makes the random samples reproducible.
+/// Verifies the matches of two images. `seed` is the seed of RANSAC.
 pub fn verify_pair(
     view1: View,
     view2: View,
@@ -72,8 +73,8 @@ pub fn verify_pair(
     } else {
         None
     };
-    // No fundamental matrix holds more matches than there are, so where the essential matrix holds
-    // nearly all of them the question whether the calibration is right is settled.
+    // The fundamental matrix cannot have more inliers than there are matches. If the essential
+    // matrix has nearly all of them, the test of the calibration needs no fundamental matrix.
     let enough = options.min_essential_share * matches.len() as f64;
     let fundamental = match &essential {
         Some(report) if report.num_inliers as f64 >= enough => None,

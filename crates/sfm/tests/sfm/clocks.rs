@@ -1,5 +1,5 @@
-//! Cameras whose clocks disagree, on the street of the synthetic world seen as features: every
-//! clock, pose and calibration is known.
+//! Cameras with a clock offset, in the synthetic street as features. Clocks, poses and calibration
+//! are known.
 
 use std::ops::{ControlFlow, Range};
 
@@ -8,7 +8,7 @@ use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng, so3};
 use tiepoint_scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
     CalibratedCamera, ClockState, MappedModel, MapperOptions, RefineIntrinsics, RigConstraint,
-    RigTerm, map, rig_sensors,
+    RigTerm, map, sensor_pairs,
 };
 use tiepoint_synth::{
     ClockEffects, Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions,
@@ -16,7 +16,7 @@ use tiepoint_synth::{
 
 use crate::common::sample;
 
-/// What the cameras' clocks do: set by hand, quartz, frames that are lost, another rate.
+/// Clock effects: initial offset, quartz drift, lost frames, and a different rate.
 const CLOCKS: ClockEffects = ClockEffects {
     offset_s: 0.3,
     drift_ppm: 40.0,
@@ -35,7 +35,7 @@ struct Run {
     camera: Option<CalibratedCamera>,
 }
 
-/// A quarter of a block, with its stop and its turn, at 5 images a second.
+/// A quarter of a block with a stop and a turn, at 5 images a second.
 fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     let effects = Effects { clocks, ..Effects::default() };
     let options = DriveOptions { seed, rate_hz: 5.0, effects, ..DriveOptions::default() };
@@ -56,7 +56,7 @@ fn run(seed: u64, clocks: ClockEffects, rig: RigTerm) -> Run {
     Run { drive, truth: scene.truth().clone(), model, camera }
 }
 
-/// Length of the model over that of the truth, from the first camera's images.
+/// Length of the estimated trajectory relative to the true one, from the first camera's images.
 fn scale(run: &Run) -> f64 {
     let length = |scene: &Reconstruction| -> f64 {
         let centres: Vec<_> = run
@@ -73,16 +73,16 @@ fn scale(run: &Run) -> f64 {
 /// Errors of rotation (radians), translation (metres), offset at the pivot (seconds) and drift, and
 /// their standard deviations.
 fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let scale = scale(run);
     let found =
         Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
     let turn = so3::log(&(found.rotation * truth.rotation.inverse()));
     let shift = found.translation - truth.translation;
-    let pivot_s = camera.rig_sensor.clock.pivot_s;
-    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
-    let drift = camera.rig_sensor.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
+    let pivot_s = camera.sensor_pair.clock.pivot_s;
+    let offset_s = camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let drift = camera.sensor_pair.clock.drift - (1.0 / (1.0 + clock.drift) - 1.0);
     let covariance = camera.covariance.expect("all is determined");
     let sd = std::array::from_fn(|k| {
         let sd: f64 = covariance[(k, k)].sqrt();
@@ -91,24 +91,24 @@ fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
     ([turn.x, turn.y, turn.z, shift.x, shift.y, shift.z, offset_s, drift], sd)
 }
 
-/// What is asked for: half a millisecond, 0.05° and 0.5° of direction.
+/// Required accuracy: half a millisecond, 0.05° and 0.5° of direction.
 const MAX_OFFSET_S: f64 = 0.0005;
 const MAX_ROTATION_RAD: f64 = 0.05 / 57.3;
 const MAX_DIRECTION_RAD: f64 = 0.5 / 57.3;
-/// Distance of the cameras, in metres.
+/// Baseline, in metres.
 const BASELINE_M: f64 = 0.5;
-/// Of which a seed has six. The mean square of so many independent numbers is within this with 99 %
-/// (χ²), and that of three seeds'.
+/// A seed has six normalised errors. The mean square of six independent numbers lies in the first
+/// range with 99 % probability (χ²), and that of three seeds in the second.
 const NORMALISED_OF_6: Range<f64> = 0.113..3.09;
 const NORMALISED_OF_18: Range<f64> = 0.348..2.06;
 
 #[test]
-fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
+fn clocks_and_extrinsics_are_estimated_with_consistent_uncertainty() {
     let (mut sum, mut count) = (0.0, 0);
     for &seed in sample(&[1, 2, 3]) {
         let run = run(seed, CLOCKS, RigTerm::Auto);
-        let camera = run.camera.as_ref().expect("the right camera was held");
-        assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
+        let camera = run.camera.as_ref().expect("the right camera was calibrated");
+        assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
         assert!(
             matches!(camera.constraint, RigConstraint::Soft { .. }),
             "images of different instants are not rigid"
@@ -120,11 +120,11 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
             error[..3].iter().map(|e| e * e).sum::<f64>().sqrt() < MAX_ROTATION_RAD,
             "{error:?}"
         );
-        // Along the cameras' distance is its length, across it the direction.
+        // The error along the baseline is one of length, the error across it one of direction.
         let across = error[4].hypot(error[5]);
         assert!(across < MAX_DIRECTION_RAD * BASELINE_M, "seed {seed}: {error:?} ± {sd:?}");
-        // Without the length, which goes with the scale that is taken from the truth, and the
-        // drift, which is the prior's.
+        // Without the length, whose scale is taken from the truth, and without the drift, which the
+        // prior determines.
         for k in [0, 1, 2, 4, 5, 6] {
             sum += (error[k] / sd[k]).powi(2);
             count += 1;
@@ -136,44 +136,45 @@ fn clocks_and_mountings_are_found_and_their_uncertainty_is_honest() {
     assert!(chance.contains(&normalised), "{normalised}");
 }
 
-/// How far below the truth a spread of some 90 stamps may be told, from the median of their second
-/// differences.
-const TOLD: f64 = 0.8;
-/// Chance leaves one in fifteen thousand beyond.
+/// Lower tolerance of the jitter estimated from some 90 time stamps by the median of their second
+/// differences, relative to the truth.
+const MIN_RELATIVE_JITTER: f64 = 0.8;
+/// Exceeded by chance once in fifteen thousand.
 const MAX_DEVIATIONS: f64 = 4.0;
 
-/// However precise keypoints are: of stamps that are off by so much, no mean is known better.
+/// The jitter of the time stamps bounds the precision of the offset, however precise the keypoints
+/// are.
 #[test]
-fn no_clock_is_known_better_than_its_stamps() {
+fn no_offset_is_more_precise_than_the_time_stamps() {
     let jitter_s = 0.002;
     let run = run(1, ClockEffects { jitter_s, ..CLOCKS }, RigTerm::Auto);
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let floor_s = 2f64.sqrt() * jitter_s / (camera.num_referenced_images as f64).sqrt();
     let (error, sd) = errors(&run);
-    assert!(sd[6] > TOLD * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
+    assert!(sd[6] > MIN_RELATIVE_JITTER * floor_s, "{} ± {}, floor {floor_s}", error[6], sd[6]);
     assert!(error[6].abs() < MAX_DEVIATIONS * sd[6], "{} ± {}", error[6], sd[6]);
 }
 
 #[test]
-fn cameras_that_are_triggered_together_are_rigid_frames() {
+fn synchronised_cameras_become_rigid_frames() {
     let run = run(2, ClockEffects::default(), RigTerm::Hard);
-    let camera = run.camera.as_ref().expect("the right camera was held");
+    let camera = run.camera.as_ref().expect("the right camera was calibrated");
     assert_eq!(
-        (camera.rig_sensor.clock_state, camera.rig_sensor.clock.offset_s, camera.constraint),
+        (camera.sensor_pair.clock_state, camera.sensor_pair.clock.offset_s, camera.constraint),
         (ClockState::Synchronised, 0.0, RigConstraint::Rigid)
     );
     assert_eq!(run.model.frames.len(), FRAMES);
 }
 
-/// At one speed straight on, a wrong clock is a mounting further ahead: nothing tells the two
-/// apart, and the stamps are believed.
+/// On a straight road at constant speed, a clock offset is equivalent to a translation of the
+/// camera along the road. The offset is unobservable, and the time stamps are used.
 #[test]
-fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
+fn an_unobservable_clock_follows_its_time_stamps() {
     let at = |camera: u32, time_s: f64| {
         let place = Vector3::new(0.5 * f64::from(camera), 0.0, 8.0 * time_s);
         Rigid3::new(so3::exp(&Vector3::zeros()), -place)
     };
-    // A little noise, as a reconstruction has it.
+    // Noise as in a reconstruction.
     let mut rng = Rng::stream(1, &[]);
     let mut model = Reconstruction::default();
     for camera in 0..2 {
@@ -189,17 +190,17 @@ fn a_clock_that_cannot_be_observed_is_held_at_its_stamps() {
             model.register(image, pose);
         }
     }
-    let found = rig_sensors(&model);
+    let found = sensor_pairs(&model);
     assert_eq!(
         (found[0].clock_state, found[0].clock.offset_s),
         (ClockState::Unobservable, 0.0),
         "{found:?}"
     );
-    // The right images at the first one's times: triggered together.
+    // Right images at the left images' times: synchronised.
     let rights: Vec<_> =
         model.images().filter(|(_, image)| image.camera.0 == 1).map(|(id, _)| id).collect();
     for (k, right) in rights.into_iter().enumerate() {
         model.set_time(right, Some(0.2 * k as f64));
     }
-    assert_eq!(rig_sensors(&model)[0].clock_state, ClockState::Synchronised);
+    assert_eq!(sensor_pairs(&model)[0].clock_state, ClockState::Synchronised);
 }

@@ -1,15 +1,15 @@
-//! What several tests measure, and on which seeds.
+//! Shared measures and seeds of the tests.
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses};
 use tiepoint_scene::Reconstruction;
 
-/// The seeds of a test: the first of the grid, or with `TIEPOINT_ALL_SEEDS` in the environment all
-/// of them, as `bench/seeds.py` has it.
+/// The seeds of a test: the first of the grid, or all of them if the environment has
+/// `TIEPOINT_ALL_SEEDS`, which `bench/seeds.py` sets.
 pub(crate) fn sample(grid: &[u64]) -> &[u64] {
     if std::env::var_os("TIEPOINT_ALL_SEEDS").is_some() { grid } else { &grid[..1] }
 }
 
-/// ATE: the root mean square distance of the camera centres from the true ones, after a similarity.
+/// ATE: root mean square error of the camera centres after similarity alignment, in metres.
 pub(crate) fn ate_m(model: &Reconstruction, truth: &Reconstruction) -> f64 {
     let found: Vec<_> = model.images().map(|(_, image)| image.cam_from_world().copied()).collect();
     let true_poses: Vec<_> = truth

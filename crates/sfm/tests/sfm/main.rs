@@ -4,10 +4,10 @@
 
 mod clocks;
 mod common;
-mod join;
 mod lens;
 mod loop_closure;
 mod mapper;
+mod merge_by_motion;
 mod point_selection;
 mod repetition;
 mod rig;

@@ -1,5 +1,5 @@
-//! The mapper on scenes of which everything is known: points in a box, cameras on an arc around it,
-//! keypoints with noise, matches of which some are wrong.
+//! The mapper on synthetic scenes: points in a box, cameras on an arc around it, keypoints with
+//! noise, and a fraction of wrong matches.
 
 use std::ops::ControlFlow;
 
@@ -17,11 +17,11 @@ use tiepoint_sfm::{
 
 use crate::common::sample;
 
-/// Standard deviation of a keypoint's position, in pixels: what SIFT reaches on sharp photos.
+/// Standard deviation of a keypoint's position, in pixels, as SIFT has on sharp photos.
 const NOISE_PX: f64 = 0.5;
-/// Share of matches that join two random keypoints.
+/// Fraction of matches between random keypoints.
 const WRONG_SHARE: f64 = 0.2;
-/// Focal length of the truth, in pixels, for images of 1000 × 750.
+/// True focal length in pixels, for images of 1000 × 750.
 const FOCAL_PX: f64 = 900.0;
 /// Radius of the arc of cameras, in metres.
 const RADIUS: f64 = 4.0;
@@ -32,7 +32,7 @@ struct Truth {
     scene: Reconstruction,
     graph: CorrespondenceGraph,
     poses: Vec<Rigid3>,
-    /// By image, the point that each keypoint shows; ascending.
+    /// For each image, the point of each keypoint, in ascending order.
     seen: Vec<Vec<usize>>,
 }
 
@@ -108,7 +108,7 @@ fn truth_of(
 }
 
 /// Largest error of a distance between two camera centres, relative to the largest distance, after
-/// scaling the model to the truth by the sum of all distances.
+/// scaling the model by the sum of all distances.
 fn shape_error(model: &Reconstruction, poses: &[Rigid3]) -> f64 {
     let centres: Vec<(Vector3<f64>, Vector3<f64>)> = model
         .registered()
@@ -132,15 +132,15 @@ fn run(truth: &Truth, options: &MapperOptions) -> Reconstruction {
     models.remove(0).reconstruction
 }
 
-/// Noise of 0.5 px at 900 px and 4 m is 2 mm a sighting; some hundred sightings an image leave well
-/// under a millimetre of 4.4 m, and the intrinsics some more.
+/// Noise of 0.5 px at 900 px and 4 m is 2 mm an observation. Some hundred observations an image
+/// give well under a millimetre of 4.4 m, and the intrinsics add to it.
 const MAX_SHAPE_ERROR_CALIBRATED: f64 = 1e-3;
 const MAX_SHAPE_ERROR_UNCALIBRATED: f64 = 4e-3;
-/// The focal length is seen through the arc's parallax.
+/// The parallax of the arc determines the focal length.
 const MAX_RELATIVE_FOCAL_ERROR: f64 = 0.01;
 
 #[test]
-fn calibrated_images_come_out_in_the_right_shape() {
+fn calibrated_images_give_the_true_shape() {
     for &seed in sample(&[0, 1, 2]) {
         let truth = truth(seed, FOCAL_PX, true);
         let model = run(
@@ -155,7 +155,7 @@ fn calibrated_images_come_out_in_the_right_shape() {
 }
 
 #[test]
-fn an_unknown_focal_length_is_found() {
+fn an_unknown_focal_length_is_estimated() {
     for &seed in sample(&[0, 1, 2]) {
         let truth = truth(seed, 1200.0, false);
         let model = run(&truth, &MapperOptions { seed, ..Default::default() });
@@ -169,17 +169,17 @@ fn an_unknown_focal_length_is_found() {
     }
 }
 
-/// Two standard deviations of the prior on the principal point (10 px for 1000) off the middle, in
-/// each direction.
+/// Offset of two standard deviations of the principal point's prior (10 px for 1000) in each
+/// direction.
 const FAR_CENTRE: Vector2<f64> = Vector2::new(520.0, 355.0);
-/// Corners of a chessboard are good to this, ten times better than residuals are weighed by.
+/// Corners of a chessboard have this noise, a tenth of the nominal one.
 const PRECISE_NOISE_PX: f64 = 0.05;
-/// Seen: 0.2 to 1.4 px. Weighed against keypoints of 1 px, the prior keeps it 14 px nearer to the
-/// middle.
+/// Observed: 0.2 to 1.4 px. With a noise scale of 1 px, the prior keeps the principal point 14 px
+/// nearer to the centre.
 const MAX_CENTRE_ERROR_PX: f64 = 3.0;
 
 #[test]
-fn precise_keypoints_outweigh_what_is_believed_of_the_principal_point() {
+fn precise_keypoints_outweigh_the_prior_on_the_principal_point() {
     for &seed in sample(&[0, 1, 2]) {
         let params = [FOCAL_PX, FAR_CENTRE.x, FAR_CENTRE.y, 0.0];
         let intrinsics = Intrinsics::new(CameraModelKind::SimpleRadial, &params).unwrap();
@@ -192,7 +192,7 @@ fn precise_keypoints_outweigh_what_is_believed_of_the_principal_point() {
 }
 
 #[test]
-fn two_scenes_that_share_nothing_become_two_models() {
+fn two_scenes_without_matches_become_two_models() {
     let (one, other) = (truth(5, FOCAL_PX, true), truth(6, FOCAL_PX, true));
     let mut scene = one.scene.clone();
     let camera = scene.cameras().next().unwrap().0;
@@ -244,17 +244,16 @@ fn the_callback_stops_the_mapper() {
     assert!(matches!(error, Err(tiepoint_sfm::Error::Cancelled)));
 }
 
-/// Of keypoints this precise a share is off by so much in any direction: less than what the filters
-/// take for wrong.
+/// Noise of the keypoints. A fraction of them has a larger error in a random direction, below the
+/// threshold of the filters.
 const FINE_NOISE_PX: f64 = 0.1;
 const OFF_PX: f64 = 2.5;
 const OFF_SHARE: f64 = 0.3;
-/// Three seeds end at 2.3e-4 to 3.3e-4; with a loss that is not measured by the noise, at 5.6e-4 to
-/// 8.9e-4.
+/// Three seeds give 2.3e-4 to 3.3e-4; with a loss of fixed scale 5.6e-4 to 8.9e-4.
 const MAX_SHAPE_ERROR_OFF: f64 = 4.5e-4;
 
 #[test]
-fn keypoints_off_by_many_standard_deviations_count_little() {
+fn outlier_keypoints_have_little_weight() {
     for &seed in sample(&[20, 21, 22]) {
         let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, FOCAL_PX, 1000, 750);
         let mut truth = truth_of(seed, &intrinsics, FINE_NOISE_PX, FOCAL_PX, true);
@@ -262,13 +261,13 @@ fn keypoints_off_by_many_standard_deviations_count_little() {
         let mut scene = Reconstruction::default();
         scene.add_camera(*truth.scene.camera_of(ImageId(0)));
         for (_, image) in truth.scene.images() {
-            let off = |keypoint: &Keypoint| {
+            let displaced = |keypoint: &Keypoint| {
                 let off_px = if rng.uniform() < OFF_SHARE { OFF_PX } else { 0.0 };
                 let angle = 2.0 * std::f64::consts::PI * rng.uniform();
                 let pixel = keypoint.pixel + Vector2::new(angle.cos(), angle.sin()) * off_px;
                 Keypoint { pixel, ..*keypoint }
             };
-            let keypoints = image.keypoints.iter().map(off).collect();
+            let keypoints = image.keypoints.iter().map(displaced).collect();
             scene.add_image(Image::new(image.name.clone(), image.camera, keypoints));
         }
         truth.scene = scene;
@@ -279,17 +278,17 @@ fn keypoints_off_by_many_standard_deviations_count_little() {
     }
 }
 
-/// One point in so many is kept from the mapper.
+/// One in so many points is withheld from the mapper.
 const HELD_OUT_ONE_IN: usize = 5;
-/// Chance leaves one in fifteen thousand beyond.
+/// Exceeded by chance once in fifteen thousand.
 const MAX_DEVIATIONS: f64 = 4.0;
-/// Where held-out points are put to show that nobody looks at them: off by a quarter of the box,
-/// some 100 px.
+/// Initial position of held-out points, which must have no influence: an error of a quarter of the
+/// box, some 100 px.
 const NOWHERE: Vector3<f64> = Vector3::new(0.5, 0.5, 0.5);
 
-/// The mapper never sees the matches of the points that held_out its poses.
+/// The mapper never sees the matches of the points that test its poses.
 #[test]
-fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
+fn held_out_tracks_take_no_part_and_have_the_expected_error() {
     let truth = truth(9, FOCAL_PX, true);
     let is_held_out = |point: usize| point.is_multiple_of(HELD_OUT_ONE_IN);
     let without = truth.graph.pairs().iter().map(|(pair, two_view)| {
@@ -330,8 +329,8 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
         let track = Track { is_held_out: true, ..Track::new(xyz, observations) };
         held_out.push(model.add_track(track));
     }
-    // Each observation has two coordinates with NOISE_PX; each point takes three of them up. The
-    // poses, from four times as many points, add less than half a percent.
+    // Each observation has two coordinates with noise NOISE_PX, and each point takes three degrees
+    // of freedom. The poses, from four times as many points, add less than half a percent.
     let rms_px = tiepoint_sfm::held_out_rms_px(&model).unwrap();
     let expected_px = NOISE_PX * (degrees_of_freedom as f64 / num_observations as f64).sqrt();
     let max_share = MAX_DEVIATIONS / (2.0 * degrees_of_freedom as f64).sqrt();
@@ -347,17 +346,18 @@ fn held_out_tracks_take_no_part_and_fit_as_their_noise_has_it() {
             .unwrap();
         model
     };
-    // No pose moves, and in the end they are where the poses see them, wherever they were.
+    // No pose depends on the held-out points. Finally they are triangulated from the poses,
+    // wherever they were.
     assert_eq!(adjusted(Vector3::zeros()), adjusted(NOWHERE));
 }
 
 #[test]
-fn a_share_of_the_tracks_is_held_out_and_given_back() {
+fn a_fraction_of_the_tracks_is_held_out_and_restored() {
     let mut model = run(&truth(9, FOCAL_PX, true), &MapperOptions::default());
     let num_tracks = model.num_tracks() as f64;
     let held_out = tiepoint_sfm::hold_out_tracks(&mut model, 0.2, 1);
     assert_eq!(model.tracks().filter(|(_, track)| track.is_held_out).count(), held_out);
-    // Each track is drawn by itself: a binomial number.
+    // Each track is drawn independently: a binomial number.
     let deviation = (0.2 * 0.8 / num_tracks).sqrt();
     assert!(
         (held_out as f64 / num_tracks - 0.2).abs() < MAX_DEVIATIONS * deviation,

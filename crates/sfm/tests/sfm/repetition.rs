@@ -1,6 +1,6 @@
-//! A street whose facade repeats: a camera that drives along it sees the same windows again and
-//! again, and what it matches a few frames on are mostly those of another period. Where images are
-//! registered by what they see alone, it is folded at every period.
+//! A street with a repeating facade. A camera that drives along it observes the same windows again
+//! and again, and most matches between frames some steps apart are between different periods.
+//! Without the checks of registration, the trajectory folds at every period.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -15,28 +15,25 @@ use tiepoint_sfm::{MapperOptions, RefineIntrinsics, VerifyOptions, View, map, ve
 use crate::common::sample;
 
 const FRAMES: usize = 60;
-/// Of the facade.
+/// Seeds of the facade.
 const SEEDS: [u64; 3] = [0, 1, 2];
-/// In metres: the camera's way from frame to frame, how far it is from the facade, and after what
-/// the facade repeats.
+/// In metres: distance between frames, distance to the facade, and period of the facade.
 const STEP: f64 = 0.6;
 const DISTANCE: f64 = 5.0;
 const PERIOD: f64 = 4.2;
-/// Frames that are matched with each other are at most so far apart; the facade repeats every
-/// seven.
+/// Maximum distance of matched frames. The facade repeats every seven.
 const WINDOW: usize = 8;
-/// Of each period's features, and those that only one of them has.
+/// Repeated features of each period, and unique ones.
 const REPEATED: usize = 200;
 const UNIQUE: usize = 10;
-/// In the first periods all features are.
+/// In the first periods all features are unique.
 const VARIED: usize = 5;
-/// Of keypoints, in pixels.
+/// Standard deviation of the keypoints, in pixels.
 const NOISE_PX: f64 = 0.3;
-/// The camera drives on evenly; a period on, it would be six times as far from one frame to the
-/// next.
+/// Tolerance of the distance between frames. A shift by a period would multiply it by six.
 const TOLERANCE: f64 = 0.2;
 
-/// What a keypoint shows: the same of each period, unless it is unique.
+/// Appearance of a keypoint: equal in each period, unless it is unique.
 type Appearance = (usize, Option<usize>);
 
 struct Street {
@@ -44,8 +41,7 @@ struct Street {
     graph: CorrespondenceGraph,
 }
 
-/// A feature matches where the other image sees its like once: its like of another period, if it
-/// sees that alone.
+/// A feature matches if its appearance occurs once in the other image, possibly in another period.
 fn street(seed: u64) -> Street {
     let mut rng = Rng::stream(seed, &[]);
     let intrinsics =
@@ -106,7 +102,7 @@ fn street(seed: u64) -> Street {
     Street { scene, graph }
 }
 
-/// The way from each frame to the next, over the median; frames that are missing count as jumps.
+/// Distance from each frame to the next relative to the median. Missing frames count as jumps.
 fn steps(street: &Street, seed: u64) -> Vec<f64> {
     let options =
         MapperOptions { refine: RefineIntrinsics::NONE, seed, ..MapperOptions::default() };
@@ -126,7 +122,7 @@ fn steps(street: &Street, seed: u64) -> Vec<f64> {
 }
 
 #[test]
-fn windows_that_repeat_move_no_image_of_a_drive() {
+fn repeated_windows_displace_no_image_of_a_drive() {
     for &seed in sample(&SEEDS) {
         let steps = steps(&street(seed), seed);
         let jumps: Vec<_> =

@@ -1,5 +1,4 @@
-//! A camera whose rows are exposed one after the other, on the street of the synthetic world seen
-//! as features.
+//! A rolling-shutter camera in the synthetic street as features.
 
 use std::ops::ControlFlow;
 use std::sync::LazyLock;
@@ -13,13 +12,13 @@ use tiepoint_synth::{
 
 use crate::common::ate_m;
 
-/// Time from the first row to the last one: an action camera's.
+/// Readout time in seconds, as of an action camera.
 const READOUT_S: f64 = 0.02;
 const FRAMES: usize = 30;
-/// Distance of the cameras, in metres.
+/// Baseline, in metres.
 const BASELINE_M: f64 = 0.5;
 
-/// What became of a drive.
+/// Result of a drive.
 struct Outcome {
     /// Root mean square error of the centres.
     error_m: f64,
@@ -28,7 +27,7 @@ struct Outcome {
     failures: usize,
 }
 
-/// The drive of two cameras, mapped without a rig term.
+/// Maps the drive of two cameras without a rig term.
 fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
     let effects = Effects { readout_s: READOUT_S, ..Effects::default() };
     let mounts = Mount::stereo(mounting, BASELINE_M).to_vec();
@@ -54,18 +53,18 @@ fn run(mounting: Mounting, readout: Option<Readout>) -> Outcome {
     Outcome { error_m, shutters: model.shutters, row_poses, failures }
 }
 
-/// Mapped as if there were no readout: what both tests compare with.
+/// Mapped as with a global shutter; the reference of both tests.
 fn without(mounting: Mounting) -> &'static Outcome {
     static FRONT: LazyLock<Outcome> = LazyLock::new(|| run(Mounting::Front, None));
     static RIGHT: LazyLock<Outcome> = LazyLock::new(|| run(Mounting::Right, None));
     if mounting == Mounting::Front { &FRONT } else { &RIGHT }
 }
 
-/// In seconds: in that time the vehicle leaves the street, and no keypoint stays in sight.
+/// In seconds. In that time the vehicle leaves the street, and no keypoint stays visible.
 const ABSURD_READOUT_S: f64 = 10.0;
 
 #[test]
-fn a_shutter_that_leaves_nothing_leaves_the_model_as_it_was() {
+fn an_absurd_readout_leaves_the_model_unchanged() {
     let without = without(Mounting::Front);
     assert_eq!(without.failures, 0);
     let absurd = run(Mounting::Front, Some(Readout::Known(ABSURD_READOUT_S)));
@@ -73,35 +72,35 @@ fn a_shutter_that_leaves_nothing_leaves_the_model_as_it_was() {
     assert_eq!(absurd.error_m, without.error_m);
 }
 
-/// A readout is known to this, in seconds: a twentieth of it; and off by no more than so many
+/// Maximum standard deviation of a readout time in seconds, a twentieth of it, and maximum error in
 /// standard deviations.
 const MAX_READOUT_SD_S: f64 = 0.001;
 const MAX_DEVIATIONS: f64 = 3.0;
-/// Knowing the shutter takes away most of what not knowing it costs.
-const MAX_SHARE: f64 = 0.5;
+/// The correction removes most of the error that the rolling shutter causes.
+const MAX_RELATIVE_ERROR: f64 = 0.5;
 
 #[test]
-fn a_rolling_shutter_is_found_and_taken_off_the_keypoints() {
+fn a_rolling_shutter_is_estimated_and_corrected() {
     for mounting in [Mounting::Front, Mounting::Right] {
-        let off = without(mounting);
-        assert_eq!(off.shutters, []);
-        assert_eq!(off.row_poses, []);
+        let uncorrected = without(mounting);
+        assert_eq!(uncorrected.shutters, []);
+        assert_eq!(uncorrected.row_poses, []);
         let known = run(mounting, Some(Readout::Known(READOUT_S)));
         let found = run(mounting, Some(Readout::Estimated));
         eprintln!(
-            "{mounting:?}: {:.4} m off, {:.4} known, {:.4} found: {:?}",
-            off.error_m, known.error_m, found.error_m, found.shutters
+            "{mounting:?}: {:.4} m uncorrected, {:.4} known, {:.4} found: {:?}",
+            uncorrected.error_m, known.error_m, found.error_m, found.shutters
         );
         for outcome in [&known, &found] {
             assert!(
-                outcome.error_m < MAX_SHARE * off.error_m,
+                outcome.error_m < MAX_RELATIVE_ERROR * uncorrected.error_m,
                 "{} m, {} without",
                 outcome.error_m,
-                off.error_m
+                uncorrected.error_m
             );
         }
         assert_eq!(found.shutters.len(), 2);
-        // Both ends of each camera's drive have no neighbours on one side.
+        // The ends of each camera's trajectory lack neighbours.
         assert!(found.row_poses.len() >= 2 * (FRAMES - 4), "{}", found.row_poses.len());
         for shutter in found.shutters {
             let sd_s = shutter.readout_sd_s.expect("it was estimated");

@@ -1,12 +1,12 @@
-//! Cameras that ride together and see nothing in common: their models are joined by how they move.
+//! Merges the models of two cameras on one rig that have no common points, from their motion.
 //!
-//! Models without a common point differ by a similarity, and the cameras by their mounting:
-//! hand-eye calibration with an unknown scale. The clock comes from the rates at which both cameras
-//! turn, which depend on no frame. Then, in turn: the similarity that brings the further camera's
-//! centres to where the first camera's motion and the mounting have them (Umeyama 1991), and the
-//! mounting as the robust average of the relative poses that follow. A mounting's part that the
-//! motion does not show (along the axis, where all turns are about one; Tsai & Lenz 1989) stays at
-//! zero. This is where holding the cameras to their mounting begins.
+//! The models differ by a similarity, and the cameras by their extrinsics: hand-eye calibration
+//! with unknown scale. The clock offset maximises the agreement of the cameras' rotation rates,
+//! which do not depend on a frame. Two steps then alternate: the similarity that aligns the second
+//! camera's centres with those predicted from the first camera's motion and the extrinsics (Umeyama
+//! 1991), and the extrinsics as the robust average of the relative poses. A part of the extrinsics
+//! that the motion does not determine stays at zero, for example the translation along the common
+//! axis of all rotations (Tsai & Lenz 1989). The result initialises the rig constraint.
 
 use std::collections::BTreeSet;
 
@@ -19,58 +19,58 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction, Track};
 
 use crate::timeline::posed_in_time;
 
-/// Clocks are looked for within so many seconds, in steps of this share of the interval between
-/// images.
+/// Search range of the offset in seconds, and number of steps per interval between images.
 const MAX_OFFSET_S: f64 = 1.5;
 const STEPS_PER_INTERVAL: f64 = 8.0;
-/// A drive turns when its rates scatter by more than this, in radians a second; otherwise clocks
-/// are believed.
-const MIN_TURNING: f64 = 0.02;
-/// Fewer common moments join nothing.
-const MIN_MOMENTS: usize = 8;
-/// Rounds of similarity and mounting; what is left shrinks by the distance of the cameras over the
-/// size of the drive each time.
+/// Minimum standard deviation of the rotation rate, in radians a second. Below it the time stamps
+/// are used.
+const MIN_RATE_SCATTER: f64 = 0.02;
+/// Minimum number of common times.
+const MIN_COMMON_TIMES: usize = 8;
+/// Alternations. The error decreases by the ratio of baseline to trajectory extent in each.
 const ROUNDS: usize = 30;
-/// The cameras ride together when, in the median, they are off from their mounting by no more than
-/// this share of the drive's extent, and this much in radians: the models drift apart, but cameras
-/// that ride on different vehicles are off by more.
-const MAX_OFF: f64 = 0.05;
-const MAX_TURNED_RAD: f64 = 0.1;
+/// Maximum median deviations from the extrinsics: distance relative to the trajectory's extent, and
+/// rotation in radians. The tolerance allows for drift; cameras on different vehicles exceed it.
+const MAX_DEVIATION: f64 = 0.05;
+const MAX_ROTATION_RAD: f64 = 0.1;
 
-/// Poses with the times at which they hold.
+/// Poses with their times in seconds.
 type Samples = Vec<(f64, Rigid3)>;
 
-/// The two models as one, in the frame of the first; `None` where they share a camera, where times
-/// are not known, or where they do not move as one.
-pub(crate) fn joined(first: &Reconstruction, further: &Reconstruction) -> Option<Reconstruction> {
-    if !cameras(first).is_disjoint(&cameras(further)) {
+/// Merges two models in the frame of the first. Returns `None` if they share a camera, if times are
+/// missing, or if their motions do not fit one rig.
+pub(crate) fn merge_by_motion(
+    first: &Reconstruction,
+    second: &Reconstruction,
+) -> Option<Reconstruction> {
+    if !cameras(first).is_disjoint(&cameras(second)) {
         return None;
     }
     let lefts = samples(first, *cameras(first).first()?);
-    let rights = cameras(further).into_iter().map(|camera| samples(further, camera));
+    let rights = cameras(second).into_iter().map(|camera| samples(second, camera));
     let rights = rights.max_by_key(Vec::len)?;
-    let first_from_further = similarity(&Trajectory::new(lefts), &rights)?;
-    let mut whole = first.clone();
-    let mut moved = further.clone();
-    moved.transform(&first_from_further);
-    for camera in cameras(further) {
-        *whole.camera_mut(camera) = *moved.camera(camera);
+    let first_from_second = similarity(&Trajectory::new(lefts), &rights)?;
+    let mut merged = first.clone();
+    let mut moved = second.clone();
+    moved.transform(&first_from_second);
+    for camera in cameras(second) {
+        *merged.camera_mut(camera) = *moved.camera(camera);
     }
     let posed: Vec<(ImageId, Rigid3)> =
         moved.registered().map(|(id, _, pose)| (id, *pose)).collect();
     for (image, pose) in posed {
-        whole.register(image, pose);
+        merged.register(image, pose);
         let pixels: Vec<_> =
             moved.image(image).keypoints.iter().map(|keypoint| keypoint.pixel).collect();
-        whole.move_keypoints(image, &pixels);
+        merged.move_keypoints(image, &pixels);
     }
     for (_, track) in moved.tracks() {
-        whole.add_track(Track::new(track.xyz, track.observations.clone()));
+        merged.add_track(Track::new(track.xyz, track.observations.clone()));
     }
-    // They were made of the two apart.
-    whole.rigs.clear();
-    whole.frames.clear();
-    Some(whole)
+    // Rigs and frames of the separate models no longer hold.
+    merged.rigs.clear();
+    merged.frames.clear();
+    Some(merged)
 }
 
 fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
@@ -81,12 +81,12 @@ fn samples(model: &Reconstruction, camera: CameraId) -> Samples {
     posed_in_time(model, camera).into_iter().map(|(time_s, _, pose)| (time_s, pose)).collect()
 }
 
-/// What takes the world of `rights` to that of `lefts`.
+/// Returns the similarity from the world frame of `rights` to that of `lefts`.
 fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
     let offset_s = offset_s(lefts, rights);
     let both = |(time_s, right): &(f64, Rigid3)| Some((lefts.at(time_s + offset_s)?, *right));
     let poses: Vec<(Rigid3, Rigid3)> = rights.iter().filter_map(both).collect();
-    if poses.len() < MIN_MOMENTS {
+    if poses.len() < MIN_COMMON_TIMES {
         return None;
     }
     let from: Vec<Vector3<f64>> = poses.iter().map(|(_, right)| right.origin_in_a()).collect();
@@ -105,20 +105,22 @@ fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
         found = Some((similarity, relative, average, extent(&to)));
     }
     let (similarity, relative, average, extent) = found?;
-    let (mut offs, mut turns): (Vec<f64>, Vec<f64>) =
-        relative.iter().map(|p| p.distance_and_angle(&average)).unzip();
-    let is_one = median(&mut offs)? <= MAX_OFF * extent && median(&mut turns)? <= MAX_TURNED_RAD;
-    is_one.then_some(similarity)
+    let (mut deviations, mut rotations): (Vec<f64>, Vec<f64>) =
+        relative.iter().map(|p| p.apart(&average)).unzip();
+    let is_rigid = median(&mut deviations)? <= MAX_DEVIATION * extent
+        && median(&mut rotations)? <= MAX_ROTATION_RAD;
+    is_rigid.then_some(similarity)
 }
 
-/// Root mean square distance from the middle.
+/// Root mean square distance from the centroid.
 fn extent(points: &[Vector3<f64>]) -> f64 {
     let count = points.len() as f64;
-    let middle = points.iter().sum::<Vector3<f64>>() / count;
-    (points.iter().map(|point| (point - middle).norm_squared()).sum::<f64>() / count).sqrt()
+    let centroid = points.iter().sum::<Vector3<f64>>() / count;
+    (points.iter().map(|point| (point - centroid).norm_squared()).sum::<f64>() / count).sqrt()
 }
 
-/// What to add to the second camera's times: where both turn alike.
+/// Returns the offset, to be added to the second camera's times, at which the rotation rates agree
+/// best.
 fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
     let rights: Vec<(f64, f64)> = rights
         .windows(2)
@@ -136,7 +138,7 @@ fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
     let mean = rights.iter().map(|(_, rate)| rate).sum::<f64>() / rights.len().max(1) as f64;
     let scatter = rights.iter().map(|(_, rate)| (rate - mean).powi(2)).sum::<f64>()
         / rights.len().max(1) as f64;
-    if !half_s.is_finite() || scatter.sqrt() < MIN_TURNING {
+    if !half_s.is_finite() || scatter.sqrt() < MIN_RATE_SCATTER {
         return 0.0;
     }
     let cost = |offset_s: f64| {
@@ -144,13 +146,13 @@ fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
             .iter()
             .filter_map(|(time_s, right)| Some((rate(time_s + offset_s)? - right).powi(2)))
             .collect();
-        let is_enough = squares.len() >= MIN_MOMENTS && 2 * squares.len() >= rights.len();
+        let is_enough = squares.len() >= MIN_COMMON_TIMES && 2 * squares.len() >= rights.len();
         if is_enough { squares.iter().sum::<f64>() / squares.len() as f64 } else { f64::INFINITY }
     };
     let step_s = lefts.interval_s() / STEPS_PER_INTERVAL;
     let steps = (MAX_OFFSET_S / step_s).ceil() as i64;
     let offsets = (-steps..=steps).map(|step| step as f64 * step_s);
-    // Of offsets that serve alike, the smallest.
+    // Ties go to the smallest offset.
     offsets
         .map(|offset_s| (cost(offset_s), offset_s))
         .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.abs().total_cmp(&b.1.abs())))

@@ -1,5 +1,5 @@
-//! A camera that looks ahead and one that looks back, whose images share nothing, on the street of
-//! the synthetic world seen as features.
+//! A camera that looks ahead and one that looks back without common points, in the synthetic street
+//! as features.
 
 use std::ops::ControlFlow;
 
@@ -13,10 +13,10 @@ use tiepoint_synth::{
     Mounting,
 };
 
-/// Distance of the cameras, in metres.
+/// Baseline, in metres.
 const BASELINE_M: f64 = 0.5;
 const FRAMES: usize = 60;
-/// Set by hand, at a rate of its own.
+/// Initial offset and a different rate.
 const CLOCKS: ClockEffects = ClockEffects {
     offset_s: 0.3,
     drift_ppm: 0.0,
@@ -32,7 +32,7 @@ struct Run {
     models: usize,
     camera: Option<CalibratedCamera>,
     was_joined: bool,
-    /// Metres in a unit of the model, from the first camera's path.
+    /// Metres per unit of the model, from the first camera's trajectory.
     metres: f64,
 }
 
@@ -66,7 +66,7 @@ fn run(rig: RigTerm) -> Run {
     let mapper = MapperOptions { refine: RefineIntrinsics::NONE, rig, ..MapperOptions::default() };
     let mut was_joined = false;
     let models = map(&graph, &scene.without_poses(), &mut |_| Vec::new(), &mapper, &mut |event| {
-        was_joined |= matches!(event, Event::Joined { .. });
+        was_joined |= matches!(event, Event::Merged { .. });
         ControlFlow::Continue(())
     });
     let models = models.expect("the scene is easy");
@@ -83,44 +83,44 @@ fn run(rig: RigTerm) -> Run {
     Run { drive, models: models.len(), camera, was_joined, metres }
 }
 
-/// Two models know each other by their motion alone: what is asked of cameras that see the same,
-/// six times over.
+/// The models are connected only by their motion. The tolerance is six times that of cameras with
+/// common points.
 const MAX_ROTATION_RAD: f64 = 0.3 / 57.3;
 const MAX_OFFSET_S: f64 = 0.005;
-/// Of the mounting's place along the road and across it, in metres; upwards nothing tells it on a
-/// flat road, and it stays at zero, where it is.
-const MAX_PLACE_M: f64 = 0.1;
+/// Tolerance of the camera centre along the road and across it, in metres. On a flat road the
+/// vertical coordinate is unobservable and stays at its true value, zero.
+const MAX_POSITION_ERROR_M: f64 = 0.1;
 const MAX_HEIGHT_M: f64 = 0.01;
 
 #[test]
-fn cameras_without_a_common_view_become_one_model() {
+fn cameras_without_common_points_are_merged_into_one_model() {
     let run = run(RigTerm::Auto);
     assert!(run.was_joined);
     assert_eq!(run.models, 1);
-    let camera = run.camera.expect("it is held");
-    assert_eq!(camera.rig_sensor.clock_state, ClockState::Estimated);
+    let camera = run.camera.expect("it is calibrated");
+    assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let Rigid3 { rotation, translation } = camera.right_from_left;
     let turn_rad = so3::log(&(rotation * truth.rotation.inverse())).norm();
-    // In the first camera's frame: to the right, down, ahead.
+    // In the first camera's frame: right, down, ahead.
     let found = -(rotation.inverse() * translation) * run.metres;
     let expected = truth.origin_in_a();
-    let off = found - expected;
-    let pivot_s = camera.rig_sensor.clock.pivot_s;
-    let offset_s = camera.rig_sensor.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
+    let error = found - expected;
+    let pivot_s = camera.sensor_pair.clock.pivot_s;
+    let offset_s = camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
     eprintln!(
-        "turned by {turn_rad:.5} rad, off by {off:.3?} m, clock off by {offset_s:.5} s, {camera:?}"
+        "rotation {turn_rad:.5} rad, position {error:.3?} m, clock {offset_s:.5} s, {camera:?}"
     );
     assert!(turn_rad < MAX_ROTATION_RAD, "{turn_rad} rad");
-    assert!(off.x.hypot(off.z) < MAX_PLACE_M, "{off:?}");
-    let blind = camera.rig_sensor.unobservable_direction.expect("the road is flat");
+    assert!(error.x.hypot(error.z) < MAX_POSITION_ERROR_M, "{error:?}");
+    let blind = camera.sensor_pair.unobservable_direction.expect("the road is flat");
     assert!(blind.y.abs() > 0.9, "{blind:?}");
     assert!((found - blind * found.dot(&blind)).norm() > found.norm() - MAX_HEIGHT_M, "{found:?}");
     assert!(offset_s.abs() < MAX_OFFSET_S, "{offset_s} s");
 }
 
 #[test]
-fn without_a_rig_term_the_models_stay_apart() {
+fn without_a_rig_term_the_models_stay_separate() {
     let run = run(RigTerm::Off);
     assert!(!run.was_joined);
     assert_eq!(run.models, 2);

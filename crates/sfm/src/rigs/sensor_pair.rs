@@ -1,9 +1,10 @@
-//! Cameras that ride with the first one: at which moments the two are compared, by whose clock.
+//! Pairs of a reference camera (`left`) and another camera of the rig (`right`), and the clock
+//! offset between them.
 //!
-//! The images of a further camera need no partner. Where the first camera was when one of them was
-//! taken is interpolated between four of its images, at the time that the further camera's clock
-//! gives; only where the cameras are triggered together, or nothing is known of times, two images
-//! are of one instant.
+//! Cameras of a rig need not be triggered at the same instants. The pose of the reference camera at
+//! the time of another camera's image is interpolated between four of its images, on the other
+//! camera's clock. Images are paired one to one only for synchronised cameras and for images
+//! without times.
 
 use std::collections::BTreeMap;
 
@@ -19,36 +20,39 @@ use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 use super::pairs::{RigPair, by_name, by_time};
 use crate::timeline::{images_in_time, images_of_cameras};
 
-/// An image of a further camera, and where the first camera was.
+/// An image of the non-reference camera, and the source of the reference camera's pose at that
+/// time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferencedImage {
-    /// The image.
+    /// The image of the non-reference camera.
     pub right: ImageId,
-    /// What tells where the first camera was.
+    /// Source of the reference camera's pose.
     pub reference: ReferencePose,
 }
 
-/// What tells where the first camera was at a moment.
+/// Source of the reference camera's pose at the time of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "where one referenced is large, nearly all are")]
 pub enum ReferencePose {
-    /// Its image of the same instant.
+    /// An image of the same instant.
     Synchronous(ImageId),
-    /// Four consecutive images around it.
+    /// Interpolation between four consecutive images around the time.
     Interpolated {
-        /// The images.
+        /// The four images, in order of time.
         images: [ImageId; 4],
-        /// When they were taken.
+        /// Their times on the reference camera's clock, in seconds.
         times_s: [f64; 4],
-        /// When the further camera's image was taken, on its own clock.
+        /// Time of the other camera's image on its own clock, in seconds.
         right_time_s: f64,
-        /// Motions by which the pose in between may be off, one standard deviation each.
+        /// Perturbations of the interpolated pose, one standard deviation each: interpolation error
+        /// and time-stamp jitter.
         pose_perturbations: [Rigid3; 5],
     },
 }
 
 impl ReferencedImage {
-    /// The pose of the first camera then; `None` where an image has no pose.
+    /// Returns the pose of the reference camera at the time of the image; `None` if an image has no
+    /// pose.
     pub fn left_from_world(&self, model: &Reconstruction, clock: &Clock) -> Option<Rigid3> {
         let pose = |image: ImageId| model.image(image).cam_from_world();
         match self.reference {
@@ -61,13 +65,13 @@ impl ReferencedImage {
         }
     }
 
-    /// The relative pose of the two cameras then.
+    /// Returns the relative pose of the two cameras; `None` if an image has no pose.
     pub fn relative_pose(&self, model: &Reconstruction, clock: &Clock) -> Option<RelativePose> {
         let left = self.left_from_world(model, clock)?;
         Some(RelativePose::between(&left, model.image(self.right).cam_from_world()?))
     }
 
-    /// Makes what is doubtful about the first camera's pose that many times as large.
+    /// Multiplies the standard deviations of the interpolated pose by `factor`.
     pub(crate) fn scale_perturbations(&mut self, factor: f64) {
         if let ReferencePose::Interpolated { pose_perturbations, .. } = &mut self.reference {
             *pose_perturbations =
@@ -75,11 +79,11 @@ impl ReferencedImage {
         }
     }
 
-    /// What the residual of a mounting is multiplied by, for what is doubtful about the first
-    /// camera's pose.
+    /// Returns the 6×6 whitening of the extrinsics residual that accounts for the covariance of the
+    /// interpolated reference pose.
     pub(crate) fn whitening(
         &self,
-        mounted: &SynchronousExtrinsics,
+        synchronous: &SynchronousExtrinsics,
         left_from_world: &Rigid3,
         right_from_left: &Rigid3,
     ) -> SMatrix<f64, 6, 6> {
@@ -87,7 +91,7 @@ impl ReferencedImage {
             ReferencePose::Synchronous(_) => SMatrix::identity(),
             ReferencePose::Interpolated { pose_perturbations, .. } => {
                 InterpolatedExtrinsics::whitening(
-                    mounted,
+                    synchronous,
                     left_from_world,
                     right_from_left,
                     pose_perturbations,
@@ -96,8 +100,8 @@ impl ReferencedImage {
         }
     }
 
-    /// The first camera's image that is nearest in time.
-    pub fn nearest_left(&self, clock: &Clock) -> ImageId {
+    /// Returns the image of the reference camera that is nearest in time.
+    pub fn nearest_reference(&self, clock: &Clock) -> ImageId {
         match self.reference {
             ReferencePose::Synchronous(image) => image,
             ReferencePose::Interpolated { images, times_s, right_time_s, .. } => {
@@ -111,63 +115,65 @@ impl ReferencedImage {
     }
 }
 
-/// How the times of two cameras relate.
+/// State of the time offset between two cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockState {
-    /// Their images are of the same instants: the clock is known, and exact.
+    /// The cameras are triggered at the same instants. The offset is exact.
     Synchronised,
-    /// The clock is to be found.
+    /// Offset and drift are estimated.
     Estimated,
-    /// Nothing tells the clock, as on a straight road at one speed: it stays at what the time
-    /// stamps say.
+    /// The motion does not determine the offset, for example on a straight road at constant speed.
+    /// The offset follows the time stamps and is not estimated.
     Unobservable,
 }
 
 impl ClockState {
-    /// A clock that is to stay for now.
-    pub(crate) fn held(self) -> Self {
+    /// The state with a constant clock.
+    pub(crate) fn constant(self) -> Self {
         if self == Self::Estimated { Self::Unobservable } else { self }
     }
 }
 
-/// A camera that rides with the first one.
+/// A reference camera and another camera on the same rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RigSensor {
-    /// The first camera.
+pub struct SensorPair {
+    /// The reference camera.
     pub left: CameraId,
-    /// The other one.
+    /// The other camera.
     pub right: CameraId,
-    /// The other one's clock.
+    /// Clock of the other camera: `t_left = t_right + offset`.
     pub clock: Clock,
-    /// How well that is known.
+    /// State of the clock.
     pub clock_state: ClockState,
-    /// Where the two cameras see nothing in common, what stands for their distance, of which their
-    /// motion may tell nothing: the usual distance of consecutive images of the first camera.
+    /// Set when the two cameras have no common points, so that their motion may not determine the
+    /// baseline. The median distance between consecutive images of the reference camera then
+    /// replaces the baseline as the unit of length.
     pub assumed_baseline: Option<f64>,
-    /// Where their motion tells nothing of the camera's place along some direction (a unit vector
-    /// in the first camera's frame, upwards on a flat road): it stays at zero along it.
+    /// Direction along which the motion does not determine the right camera's centre: a unit vector
+    /// in the reference camera's frame, for example upwards on a flat road. The centre is kept at
+    /// zero along it.
     pub unobservable_direction: Option<Vector3<f64>>,
 }
 
-/// An offset is moved away from what the stamps say only if the images say so this much more likely
-/// (natural logarithm); far more than chance asks for, since errors of neighbours in a model go
-/// together.
+/// Minimum log-likelihood gain of an estimated offset over the time stamps. The value is far above
+/// the level of chance, because errors of neighbouring poses are correlated.
 const MIN_GAIN: f64 = 10.0;
-/// Where the motion tells an offset no better than this, in seconds, and does not contradict the
-/// stamps, they are believed: small biases of lenses bend a drive at one speed more than its
-/// keypoints' noise lets the adjustment think.
+/// Maximum standard deviation, in seconds, of an offset that the motion determines. Above it the
+/// time stamps are used unless the motion contradicts them: at constant speed small lens biases
+/// change the trajectory by more than the noise of the keypoints predicts.
 const MAX_MOTION_SD_S: f64 = 0.002;
-/// Cameras are triggered together when an offset at which nine in ten of their images coincide (to
-/// this share of the interval) is this near to the one found: so many standard deviations of it,
-/// for the same reason, but no more than this share of the interval; or so many seconds.
+/// Two cameras are synchronised if at some offset the fraction `COINCIDING` of their images
+/// coincide to within `MAX_JITTER` intervals. That offset must be near to the estimated one: within
+/// `MAX_DEVIATIONS` standard deviations and `MAX_PHASE` intervals, or within `MIN_PHASE_S` seconds.
 const MAX_JITTER: f64 = 0.02;
 const COINCIDING: f64 = 0.9;
 const MAX_DEVIATIONS: f64 = 6.0;
 const MAX_PHASE: f64 = 0.1;
 const MIN_PHASE_S: f64 = 0.001;
 
-/// Every camera that rides with the first one, as far as times, names or motion tell.
-pub fn rig_sensors(model: &Reconstruction) -> Vec<RigSensor> {
+/// Pairs each camera with the reference camera, which is the first one, and initialises the clocks
+/// from times, file names and motion.
+pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
     let cameras = images_of_cameras(model);
     let mut cameras = cameras.iter();
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
@@ -176,9 +182,9 @@ pub fn rig_sensors(model: &Reconstruction) -> Vec<RigSensor> {
             let assumed_baseline = if have_common_points(model, left, right) {
                 None
             } else {
-                usual_step(model, left_images)
+                median_step(model, left_images)
             };
-            let rig_sensor = |clock, clock_state| RigSensor {
+            let sensor_pair = |clock, clock_state| SensorPair {
                 left,
                 right,
                 clock,
@@ -189,10 +195,10 @@ pub fn rig_sensors(model: &Reconstruction) -> Vec<RigSensor> {
             let (Some(lefts), Some(rights)) =
                 (images_in_time(model, left_images), images_in_time(model, right_images))
             else {
-                return Some(rig_sensor(Clock::default(), ClockState::Synchronised));
+                return Some(sensor_pair(Clock::default(), ClockState::Synchronised));
             };
             let pivot_s = 0.5 * (rights.first()?.0 + rights.last()?.0);
-            // What has no pose tells nothing.
+            // Only registered images are used.
             let posed = |times: &[(f64, ImageId)]| -> Vec<(f64, Rigid3)> {
                 let pose = |id: ImageId| model.image(id).cam_from_world().copied();
                 times.iter().filter_map(|&(time_s, id)| Some((time_s, pose(id)?))).collect()
@@ -200,30 +206,30 @@ pub fn rig_sensors(model: &Reconstruction) -> Vec<RigSensor> {
             let (lefts, rights) = (Trajectory::new(posed(&lefts)), posed(&rights));
             let clock = |offset_s| Clock { offset_s, drift: 0.0, pivot_s };
             let Some(found) = find_offset(&lefts, &rights) else {
-                return Some(rig_sensor(clock(0.0), ClockState::Synchronised));
+                return Some(sensor_pair(clock(0.0), ClockState::Synchronised));
             };
-            // What is not clearly better than no offset is none.
-            let agrees = found.gain < MIN_GAIN;
-            let offset_s = if agrees { 0.0 } else { found.offset_s };
+            // The offset is zero unless the gain is significant.
+            let is_zero = found.gain < MIN_GAIN;
+            let offset_s = if is_zero { 0.0 } else { found.offset_s };
             let tolerance_s = (MAX_DEVIATIONS * found.sd_s).min(MAX_PHASE * lefts.interval_s());
             let is_near = |exact_s: f64| {
                 (exact_s - offset_s).abs() <= MIN_PHASE_S
                     || (exact_s - found.offset_s).abs() <= tolerance_s
             };
-            Some(match coinciding(lefts.times_s(), &rights, offset_s) {
+            Some(match synchronous_offset(lefts.times_s(), &rights, offset_s) {
                 Some(exact_s) if is_near(exact_s) => {
-                    rig_sensor(clock(exact_s), ClockState::Synchronised)
+                    sensor_pair(clock(exact_s), ClockState::Synchronised)
                 }
-                _ if agrees && found.sd_s > MAX_MOTION_SD_S => {
-                    rig_sensor(clock(offset_s), ClockState::Unobservable)
+                _ if is_zero && found.sd_s > MAX_MOTION_SD_S => {
+                    sensor_pair(clock(offset_s), ClockState::Unobservable)
                 }
-                _ => rig_sensor(clock(offset_s), ClockState::Estimated),
+                _ => sensor_pair(clock(offset_s), ClockState::Estimated),
             })
         })
         .collect()
 }
 
-/// Whether some point is seen by both cameras.
+/// Returns whether both cameras observe some point.
 fn have_common_points(model: &Reconstruction, left: CameraId, right: CameraId) -> bool {
     model.tracks().any(|(_, track)| {
         let is_seen_by =
@@ -232,17 +238,17 @@ fn have_common_points(model: &Reconstruction, left: CameraId, right: CameraId) -
     })
 }
 
-/// The median distance of consecutive images of a camera.
-fn usual_step(model: &Reconstruction, images: &[ImageId]) -> Option<f64> {
+/// Median distance between consecutive images, in units of the model.
+fn median_step(model: &Reconstruction, images: &[ImageId]) -> Option<f64> {
     let pose = |id: &ImageId| model.image(*id).cam_from_world().map(Rigid3::origin_in_a);
     let centres: Vec<_> = images.iter().filter_map(pose).collect();
     let mut steps: Vec<f64> = centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
     median(&mut steps).filter(|step| *step > 0.0)
 }
 
-/// The offset nearest to the given one at which images of the two cameras coincide; `None` where
-/// they do not at any.
-fn coinciding(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option<f64> {
+/// Returns the offset nearest to `offset_s` at which the images of the two cameras coincide; `None`
+/// if they coincide at none.
+fn synchronous_offset(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option<f64> {
     let interval_s = interval_s(left_s);
     let phase = |&(time_s, _): &(f64, Rigid3)| {
         let time_s = time_s + offset_s;
@@ -260,8 +266,9 @@ fn coinciding(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option
     (coincide as f64 >= COINCIDING * phases.len() as f64).then_some(offset_s - median)
 }
 
-impl RigSensor {
-    /// The moments at which both have poses, in order of time.
+impl SensorPair {
+    /// Returns the registered images of the right camera at whose times the reference camera has a
+    /// pose, in order of time.
     pub fn referenced_images(&self, model: &Reconstruction) -> Vec<ReferencedImage> {
         let images: BTreeMap<CameraId, Vec<ImageId>> = images_of_cameras(model);
         let (Some(left_images), Some(right_images)) =

@@ -1,9 +1,9 @@
-//! The pose of one more image, from its keypoints that match keypoints which see points.
+//! Absolute pose of an image from its 2D-3D correspondences.
 //!
-//! Where texture repeats, wrong matches agree on a wrong pose, and may be more than the right ones:
-//! windows of a facade look alike from places that differ by their distance. What gives such a pose
-//! away are correspondences that it lacks (Zach, Irschara & Bischof 2008): an image there would
-//! have to see nearly all that the images around it see.
+//! With repeated texture, wrong correspondences may outnumber the correct ones and agree on a wrong
+//! pose: windows of a facade look alike from positions that differ by their spacing. Missing
+//! correspondences reveal such a pose (Zach, Irschara & Bischof 2008), because an image there would
+//! observe nearly all points that its neighbours observe. The visible-point recall measures this.
 
 use std::collections::BTreeSet;
 
@@ -11,25 +11,25 @@ use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
 use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-/// A second pose is looked at when it has at least this share of the first one's inliers, and taken
-/// when the share that it has of what it ought to see is this much greater; or greater at all,
-/// where the first one is not plausible and it is. On streets that this was found on, right poses
-/// had 1.28 times the share of wrong ones and more.
-const MIN_RIVAL_SHARE: f64 = 0.5;
+/// A second pose is considered if it has at least this fraction of the first pose's inliers. It is
+/// selected if its recall is larger by the factor `MIN_ADVANTAGE`, or larger at all if only the
+/// second pose is plausible. On the streets used for tuning, correct poses had at least 1.28 times
+/// the recall of wrong ones.
+const MIN_SECOND_INLIERS: f64 = 0.5;
 const MIN_ADVANTAGE: f64 = 1.25;
-/// Views of a point from directions (10°) and distances that differ by less match well (Mikolajczyk
-/// & Schmid 2005).
-const SAME_ANGLE_RAD: f64 = 0.175;
-const SAME_DISTANCE: f64 = 1.25;
+/// Views of a point whose directions differ by less than 10° and whose distances differ by less
+/// than a quarter match well (Mikolajczyk & Schmid 2005).
+const MAX_VIEW_ANGLE_RAD: f64 = 0.175;
+const MAX_DISTANCE_RATIO: f64 = 1.25;
 
-/// What counts as registered.
+/// Thresholds of registration.
 #[derive(Clone, Copy, Debug)]
 pub struct RegisterOptions {
-    /// Largest distance between a keypoint and the projection of its point, in pixels.
+    /// Maximum reprojection error of an inlier, in pixels.
     pub max_error_px: f64,
-    /// Fewer inliers are no pose.
+    /// Minimum number of inliers.
     pub min_num_inliers: usize,
-    /// A smaller share of inliers is no pose.
+    /// Minimum fraction of inliers.
     pub min_inlier_share: f64,
 }
 
@@ -39,8 +39,8 @@ impl Default for RegisterOptions {
     }
 }
 
-/// Estimates the pose of `image`, sets it and lets its inlier keypoints see their points. Returns
-/// how many; `None`, and nothing changes, where too few agree.
+/// Estimates and sets the pose of `image`, and adds its inliers to the tracks. Returns the number
+/// of inliers; `None` without changes if there are too few.
 pub fn register_image(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
@@ -48,37 +48,37 @@ pub fn register_image(
     options: &RegisterOptions,
     seed: u64,
 ) -> Option<usize> {
-    let placement = place_image(graph, model, image, options, seed, &|_| true)?;
+    let placement = estimate_placement(graph, model, image, options, seed, &|_| true)?;
     placement.apply(model);
-    Some(placement.seen.len())
+    Some(placement.inliers.len())
 }
 
-/// Where an image is.
+/// An estimated pose of an image.
 pub(crate) struct Placement {
     pub(crate) image: ImageId,
     cam_from_world: Rigid3,
-    /// Its keypoints that agree with that, and their points.
-    seen: Vec<(u32, PointId)>,
-    /// How many of the points that it ought to see it does,
+    /// Inliers: keypoints and their points.
+    inliers: Vec<(u32, PointId)>,
+    /// Number of expected points that the inliers contain.
     num_found: usize,
-    /// and their share of those.
-    pub(crate) share: f64,
-    /// Whether it may be there.
+    /// Visible-point recall: `num_found` relative to the number of expected points.
+    pub(crate) recall: f64,
+    /// Whether the caller's check accepts the pose.
     pub(crate) is_plausible: bool,
 }
 
 impl Placement {
     pub(crate) fn apply(&self, model: &mut Reconstruction) {
         model.register(self.image, self.cam_from_world);
-        for &(keypoint, point) in &self.seen {
+        for &(keypoint, point) in &self.inliers {
             model.add_observation(point, Observation { image: self.image, keypoint });
         }
     }
 }
 
-/// The pose that agrees with what an image sees; `None` where too few do. One that is not plausible
-/// only where no other is.
-pub(crate) fn place_image(
+/// Estimates the pose of an image; `None` with too few inliers. A pose that `is_plausible` rejects
+/// is returned only if no other is found.
+pub(crate) fn estimate_placement(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     image: ImageId,
@@ -88,15 +88,15 @@ pub(crate) fn place_image(
 ) -> Option<Placement> {
     let candidates = candidates(graph, model, image);
     let neighbours = graph.neighbours(image).iter();
-    let mut around: Vec<PointId> =
+    let mut visible_to_neighbours: Vec<PointId> =
         neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
-    around.sort_unstable();
-    around.dedup();
+    visible_to_neighbours.sort_unstable();
+    visible_to_neighbours.dedup();
     let ransac =
         RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
     let camera = model.camera_of(image);
-    let place = |candidates: &[(u32, PointId)], least: usize| {
-        if candidates.len() < least {
+    let estimate_from = |candidates: &[(u32, PointId)], min_inliers: usize| {
+        if candidates.len() < min_inliers {
             return None;
         }
         let pixels: Vec<Vector2<f64>> = candidates
@@ -110,52 +110,52 @@ pub(crate) fn place_image(
             .collect();
         let report = estimate::absolute_pose(&pixels, &points, &camera.intrinsics, &ransac)?;
         let inliers = candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier);
-        let seen: Vec<(u32, PointId)> = inliers.map(|(candidate, _)| *candidate).collect();
-        let is_found: BTreeSet<PointId> = seen.iter().map(|(_, point)| *point).collect();
-        let expected: Vec<&PointId> = around
+        let inliers: Vec<(u32, PointId)> = inliers.map(|(candidate, _)| *candidate).collect();
+        let found_points: BTreeSet<PointId> = inliers.iter().map(|(_, point)| *point).collect();
+        let expected: Vec<&PointId> = visible_to_neighbours
             .iter()
             .filter(|point| is_expected(model, camera, &report.model, **point))
             .collect();
-        let num_found = expected.iter().filter(|point| is_found.contains(point)).count();
-        // Where hardly anything is expected, nothing lacks.
-        let tells = expected.len() >= options.min_num_inliers.max(1);
+        let num_found = expected.iter().filter(|point| found_points.contains(point)).count();
+        // With few expected points the recall is not informative.
+        let is_informative = expected.len() >= options.min_num_inliers.max(1);
         let placement = Placement {
             image,
             cam_from_world: report.model,
-            seen,
+            inliers,
             num_found,
-            share: if tells { num_found as f64 / expected.len() as f64 } else { 1.0 },
+            recall: if is_informative { num_found as f64 / expected.len() as f64 } else { 1.0 },
             is_plausible: is_plausible(&report.model),
         };
-        (placement.seen.len() >= least).then_some(placement)
+        (placement.inliers.len() >= min_inliers).then_some(placement)
     };
-    let best = place(&candidates, options.min_num_inliers)?;
-    if (best.seen.len() as f64) < options.min_inlier_share * candidates.len() as f64 {
+    let best = estimate_from(&candidates, options.min_num_inliers)?;
+    if (best.inliers.len() as f64) < options.min_inlier_share * candidates.len() as f64 {
         return None;
     }
-    // What the best pose leaves may agree on another one.
-    let is_seen: BTreeSet<&(u32, PointId)> = best.seen.iter().collect();
+    // The outliers of the best pose may support another pose.
+    let is_seen: BTreeSet<&(u32, PointId)> = best.inliers.iter().collect();
     let others: Vec<(u32, PointId)> =
         candidates.iter().filter(|candidate| !is_seen.contains(candidate)).copied().collect();
-    // Against one that is not plausible any other pose will do that is one.
-    let least = if best.is_plausible {
-        MIN_RIVAL_SHARE * best.seen.len() as f64
+    // Against an implausible pose, the second pose only needs the usual fraction of inliers.
+    let min_inliers = if best.is_plausible {
+        MIN_SECOND_INLIERS * best.inliers.len() as f64
     } else {
         options.min_inlier_share * others.len() as f64
     };
-    let rival =
-        place(&others, options.min_num_inliers.max(least.ceil() as usize)).filter(|rival| {
+    let second = estimate_from(&others, options.min_num_inliers.max(min_inliers.ceil() as usize))
+        .filter(|second| {
             let advantage =
-                if rival.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
-            (rival.is_plausible || !best.is_plausible)
-                && rival.num_found >= options.min_num_inliers
-                && rival.share > advantage * best.share
+                if second.is_plausible && !best.is_plausible { 1.0 } else { MIN_ADVANTAGE };
+            (second.is_plausible || !best.is_plausible)
+                && second.num_found >= options.min_num_inliers
+                && second.recall > advantage * best.recall
         });
-    Some(rival.unwrap_or(best))
+    Some(second.unwrap_or(best))
 }
 
-/// Whether an image with this pose ought to see a point: it projects into it, and some image sees
-/// it from nearly the same direction and distance.
+/// Whether an image with this pose should observe a point: the point projects into the image, and
+/// some image observes it from a similar direction and distance.
 fn is_expected(
     model: &Reconstruction,
     camera: &Camera,
@@ -168,17 +168,18 @@ fn is_expected(
         .project(&(*cam_from_world * track.xyz))
         .is_some_and(|pixel| camera.contains(&pixel));
     let ray = track.xyz - cam_from_world.origin_in_a();
-    let looks_alike = |observation: &Observation| {
+    let is_similar_view = |observation: &Observation| {
         model.image(observation.image).cam_from_world().is_some_and(|pose| {
-            let seen = track.xyz - pose.origin_in_a();
-            let ratio = ray.norm() / seen.norm();
-            ray.angle(&seen) < SAME_ANGLE_RAD && ratio.max(1.0 / ratio) < SAME_DISTANCE
+            let other_ray = track.xyz - pose.origin_in_a();
+            let ratio = ray.norm() / other_ray.norm();
+            ray.angle(&other_ray) < MAX_VIEW_ANGLE_RAD
+                && ratio.max(1.0 / ratio) < MAX_DISTANCE_RATIO
         })
     };
-    is_inside && track.observations.iter().any(looks_alike)
+    is_inside && track.observations.iter().any(is_similar_view)
 }
 
-/// Keypoints with the points that their correspondences see; a keypoint may have several.
+/// Returns keypoints with the points of their correspondences. A keypoint may have several points.
 fn candidates(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -208,26 +209,23 @@ mod tests {
 
     use super::{RegisterOptions, register_image};
 
-    /// Points of the place where the image is, how many of them are matched, and the same of the
-    /// place that looks alike.
+    /// Number of points and of matched points at the true place, and at the place that looks alike.
     const TRUE_PLACE: (usize, usize) = (150, 60);
-    const ALIKE_PLACE: (usize, usize) = (600, 80);
-    /// Between the two places, in metres; and how far the found pose may be from the true one
-    /// without any noise.
-    const APART_M: f64 = 100.0;
+    const SIMILAR_PLACE: (usize, usize) = (600, 80);
+    /// Distance between the two places, and tolerance of the pose without noise, in metres.
+    const DISTANCE_M: f64 = 100.0;
     const TOLERANCE_M: f64 = 1e-3;
 
-    /// Two walls that look alike, each seen by one image, and an image between whose keypoints are
-    /// half of one and half of the other.
+    /// Two similar walls, each observed by one image, and a third image with keypoints of both.
     #[test]
-    fn a_pose_that_lacks_correspondences_loses_against_one_with_fewer_inliers() {
+    fn a_pose_with_low_recall_loses_against_one_with_fewer_inliers() {
         let intrinsics =
             Intrinsics::new(CameraModelKind::SimplePinhole, &[400.0, 320.0, 240.0]).unwrap();
         let mut model = Reconstruction::default();
         let camera =
             model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
         let centres =
-            [Vector3::zeros(), Vector3::new(APART_M, 0.0, 0.0), Vector3::new(0.3, 0.0, 0.1)];
+            [Vector3::zeros(), Vector3::new(DISTANCE_M, 0.0, 0.0), Vector3::new(0.3, 0.0, 0.1)];
         let poses = centres.map(|centre| Rigid3 { translation: -centre, ..Rigid3::identity() });
         let mut rng = Rng::stream(5, &[]);
         let mut keypoints: [Vec<Keypoint>; 3] = Default::default();
@@ -237,13 +235,14 @@ mod tests {
             let pixel = intrinsics.project(&(*pose * *point))?;
             (pixel.x > 0.0 && pixel.x < 640.0 && pixel.y > 0.0 && pixel.y < 480.0).then_some(pixel)
         };
-        for (place, (num_points, num_matched)) in [TRUE_PLACE, ALIKE_PLACE].into_iter().enumerate()
+        for (place, (num_points, num_matched)) in
+            [TRUE_PLACE, SIMILAR_PLACE].into_iter().enumerate()
         {
             while keypoints[place].len() < num_points {
                 let [x, y, z] = [0; 3].map(|_| rng.uniform());
                 let offset = Vector3::new(6.0 * x - 3.0, 4.0 * y - 2.0, 5.0 + 4.0 * z);
                 let (point, as_if) = (centres[place] + offset, offset);
-                let (Some(seen), Some(again)) =
+                let (Some(pixel), Some(pixel_of_third)) =
                     (see(&poses[place], &point), see(&poses[2], &as_if))
                 else {
                     continue;
@@ -252,9 +251,9 @@ mod tests {
                 if keypoints[place].len() < num_matched {
                     let (a, b) = (keypoints[place].len() as u32, keypoints[2].len() as u32);
                     matches[place].push(Match { a, b });
-                    keypoints[2].push(Keypoint { pixel: again, scale_px: 1.0 });
+                    keypoints[2].push(Keypoint { pixel: pixel_of_third, scale_px: 1.0 });
                 }
-                keypoints[place].push(Keypoint { pixel: seen, scale_px: 1.0 });
+                keypoints[place].push(Keypoint { pixel, scale_px: 1.0 });
             }
         }
         let counts: Vec<usize> = keypoints.iter().map(Vec::len).collect();
@@ -268,10 +267,10 @@ mod tests {
         for place in 0..2 {
             model.register(images[place], poses[place]);
         }
-        let mut seen = [0; 2];
+        let mut num_seen = [0; 2];
         for (xyz, place) in walls {
-            let observation = Observation { image: images[place], keypoint: seen[place] };
-            seen[place] += 1;
+            let observation = Observation { image: images[place], keypoint: num_seen[place] };
+            num_seen[place] += 1;
             model.add_track(Track::new(xyz, vec![observation]));
         }
         let two_views = matches.into_iter().enumerate().filter_map(|(place, matches)| {
