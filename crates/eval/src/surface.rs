@@ -17,14 +17,14 @@ use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 
 /// What an observation of a reconstructed point truly saw.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
+pub struct TrueObservation {
     /// The true camera's centre, when it exposed the pixel.
     pub camera_in_world: Vector3<f64>,
     /// The true surface point behind the pixel; `None` for the sky, and for what moves.
     pub surface_in_world: Option<Vector3<f64>>,
 }
 
-impl Sighting {
+impl TrueObservation {
     fn range(&self) -> Option<f64> {
         self.surface_in_world.map(|surface| (surface - self.camera_in_world).norm())
     }
@@ -43,19 +43,22 @@ pub struct SurfaceError {
 /// where more than half of them saw no surface that stands still.
 pub fn surface_errors(
     points_in_world: &[Vector3<f64>],
-    sightings: &[Vec<Sighting>],
+    true_observations: &[Vec<TrueObservation>],
 ) -> Vec<Option<SurfaceError>> {
-    let error = |(point, sightings): (&Vector3<f64>, &Vec<Sighting>)| {
-        let surfaces = sightings.iter().filter_map(|sighting| sighting.surface_in_world);
+    let error = |(point, true_observations): (&Vector3<f64>, &Vec<TrueObservation>)| {
+        let surfaces = true_observations
+            .iter()
+            .filter_map(|true_observation| true_observation.surface_in_world);
         let mut distances: Vec<f64> = surfaces.map(|surface| (surface - point).norm()).collect();
-        if distances.is_empty() || 2 * distances.len() < sightings.len() {
+        if distances.is_empty() || 2 * distances.len() < true_observations.len() {
             return None;
         }
         distances.sort_by(f64::total_cmp);
-        let range = sightings.iter().filter_map(Sighting::range).min_by(f64::total_cmp)?;
+        let range =
+            true_observations.iter().filter_map(TrueObservation::range).min_by(f64::total_cmp)?;
         Some(SurfaceError { distance: distances[(distances.len() - 1) / 2], range })
     };
-    points_in_world.iter().zip(sightings).map(error).collect()
+    points_in_world.iter().zip(true_observations).map(error).collect()
 }
 
 /// Smallest part of the rays' mean extent across them that must lie in the worst direction: below
@@ -66,20 +69,22 @@ const MIN_CONDITION: f64 = 1e-9;
 /// of its pixels (weighted by one over the squared range, so that angles count). Its
 /// [`surface_errors`] are the floor that keypoints and matches leave. `None` where fewer than two
 /// rays are left, or these are parallel.
-pub fn points_of_true_cameras(sightings: &[Vec<Sighting>]) -> Vec<Option<Vector3<f64>>> {
-    sightings.iter().map(|sightings| intersect(sightings)).collect()
+pub fn triangulate_true_observations(
+    true_observations: &[Vec<TrueObservation>],
+) -> Vec<Option<Vector3<f64>>> {
+    true_observations.iter().map(|true_observations| intersect(true_observations)).collect()
 }
 
-fn intersect(sightings: &[Sighting]) -> Option<Vector3<f64>> {
+fn intersect(true_observations: &[TrueObservation]) -> Option<Vector3<f64>> {
     let (mut normal, mut right, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0);
-    for sighting in sightings {
-        let Some(surface) = sighting.surface_in_world else { continue };
-        let ray = surface - sighting.camera_in_world;
+    for true_observation in true_observations {
+        let Some(surface) = true_observation.surface_in_world else { continue };
+        let ray = surface - true_observation.camera_in_world;
         let (direction, range) = (ray.normalize(), ray.norm());
         // The square of the distance across the ray, as an angle.
         let across = (Matrix3::identity() - direction * direction.transpose()) / (range * range);
         normal += across;
-        right += across * sighting.camera_in_world;
+        right += across * true_observation.camera_in_world;
         count += 1;
     }
     let eigenvalues = normal.symmetric_eigenvalues();

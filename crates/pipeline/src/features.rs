@@ -15,7 +15,7 @@ use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 use crate::cameras::Calibration;
 use crate::fingerprint::of_text;
 use crate::memory::budget_bytes;
-use crate::ordered::for_each_within;
+use crate::ordered::for_each_within_budget;
 use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
@@ -123,7 +123,7 @@ pub fn extract_features(
     let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
     let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
     let budget = budget_bytes();
-    let taken = for_each_within(
+    let taken = for_each_within_budget(
         budget,
         bytes,
         &tasks,
@@ -235,8 +235,8 @@ fn open(
                 }
             }
             Ok(Some(_)) => {}
-            Ok(None) => return Err(Error::NotOurs { path }),
-            Err(_) if !is_sqlite(&path) => return Err(Error::NotOurs { path }),
+            Ok(None) => return Err(Error::ForeignFile { path }),
+            Err(_) if !is_sqlite(&path) => return Err(Error::ForeignFile { path }),
             Err(cause) if redo != Some(Stage::Features) => {
                 return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
             }

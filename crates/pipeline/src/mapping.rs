@@ -16,10 +16,10 @@ use tiepoint_sfm::{
 use crate::colors::color_points;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::matching::keypoint;
-use crate::metric::{ScaleReport, scale_to_baseline};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
+use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys,
@@ -69,7 +69,7 @@ pub fn map(
         term => require_moments(workspace, &scene, term)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
-        return Err(Error::NoMotion { path: workspace.root().to_owned() });
+        return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
     }
     let name = |id| scene.image(id).name.as_str();
     let database = Database::open(&workspace.database())?;
@@ -212,7 +212,7 @@ fn require_moments(
         return Ok(());
     }
     let cameras = scene.cameras().count();
-    Err(Error::NoMoments { path: workspace.root().to_owned(), cameras })
+    Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
 }
 
 /// Whether some camera has enough images with times to be followed through them.
@@ -330,7 +330,7 @@ mod tests {
             stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
         workspace.publish(names, &[], |_| {}).unwrap();
         let rig = |index| {
-            let place = crate::model_place::ModelPlace::of(&root.join(model_path(index)));
+            let place = crate::model_location::ModelLocation::of(&root.join(model_path(index)));
             let path = place.rig();
             path.is_file()
                 .then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())

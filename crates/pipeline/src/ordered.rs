@@ -22,13 +22,13 @@ pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
     work: impl Fn(&T) -> R + Sync,
     take: impl FnMut(&T, R) -> Result<(), E>,
 ) -> Result<(), E> {
-    for_each_within(u64::MAX, |_| 0, tasks, work, take)
+    for_each_within_budget(u64::MAX, |_| 0, tasks, work, take)
 }
 
 /// The same for work that takes memory: a task waits until the `bytes` of all that run and its own
 /// are within a budget, or until nothing else runs. So a budget delays, but what comes out does not
 /// depend on it.
-pub(crate) fn for_each_within<T: Sync, R: Send, E>(
+pub(crate) fn for_each_within_budget<T: Sync, R: Send, E>(
     budget: u64,
     bytes: impl Fn(&T) -> u64,
     tasks: &[T],
@@ -149,7 +149,8 @@ mod tests {
                 taken.push(result);
                 Ok::<(), ()>(())
             };
-            pool.install(|| for_each_within(budget, |task| *task, &tasks, work, take)).unwrap();
+            pool.install(|| for_each_within_budget(budget, |task| *task, &tasks, work, take))
+                .unwrap();
             assert_eq!(taken, expected);
             assert!(most.into_inner() <= budget.max(7), "budget {budget}");
         }

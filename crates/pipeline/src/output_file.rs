@@ -44,7 +44,7 @@ pub(crate) fn write_file<'a>(
     let new = path.with_file_name(format!(".{name}{STAGED}"));
     let same = write(&new).and_then(|()| is_same(&new, path));
     disk::remove_file(&new).map_err(output(&new))?;
-    if same? { Ok(()) } else { Err(Error::NotOurs { path: path.to_owned() }) }
+    if same? { Ok(()) } else { Err(Error::ForeignFile { path: path.to_owned() }) }
 }
 
 /// Writes a page (HTML) of this program; one that is there is replaced only where it is this
@@ -68,7 +68,7 @@ pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
     if may_be_replaced(path, Some(PAGE_MARK))? {
         Ok(())
     } else {
-        Err(Error::NotOurs { path: path.to_owned() })
+        Err(Error::ForeignFile { path: path.to_owned() })
     }
 }
 
@@ -117,12 +117,12 @@ mod tests {
         fs::write(&path, "").unwrap();
         put("mine", &[], None).unwrap();
         put("mine", &[], None).unwrap();
-        assert!(matches!(put("other", &[], None), Err(Error::NotOurs { .. })));
-        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("other", &[], None), Err(Error::ForeignFile { .. })));
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::ForeignFile { .. })));
         assert!(matches!(put("mine", &[&path], None), Err(Error::IsInput { .. })));
         assert_eq!(fs::read(&path).unwrap(), b"mine");
         fs::write(&path, format!("1 2 3\n{COMMENT_MARK} was wrong here\n")).unwrap();
-        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::ForeignFile { .. })));
         fs::write(&path, format!("{COMMENT_MARK}\n1 2 3\n")).unwrap();
         put("other", &[], Some(COMMENT_MARK)).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"other");

@@ -131,7 +131,7 @@ impl OutputFolder {
         match owner {
             Owner::Nobody | Owner::Us => Ok(()),
             Owner::Input => Err(Error::IsInput { path: path() }),
-            Owner::Others => Err(Error::NotOurs { path: path() }),
+            Owner::Others => Err(Error::ForeignFile { path: path() }),
         }
     }
 
@@ -323,7 +323,7 @@ impl OutputFolder {
         // Somebody may have put a file there since a run was killed.
         for (_, name) in &old {
             if !self.is_as_left(name)? {
-                return Err(Error::NotOurs { path: self.root.join(name) });
+                return Err(Error::ForeignFile { path: self.root.join(name) });
             }
         }
         disk::create_folders(&replaced).map_err(output(&self.root))?;
@@ -374,7 +374,7 @@ impl Drop for OutputFolder {
 fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
     Manifest::read(root).map_err(|error| match error {
         tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
-        _ => Error::NotOurs { path: root.join(MANIFEST) },
+        _ => Error::ForeignFile { path: root.join(MANIFEST) },
     })
 }
 
@@ -496,7 +496,7 @@ mod tests {
         fs::write(root.join("c"), "changed").unwrap();
         for name in ["mine", "c"] {
             let error = put(&mut folder, &[("a/b", "3"), (name, "3")], &[]).unwrap_err();
-            assert!(matches!(error, Error::NotOurs { .. }), "{error}");
+            assert!(matches!(error, Error::ForeignFile { .. }), "{error}");
             drop(folder);
             folder = OutputFolder::open(root).unwrap();
         }
@@ -546,7 +546,7 @@ mod tests {
             fs::write(root.join("a"), a).unwrap();
         };
         undo("mine");
-        assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })));
+        assert!(matches!(OutputFolder::open(&root), Err(Error::ForeignFile { .. })));
         assert_eq!(fs::read(root.join("a")).unwrap(), b"mine");
         undo("2");
         drop(OutputFolder::open(&root).unwrap());
@@ -557,7 +557,7 @@ mod tests {
             let mut manifest = Manifest::default();
             manifest.removed.push(name.to_owned());
             manifest.write(&root).unwrap();
-            assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })), "{name}");
+            assert!(matches!(OutputFolder::open(&root), Err(Error::ForeignFile { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
     }

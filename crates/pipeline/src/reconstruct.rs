@@ -2,8 +2,8 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::{
-    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, Opened, Report, Stage, Watch,
-    extract_features, map, match_images, open_input,
+    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
+    Watch, extract_features, map, match_images, open_input,
 };
 
 /// How to reconstruct.
@@ -44,7 +44,7 @@ pub fn reconstruct(
     watch: Watch,
 ) -> Result<Report, Error> {
     let (masks, every) = (options.masks.as_deref(), options.every);
-    let Opened { mut workspace, photos, timestamps } =
+    let OpenedInput { mut workspace, photos, timestamps } =
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);

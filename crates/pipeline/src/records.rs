@@ -73,8 +73,9 @@ impl Recipe {
             });
         }
         (self.input != asked.input).then(|| match stage {
-            Stage::Features => "from other photos, or some have changed since".to_owned(),
-            Stage::Match | Stage::Map => "from something that has been made anew since".to_owned(),
+            Stage::Features => "from other photos, or photos have changed since".to_owned(),
+            Stage::Match => "from other features than the current ones".to_owned(),
+            Stage::Map => "from other matches than the current ones".to_owned(),
         })
     }
 
@@ -334,11 +335,10 @@ mod tests {
         assert_eq!(
             error.to_string(),
             "the matches in ws were made with --pairs exhaustive and not sequential:5: give \
-            --redo match to make them anew, or \
-             choose another workspace"
+            --redo match to make them again, or choose another workspace"
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
-        assert!(error.to_string().contains("made anew since"), "{error}");
+        assert!(error.to_string().contains("from other features"), "{error}");
         let redone =
             records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), Some(Stage::Match));
         assert_eq!(redone.unwrap(), Progress::Begin);

@@ -23,7 +23,7 @@ use tiepoint_sfm::{
 
 use crate::evaluate::read_times;
 use crate::image_names::{camera_of_folder, folder_of};
-use crate::model_place::ModelPlace;
+use crate::model_location::ModelLocation;
 use crate::{Error, Report, RigCamera, RigFile, model_folder};
 
 /// What it took to make a model rigid.
@@ -59,7 +59,7 @@ const ITERATIONS: usize = 100;
 /// Reads a model (a folder, or a workspace) and makes it rigid.
 pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
     let folder = model_folder(from)?;
-    let place = ModelPlace::of(&folder);
+    let place = ModelLocation::of(&folder);
     let mut model = read_model(&folder)?;
     read_times(&mut model, &place.timestamps())?;
     let rig = place.rig();
@@ -78,7 +78,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
         );
     }
     if cameras.is_empty() {
-        return Err(Error::NothingRigid { path: from.to_owned() });
+        return Err(Error::NoRigFrames { path: from.to_owned() });
     }
     let max_time_difference_s = time_difference_s(&model, &cameras);
     let mut cameras: Vec<RigidCamera> = cameras.into_iter().map(|(camera, _)| camera).collect();
@@ -119,7 +119,7 @@ type Found = Vec<(RigSensor, Option<Rigid3>)>;
 /// their moment.
 fn mounted(
     model: &Reconstruction,
-    place: &ModelPlace,
+    place: &ModelLocation,
 ) -> Result<(Found, BTreeSet<ImageId>), Error> {
     let rig = place.rig();
     let broken = |what: String| Error::Broken { path: rig.clone(), what };
@@ -158,14 +158,15 @@ fn mounted(
 }
 
 /// Workspaces of 0.1.0 before `rig.json` had the wrong pairs: there they stand in the report alone.
-fn bad_pairs_of_report(place: &ModelPlace) -> Result<Vec<[String; 2]>, Error> {
+fn bad_pairs_of_report(place: &ModelLocation) -> Result<Vec<[String; 2]>, Error> {
     let (path, index) = place.report();
     if !path.is_file() {
         return Ok(Vec::new());
     }
     let report = Report::read(&path)?;
-    let mounting = report.models.get(index).and_then(|model| model.rig.as_ref()?.mounting.as_ref());
-    Ok(mounting.map_or(Vec::new(), |mounting| mounting.bad_pairs.clone()))
+    let rig = report.models.get(index).and_then(|model| model.rig.as_ref());
+    let extrinsics = rig.and_then(|rig| rig.extrinsics.as_ref());
+    Ok(extrinsics.map_or(Vec::new(), |extrinsics| extrinsics.bad_pairs.clone()))
 }
 
 /// A camera with its moments; `None` where there are too few.

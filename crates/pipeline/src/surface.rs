@@ -4,7 +4,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_eval::geometry::Sim3;
 use tiepoint_eval::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_eval::{Sighting, Statistics, SurfaceError, points_of_true_cameras, surface_errors};
+use tiepoint_eval::{
+    Statistics, SurfaceError, TrueObservation, surface_errors, triangulate_true_observations,
+};
 use tiepoint_sfm::scene::{Image, PointId, Reconstruction, Track};
 
 use crate::ErrorStatistics;
@@ -41,32 +43,33 @@ pub struct SurfaceEvaluation {
 
 /// Compares each point of a model with what truly lies behind the pixels that saw it.
 /// `truth_from_model` comes from the cameras ([`crate::PoseEvaluation::truth_from_model`]);
-/// `sighting` says what an image sees at a pixel, and is asked in parallel. `None` where no point
+/// `true_observation` says what an image sees at a pixel, and is asked in parallel. `None` where no point
 /// is on a surface.
 pub fn evaluate_surface(
     model: &Reconstruction,
     truth_from_model: &Sim3,
-    sighting: impl Fn(&Image, &Vector2<f64>) -> Sighting + Sync,
+    true_observation: impl Fn(&Image, &Vector2<f64>) -> TrueObservation + Sync,
 ) -> Option<SurfaceEvaluation> {
     let tracks: Vec<(PointId, &Track)> = model.tracks().collect();
-    let sightings_of = |(_, track): &(PointId, &Track)| -> Vec<Sighting> {
+    let sightings_of = |(_, track): &(PointId, &Track)| -> Vec<TrueObservation> {
         let observations = track.observations.iter();
         let asked = observations.map(|observation| {
             let image = model.image(observation.image);
-            sighting(image, &image.keypoints[observation.keypoint as usize].pixel)
+            true_observation(image, &image.keypoints[observation.keypoint as usize].pixel)
         });
         asked.collect()
     };
-    let sightings: Vec<Vec<Sighting>> = tracks.par_iter().map(sightings_of).collect();
+    let true_observations: Vec<Vec<TrueObservation>> =
+        tracks.par_iter().map(sightings_of).collect();
     let points: Vec<Vector3<f64>> =
         tracks.iter().map(|(_, track)| *truth_from_model * track.xyz).collect();
-    let all = surface_errors(&points, &sightings);
+    let all = surface_errors(&points, &true_observations);
     let errors: Vec<(PointId, SurfaceError)> =
         tracks.iter().zip(all).filter_map(|((id, _), error)| Some((*id, error?))).collect();
-    let (known, of_known): (Vec<_>, Vec<_>) = points_of_true_cameras(&sightings)
+    let (known, of_known): (Vec<_>, Vec<_>) = triangulate_true_observations(&true_observations)
         .into_iter()
-        .zip(sightings)
-        .filter_map(|(point, sightings)| Some((point?, sightings)))
+        .zip(true_observations)
+        .filter_map(|(point, true_observations)| Some((point?, true_observations)))
         .unzip();
     let floor: Vec<SurfaceError> =
         surface_errors(&known, &of_known).into_iter().flatten().collect();

@@ -4,8 +4,8 @@
 //! sound tells how much later one began than the other ([`sound`]); then its frames are taken at
 //! the moments of the other's, so that partners lie within half a frame.
 
-mod choice;
-mod sound;
+mod audio_offset;
+mod frame_selection;
 
 use std::fs;
 use std::num::NonZeroUsize;
@@ -20,7 +20,7 @@ use crate::fingerprint::of_files;
 use crate::output_folder::OutputFolder;
 use crate::records::json;
 use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
-use choice::{Candidate, Chooser};
+use frame_selection::{Candidate, FrameSelector};
 
 /// The paper takes every third frame of a camera at 30 Hz.
 pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
@@ -40,7 +40,7 @@ struct Record {
 
 /// A workspace, the photos that it is to be made from, and when they were taken where the input
 /// says it.
-pub struct Opened {
+pub struct OpenedInput {
     /// The workspace, held.
     pub workspace: Workspace,
     /// Its photos.
@@ -59,12 +59,12 @@ pub fn open_input(
     every: NonZeroUsize,
     redo: Option<Stage>,
     watch: Watch,
-) -> Result<Opened, Error> {
+) -> Result<OpenedInput, Error> {
     let files = videos(inputs)?;
     if files.is_empty() {
         // In this order: for an input that is no good nothing is begun.
         let photos = Photos::open(inputs, masks)?;
-        return Ok(Opened { photos, workspace: Workspace::create(root)?, timestamps: None });
+        return Ok(OpenedInput { photos, workspace: Workspace::create(root)?, timestamps: None });
     }
     let recordings = named_apart(recordings(&files))?;
     let videos = recordings
@@ -93,7 +93,7 @@ pub fn open_input(
     }
     drop(frames);
     let photos = Photos::open(&[folder], masks)?;
-    Ok(Opened { workspace, photos, timestamps: Some(times) })
+    Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
 }
 
 /// The folder of the frames, and what they were made from where it is this program's and complete.
@@ -108,7 +108,7 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     let unreadable = |cause| Error::Unreadable { path: folder.to_owned(), cause };
     let Some(record) = read() else {
         let is_empty = fs::read_dir(folder).map_err(unreadable)?.next().is_none();
-        let theirs = || Error::NotOurs { path: folder.to_owned() };
+        let theirs = || Error::ForeignFile { path: folder.to_owned() };
         return if is_empty { Ok((OutputFolder::open(folder)?, None)) } else { Err(theirs()) };
     };
     // An earlier version kept no list of its frames: they are named by their numbers.
@@ -182,16 +182,16 @@ fn extract(
     watch: Watch,
 ) -> Result<Vec<String>, Error> {
     let mut taken: Vec<(String, f64)> = Vec::new();
-    let after_s = heard_after_s(recordings, watch)?;
+    let after_s = start_offsets_s(recordings, watch)?;
     // When the first recording began, and when its frames were taken that are kept.
-    let (mut first_began_s, mut first_moments_s) = (None, Vec::new());
+    let (mut first_began_s, mut first_times_s) = (None, Vec::new());
     for (recording, after_s) in recordings.iter().zip(after_s) {
         let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
         if is_moving.flatten() == Some(true) {
             tell(watch, &Event::Stabilised { recording: &recording.name })?;
         }
-        let moments_s = if after_s.is_some() { first_moments_s.clone() } else { Vec::new() };
-        let mut choice = Chooser::new(every, moments_s);
+        let target_times_s = if after_s.is_some() { first_times_s.clone() } else { Vec::new() };
+        let mut choice = FrameSelector::new(every, target_times_s);
         let heard_s = after_s.and_then(|after_s| Some(first_began_s? + after_s));
         let (mut read, mut began_s, mut offset_s, mut last_s, mut interval_s) =
             (0, heard_s, 0.0, 0.0, 0.0);
@@ -222,7 +222,7 @@ fn extract(
         keep(choice.end(), watch, read)?;
         if first_began_s.is_none() {
             first_began_s = began_s;
-            first_moments_s = taken[of_recording..].iter().map(|(_, time_s)| *time_s).collect();
+            first_times_s = taken[of_recording..].iter().map(|(_, time_s)| *time_s).collect();
         }
     }
     taken.sort_by(|a, b| a.0.cmp(&b.0));
@@ -234,19 +234,20 @@ fn extract(
 }
 
 /// By how many seconds each recording began after the first one, where their sound tells it.
-fn heard_after_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
+fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
     let mut after_s = vec![None; recordings.len()];
     let Some((first, others)) = recordings.split_first().filter(|(_, others)| !others.is_empty())
     else {
         return Ok(after_s);
     };
     let sound = |recording: &Recording| -> Result<Vec<i16>, Error> {
-        let chapters = recording.chapters.iter().map(|chapter| read_sound(chapter, sound::RATE_HZ));
+        let chapters =
+            recording.chapters.iter().map(|chapter| read_sound(chapter, audio_offset::RATE_HZ));
         Ok(chapters.collect::<Result<Vec<_>, _>>()?.concat())
     };
     let of_first = sound(first)?;
     for (other, after_s) in others.iter().zip(&mut after_s[1..]) {
-        *after_s = sound::began_after_s(&of_first, &sound(other)?);
+        *after_s = audio_offset::start_offset_s(&of_first, &sound(other)?);
         if let Some(after_s) = *after_s {
             let (reference, recording) = (first.name.as_str(), other.name.as_str());
             tell(watch, &Event::SoundHeard { reference, recording, after_s })?;

@@ -292,7 +292,7 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
 fn lock(root: &Path) -> Result<File, Error> {
     let path = root.join(LOCK);
     if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
-        return Err(Error::NotOurs { path });
+        return Err(Error::ForeignFile { path });
     }
     // Whatever it holds stays.
     let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);

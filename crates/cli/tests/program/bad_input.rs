@@ -160,7 +160,8 @@ fn help_and_version_are_no_errors() {
 #[test]
 fn stages_out_of_order() {
     let dir = tempfile::tempdir().unwrap();
-    tiepoint_in(dir.path(), "match {}/ws").failed(1, &["ws is no workspace", "tiepoint features"]);
+    tiepoint_in(dir.path(), "match {}/ws")
+        .failed(1, &["ws is not a workspace", "tiepoint features"]);
     photos::write(&dir.path().join("photos"), 2, 0);
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     tiepoint_in(dir.path(), "map {}/ws").failed(1, &["no matches yet", "tiepoint match"]);

@@ -88,7 +88,7 @@ fn spawn(dir: &Path, line: &str) -> Child {
     program(dir, line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-const SAYS: &str = "what is complete was kept; give the same command again to go on";
+const SAYS: &str = "completed work was kept; give the same command again to resume";
 
 #[test]
 fn a_signal_ends_a_drive_and_the_same_command_goes_on() {
@@ -130,11 +130,11 @@ fn a_signal_ends_each_stage_cleanly() {
         (first, "pair_done", SAYS),
         (first, "image_registered", SAYS),
         ("reconstruct photos -o ws --json --redo map --threads 1", "image_registered", SAYS),
-        ("match ws --json --redo match --threads 1", "pair_done", "again without --redo to go on"),
+        ("match ws --json --redo match --threads 1", "pair_done", "again without --redo to resume"),
         (
             "reconstruct photos -o ws --json --redo features --threads 1",
             "image_done",
-            "again without --redo to go on",
+            "again without --redo to resume",
         ),
     ] {
         let mut child = spawn(dir.path(), line);

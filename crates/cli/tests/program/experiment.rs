@@ -84,7 +84,7 @@ fn experiments_that_cannot_be() {
     let dir = tempfile::tempdir().unwrap();
     for (which, options, parts) in [
         ("mounting", "--frames 0", ["--frames", "0"]),
-        ("mounting", "--frames 2", ["--frames 2", "from 3 frames on"]),
+        ("mounting", "--frames 2", ["--frames 2", "needs 3 frames"]),
         ("mounting", "--rig off", ["--rig", "unexpected"]),
         ("baseline", "--rig off,none", ["none", "paper"]),
         ("baseline", "--length 1e12", ["--length", "at most"]),

@@ -103,7 +103,7 @@ fn focal_lengths_that_no_camera_has_are_named_and_not_believed() {
     }
     let run = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
     let said = run.stderr();
-    assert!(said.contains("0.jpg: its EXIF data tell a focal length of 6.0"), "{said}");
+    assert!(said.contains("0.jpg: its EXIF focal length of 6.0"), "{said}");
     assert!(said.contains("--focal-prior") && said.lines().count() == 1, "{said}");
     assert!(run.stdout().contains("4 of 4 images"), "{}", run.stdout());
 }

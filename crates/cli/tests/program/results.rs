@@ -108,7 +108,7 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
             assert_eq!(size, image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap());
         }
         tiepoint_in(dir, &format!("export {{}}/ws/sparse/0 --to {format} -o {{}}/{format}"))
-            .failed(1, &["no workspace", "needs the photos"]);
+            .failed(1, &["not a workspace", "needs the photos"]);
     }
     let shown = tiepoint_in(dir, "view {}/ws --json").done().json();
     let page = fs::read_to_string(shown["report"].as_str().unwrap()).unwrap();

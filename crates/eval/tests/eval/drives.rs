@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
-use tiepoint_eval::{PosePair, Sighting, points_of_true_cameras, rig_over_time, surface_errors};
+use tiepoint_eval::{
+    PosePair, TrueObservation, relative_pose_series, surface_errors, triangulate_true_observations,
+};
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, Rng};
 
@@ -13,17 +15,17 @@ fn vector(rng: &mut Rng, scale: f64) -> Vector3<f64> {
     Vector3::new(rng.normal(), rng.normal(), rng.normal()) * scale
 }
 
-fn sighting(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> Sighting {
-    Sighting { camera_in_world: camera, surface_in_world: surface }
+fn true_observation(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> TrueObservation {
+    TrueObservation { camera_in_world: camera, surface_in_world: surface }
 }
 
 #[test]
 fn an_error_is_the_median_over_what_stands_still() {
     let eye = Vector3::zeros();
-    let wall = |x: f64| sighting(eye, Some(Vector3::new(x, 0.0, 10.0)));
-    let sky = sighting(eye, None);
+    let wall = |x: f64| true_observation(eye, Some(Vector3::new(x, 0.0, 10.0)));
+    let sky = true_observation(eye, None);
     let point = Vector3::new(0.0, 0.0, 10.0);
-    for (sightings, expected) in [
+    for (true_observations, expected) in [
         // Three agree, and a fourth looked past an edge.
         (vec![wall(0.1), wall(0.2), wall(0.3), wall(50.0)], Some(0.2)),
         (vec![wall(0.1), wall(9.0)], Some(0.1)),
@@ -32,13 +34,15 @@ fn an_error_is_the_median_over_what_stands_still() {
         (vec![sky, sky], None),
         (vec![], None),
     ] {
-        let error = surface_errors(&[point], std::slice::from_ref(&sightings))[0];
+        let error = surface_errors(&[point], std::slice::from_ref(&true_observations))[0];
         match (error, expected) {
             (Some(error), Some(expected)) => {
-                assert!((error.distance - expected).abs() < TOLERANCE, "{sightings:?}");
-                assert!((error.range - 10.0).abs() < 0.01, "{sightings:?}");
+                assert!((error.distance - expected).abs() < TOLERANCE, "{true_observations:?}");
+                assert!((error.range - 10.0).abs() < 0.01, "{true_observations:?}");
             }
-            (error, expected) => assert_eq!(error.is_some(), expected.is_some(), "{sightings:?}"),
+            (error, expected) => {
+                assert_eq!(error.is_some(), expected.is_some(), "{true_observations:?}")
+            }
         }
     }
 }
@@ -60,23 +64,23 @@ proptest! {
     ) {
         let mut rng = Rng::stream(seed, &[]);
         let point = vector(&mut rng, 5.0);
-        let sightings: Vec<Sighting> = (0..count)
+        let true_observations: Vec<TrueObservation> = (0..count)
             .map(|_| {
                 let camera = vector(&mut rng, 10.0);
                 let seen = point + vector(&mut rng, noise);
                 // The surface lies at the point or behind it: only the direction counts.
-                sighting(camera, Some(seen + (seen - camera) * noise))
+                true_observation(camera, Some(seen + (seen - camera) * noise))
             })
             .collect();
         let cost = |at: &Vector3<f64>| -> f64 {
-            let square = |s: &Sighting| {
+            let square = |s: &TrueObservation| {
                 let ray = s.surface_in_world.unwrap() - s.camera_in_world;
                 let across = ray.cross(&(at - s.camera_in_world)).norm() / ray.norm();
                 (across / ray.norm()).powi(2)
             };
-            sightings.iter().map(square).sum()
+            true_observations.iter().map(square).sum()
         };
-        let Some(found) = points_of_true_cameras(std::slice::from_ref(&sightings))[0] else {
+        let Some(found) = triangulate_true_observations(std::slice::from_ref(&true_observations))[0] else {
             return Err(TestCaseError::reject("parallel rays"));
         };
         if noise == 0.0 {
@@ -100,7 +104,7 @@ proptest! {
                 PosePair { time_s: k as f64, left_from_world: left, right_from_world: rig * left }
             })
             .collect();
-        let found = rig_over_time(&pairs).unwrap();
+        let found = relative_pose_series(&pairs).unwrap();
         prop_assert!((found.right_from_left.translation - rig.translation).norm() < TOLERANCE);
         prop_assert!(found.right_from_left.rotation.angle_to(&rig.rotation) < 1e-7);
         prop_assert!((found.baseline.mean - rig.translation.norm()).abs() < TOLERANCE);
@@ -129,7 +133,7 @@ fn drift_is_what_a_straight_line_changes_by() {
             right_from_world: left_from_right.inverse(),
         }
     };
-    let found = rig_over_time(&(0..COUNT).map(pair).collect::<Vec<_>>()).unwrap();
+    let found = relative_pose_series(&(0..COUNT).map(pair).collect::<Vec<_>>()).unwrap();
     assert!((found.baseline_drift - 1.0 / 1.5).abs() < TOLERANCE, "{found:?}");
     assert!((found.translation_drift - 1.0).abs() < TOLERANCE);
     assert!((found.rotation_drift_rad - 0.2).abs() < TOLERANCE);
@@ -137,5 +141,5 @@ fn drift_is_what_a_straight_line_changes_by() {
     let expected = (120.0f64 / 12.0).sqrt() / 10.0;
     assert!((found.translation_rms - expected).abs() < TOLERANCE);
     assert!((found.rotation_rms_rad - 0.2 * expected).abs() < TOLERANCE);
-    assert!(rig_over_time(&[pair(0)]).is_none());
+    assert!(relative_pose_series(&[pair(0)]).is_none());
 }

@@ -22,13 +22,13 @@ pub struct PosePair {
 
 /// How the relative pose of two cameras deviates from its mean; lengths in units of the model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RigOverTime {
+pub struct RelativePoseSeries {
     /// The mean, over all pairs.
     pub right_from_left: Rigid3,
     /// For each pair the right camera's centre in the left camera's frame.
     pub centres: Vec<Vector3<f64>>,
     /// For each pair the rotation vector of its relative rotation from the mean one, in radians.
-    pub turns_rad: Vec<Vector3<f64>>,
+    pub rotations_rad: Vec<Vector3<f64>>,
     /// Distances of the two cameras.
     pub baseline: Statistics,
     /// Root mean square distance of the right camera's centre from its mean, in the left camera's
@@ -46,7 +46,7 @@ pub struct RigOverTime {
 }
 
 /// Measures the relative poses of pairs; `None` for fewer than two.
-pub fn rig_over_time(pairs: &[PosePair]) -> Option<RigOverTime> {
+pub fn relative_pose_series(pairs: &[PosePair]) -> Option<RelativePoseSeries> {
     if pairs.len() < 2 {
         return None;
     }
@@ -59,23 +59,23 @@ pub fn rig_over_time(pairs: &[PosePair]) -> Option<RigOverTime> {
     let relative: Vec<Rigid3> = pairs.iter().map(relative).collect();
     let centres: Vec<Vector3<f64>> = relative.iter().map(Rigid3::origin_in_a).collect();
     let rotation = mean_rotation(&relative);
-    let turns_rad: Vec<Vector3<f64>> =
+    let rotations_rad: Vec<Vector3<f64>> =
         relative.iter().map(|pose| so3::log(&(pose.rotation * rotation.inverse()))).collect();
     let centre = mean(&centres);
     let times: Vec<f64> = pairs.iter().map(|pair| pair.time_s).collect();
     let lengths: Vec<Vector3<f64>> = centres.iter().map(|c| Vector3::x() * c.norm()).collect();
     let baselines: Vec<f64> = lengths.iter().map(|length| length.x).collect();
     let baseline = Statistics::of(&baselines)?;
-    Some(RigOverTime {
+    Some(RelativePoseSeries {
         right_from_left: Rigid3::new(rotation, -(rotation * centre)),
         translation_rms: rms_from(&centres, centre),
-        rotation_rms_rad: rms_from(&turns_rad, Vector3::zeros()),
+        rotation_rms_rad: rms_from(&rotations_rad, Vector3::zeros()),
         baseline_drift: change(&times, &lengths).x / baseline.mean,
         translation_drift: change(&times, &centres).norm(),
-        rotation_drift_rad: change(&times, &turns_rad).norm(),
+        rotation_drift_rad: change(&times, &rotations_rad).norm(),
         baseline,
         centres,
-        turns_rad,
+        rotations_rad,
     })
 }
 

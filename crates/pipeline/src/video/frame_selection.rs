@@ -13,7 +13,7 @@ use tiepoint_io::Rgb;
 use tiepoint_sfm::geometry::numeric::median;
 
 /// Width of the small copy on which frames are compared, about.
-const SMALL_WIDTH: u32 = 320;
+const THUMBNAIL_WIDTH: u32 = 320;
 /// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that
 /// gives it texture.
 const BLOCK: usize = 16;
@@ -29,26 +29,26 @@ pub(super) struct Candidate {
     pub(super) index: usize,
     pub(super) time_s: f64,
     pub(super) image: Rgb,
-    small: Small,
+    small: Thumbnail,
     sharpness: f64,
 }
 
 impl Candidate {
     pub(super) fn new(index: usize, time_s: f64, image: Rgb) -> Self {
-        let small = Small::new(&image);
+        let small = Thumbnail::new(&image);
         Self { index, time_s, sharpness: sharpness(&image), image, small }
     }
 }
 
 /// Takes the sharpest of each so many frames, unless it shows what the last one showed.
-struct Sharpest {
+struct SharpestOfN {
     every: NonZeroUsize,
     seen: usize,
     best: Option<Candidate>,
-    last: Option<Small>,
+    last: Option<Thumbnail>,
 }
 
-impl Sharpest {
+impl SharpestOfN {
     fn new(every: NonZeroUsize) -> Self {
         Self { every, seen: 0, best: None, last: None }
     }
@@ -80,37 +80,40 @@ impl Sharpest {
 
 /// Takes the frame nearest to each of some moments; before them and after them, or where there are
 /// none, the sharpest.
-pub(super) struct Chooser {
+pub(super) struct FrameSelector {
     /// In order.
-    moments_s: Vec<f64>,
+    target_times_s: Vec<f64>,
     next: usize,
     nearest: Option<Candidate>,
-    others: Sharpest,
+    others: SharpestOfN,
 }
 
-impl Chooser {
-    pub(super) fn new(every: NonZeroUsize, moments_s: Vec<f64>) -> Self {
-        Self { moments_s, next: 0, nearest: None, others: Sharpest::new(every) }
+impl FrameSelector {
+    pub(super) fn new(every: NonZeroUsize, target_times_s: Vec<f64>) -> Self {
+        Self { target_times_s, next: 0, nearest: None, others: SharpestOfN::new(every) }
     }
 
     pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
-        let Some(moment_s) = self.moments_s.get(self.next) else { return self.others.add(frame) };
-        let interval_s = self.moments_s.get(1).map_or(0.0, |second_s| second_s - self.moments_s[0]);
-        if self.next == 0 && frame.time_s < moment_s - 0.5 * interval_s {
+        let Some(target_time_s) = self.target_times_s.get(self.next) else {
+            return self.others.add(frame);
+        };
+        let interval_s =
+            self.target_times_s.get(1).map_or(0.0, |second_s| second_s - self.target_times_s[0]);
+        if self.next == 0 && frame.time_s < target_time_s - 0.5 * interval_s {
             return self.others.add(frame);
         }
-        let is_past = |moment_s: &f64, last: &Candidate| {
-            (last.time_s - moment_s).abs() <= (frame.time_s - moment_s).abs()
+        let is_past = |target_time_s: &f64, last: &Candidate| {
+            (last.time_s - target_time_s).abs() <= (frame.time_s - target_time_s).abs()
         };
-        let nearest = self.nearest.take().filter(|last| is_past(moment_s, last));
+        let nearest = self.nearest.take().filter(|last| is_past(target_time_s, last));
         if let Some(nearest) = &nearest {
             // Where frames are missing, one may be the nearest to several moments.
-            self.next += self.moments_s[self.next..]
+            self.next += self.target_times_s[self.next..]
                 .iter()
-                .take_while(|moment_s| is_past(moment_s, nearest))
+                .take_while(|target_time_s| is_past(target_time_s, nearest))
                 .count();
         }
-        if self.next < self.moments_s.len() {
+        if self.next < self.target_times_s.len() {
             self.nearest = Some(frame);
         }
         nearest
@@ -135,15 +138,15 @@ fn sharpness(image: &Rgb) -> f64 {
 
 /// A grey copy, each pixel the mean of a square of the picture.
 #[derive(Clone)]
-struct Small {
+struct Thumbnail {
     width: usize,
     height: usize,
     pixels: Vec<f32>,
 }
 
-impl Small {
+impl Thumbnail {
     fn new(image: &Rgb) -> Self {
-        let side = (image.width / SMALL_WIDTH).max(1) as usize;
+        let side = (image.width / THUMBNAIL_WIDTH).max(1) as usize;
         let (width, height) = (image.width as usize / side, image.height as usize / side);
         let mut pixels = vec![0.0; width * height];
         for (y, row) in
@@ -219,7 +222,7 @@ mod tests {
     }
 
     fn kept(every: usize, frames: &[(f64, usize)]) -> Vec<usize> {
-        let mut chooser = Sharpest::new(NonZeroUsize::new(every).unwrap());
+        let mut chooser = SharpestOfN::new(NonZeroUsize::new(every).unwrap());
         let mut kept: Vec<usize> = frames
             .iter()
             .enumerate()
@@ -252,7 +255,7 @@ mod tests {
     #[test]
     fn a_picture_without_texture_is_kept() {
         let grey = |level: u8| Rgb { width: 64, height: 48, data: vec![level; 64 * 48 * 3] };
-        let mut chooser = Sharpest::new(NonZeroUsize::MIN);
+        let mut chooser = SharpestOfN::new(NonZeroUsize::MIN);
         for index in 0..3 {
             assert!(chooser.add(Candidate::new(index, 0.0, grey(9))).is_some());
         }
@@ -260,8 +263,9 @@ mod tests {
 
     #[test]
     fn partners_are_nearest_in_time() {
-        let kept = |moments_s: &[f64], times_s: &[f64]| -> Vec<usize> {
-            let mut chooser = Chooser::new(NonZeroUsize::new(2).unwrap(), moments_s.to_vec());
+        let kept = |target_times_s: &[f64], times_s: &[f64]| -> Vec<usize> {
+            let mut chooser =
+                FrameSelector::new(NonZeroUsize::new(2).unwrap(), target_times_s.to_vec());
             let frame = |(index, &time_s): (usize, &f64)| {
                 // Every other one is blurred.
                 Candidate::new(index, time_s, picture(13.0 * index as f64, 1 + 8 * (index % 2)))

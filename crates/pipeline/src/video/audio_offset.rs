@@ -27,7 +27,7 @@ const MAX_OTHERS: f64 = 0.7;
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
 
 /// By how many seconds `b` began after `a`, where their sound tells it: mono, [`RATE_HZ`].
-pub(super) fn began_after_s(a: &[i16], b: &[i16]) -> Option<f64> {
+pub(super) fn start_offset_s(a: &[i16], b: &[i16]) -> Option<f64> {
     let [fine_a, fine_b] = [a, b].map(loudness);
     let [coarse_a, coarse_b] = [&fine_a, &fine_b].map(|fine| coarse(fine));
     let (coarse_a, coarse_b) = (Sound::new(coarse_a), Sound::new(coarse_b));
@@ -172,13 +172,13 @@ mod tests {
         let left = heard(3.0, 60.0, 1.0, 0.05, 2);
         for (from_s, seconds) in [(10.345, 50.0), (3.0, 30.0), (0.5, 20.0), (45.25, 60.0)] {
             let right = heard(from_s, seconds, 0.4, 0.1, 3);
-            let found = began_after_s(&left, &right).unwrap();
+            let found = start_offset_s(&left, &right).unwrap();
             assert!(
                 (found - (from_s - 3.0)).abs() < TOLERANCE_S,
                 "{found} instead of {}",
                 from_s - 3.0
             );
-            let back = began_after_s(&right, &left).unwrap();
+            let back = start_offset_s(&right, &left).unwrap();
             assert!((found + back).abs() < TOLERANCE_S);
         }
     }
@@ -186,11 +186,11 @@ mod tests {
     #[test]
     fn what_tells_nothing_gives_nothing() {
         let left = heard(0.0, 40.0, 1.0, 0.05, 2);
-        assert_eq!(began_after_s(&left, &heard(80.0, 40.0, 1.0, 0.05, 3)), None, "another place");
-        assert_eq!(began_after_s(&left, &heard(0.0, 40.0, 0.0, 0.3, 3)), None, "wind alone");
-        assert_eq!(began_after_s(&left, &vec![0; 30 * SECOND]), None, "silence");
-        assert_eq!(began_after_s(&left, &left[..2 * SECOND]), None, "too short");
-        assert_eq!(began_after_s(&[], &left), None);
+        assert_eq!(start_offset_s(&left, &heard(80.0, 40.0, 1.0, 0.05, 3)), None, "another place");
+        assert_eq!(start_offset_s(&left, &heard(0.0, 40.0, 0.0, 0.3, 3)), None, "wind alone");
+        assert_eq!(start_offset_s(&left, &vec![0; 30 * SECOND]), None, "silence");
+        assert_eq!(start_offset_s(&left, &left[..2 * SECOND]), None, "too short");
+        assert_eq!(start_offset_s(&[], &left), None);
         // An engine that beats three times a second fits at every beat.
         let beats = |seed: u64| -> Vec<i16> {
             let mut rng = Rng::stream(seed, &[]);
@@ -201,6 +201,6 @@ mod tests {
                 })
                 .collect()
         };
-        assert_eq!(began_after_s(&beats(1), &beats(2)), None);
+        assert_eq!(start_offset_s(&beats(1), &beats(2)), None);
     }
 }
