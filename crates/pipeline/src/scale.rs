@@ -1,10 +1,8 @@
-//! The size of a model, from one distance that is known: that of the first camera and the one that
-//! rides beside it.
+//! Metric scale of a model from the known distance of its first two cameras.
 //!
-//! Images do not tell how large the world is. Where the two cameras were held to a mounting, its
-//! length is that distance; else it is the robust mean of their relative poses at the moments that
-//! times, motion or names give ([`tiepoint_sfm::rig_sensors`]). Either comes from the finished
-//! model, so every model of a workspace is of the same scale as far as it can see both cameras.
+//! The baseline in model units is that of the estimated rig extrinsics. Without extrinsics it is
+//! that of the robust mean of the relative poses over all frames, which come from times, motion or
+//! names ([`tiepoint_sfm::rig_sensors`]). Each model of a workspace is scaled by its own baseline.
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Sim3;
@@ -18,49 +16,48 @@ use tiepoint_sfm::{
 
 use crate::image_names::folder_of;
 
-/// What a known distance of two cameras made of a model.
+/// The metric scale of a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScaleReport {
-    /// The distance that was given, in metres.
+    /// The given distance of the first two cameras, in metres.
     pub baseline_m: f64,
-    /// What every length was multiplied by; lengths are in metres now. `None` where the model keeps
-    /// its own unit.
+    /// Metres per unit of the model before scaling. `None` if the model was not scaled.
     pub factor: Option<f64>,
-    /// What the factor comes from, or why there is none, in one sentence.
+    /// The source of the factor, or why there is none, in one sentence.
     pub why: String,
 }
 
-/// Fewer moments are no measurement.
-const MIN_MOMENTS: usize = 2;
+/// Minimum number of frames for a mean relative pose.
+const MIN_FRAMES: usize = 2;
 
-/// Scales each model so that its first camera and the next are `baseline_m` apart, with its
-/// mountings. Where a model has none, the clocks of the largest one that has serve it.
+/// Scales each model and its rig extrinsics, so that its first two cameras are `baseline_m` apart.
+/// A model without extrinsics uses the clocks of the largest model that has some.
 pub(crate) fn scale_to_baseline(models: &mut [MappedModel], baseline_m: f64) -> Vec<ScaleReport> {
-    let mounted =
+    let calibrated =
         models.iter().filter_map(|model| model.rig.as_ref()).find(|rig| !rig.cameras.is_empty());
-    let known: Vec<RigSensor> = mounted
+    let known: Vec<RigSensor> = calibrated
         .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.rig_sensor).collect());
     models.iter_mut().map(|model| scale_model(model, &known, baseline_m)).collect()
 }
 
 fn scale_model(model: &mut MappedModel, known: &[RigSensor], baseline_m: f64) -> ScaleReport {
     let MappedModel { reconstruction, rig, row_poses, .. } = model;
-    let found = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
-        Some(camera) => length_of_mounting(reconstruction, camera),
-        None => length_of_pairs(reconstruction, known),
+    let baseline = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
+        Some(camera) => Ok(extrinsics_baseline(reconstruction, camera)),
+        None => mean_baseline(reconstruction, known),
     };
-    let scaled = found.and_then(|(units, what)| {
+    let factor = baseline.and_then(|(units, source)| {
         let factor = baseline_m / units;
         if factor.is_normal() {
-            Ok((factor, what))
+            Ok((factor, source))
         } else {
-            Err("the two cameras are at one place".to_owned())
+            Err("the two cameras are at the same position".to_owned())
         }
     });
-    let (factor, what) = match scaled {
-        Ok(scaled) => scaled,
+    let (factor, source) = match factor {
+        Ok(factor) => factor,
         Err(why) => {
-            let why = format!("nothing was scaled, since {why}");
+            let why = format!("the model was not scaled, because {why}");
             return ScaleReport { baseline_m, factor: None, why };
         }
     };
@@ -68,71 +65,81 @@ fn scale_model(model: &mut MappedModel, known: &[RigSensor], baseline_m: f64) ->
     reconstruction.transform(&Sim3 { scale: factor, rotation, translation });
     row_poses.values_mut().for_each(|rows| rows.velocity_in_world *= factor);
     let cameras = rig.iter_mut().flat_map(|rig| &mut rig.cameras);
-    cameras.enumerate().for_each(|(k, camera)| scale_mounting(camera, factor, k == 0));
-    ScaleReport { baseline_m, factor: Some(factor), why: format!("{what} is {baseline_m} m long") }
+    cameras.enumerate().for_each(|(k, camera)| scale_extrinsics(camera, factor, k == 0));
+    ScaleReport {
+        baseline_m,
+        factor: Some(factor),
+        why: format!("{source} is {baseline_m} m long"),
+    }
 }
 
-/// A length in units of the model, and of what.
-type Length = (f64, String);
+/// A baseline in units of the model, and its source in words.
+type Baseline = (f64, String);
 
-fn length_of_mounting(model: &Reconstruction, camera: &CalibratedCamera) -> Result<Length, String> {
+/// The baseline of estimated rig extrinsics.
+fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Baseline {
     let [left, right] =
         [camera.rig_sensor.left, camera.rig_sensor.right].map(|camera| folder_of(model, camera));
-    Ok((
+    (
         camera.right_from_left.translation.norm(),
-        format!("the mounting of {right} beside {left}"),
-    ))
+        format!("the baseline from {left} to {right} in the rig extrinsics"),
+    )
 }
 
-/// That of the robust mean of the relative poses.
-fn length_of_pairs(model: &Reconstruction, known: &[RigSensor]) -> Result<Length, String> {
+/// The baseline of the robust mean of the relative poses; an error is the end of "because …".
+fn mean_baseline(model: &Reconstruction, known: &[RigSensor]) -> Result<Baseline, String> {
     let found = if known.is_empty() { rig_sensors(model) } else { Vec::new() };
     let rig_sensor = known.iter().chain(&found).next().ok_or("there is only one camera")?;
     let [left, right] = [rig_sensor.left, rig_sensor.right].map(|camera| folder_of(model, camera));
-    let moments = rig_sensor.referenced_images(model);
-    let pose = |moment: &ReferencedImage| moment.relative_pose(model, &rig_sensor.clock);
-    let poses: Vec<RelativePose> = moments.iter().filter_map(pose).collect();
+    let images = rig_sensor.referenced_images(model);
+    let pose = |image: &ReferencedImage| image.relative_pose(model, &rig_sensor.clock);
+    let poses: Vec<RelativePose> = images.iter().filter_map(pose).collect();
     let count = poses.len();
     let too_few = || {
         format!(
-            "{left} and {right} have poses at {count} common moments, and {MIN_MOMENTS} are needed"
+            "{left} and {right} have poses at {count} common frames, and {MIN_FRAMES} are needed"
         )
     };
-    let average = robust_average(&poses).filter(|_| count >= MIN_MOMENTS).ok_or_else(too_few)?;
+    let average = robust_average(&poses).filter(|_| count >= MIN_FRAMES).ok_or_else(too_few)?;
     let units = average.translation.norm();
     let mut deviations: Vec<f64> =
         poses.iter().map(|pose| (pose.translation - average.translation).norm()).collect();
-    let typical = median(&mut deviations).unwrap_or(f64::INFINITY);
-    if typical > units {
+    let deviation = median(&mut deviations).unwrap_or(f64::INFINITY);
+    if deviation > units {
         return Err(format!(
-            "the place of {right} beside {left} scatters by {typical:.3} units, which is more \
-            than their distance of {units:.3}"
+            "the position of {right} relative to {left} has a median deviation of {deviation:.3} \
+            units, more than their distance of {units:.3}"
         ));
     }
-    Ok((units, format!("the mean of {count} relative poses of {right} and {left}")))
+    Ok((
+        units,
+        format!("the baseline from {left} to {right} in the mean of {count} relative poses"),
+    ))
 }
 
-/// A mounting in the new unit. The length of the first one is given, so nothing is doubtful about
-/// it any more.
-fn scale_mounting(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
+/// Scales extrinsics and their covariance. The first baseline is given (`has_given_length`), so
+/// that its length gets zero variance.
+fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.right_from_left.translation;
     camera.right_from_left.translation *= factor;
     camera.rig_sensor.assumed_baseline =
         camera.rig_sensor.assumed_baseline.map(|length| factor * length);
     if let Some(covariance) = &mut camera.covariance {
-        let across = match translation.try_normalize(0.0) {
-            Some(along) if has_given_length => Matrix3::identity() - along * along.transpose(),
+        let projection = match translation.try_normalize(0.0) {
+            Some(direction) if has_given_length => {
+                Matrix3::identity() - direction * direction.transpose()
+            }
             _ => Matrix3::identity(),
         };
-        let mut change = ExtrinsicsCovariance::identity();
-        change.fixed_view_mut::<3, 3>(3, 3).copy_from(&(across * factor));
-        *covariance = change * *covariance * change.transpose();
+        let mut jacobian = ExtrinsicsCovariance::identity();
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&(projection * factor));
+        *covariance = jacobian * *covariance * jacobian.transpose();
     }
-    if let Some(spread) = &mut camera.statistics {
-        spread.median_baseline *= factor;
-        spread.mean_baseline *= factor;
-        spread.sd_baseline *= factor;
-        spread.rms_translation *= factor;
+    if let Some(statistics) = &mut camera.statistics {
+        statistics.median_baseline *= factor;
+        statistics.mean_baseline *= factor;
+        statistics.sd_baseline *= factor;
+        statistics.rms_translation *= factor;
     }
 }
 
@@ -145,17 +152,17 @@ mod tests {
     use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId, ImagePair, Track};
     use tiepoint_sfm::{CalibratedRig, ClockState, RigConstraint};
 
-    /// Far above rounding.
+    /// Far above rounding errors.
     const EPSILON: f64 = 1e-12;
-    const ASKED_M: f64 = 0.62;
-    /// Distance of the cameras, in units.
-    const APART: f64 = 2.0;
+    const BASELINE_M: f64 = 0.62;
+    /// Distance of the cameras, in units of the model.
+    const BASELINE: f64 = 2.0;
 
-    /// Two cameras at moments one unit apart, the second one aside by `APART` and what `jitter`
-    /// says.
-    fn model(moments: u32, jitter: impl Fn(u32) -> f64) -> Reconstruction {
+    /// Two cameras with poses at frames one unit apart. The second camera is at x = `BASELINE` +
+    /// `jitter(frame)`.
+    fn model(frames: u32, jitter: impl Fn(u32) -> f64) -> Reconstruction {
         let mut model = Reconstruction::default();
-        for (folder, aside) in [("left", 0.0), ("right", APART)] {
+        for (folder, x) in [("left", 0.0), ("right", BASELINE)] {
             let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
             let camera = model.add_camera(Camera {
                 intrinsics,
@@ -163,14 +170,14 @@ mod tests {
                 height: 480,
                 has_focal_prior: true,
             });
-            for moment in 0..moments {
+            for frame in 0..frames {
                 let image = model.add_image(Image::new(
-                    format!("{folder}/{moment:03}.png"),
+                    format!("{folder}/{frame:03}.png"),
                     camera,
                     Vec::new(),
                 ));
-                let aside = if aside > 0.0 { aside + jitter(moment) } else { 0.0 };
-                let centre = Vector3::new(aside, 0.0, f64::from(moment));
+                let x = if x > 0.0 { x + jitter(frame) } else { 0.0 };
+                let centre = Vector3::new(x, 0.0, f64::from(frame));
                 model.register(image, Rigid3::new(UnitQuaternion::identity(), -centre));
             }
         }
@@ -178,7 +185,7 @@ mod tests {
         model
     }
 
-    fn mounted() -> CalibratedCamera {
+    fn calibrated_camera() -> CalibratedCamera {
         CalibratedCamera {
             rig_sensor: RigSensor {
                 left: CameraId(0),
@@ -190,15 +197,15 @@ mod tests {
             },
             right_from_left: Rigid3::new(
                 UnitQuaternion::identity(),
-                Vector3::new(-APART, 0.0, 0.0),
+                Vector3::new(-BASELINE, 0.0, 0.0),
             ),
             covariance: Some(ExtrinsicsCovariance::identity()),
             constraint: RigConstraint::Rigid,
             num_referenced_images: 5,
             statistics: Some(RelativePoseStatistics {
                 count: 5,
-                median_baseline: APART,
-                mean_baseline: APART,
+                median_baseline: BASELINE,
+                mean_baseline: BASELINE,
                 sd_baseline: 0.2,
                 rms_translation: 0.1,
                 rms_rotation_rad: 0.01,
@@ -225,27 +232,30 @@ mod tests {
             num_loop_pairs: 0,
             failures: Vec::new(),
         }];
-        let report = scale_to_baseline(&mut models, ASKED_M).remove(0);
+        let report = scale_to_baseline(&mut models, BASELINE_M).remove(0);
         let [model] = models;
         (model, report)
     }
 
     #[test]
-    fn a_mounting_gets_the_length_that_was_given_and_everything_with_it() {
-        let (scaled, report) = scale(&model(5, |_| 0.0), vec![mounted()]);
-        let factor = ASKED_M / APART;
+    fn model_and_extrinsics_are_scaled_to_the_given_baseline() {
+        let (scaled, report) = scale(&model(5, |_| 0.0), vec![calibrated_camera()]);
+        let factor = BASELINE_M / BASELINE;
         assert!((report.factor.unwrap() - factor).abs() < EPSILON);
-        assert_eq!(report.why, "the mounting of right beside left is 0.62 m long");
+        assert_eq!(
+            report.why,
+            "the baseline from left to right in the rig extrinsics is 0.62 m long"
+        );
         let (_, track) = scaled.reconstruction.tracks().next().unwrap();
         assert!((track.xyz - Vector3::new(1.0, 2.0, 3.0) * factor).norm() < EPSILON);
         let last = scaled.reconstruction.registered().last().unwrap().2.origin_in_a();
-        assert!((last - Vector3::new(APART, 0.0, 4.0) * factor).norm() < EPSILON);
+        assert!((last - Vector3::new(BASELINE, 0.0, 4.0) * factor).norm() < EPSILON);
         let camera = &scaled.rig.unwrap().cameras[0];
-        assert!((camera.right_from_left.translation.norm() - ASKED_M).abs() < EPSILON);
-        assert!((camera.statistics.unwrap().median_baseline - ASKED_M).abs() < EPSILON);
+        assert!((camera.right_from_left.translation.norm() - BASELINE_M).abs() < EPSILON);
+        assert!((camera.statistics.unwrap().median_baseline - BASELINE_M).abs() < EPSILON);
         assert!((camera.statistics.unwrap().rms_rotation_rad - 0.01).abs() < EPSILON);
-        // Its length is certain now, its direction as doubtful as before; rotation and clock are
-        // not touched.
+        // The length has no variance now; the direction has that of before; rotation and clock are
+        // unchanged.
         let covariance = camera.covariance.unwrap();
         let expected = [1.0, 1.0, 1.0, 0.0, factor * factor, factor * factor, 1.0, 1.0];
         expected.iter().enumerate().for_each(|(k, value)| {
@@ -254,19 +264,22 @@ mod tests {
     }
 
     #[test]
-    fn without_a_mounting_the_pairs_tell_and_one_wrong_pair_changes_nothing() {
-        let jitter = |moment| if moment == 3 { 50.0 } else { 0.0 };
+    fn without_extrinsics_the_robust_mean_determines_the_scale() {
+        let jitter = |frame| if frame == 3 { 50.0 } else { 0.0 };
         let (_, report) = scale(&model(9, jitter), Vec::new());
-        // What Weiszfeld's iteration leaves of one pair in nine.
-        assert!((report.factor.unwrap() / (ASKED_M / APART) - 1.0).abs() < 1e-6, "{report:?}");
+        // Weiszfeld's iteration leaves an error from the one outlier in nine.
         assert!(
-            report.why.starts_with("the mean of 9 relative poses of right and left"),
+            (report.factor.unwrap() / (BASELINE_M / BASELINE) - 1.0).abs() < 1e-6,
+            "{report:?}"
+        );
+        assert!(
+            report.why.contains("from left to right in the mean of 9 relative poses"),
             "{report:?}"
         );
     }
 
     #[test]
-    fn what_tells_no_length_leaves_the_model_and_says_why() {
+    fn model_without_a_known_baseline_is_not_scaled_and_the_report_says_why() {
         let lone = {
             let mut lone = Reconstruction::default();
             let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
@@ -275,14 +288,15 @@ mod tests {
         };
         for (model, part) in [
             (lone, "only one camera"),
-            (model(1, |_| 0.0), "at 1 common moments"),
-            (model(5, |moment| 10.0 * (f64::from(moment) - 2.0)), "scatters by"),
-            (model(5, |_| -APART), "at one place"),
+            (model(1, |_| 0.0), "at 1 common frames"),
+            (model(5, |frame| 10.0 * (f64::from(frame) - 2.0)), "median deviation of"),
+            (model(5, |_| -BASELINE), "at the same position"),
         ] {
             let (same, report) = scale(&model, Vec::new());
             assert_eq!(report.factor, None, "{report:?}");
             assert!(
-                report.why.starts_with("nothing was scaled, since ") && report.why.contains(part),
+                report.why.starts_with("the model was not scaled, because ")
+                    && report.why.contains(part),
                 "{report:?}"
             );
             assert!(

@@ -1,4 +1,4 @@
-//! Distances to true surfaces, and rigs over time, where the answer is known.
+//! Surface errors and relative-pose series with known results.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -20,13 +20,13 @@ fn true_observation(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> True
 }
 
 #[test]
-fn an_error_is_the_median_over_what_stands_still() {
+fn surface_error_is_the_median_over_static_observations() {
     let eye = Vector3::zeros();
     let wall = |x: f64| true_observation(eye, Some(Vector3::new(x, 0.0, 10.0)));
     let sky = true_observation(eye, None);
     let point = Vector3::new(0.0, 0.0, 10.0);
     for (true_observations, expected) in [
-        // Three agree, and a fourth looked past an edge.
+        // Three agree; the fourth is behind an edge.
         (vec![wall(0.1), wall(0.2), wall(0.3), wall(50.0)], Some(0.2)),
         (vec![wall(0.1), wall(9.0)], Some(0.1)),
         (vec![wall(0.1), sky], Some(0.1)),
@@ -54,10 +54,10 @@ proptest! {
         ..Default::default()
     })]
 
-    /// Rays that meet do so at their common point, whatever lies behind it; and no point near by is
-    /// nearer to rays that miss.
+    /// Intersecting rays give their common point. For other rays no point nearby has a smaller sum
+    /// of squared angles.
     #[test]
-    fn true_rays_meet_at_the_least_angle(
+    fn triangulation_minimises_squared_angles(
         seed: u64,
         count in 2..6usize,
         noise in prop::sample::select(vec![0.0, 0.05]),
@@ -93,9 +93,9 @@ proptest! {
         }
     }
 
-    /// A rigid rig has no spread and no drift, wherever it goes.
+    /// The relative poses of a rigid rig have no variation and no drift.
     #[test]
-    fn a_rigid_rig_is_constant(seed: u64, count in 2..20usize) {
+    fn rigid_rig_has_no_variation(seed: u64, count in 2..20usize) {
         let mut rng = Rng::stream(seed, &[]);
         let rig = Rigid3::from_axis_angle(vector(&mut rng, 1.0), vector(&mut rng, 1.0));
         let pairs: Vec<PosePair> = (0..count)
@@ -119,7 +119,7 @@ proptest! {
 }
 
 #[test]
-fn drift_is_what_a_straight_line_changes_by() {
+fn drift_is_the_change_of_a_linear_fit() {
     const COUNT: usize = 11;
     // The baseline grows from 1 to 2, and the right camera turns from −0.1 to 0.1 rad; times are
     // uneven.
