@@ -1,8 +1,8 @@
 //! Checks the dependencies between crates against ARCHITECTURE.md.
 //!
-//! A dependency must be in the list below. A dev-dependency may be any direct or indirect dependency
-//! in the list, or one of the crates for tests: the synthesiser and the evaluation. Cargo lists the
-//! dependencies.
+//! A dependency must be in the list below. A dev-dependency may be any direct or indirect
+//! dependency in the list, or one of the crates for tests: the synthesiser and the evaluation.
+//! Cargo lists the dependencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! Detection of dependency cycles between the files of a crate.
 //!
 //! A file depends on another if an import or a path in it names an item that the other defines.
-//! Re-exports are followed to the definition, so that `lib.rs` and `mod.rs` count only for their own
-//! items. Code for tests, links in documentation, and method calls that do not name the type are
-//! ignored.
+//! Re-exports are followed to the definition, so that `lib.rs` and `mod.rs` count only for their
+//! own items. Code for tests, links in documentation, and method calls that do not name the type
+//! are ignored.
 
 mod graph;
 mod source;

@@ -58,10 +58,12 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
+    /// Kind of the token `ahead` tokens after the next one.
     fn peek(&self, ahead: usize) -> Option<Kind<'a>> {
         self.tokens.get(self.at + ahead).map(|token| token.kind)
     }
 
+    /// Line of the next token, or of the last one at the end of the file.
     fn line(&self) -> usize {
         self.tokens.get(self.at).or(self.tokens.last()).map_or(0, |token| token.line)
     }
@@ -77,6 +79,7 @@ impl<'a> Reader<'a> {
         self.peek(ahead) == Some(Kind::Punctuation(character))
     }
 
+    /// Skips the next token if it is this character.
     fn take(&mut self, character: char) -> bool {
         let is_there = self.is(0, character);
         self.at += usize::from(is_there);

@@ -19,6 +19,7 @@ pub(super) struct Token<'a> {
     pub(super) line: usize,
 }
 
+/// Splits source text into tokens.
 pub(super) fn tokens(text: &str) -> Vec<Token<'_>> {
     let (mut found, mut line, mut rest) = (Vec::new(), 1, text);
     while !rest.is_empty() {

@@ -182,6 +182,7 @@ fn camera_extrinsics(camera: &RigCamera) -> String {
     format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {uncertainty}; {time}{frames}{unobservable}")
 }
 
+/// The first [`MAX_NAMES`] names, and the number of the others.
 fn names(all: &[String]) -> String {
     let shown = all[..all.len().min(MAX_NAMES)].join(", ");
     match all.len() - all.len().min(MAX_NAMES) {

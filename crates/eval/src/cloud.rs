@@ -73,8 +73,8 @@ impl Cloud {
         &self.points
     }
 
-    /// Distance of each point of `cloud` to its nearest neighbour in this cloud; infinite for points
-    /// that are not finite.
+    /// Distance of each point of `cloud` to its nearest neighbour in this cloud; infinite for
+    /// points that are not finite.
     pub fn distances_of(&self, cloud: &[Vector3<f64>]) -> Vec<f64> {
         self.nearest(cloud).into_iter().map(|(_, distance)| distance).collect()
     }

@@ -46,7 +46,8 @@ pub struct RelativePoseSeries {
     pub rotation_drift_rad: f64,
 }
 
-/// Computes the relative poses of the frames and their statistics; `None` for fewer than two frames.
+/// Computes the relative poses of the frames and their statistics; `None` for fewer than two
+/// frames.
 pub fn relative_pose_series(pairs: &[PosePair]) -> Option<RelativePoseSeries> {
     if pairs.len() < 2 {
         return None;

@@ -21,7 +21,7 @@ use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
     CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace,
-    option_keys, tell,
+    emit, option_keys,
 };
 
 /// Options of feature extraction.
@@ -51,6 +51,7 @@ impl Default for FeatureOptions {
 }
 
 impl FeatureOptions {
+    /// The recipe of the stage: fingerprint of the photos, and the options.
     fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
         let Self { calibration, detector, timestamps, max_pixels } = self;
         let timestamps = timestamps.as_deref().map(of_text).transpose()?;
@@ -89,7 +90,7 @@ pub fn extract_features(
             // The photos have moved, and exports need their paths.
             workspace.note(|_| {})?;
         }
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
     let cameras = cameras(&usable, &options.calibration);
@@ -110,18 +111,18 @@ pub fn extract_features(
         .filter(|(index, _)| counts[*index].is_none())
         .map(|(index, photo)| (ImageId::from_index(index), photo))
         .collect();
-    tell(
+    emit(
         watch,
         &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
     )?;
     for SkippedImage { image, why } in &skipped {
-        tell(watch, &Event::ImageSkipped { image, why })?;
+        emit(watch, &Event::ImageSkipped { image, why })?;
     }
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable) {
             let ImageInfo { width, height, exif, .. } = photo.info;
             if let Some(focal_px) = exif.absurd_focal_px(width, height) {
-                tell(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
+                emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }
         }
     }
@@ -142,11 +143,11 @@ pub fn extract_features(
                     let keypoints = features.keypoints.len();
                     database.write_features([(*id, &features)])?;
                     counts[id.index()] = Some(keypoints);
-                    tell(watch, &Event::ImageDone { image, keypoints })
+                    emit(watch, &Event::ImageDone { image, keypoints })
                 }
                 Err(error) => {
                     let why = error.to_string();
-                    tell(watch, &Event::ImageSkipped { image, why: &why })?;
+                    emit(watch, &Event::ImageSkipped { image, why: &why })?;
                     skipped.push(SkippedImage { image: image.to_owned(), why });
                     Ok(())
                 }
@@ -177,7 +178,7 @@ pub fn extract_features(
     workspace.note(|all| all.stages.features = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
     database.finish()?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
 /// Names and capture times, in seconds, of the images with a known time.

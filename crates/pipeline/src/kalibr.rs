@@ -65,6 +65,7 @@ fn yaml_text(text: &str) -> String {
     if is_plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
 }
 
+/// `T_cn_cnm1` (`pose`) and the time offset of a camera.
 fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&pose.to_matrix());
@@ -77,6 +78,7 @@ fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
     text
 }
 
+/// Camera model, intrinsics and distortion in Kalibr's convention.
 fn intrinsics_lines(intrinsics: &Intrinsics) -> String {
     let p = intrinsics.params();
     let (model, distortion) = match intrinsics.kind() {

@@ -46,7 +46,7 @@ pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,
     model_folder,
 };
-pub(crate) use event::tell;
+pub(crate) use event::emit;
 pub use event::{Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};

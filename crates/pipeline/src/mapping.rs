@@ -23,8 +23,8 @@ use crate::rig_file::RigFile;
 use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
-    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys,
-    tell,
+    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
+    option_keys,
 };
 
 /// Options of mapping.
@@ -60,7 +60,7 @@ pub fn map(
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
     // Foreign files are detected before mapping. Old models stay until the new ones are complete.
@@ -68,7 +68,7 @@ pub fn map(
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let (graph, scene) = load(workspace)?;
     let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
-    tell(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
     if graph.pairs().is_empty() {
         let required = VerifyOptions::default().min_num_inliers;
         return Err(no_overlap(workspace, required)?);
@@ -102,7 +102,7 @@ pub fn map(
         models.iter_mut().map(|model| &mut model.reconstruction),
     ) {
         // The photos may have moved; the model is valid without colours.
-        tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
+        emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
     let scales: Vec<Option<ScaleReport>> = match baseline_m {
         Some(baseline_m) => {
@@ -130,7 +130,7 @@ pub fn map(
         all.stages.map = Some(MapReport { seconds });
         all.models = reports;
     })?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
 /// A failed optional stage, as a sentence.

@@ -19,7 +19,7 @@ use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
 use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
-use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, option_keys, tell};
+use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit, option_keys};
 
 /// Images per side of a tile. 8192 prepared features take 1.4 MiB, so that a tile takes a third of
 /// a gigabyte.
@@ -59,6 +59,7 @@ impl Default for MatchOptions {
 }
 
 impl MatchOptions {
+    /// The recipe of the stage; `input`: fingerprint of the feature stage.
     fn recipe(&self, input: String) -> Recipe {
         let Self { pairs, descriptors, verify, seed } = self;
         Recipe::new(input, option_keys::of_matching(pairs, descriptors, verify, *seed))
@@ -88,7 +89,7 @@ pub fn match_images(
     let recipe = options.recipe(workspace.fingerprint(Stage::Features)?);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
     let mut database = Database::open(&workspace.database())?;
@@ -101,7 +102,7 @@ pub fn match_images(
     let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
     let tiles = tiles(all.iter().copied().filter(|pair| !done.contains(pair)));
     let mut report = report_so_far(&database)?;
-    tell(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
 
     let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
     for pairs in &tiles {
@@ -117,7 +118,7 @@ pub fn match_images(
             if batch.len() >= PAIRS_PER_TRANSACTION {
                 write(&mut database, &mut batch)?;
             }
-            tell(watch, &event)
+            emit(watch, &event)
         });
         // Completed pairs are kept when the callback stops the run.
         write(&mut database, &mut batch)?;
@@ -130,7 +131,7 @@ pub fn match_images(
     workspace.note(|all| all.stages.matches = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
     database.finish()?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
 /// The pairs to match. The images of a camera are ordered by time if all times are known, else by
@@ -230,6 +231,8 @@ pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
     }
 }
 
+/// Matches the descriptors of a pair and estimates its two-view geometry. The random seed depends
+/// only on `options.seed` and the pair.
 fn match_pair(
     pair: ImagePair,
     loaded: &BTreeMap<ImageId, Loaded>,

@@ -1,10 +1,10 @@
 //! The options of each stage as texts: a dotted key and a value each.
 //!
-//! A complete stage is kept as long as these texts are the same, so that they are part of the format
-//! of a workspace. Therefore keys and values are written out here instead of being derived from the
-//! names of fields and types. Every struct is destructured without `..`, so that a new option does
-//! not compile until it has a key. Floating-point numbers have the shortest digits that round-trip.
-//! `none` stands for an option that is not given; records leave it out.
+//! A complete stage is kept as long as these texts are the same, so that they are part of the
+//! format of a workspace. Therefore keys and values are written out here instead of being derived
+//! from the names of fields and types. Every struct is destructured without `..`, so that a new
+//! option does not compile until it has a key. Floating-point numbers have the shortest digits that
+//! round-trip. `none` stands for an option that is not given; records leave it out.
 //!
 //! Stages of existing workspaces become invalid if a value changes its meaning, or if a new key has
 //! a value other than `none`. `crate::legacy_options` reads workspaces without keys.

@@ -82,8 +82,8 @@ pub(crate) fn for_each_within_budget<T: Sync, R: Send, E>(
     })
 }
 
-/// Waits for a message. A thread of the pool runs other tasks meanwhile, because the sender may have
-/// no other thread to run on.
+/// Waits for a message. A thread of the pool runs other tasks meanwhile, because the sender may
+/// have no other thread to run on.
 fn receive<T>(receiver: &Receiver<T>) -> T {
     loop {
         if let Ok(message) = receiver.try_recv() {

@@ -1,8 +1,8 @@
 //! Transactional replacement of files in an output folder that may also hold foreign files.
 //!
-//! A manifest in the folder lists the files that this program wrote, with the BLAKE3 hashes of their
-//! content. A file that is not listed, or has another content, is foreign: it is neither replaced
-//! nor deleted.
+//! A manifest in the folder lists the files that this program wrote, with the BLAKE3 hashes of
+//! their content. A file that is not listed, or has another content, is foreign: it is neither
+//! replaced nor deleted.
 //!
 //! A set of new files replaces old ones as a transaction. The files are first written into a folder
 //! of their own (`STAGED`) and synchronised to the disk; then their hashes are added to the
@@ -416,6 +416,7 @@ pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     Format::ALL.into_iter().flat_map(names).collect()
 }
 
+/// Converts an I/O error to [`Error::Output`] for a path.
 pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
     let path = path.to_owned();
     move |cause| Error::Output { path, cause }

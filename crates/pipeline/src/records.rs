@@ -243,8 +243,8 @@ impl Records {
         self.stages.get(&stage).is_some_and(|record| record.is_complete)
     }
 
-    /// Decides how to run a stage with a recipe. A stage that runs from the start gets a new record,
-    /// and the records of later stages are removed.
+    /// Decides how to run a stage with a recipe. A stage that runs from the start gets a new
+    /// record, and the records of later stages are removed.
     ///
     /// # Errors
     ///

@@ -20,7 +20,7 @@ use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_s
 use crate::fingerprint::of_files;
 use crate::output_folder::OutputFolder;
 use crate::records::json;
-use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
+use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
 use frame_selection::{Candidate, FrameSelector};
 
 /// Huang, Elhashash & Qin 2022 use every third frame at 30 Hz.
@@ -57,8 +57,8 @@ pub struct OpenedInput {
 /// # Errors
 ///
 /// The input mixes photos and videos, cannot be read or has fewer than two photos; two videos have
-/// the same name; existing frames differ and are not to be redone; the workspace cannot be opened or
-/// written; `watch` returns `Break`.
+/// the same name; existing frames differ and are not to be redone; the workspace cannot be opened
+/// or written; `watch` returns `Break`.
 pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
@@ -207,7 +207,7 @@ fn extract(
     for (recording, start_offset_s) in recordings.iter().zip(start_offsets_s) {
         let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
         if is_moving.flatten() == Some(true) {
-            tell(watch, &Event::Stabilised { recording: &recording.name })?;
+            emit(watch, &Event::Stabilised { recording: &recording.name })?;
         }
         let target_times_s =
             if start_offset_s.is_some() { first_times_s.clone() } else { Vec::new() };
@@ -220,7 +220,7 @@ fn extract(
             let Some(frame) = frame else { return Ok(()) };
             let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
             frame.image.write(&frames.stage(&name)?)?;
-            tell(watch, &Event::FrameKept { image: &name, read })?;
+            emit(watch, &Event::FrameKept { image: &name, read })?;
             selected.push((name, frame.time_s));
             Ok(())
         };
@@ -270,7 +270,7 @@ fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<
         *offset_s = audio_offset::start_offset_s(&of_first, &sound(other)?);
         if let Some(after_s) = *offset_s {
             let (reference, recording) = (first.name.as_str(), other.name.as_str());
-            tell(watch, &Event::SoundHeard { reference, recording, after_s })?;
+            emit(watch, &Event::SoundHeard { reference, recording, after_s })?;
         }
     }
     Ok(offsets_s)

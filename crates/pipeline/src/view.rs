@@ -301,6 +301,8 @@ fn describe<'a>(
     }
 }
 
+/// Estimated and true trajectory of the camera with the smallest index; `None` without ground
+/// truth.
 fn trajectory(camera_errors: &[CameraError], view_from_world: &Sim3) -> Option<Trajectory> {
     let first = camera_errors.iter().map(|error| error.camera).min()?;
     let errors: Vec<&CameraError> =
@@ -330,6 +332,7 @@ fn trajectory(camera_errors: &[CameraError], view_from_world: &Sim3) -> Option<T
     Some(trajectory)
 }
 
+/// View frusta of the images of each camera, at most [`MAX_IMAGES`] in all.
 fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
     let step = model.num_registered().div_ceil(MAX_IMAGES).max(1);
     let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
@@ -356,6 +359,7 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
     all.into_iter().map(|(id, corners)| Frusta { colour: id.0, corners }).collect()
 }
 
+/// Histogram of the reprojection errors of all observations, in pixels.
 fn errors(model: &Reconstruction) -> Histogram {
     let mut counts = vec![0; ERROR_BINS];
     for (_, track) in model.tracks() {
@@ -398,6 +402,8 @@ fn covisibility(model: &Reconstruction) -> Matrix {
     Matrix { side, counts }
 }
 
+/// Baseline and relative rotation over time of each pair of cameras. `scale`: unit of the lengths
+/// per unit of the model.
 fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
     let series = |rig: crate::RigEvaluation| {
         let step = rig.frames.div_ceil(MAX_IMAGES).max(1);

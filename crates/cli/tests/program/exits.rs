@@ -205,10 +205,14 @@ fn message_keeps_redo_if_the_stage_has_not_begun() {
     assert!(
         Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success()
     );
-    let mut told = String::new();
-    reader.read_to_string(&mut told).unwrap();
+    let mut stderr_text = String::new();
+    reader.read_to_string(&mut stderr_text).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(told.contains(SAYS) && !told.contains("without --redo"), "{}", told.trim_start());
+    assert!(
+        stderr_text.contains(SAYS) && !stderr_text.contains("without --redo"),
+        "{}",
+        stderr_text.trim_start()
+    );
     assert!(
         fs::read(dir.path().join("ws/database.db")).unwrap() == database,
         "nothing was cleared"

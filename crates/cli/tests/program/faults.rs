@@ -1,7 +1,7 @@
 //! Fault injection at chosen file system operations: kills, full disks and failing writes. Files of
 //! the user are not changed, the records of the workspace are true, and the same command resumes to
-//! the same result. With `TIEPOINT_ALL_FAULTS` every operation is tested; `bench/durability.py` does
-//! that, and also kills the program from outside.
+//! the same result. With `TIEPOINT_ALL_FAULTS` every operation is tested; `bench/durability.py`
+//! does that, and also kills the program from outside.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -318,8 +318,8 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
     }
 }
 
-/// Checks the order of operations that survives a power loss: files are synchronised before they are
-/// renamed, and their folder afterwards.
+/// Checks the order of operations that survives a power loss: files are synchronised before they
+/// are renamed, and their folder afterwards.
 ///
 /// Several threads write images, so that other files may be open during a rename. A rename needs
 /// only its own temporary file to be synchronised, or all files of a renamed folder.

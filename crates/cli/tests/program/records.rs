@@ -19,8 +19,8 @@ fn pairs(dir: &Path) -> usize {
     Database::open(&dir.join("ws/database.db")).unwrap().matched_pairs().unwrap().len()
 }
 
-/// The state that a kill leaves after the database has begun anew and before `stages.json` is
-/// written.
+/// Changes the database only: the state of a run that was killed after it had changed the database
+/// and before it wrote `stages.json`.
 fn with_earlier_record(dir: &Path, begin: impl FnOnce(&mut Database)) {
     let mut database = Database::open(&dir.join("ws/database.db")).unwrap();
     begin(&mut database);

@@ -22,8 +22,8 @@ fn has_ffmpeg() -> bool {
     there
 }
 
-/// Writes a video of the corner of a room. After moving over all photos, the camera stands still for
-/// the same time.
+/// Writes a video of the corner of a room. After moving over all photos, the camera stands still
+/// for the same time.
 fn film(dir: &Path, name: &str, photos: usize) {
     let frames = dir.join("frames-of-film");
     fs::create_dir(&frames).unwrap();

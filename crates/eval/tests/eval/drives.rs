@@ -80,7 +80,8 @@ proptest! {
             };
             true_observations.iter().map(square).sum()
         };
-        let Some(found) = triangulate_true_observations(std::slice::from_ref(&true_observations))[0] else {
+        let tracks = std::slice::from_ref(&true_observations);
+        let Some(found) = triangulate_true_observations(tracks)[0] else {
             return Err(TestCaseError::reject("parallel rays"));
         };
         if noise == 0.0 {

@@ -27,8 +27,8 @@ const MAX_OTHERS: f64 = 0.7;
 /// Median of the absolute value of a normal variable of standard deviation 1.
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
 
-/// Start of `b` minus start of `a`, in seconds; `None` if the correlation has no clear peak. `a` and
-/// `b` are mono samples at [`RATE_HZ`].
+/// Start of `b` minus start of `a`, in seconds; `None` if the correlation has no clear peak. `a`
+/// and `b` are mono samples at [`RATE_HZ`].
 pub(super) fn start_offset_s(a: &[i16], b: &[i16]) -> Option<f64> {
     let [fine_a, fine_b] = [a, b].map(loudness);
     let [coarse_a, coarse_b] = [&fine_a, &fine_b].map(|fine| coarse(fine));

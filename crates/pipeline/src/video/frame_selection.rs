@@ -1,10 +1,11 @@
 //! Selection of the frames of a video.
 //!
 //! The sharpest of every N frames is selected, the one with the largest gradient energy. It is left
-//! out if there is hardly any image motion since the last selected frame, as at a stop. Image motion
-//! is estimated on a thumbnail, as the ratio of temporal to spatial brightness changes of a block;
-//! its median over the blocks is insensitive to passing cars. If the frames of another camera with a
-//! synchronised clock are given, the frames nearest to them in time are selected instead.
+//! out if there is hardly any image motion since the last selected frame, as at a stop. Image
+//! motion is estimated on a thumbnail, as the ratio of temporal to spatial brightness changes of a
+//! block; its median over the blocks is insensitive to passing cars. If the frames of another
+//! camera with a synchronised clock are given, the frames nearest to them in time are selected
+//! instead.
 
 use std::num::NonZeroUsize;
 
@@ -97,6 +98,7 @@ impl FrameSelector {
         Self { target_times_s, next: 0, nearest: None, others: SharpestOfN::new(every) }
     }
 
+    /// Adds the next frame; returns a frame if one is selected now.
     pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
         let Some(target_time_s) = self.target_times_s.get(self.next) else {
             return self.others.add(frame);
@@ -123,6 +125,7 @@ impl FrameSelector {
         nearest
     }
 
+    /// The last selection, after the last frame.
     pub(super) fn end(&mut self) -> Option<Candidate> {
         self.nearest.take().or_else(|| self.others.end())
     }

@@ -31,8 +31,8 @@ pub(super) fn render_once(
     write(&mark, &plan.record())
 }
 
-/// The calibration that the mapper starts from: the camera model, and the mean paraxial focal length
-/// of the cameras. Intrinsics are refined.
+/// The calibration that the mapper starts from: the camera model, and the mean paraxial focal
+/// length of the cameras. Intrinsics are refined.
 pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     let has_action_lens = scenery.effects.has_action_lens;
     let model = if has_action_lens {

@@ -294,6 +294,7 @@ impl Measurements {
 }
 
 impl Run {
+    /// The alignment of our model to the ground truth.
     pub(super) fn world_from_model(&self) -> Option<Sim3> {
         let [scale, w, x, y, z, tx, ty, tz] = self.result.as_ref()?.world_from_model;
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));

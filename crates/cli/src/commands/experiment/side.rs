@@ -27,6 +27,7 @@ impl Side {
         Self::of(drive, -1.0)
     }
 
+    /// The right side for `sign` = 1, the left side for −1.
     fn of(drive: &Drive, sign: f64) -> Self {
         let trajectory = drive.trajectory();
         let steps = (trajectory.duration_s() / STEP_S) as usize;
