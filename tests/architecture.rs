@@ -1,9 +1,8 @@
-//! The arrows of ARCHITECTURE.md hold: a crate uses the crates that the list below allows, and
-//! nothing else.
+//! Checks the dependencies between crates against ARCHITECTURE.md.
 //!
-//! Dependencies must be in the list itself. Dev-dependencies may be any crate below (along the
-//! list's arrows), and the synthesiser, which makes scenes for tests of everything above the nouns.
-//! What Cargo resolved is asked of Cargo.
+//! A dependency must be in the list below. A dev-dependency may be any direct or indirect
+//! dependency in the list, or one of the crates for tests: the synthesiser and the evaluation.
+//! Cargo lists the dependencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,7 +12,7 @@ use serde_json::Value;
 
 use crate::modules;
 
-/// User, and the providers that it may name in its manifest.
+/// Each crate with the crates that its manifest may name.
 const ARROWS: &[(&str, &[&str])] = &[
     ("geometry", &[]),
     ("features", &[]),
@@ -35,18 +34,18 @@ const LIBRARIES: &[&str] = &[
     "pipeline",
 ];
 
-/// Crates without C code, whatever features they have by default.
+/// Crates whose dependencies with default features have no C code.
 const PURE: &[&str] =
     &["geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm"];
 
-/// Packages that depend on a C compiler for one file of assembly on machines that we do not build
-/// for: `generator`, of kiddo, on powerpc64.
+/// Packages that need a C compiler only for an assembly file on unsupported platforms: `generator`,
+/// a dependency of kiddo, on powerpc64.
 const ASSEMBLERS: &[&str] = &["generator"];
 
-/// The crates that the tests of others may use: one makes scenes, one judges what came out.
+/// Crates that tests of all crates may use: synthetic scenes and evaluation.
 const FOR_TESTS: &[&str] = &["synth", "eval"];
 
-/// Packages that compile or link C when they appear among a crate's dependencies.
+/// Whether a package compiles or links C code.
 fn is_c(package: &str) -> bool {
     package.ends_with("-sys")
         || ["cc", "cmake", "bindgen", "pkg-config", "vcpkg"].contains(&package)
@@ -67,19 +66,19 @@ fn cargo(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("cargo writes UTF-8")
 }
 
-/// The crate's name in the list of arrows.
+/// The name of a package in [`ARROWS`].
 fn short(package: &str) -> Option<&str> {
     if package == "tiepoint" { Some("cli") } else { package.strip_prefix("tiepoint-") }
 }
 
-/// One arrow of a manifest: user, provider, and whether only its tests use it.
+/// A dependency in a manifest.
 struct Edge {
     user: String,
     provider: String,
     is_dev: bool,
 }
 
-/// Our crates, and the arrows between them as the manifests have them.
+/// The crates of the workspace, and the dependencies between them in the manifests.
 fn manifests() -> (BTreeSet<String>, Vec<Edge>) {
     let metadata = cargo(&["metadata", "--no-deps", "--format-version", "1"]);
     let metadata: Value = serde_json::from_str(&metadata).expect("cargo metadata is JSON");
@@ -101,7 +100,7 @@ fn manifests() -> (BTreeSet<String>, Vec<Edge>) {
     (crates, edges)
 }
 
-/// Everything that a crate reaches along the arrows.
+/// All direct and indirect dependencies that [`ARROWS`] gives a crate.
 fn below(user: &str) -> BTreeSet<&'static str> {
     let arrows: BTreeMap<&str, &[&'static str]> = ARROWS.iter().copied().collect();
     let mut reached = BTreeSet::new();
@@ -115,7 +114,7 @@ fn below(user: &str) -> BTreeSet<&'static str> {
 }
 
 #[test]
-fn the_arrows_hold() {
+fn dependencies_are_those_of_the_list() {
     let (crates, edges) = manifests();
     let arrows: BTreeMap<&str, &[&str]> = ARROWS.iter().copied().collect();
     for name in &crates {
@@ -133,25 +132,25 @@ fn the_arrows_hold() {
                 || (provider == user));
         assert!(direct || by_tests, "{user} <- {provider} is no arrow of ARCHITECTURE.md");
     }
-    // The list is about this workspace: it knows arrows that are really there.
+    // Guards against an empty list of edges.
     assert!(edges.iter().any(|edge| edge.user == "scene" && edge.provider == "geometry"));
 }
 
 #[test]
-fn the_arrows_have_no_cycle() {
+fn list_of_dependencies_has_no_cycle() {
     for (user, _) in ARROWS {
         assert!(!below(user).contains(user), "{user} uses itself");
     }
 }
 
 #[test]
-fn modules_have_no_circles() {
+fn modules_have_no_cycles() {
     let crates = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates");
     let mut looked_at = Vec::new();
     let mut found = Vec::new();
     for (name, _) in ARROWS.iter().filter(|(name, _)| crates.join(name).is_dir()) {
-        let circles = modules::circles_in(&crates.join(name).join("src"));
-        found.extend(circles.into_iter().map(|circle| format!("{name}: {circle}")));
+        let cycles = modules::cycles_in(&crates.join(name).join("src"));
+        found.extend(cycles.into_iter().map(|cycle| format!("{name}: {cycle}")));
         looked_at.push(*name);
     }
     assert!(LIBRARIES.iter().all(|name| looked_at.contains(name)), "only {looked_at:?}");
@@ -173,7 +172,7 @@ fn pure_crates_carry_no_c() {
             "depth",
             "--no-dedupe",
         ]);
-        // The packages on the way from ours to the line's.
+        // The packages from ours to that of the line.
         let mut path: Vec<&str> = Vec::new();
         for line in tree.lines() {
             let name = line.trim_start_matches(|c: char| c.is_ascii_digit());
@@ -208,8 +207,8 @@ const CHANGES_FILES: [&str; 11] = [
     "symlink(",
     "set_len(",
 ];
-/// Where they may be called: the one module for it, what locks files, and the renderer, which knows
-/// no other crate.
+/// Files that may call them: the module for file operations, the code that locks files, and the
+/// renderer, which does not depend on `io`.
 const MAY_CHANGE_FILES: [&str; 5] = [
     "crates/io/src/disk/mod.rs",
     "crates/io/src/atomic.rs",
@@ -219,7 +218,7 @@ const MAY_CHANGE_FILES: [&str; 5] = [
 ];
 
 #[test]
-fn files_are_changed_in_one_place() {
+fn only_listed_files_change_the_file_system() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut folders = vec![root.join("crates")];
     let mut looked_at = 0;
@@ -236,7 +235,7 @@ fn files_are_changed_in_one_place() {
                 let text = std::fs::read_to_string(&path).unwrap();
                 let code = text.split("#[cfg(test)]").next().unwrap();
                 for call in CHANGES_FILES {
-                    // A word, and no part of another one such as AtomicFile.
+                    // A whole word, not part of another one such as AtomicFile.
                     let is_called = |line: &str| {
                         let line = line.trim_start();
                         let mut before =

@@ -1,4 +1,4 @@
-//! Tests of the workspace as a whole: one binary, one file a subject.
+//! Tests of the whole workspace in one binary, one file per subject.
 
 #![cfg(test)]
 #![allow(clippy::unwrap_used)]

@@ -4,14 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const MAX_COLUMNS: usize = 100;
-/// Endings of the files that people write.
+/// Extensions of the checked files.
 const WRITTEN: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
-/// Scripts without an ending.
+/// Checked scripts without an extension.
 const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri"];
-/// Folders that programs fill.
+/// Folders with generated files.
 const MADE: &[&str] = &["target", "corpus", "artifacts"];
 
-/// Files below a folder that people write.
+/// Collects the checked files below a folder.
 fn written(dir: &Path, root: &Path, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(dir).unwrap() {
         let path = entry.unwrap().path();
@@ -31,7 +31,7 @@ fn written(dir: &Path, root: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-/// Numbers of the lines that are too long. Tables, links and blocks of code in Markdown may be.
+/// Numbers of the lines that are too long. Tables, links and code blocks in Markdown may be long.
 fn long_lines(path: &Path) -> Vec<usize> {
     let text = fs::read_to_string(path).unwrap();
     let is_markdown = path.extension().is_some_and(|ending| ending == "md");

@@ -1,9 +1,9 @@
-//! Circles between the files of a crate.
+//! Detection of dependency cycles between the files of a crate.
 //!
-//! A file uses another where an import or a path in it names what the other defines. What is
-//! imported through a module that only re-exports it is an edge to where it is defined, so that
-//! `lib.rs` and `mod.rs` count for what they define themselves. Left out are code that is compiled
-//! for tests alone, links in documentation, and methods that are called without naming their type.
+//! A file depends on another if an import or a path in it names an item that the other defines.
+//! Re-exports are followed to the definition, so that `lib.rs` and `mod.rs` count only for their
+//! own items. Code for tests, links in documentation, and method calls that do not name the type
+//! are ignored.
 
 mod graph;
 mod source;
@@ -14,10 +14,10 @@ use std::path::Path;
 
 use graph::{Edges, Files, edges};
 
-/// The circles of a crate, given its folder `src`: for each the files, and the edges between them
-/// with one place of each.
-pub(crate) fn circles_in(src: &Path) -> Vec<String> {
-    circles(&edges(&files_below(src)))
+/// Descriptions of the cycles of a crate with the folder `src`: the files of each cycle, and the
+/// edges between them with a line of code each.
+pub(crate) fn cycles_in(src: &Path) -> Vec<String> {
+    cycles(&edges(&files_below(src)))
 }
 
 fn files_below(src: &Path) -> Files {
@@ -40,7 +40,7 @@ fn files_below(src: &Path) -> Files {
 }
 
 /// Strongly connected components of more than one file.
-fn circles(edges: &Edges) -> Vec<String> {
+fn cycles(edges: &Edges) -> Vec<String> {
     let mut uses: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for (user, provider) in edges.keys() {
         uses.entry(user).or_default().insert(provider);
@@ -50,17 +50,17 @@ fn circles(edges: &Edges) -> Vec<String> {
     let mut found = Vec::new();
     let mut seen = BTreeSet::new();
     for (file, below) in reach.iter().filter(|(file, below)| below.contains(*file)) {
-        let circle: BTreeSet<&str> = below
+        let cycle: BTreeSet<&str> = below
             .iter()
             .copied()
             .filter(|other| reach.get(other).is_some_and(|it| it.contains(file)))
             .collect();
-        if !seen.insert(circle.clone()) {
+        if !seen.insert(cycle.clone()) {
             continue;
         }
-        let mut text = format!("{} files in a circle: {circle:?}", circle.len());
+        let mut text = format!("{} files in a cycle: {cycle:?}", cycle.len());
         for ((user, provider), place) in edges {
-            if circle.contains(user.as_str()) && circle.contains(provider.as_str()) {
+            if cycle.contains(user.as_str()) && cycle.contains(provider.as_str()) {
                 text += &format!("\n  {user} -> {provider} ({user}:{place})");
             }
         }
@@ -93,9 +93,9 @@ mod tests {
         edges.keys().map(|(user, provider)| (user.as_str(), provider.as_str())).collect()
     }
 
-    /// Through a module that defines what a child uses, and by a path amid code.
+    /// A cycle through a module whose item a child uses, and through a path within an expression.
     #[test]
-    fn circles_are_found() {
+    fn cycles_are_found() {
         let found = edges(&files(&[
             ("lib.rs", "mod a; mod b; pub use a::{Outer, inner::Inner};"),
             (
@@ -126,19 +126,19 @@ mod tests {
                 ("lib.rs", "a/mod.rs"),
             ]
         );
-        let circles = circles(&found);
-        assert_eq!(circles.len(), 1, "{circles:?}");
+        let cycles = cycles(&found);
+        assert_eq!(cycles.len(), 1, "{cycles:?}");
         assert!(
-            circles[0].starts_with(r#"3 files in a circle: {"a/inner.rs", "a/mod.rs", "b.rs"}"#),
-            "{circles:?}"
+            cycles[0].starts_with(r#"3 files in a cycle: {"a/inner.rs", "a/mod.rs", "b.rs"}"#),
+            "{cycles:?}"
         );
-        assert!(circles[0].contains("b.rs -> a/mod.rs (b.rs:1: crate::Outer::f)"), "{circles:?}");
+        assert!(cycles[0].contains("b.rs -> a/mod.rs (b.rs:1: crate::Outer::f)"), "{cycles:?}");
     }
 
-    /// A module that re-exports, a module and a function of one name, a macro, names by `*`, and
-    /// inline modules make none.
+    /// Re-exports, a module and a function with the same name, macros, glob imports and inline
+    /// modules.
     #[test]
-    fn what_only_looks_like_a_circle_is_none() {
+    fn valid_structures_have_no_cycle() {
         let found = edges(&files(&[
             (
                 "lib.rs",
@@ -169,12 +169,12 @@ mod tests {
                 ("lib.rs", "c.rs"),
             ]
         );
-        assert_eq!(circles(&found), [""; 0]);
+        assert_eq!(cycles(&found), [""; 0]);
     }
 
     #[test]
     #[should_panic(expected = "a.rs:2: crate::b::C leads nowhere")]
-    fn a_path_that_leads_nowhere_is_no_silence() {
+    fn unresolved_path_panics() {
         edges(&files(&[("lib.rs", "mod a; mod b;"), ("a.rs", "\nuse crate::b::C;"), ("b.rs", "")]));
     }
 }

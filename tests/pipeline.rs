@@ -1,5 +1,4 @@
-//! The pipeline on real photos, made small so that the tests stay short: fountain-P11 of Strecha et
-//! al. 2008.
+//! The pipeline on downscaled photos: fountain-P11 of Strecha et al. 2008.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -18,19 +17,17 @@ use tiepoint_pipeline::{
 
 use crate::skipped;
 
-/// The photos are made smaller by this factor: 3072 x 2048 to 512 x 341 (the last two lines are cut
-/// off).
+/// Downscaling factor: from 3072 x 2048 to 512 x 341; the last two lines are cropped.
 const SHRINK: u32 = 6;
 /// Full-size photos with known intrinsics give 2.5 mm; a pixel is `SHRINK` times as large here.
 const MAX_MEAN_CENTRE_ERROR_M: f64 = 6.0 * 2.5e-3;
 /// K.txt of the data set: fx, fy, cx, cy of the full-size photos.
 const FULL_SIZE_INTRINSICS: [f64; 4] = [2759.48, 2764.16, 1520.69, 1006.81];
 
-/// A photo's name, which is the one that the truth has, and a small grey version as a PNG; the
-/// content says what it is.
+/// Name of a photo in the ground truth, and a small grey version as PNG data.
 type Small = (String, Vec<u8>);
 
-/// Small versions of all photos, made once for all tests.
+/// Small versions of all photos, computed once for all tests.
 fn small_photos(data: &Path) -> &'static [Small] {
     static PHOTOS: OnceLock<Vec<Small>> = OnceLock::new();
     PHOTOS.get_or_init(|| {
@@ -63,7 +60,8 @@ fn write_photos(data: &Path, count: usize, to: &Path) {
     }
 }
 
-/// With known intrinsics: (0, 0) is the corner of the first pixel, so they shrink with the photo.
+/// Options with known intrinsics. (0, 0) is the corner of the first pixel, so that all parameters
+/// scale with the photo.
 fn calibrated() -> Options {
     let params = FULL_SIZE_INTRINSICS.map(|param| param / f64::from(SHRINK));
     let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &params).unwrap();
@@ -82,7 +80,7 @@ fn run(photos: &Path, workspace: &Path, threads: usize) -> Report {
     })
 }
 
-/// The files that must be the same.
+/// Contents of the result files.
 fn results(workspace: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files: Vec<PathBuf> = fs::read_dir(workspace.join("sparse/0"))
         .unwrap()
@@ -96,7 +94,7 @@ fn results(workspace: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
+fn fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
@@ -117,7 +115,7 @@ fn the_fountain_is_reconstructed_with_the_same_bytes_on_one_thread_and_two() {
 }
 
 #[test]
-fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
+fn interrupted_run_resumes_to_the_same_result() {
     const COUNT: usize = 5;
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
@@ -125,7 +123,7 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     write_photos(&data, COUNT, &photos);
     run(&photos, &dir.path().join("undisturbed"), 2);
 
-    // Stops when the given event comes; tells how far the stage was when it was begun.
+    // Stops at the given event. Returns the number of steps that were done when the stage began.
     let stop_at = |stop: &dyn Fn(&Event) -> bool| {
         let mut done_before = 0;
         let result =
@@ -148,7 +146,7 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
     };
     stop_at(&fourth_pair);
     let done = stop_at(&|event| matches!(event, Event::ImageRegistered { .. }));
-    assert_eq!((pairs.get_mut(), done), (&mut 4, 0), "the mapper begins anew");
+    assert_eq!((pairs.get_mut(), done), (&mut 4, 0), "the mapper starts from scratch");
     let report = run(&photos, &workspace, 2);
     assert_eq!(
         report.stages.matches.as_ref().map(|matches| matches.pairs),
@@ -158,7 +156,7 @@ fn a_run_that_was_stopped_anywhere_goes_on_to_the_same_result() {
 }
 
 #[test]
-fn what_an_interruption_left_is_not_computed_again() {
+fn features_of_an_interrupted_run_are_not_computed_again() {
     let Some(data) = skipped::data() else { return };
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");

@@ -1,14 +1,14 @@
-//! Tests that want what a machine may lack say so when they are left out. Part of each crate's test
-//! program, by its path.
+//! Reports skipped tests, which need data or programs that the machine lacks. The test binaries of
+//! the crates include this file by its path.
 //!
-//! Such a test passes, and the test runner hides what a passing test prints. So the line goes to
-//! stderr directly, and to the file that `TIEPOINT_SKIPPED` names, which `./check` counts.
+//! A skipped test passes, and the test runner hides the output of passing tests. So the line is
+//! written to stderr directly, and to the file named by `TIEPOINT_SKIPPED`, which `./check` counts.
 
 use std::fs::File;
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// The folder of the reference data; without it, the test that asks is one that was left out.
+/// The folder of the reference data; without it, reports the calling test as skipped.
 #[allow(dead_code, reason = "not all programs want data")]
 pub(crate) fn data() -> Option<PathBuf> {
     const VARIABLE: &str = "TIEPOINT_DATA";
@@ -19,7 +19,7 @@ pub(crate) fn data() -> Option<PathBuf> {
     data
 }
 
-/// The running test is left out, for want of this.
+/// Reports the running test as skipped, because `want` is missing.
 pub(crate) fn skipped(want: &str) {
     let thread = std::thread::current();
     let line = format!(
@@ -27,7 +27,7 @@ pub(crate) fn skipped(want: &str) {
         env!("CARGO_PKG_NAME"),
         thread.name().unwrap_or("?")
     );
-    // One write, so that lines of several programs do not mix.
+    // A single write, so that lines of several processes do not mix.
     let _ = std::io::stderr().write_all(line.as_bytes());
     if let Some(path) = std::env::var_os("TIEPOINT_SKIPPED") {
         let mut file = File::options()

@@ -1,20 +1,21 @@
-//! Which file of a crate uses which: imports and paths are followed to the file that defines what
-//! they name.
+//! The dependency graph of the files of a crate. Imports and paths are resolved to the file that
+//! defines the item.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::source::{Import, Path, Source, read};
 
-/// The text of a crate's files, by their paths below `src`.
+/// Texts of the files of a crate by their paths below `src`.
 pub(super) type Files = BTreeMap<String, String>;
 
-/// Users and what they use, with one of the places where they do: `line: path`.
+/// Dependencies (user, provider) with one occurrence each: `line: path`.
 pub(super) type Edges = BTreeMap<(String, String), String>;
 
 /// The edges of a crate between different files.
 ///
 /// # Panics
-/// Where a path within the crate leads nowhere, since then there are edges that this does not see.
+///
+/// A path within the crate cannot be resolved, so that edges would be missing.
 pub(super) fn edges(files: &Files) -> Edges {
     let mut graph = Graph { modules: Vec::new(), edges: Edges::new() };
     for root in ["lib.rs", "main.rs"] {
@@ -30,7 +31,7 @@ pub(super) fn edges(files: &Files) -> Edges {
 }
 
 struct Graph {
-    /// The modules of all roots; a parent stands before its children.
+    /// The modules of all roots; parents precede children.
     modules: Vec<Module>,
     edges: Edges,
 }
@@ -43,18 +44,18 @@ struct Module {
     source: Source,
 }
 
-/// What a path may name: there may be a module and a function of one name.
+/// A meaning of a path. A path may have several: a module and a function with the same name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Named {
     Module(usize),
     /// An item of this module.
     Item(usize),
-    /// Of another crate.
+    /// An item of another crate.
     Elsewhere,
 }
 
-/// Names that are being looked up, by the module in which they are: an import may name itself,
-/// where a macro is meant.
+/// Names whose lookup is in progress, with their modules. This breaks recursion: an import may name
+/// itself if it means a macro.
 type Pending = Vec<(usize, String)>;
 
 impl Module {
@@ -65,7 +66,7 @@ impl Module {
 }
 
 impl Graph {
-    /// Adds a module whose children's files are in `folder`, and what is below it.
+    /// Adds a module with its descendants; the files of its children are in `folder`.
     fn load(&mut self, files: &Files, module: Module, folder: &str, mut source: Source) -> usize {
         let (this, file, root) = (self.modules.len(), module.file.clone(), module.root);
         self.modules.push(module);
@@ -111,8 +112,8 @@ impl Graph {
         }
     }
 
-    /// An edge to where the items are. A module that is named leads to nothing by itself: what is
-    /// named in it will.
+    /// Adds edges to the modules of named items. A path to a module alone gives no edge; paths to
+    /// its items do.
     fn add(&mut self, user: usize, named: &BTreeSet<Named>, path: &Path) {
         for &named in named {
             let Named::Item(provider) = named else { continue };
@@ -137,7 +138,7 @@ impl Graph {
         named
     }
 
-    /// What a path names that is written in a module.
+    /// The meanings of a path in a module.
     fn resolve(
         &self,
         module: usize,
@@ -173,7 +174,7 @@ impl Graph {
             });
             match module {
                 Some(module) => at = module,
-                // The name of an enum or a trait, and what is in it; or another crate's.
+                // A variant of an enum, an item of a trait, or an item of another crate.
                 None if !named.is_empty() => return named,
                 None if i == 0 && !is_absolute => return BTreeSet::from([Named::Elsewhere]),
                 None => return self.undefined(at),
@@ -188,7 +189,7 @@ impl Graph {
         }
     }
 
-    /// What stands for a name that a module does not have, unless one of its macros may define it.
+    /// The meaning of a name that a module does not define: a macro in the module may define it.
     fn undefined(&self, module: usize) -> BTreeSet<Named> {
         self.modules[module]
             .source
@@ -198,7 +199,7 @@ impl Graph {
             .collect()
     }
 
-    /// What a name means in a module, without its place in a path.
+    /// The meanings of a single name in a module.
     fn look_up(&self, module: usize, name: &str, pending: &mut Pending) -> BTreeSet<Named> {
         let key = (module, name.to_owned());
         if pending.contains(&key) {

@@ -1,23 +1,23 @@
-//! What one file of Rust source declares, imports and names: as much of the language as paths need.
+//! A parser for the declarations, imports and paths in a file of Rust source.
 
 use super::tokens::{Kind, Token, tokens};
 
-/// A path as written, with the line on which it begins.
+/// A path in the source, with the line on which it begins.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Path {
     pub(super) segments: Vec<String>,
     pub(super) line: usize,
 }
 
-/// One name that a `use` brings in.
+/// A name that a `use` declaration imports.
 #[derive(Clone, Debug)]
 pub(super) struct Import {
     pub(super) path: Path,
-    /// `*` for all names of a module.
+    /// `*` for a glob import.
     pub(super) name: String,
 }
 
-/// A module, in a file of its own or within another module.
+/// The content of a module, in a file of its own or inline.
 #[derive(Debug, Default)]
 pub(super) struct Source {
     /// `mod name;`
@@ -25,25 +25,25 @@ pub(super) struct Source {
     /// `mod name { … }`
     pub(super) inline: Vec<(String, Source)>,
     pub(super) imports: Vec<Import>,
-    /// Types, functions and the like.
+    /// Names of types, functions and other items.
     pub(super) items: Vec<String>,
-    /// `macro_rules!` that the whole crate sees.
+    /// Names of `macro_rules!` with `#[macro_export]`.
     pub(super) exported_macros: Vec<String>,
-    /// Whether a macro is called among the items, which may define any name.
+    /// Whether a macro is called at module level, which may define any name.
     pub(super) calls_macros: bool,
     /// Paths outside imports.
     pub(super) paths: Vec<Path>,
-    /// All words, for the names that `use …::*` may have brought in.
+    /// All words with their lines, which may be names of glob imports.
     pub(super) words: Vec<(String, usize)>,
 }
 
-/// Words before the name of an item.
+/// Keywords before the name of an item.
 const ITEMS: [&str; 9] =
     ["struct", "enum", "union", "trait", "fn", "const", "static", "type", "macro_rules"];
-/// Other words that an item may begin with.
+/// Other keywords that an item may begin with.
 const ITEM_STARTS: [&str; 6] = ["mod", "use", "impl", "unsafe", "extern", "async"];
 
-/// Reads a file. What is compiled for tests alone is left out.
+/// Parses a file. Code for tests is left out.
 pub(super) fn read(text: &str) -> Source {
     let tokens = tokens(text);
     let mut reader = Reader { tokens: &tokens, at: 0 };
@@ -58,10 +58,12 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
+    /// Kind of the token `ahead` tokens after the next one.
     fn peek(&self, ahead: usize) -> Option<Kind<'a>> {
         self.tokens.get(self.at + ahead).map(|token| token.kind)
     }
 
+    /// Line of the next token, or of the last one at the end of the file.
     fn line(&self) -> usize {
         self.tokens.get(self.at).or(self.tokens.last()).map_or(0, |token| token.line)
     }
@@ -77,13 +79,14 @@ impl<'a> Reader<'a> {
         self.peek(ahead) == Some(Kind::Punctuation(character))
     }
 
+    /// Skips the next token if it is this character.
     fn take(&mut self, character: char) -> bool {
         let is_there = self.is(0, character);
         self.at += usize::from(is_there);
         is_there
     }
 
-    /// To the end of the file, or of the module.
+    /// Parses to the end of the file or the module.
     fn module(&mut self) -> Source {
         let mut source = Source::default();
         let mut depth = 0;
@@ -112,7 +115,7 @@ impl<'a> Reader<'a> {
                     self.at += 1;
                 }
                 Kind::Word("pub") if self.is(1, '(') => {
-                    // `pub(in super::super)` depends on nothing.
+                    // `pub(in super::super)` is no dependency.
                     self.at += 1;
                     self.skip_group();
                 }
@@ -142,7 +145,7 @@ impl<'a> Reader<'a> {
         source
     }
 
-    /// `#[…]`: its words.
+    /// Skips an attribute `#[…]` and returns its words.
     fn attribute(&mut self) -> Vec<&'a str> {
         self.at += if self.is(1, '!') { 2 } else { 1 };
         let from = self.at;
@@ -154,7 +157,7 @@ impl<'a> Reader<'a> {
         words.collect()
     }
 
-    /// From an opening bracket to behind the one that closes it.
+    /// Skips from an opening bracket to behind the matching closing one.
     fn skip_group(&mut self) {
         let mut depth = 0;
         while let Some(kind) = self.peek(0) {
@@ -170,7 +173,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// An item, a statement, or a field, argument or arm, which may end with a comma.
+    /// Skips an item or statement, or a field, argument or match arm, which may end with a comma.
     fn skip_item(&mut self) {
         while self.is(0, '#') {
             self.attribute();
@@ -226,7 +229,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A tree of imports below `prefix`.
+    /// Parses a tree of imports below `prefix`.
     fn imports(&mut self, prefix: &mut Vec<String>, into: &mut Vec<Import>) {
         let (depth, line) = (prefix.len(), self.line());
         if self.peek(0) == Some(Kind::Colons) {
@@ -266,7 +269,7 @@ impl<'a> Reader<'a> {
         prefix.truncate(depth);
     }
 
-    /// A word, and the path that it begins.
+    /// Parses a word and the path that it begins.
     fn path(&mut self, source: &mut Source) {
         let line = self.line();
         let continues = self.at > 0 && self.tokens[self.at - 1].kind == Kind::Colons;
@@ -280,16 +283,15 @@ impl<'a> Reader<'a> {
             }
             self.at += 1;
         }
-        // What follows `::` without a name before it is another crate's, or an item of a generic
-        // type.
+        // A path after `::` without a name before it is that of another crate, or an item of a
+        // generic type.
         if segments.len() > 1 && !continues {
             source.paths.push(Path { segments, line });
         }
     }
 }
 
-/// Whether an attribute leaves out what follows unless it is compiled for tests: `cfg(test)`,
-/// `cfg(all(test, …))`.
+/// Whether an attribute marks code for tests: `cfg(test)`, `cfg(all(test, …))`.
 fn is_for_tests(words: &[&str]) -> bool {
     words.first() == Some(&"cfg")
         && words
@@ -300,7 +302,7 @@ fn is_for_tests(words: &[&str]) -> bool {
 }
 
 #[test]
-fn imports_are_read_whole() {
+fn nested_imports_are_parsed() {
     let source = read(
         "use crate::a::{self, b::{C as D, e}, f::*};\n pub(crate) use super::super::g;\n use \
         ::std::h;\n \
@@ -323,7 +325,7 @@ fn imports_are_read_whole() {
 }
 
 #[test]
-fn what_is_for_tests_is_left_out() {
+fn code_for_tests_is_left_out() {
     let source = read(
         "#[cfg(test)] mod tests; #[cfg(test)] mod more { use crate::a; }\n\
          #[cfg(test)] #[allow(x)] pub(crate) fn f<A, B>(x: [A; 2]) -> B { crate::b::c() }\n\

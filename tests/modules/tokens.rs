@@ -1,9 +1,11 @@
-//! The words of Rust source, without comments and without what literals say.
+//! A tokeniser for Rust source that drops comments and the content of literals.
 
-/// A word, or one character of punctuation; `::` is one too.
+/// The kind of a token.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind<'a> {
+    /// An identifier or keyword.
     Word(&'a str),
+    /// `::`.
     Colons,
     Punctuation(char),
     /// A string, character, number or lifetime.
@@ -13,10 +15,11 @@ pub(super) enum Kind<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Token<'a> {
     pub(super) kind: Kind<'a>,
-    /// From 1.
+    /// Number of the line, from 1.
     pub(super) line: usize,
 }
 
+/// Splits source text into tokens.
 pub(super) fn tokens(text: &str) -> Vec<Token<'_>> {
     let (mut found, mut line, mut rest) = (Vec::new(), 1, text);
     while !rest.is_empty() {
@@ -32,7 +35,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// What the text begins with, and its length in bytes. Space and comments are nothing.
+/// The first token of the text (`None` for white space and comments), and its length in bytes.
 fn next(text: &str) -> (Option<Kind<'_>>, usize) {
     let first = text.chars().next().expect("there is text");
     if text.starts_with("//") {
@@ -60,7 +63,7 @@ fn next(text: &str) -> (Option<Kind<'_>>, usize) {
     ((!first.is_whitespace()).then_some(Kind::Punctuation(first)), first.len_utf8())
 }
 
-/// The length of a block comment, which may hold others.
+/// The length of a block comment, which may be nested.
 fn comment(text: &str) -> usize {
     let (mut depth, mut at) = (0, 0);
     while at < text.len() {
@@ -79,7 +82,7 @@ fn comment(text: &str) -> usize {
     at
 }
 
-/// The length of a string, plain, raw, of bytes or of C.
+/// The length of a string literal, plain or raw, of characters or bytes, or a C string.
 fn string(text: &str) -> Option<usize> {
     let prefix = ["br", "cr", "b", "c", "r", ""].into_iter().find(|prefix| {
         let rest = text.strip_prefix(prefix).map(|rest| rest.trim_start_matches('#'));
@@ -99,7 +102,7 @@ fn string(text: &str) -> Option<usize> {
     Some(closed(body, b'"').map_or(text.len(), |len| before + len))
 }
 
-/// The length of a character or lifetime.
+/// The length of a character literal or lifetime.
 fn quoted(text: &str) -> usize {
     let body = &text[1..];
     let Some(first) = body.chars().next() else { return 1 };
@@ -110,8 +113,7 @@ fn quoted(text: &str) -> usize {
     body.find(|c| !is_word(c)).map_or(text.len(), |len| 1 + len)
 }
 
-/// Where a literal ends that begins before `body`: behind the first `quote` that no backslash
-/// escapes.
+/// End of a literal that begins before `body`: behind the first `quote` without a backslash.
 fn closed(body: &str, quote: u8) -> Option<usize> {
     let mut escaped = false;
     let is_end = |byte: u8| {
@@ -123,7 +125,7 @@ fn closed(body: &str, quote: u8) -> Option<usize> {
 }
 
 #[test]
-fn comments_and_literals_name_nothing() {
+fn comments_and_literals_have_no_words() {
     let text = r####"
         a /* b /* c */ d */ e // f
         "g \" h" r#"i " j"# b"k" 'l' '\'' 'm n::r#type 1.5e3_f64 "\\" o b'p' r"q"
@@ -132,7 +134,7 @@ fn comments_and_literals_name_nothing() {
         Kind::Word(word) => Some((word, token.line)),
         _ => None,
     });
-    // The b of a byte is a word here, which is no path.
+    // The prefix b of a byte literal is a word here, which does no harm.
     assert_eq!(
         words.collect::<Vec<_>>(),
         [("a", 2), ("e", 2), ("n", 3), ("type", 3), ("o", 3), ("b", 3)]

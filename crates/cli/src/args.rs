@@ -1,4 +1,4 @@
-//! The command line. Help texts are read as prose: what an option means, its unit, its default.
+//! The command line. The help text of an option states its meaning, unit and default.
 
 mod values;
 
@@ -19,51 +19,50 @@ use values::{
     NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route, threads,
 };
 
-/// Structure from motion for cameras that ride together: photos in, a COLMAP model out.
+/// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
 #[derive(Debug, Parser)]
 #[command(name = "tiepoint", version, propagate_version = true, arg_required_else_help = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
-    /// Threads to use; by default as many as the machine has. Results do not depend on it.
+    /// Number of threads; by default all of the machine. The results do not depend on it.
     #[arg(long, global = true, value_name = "N", value_parser = threads)]
     pub(crate) threads: Option<NonZeroUsize>,
-    /// Progress as JSON lines on stderr, and the result as one JSON object on stdout.
+    /// Writes progress as JSON lines to stderr and the result as one JSON object to stdout.
     #[arg(long, global = true)]
     pub(crate) json: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Photos in, a COLMAP project out; goes on where an earlier run stopped.
+    /// Runs features, match and map: photos in, a COLMAP project out. Resumes an interrupted run.
     Reconstruct(Reconstruct),
-    /// First stage: keypoints and descriptors, into WORKSPACE/database.db.
+    /// Stage 1: extracts SIFT keypoints and descriptors into WORKSPACE/database.db.
     Features(Features),
-    /// Second stage: which images show the same things; matches and two-view geometries.
+    /// Stage 2: matches image pairs and verifies them by two-view geometry.
     Match(Match),
-    /// Third stage: poses and points, into WORKSPACE/sparse/0 (and 1, ... where the photos do not
-    /// hang together).
+    /// Stage 3: incremental mapping. Writes poses and points to WORKSPACE/sparse/0; images that are
+    /// not connected to this model give further models in sparse/1, sparse/2, ...
     Map(Map),
-    /// Bundle adjustment alone, of a COLMAP model or a BAL problem.
+    /// Bundle adjustment of a COLMAP model or a BAL problem.
     Adjust(Adjust),
-    /// Compares a result with the truth.
+    /// Compares a model with ground truth.
     #[command(subcommand)]
     Evaluate(Evaluate),
-    /// Writes a result in another format.
+    /// Writes a model in another format.
     Export(Export),
-    /// Writes report.html into a workspace: cloud, cameras and plots in one file to open in a
-    /// browser, offline too.
+    /// Writes report.html into a workspace: point cloud, cameras and plots in one file that a
+    /// browser shows offline.
     View(View),
-    /// Renders the drive of two cameras along a street, with the truth beside it.
+    /// Renders a synthetic street as seen by two cameras on a vehicle, and writes the ground truth.
     Synth(Synth),
-    /// Shows what this program does, with nothing prepared: renders a small loop, reconstructs it
-    /// without a constraint between its two cameras, with the paper's and with one mounting,
-    /// compares all with the truth.
+    /// Needs no data: renders a small loop seen by two cameras, reconstructs it with --rig off,
+    /// --rig paper and --rig auto, and compares the three models with the ground truth.
     Demo(Demo),
-    /// The experiments of Huang, Elhashash & Qin 2022 in a rendered world: tables as theirs,
-    /// clouds, trajectories, and what is true. By default a run of a minute or two; --length 2200
-    /// --rate 10 --size 2000x1500 is as large as theirs. A model of COLMAP's in the folder
-    /// colmap/sparse/0 of a workspace gets a column beside ours.
+    /// Repeats the experiments of Huang, Elhashash & Qin 2022 on rendered images with ground truth,
+    /// and prints the paper's tables. By default a run of a minute or two; --length 2200 --rate 10
+    /// --size 2000x1500 has the size of the paper's data. A COLMAP model in the folder
+    /// colmap/sparse/0 of a workspace gets a column of its own.
     #[command(subcommand)]
     Experiment(Experiment),
 }
@@ -80,7 +79,7 @@ pub(crate) struct Reconstruct {
     pub(crate) mapping: Mapping,
     #[command(flatten)]
     pub(crate) seed: Seed,
-    /// Makes this stage and the later ones anew, whatever there is: features, match or map.
+    /// Computes this stage and all later ones again: features, match or map.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }
@@ -91,7 +90,7 @@ pub(crate) struct Features {
     pub(crate) input: Input,
     #[command(flatten)]
     pub(crate) cameras: Cameras,
-    /// Makes this stage anew, whatever there is: features.
+    /// Computes this stage again: features.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }
@@ -104,7 +103,7 @@ pub(crate) struct Match {
     pub(crate) pairs: Pairs,
     #[command(flatten)]
     pub(crate) seed: Seed,
-    /// Makes this stage anew, whatever there is: match.
+    /// Computes this stage again: match.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }
@@ -117,35 +116,34 @@ pub(crate) struct Map {
     pub(crate) mapping: Mapping,
     #[command(flatten)]
     pub(crate) seed: Seed,
-    /// Makes this stage anew, whatever there is: map.
+    /// Computes this stage again: map.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Input {
-    /// A folder of photos is one camera; a folder with one sub-folder for each camera is several;
-    /// each video is one camera (this needs the program ffmpeg).
+    /// A folder of photos (one camera), a folder with one sub-folder of photos per camera, or
+    /// videos (one camera each; the program ffmpeg reads them).
     #[arg(required = true, value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
-    /// Where to work and to leave the results; also a COLMAP project.
+    /// Folder for intermediate files and results: a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
-    /// Of a video, one frame of so many is taken, the sharpest; frames that show nothing new, at a
-    /// stop, are left out.
+    /// Takes the sharpest of every N frames of a video. Frames without image motion, as at a stop,
+    /// are left out.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_EVERY)]
     pub(crate) every: NonZeroUsize,
-    /// When the photos were taken: CSV with the header `image,seconds`. By default from their names
-    /// or EXIF.
+    /// Capture times of the photos: CSV with the header `image,seconds`. By default the times in
+    /// the file names or in EXIF.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) timestamps: Option<PathBuf>,
-    /// Where nothing is to be detected: a folder with a mask for each photo, black being out
-    /// (left/1.jpg.png for left/1.jpg).
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. No keypoints are detected
+    /// where the mask is black.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
-    /// Photos of more pixels, in millions, are skipped: a file of a few kilobytes can claim any
-    /// size, and each pixel takes some 16 bytes of memory. However many threads there are, photos
-    /// wait for each other rather than fill more than half of the free memory.
+    /// Skips photos with more than N million pixels. A pixel takes about 16 bytes of memory. As
+    /// many photos are processed at a time as half of the free memory holds.
     #[arg(
         long,
         value_name = "N",
@@ -155,14 +153,14 @@ pub(crate) struct Input {
     pub(crate) max_megapixels: u64,
 }
 
-/// Pixels of a megapixel.
+/// Pixels per megapixel.
 pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
-    /// Known intrinsics of every camera, in pixels, (0.5, 0.5) being the centre of the first one;
-    /// they stay fixed. OpenCV and KITTI count from (0, 0): add 0.5 to cx and cy. Four numbers are
-    /// a PINHOLE, more an OPENCV with k1,k2,p1,p2.
+    /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
+    /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
+    /// 0.5 to cx and cy. Four numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
     #[arg(
         long,
         value_name = "fx,fy,cx,cy[,k..]",
@@ -170,200 +168,199 @@ pub(crate) struct Cameras {
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
-    /// Focal length of every camera, roughly, in pixels; it is refined. By default from EXIF, else
-    /// 1.2 times the larger side.
+    /// Initial focal length of all cameras, in pixels; it is refined. By default from EXIF, else
+    /// 1.2 times the larger image side.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
-    /// COLMAP's name of the camera model; for action cameras THIN_PRISM_FISHEYE. Pixels count as
-    /// square where it has two focal lengths [default: SIMPLE_RADIAL].
+    /// COLMAP's name of the camera model; THIN_PRISM_FISHEYE suits action cameras. In models with
+    /// two focal lengths fx and fy stay equal [default: SIMPLE_RADIAL].
     #[arg(long, value_name = "NAME", value_parser = camera_model)]
     pub(crate) camera_model: Option<CameraModelKind>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Pairs {
-    /// Which photos to match: exhaustive (each with every other), sequential:N (N neighbours before
-    /// and after, within a camera and across cameras), sequential:N+ends (and the first N with the
-    /// last N), sequential:N+loops:K (and, wherever the drive comes by again, with the K that look
-    /// most alike), similar:K (those alone, for photos in no order).
+    /// Image pairs to match: exhaustive (all), sequential:N (each image with its N neighbours
+    /// before and after, within a camera and across cameras), sequential:N+ends (also the first N
+    /// with the last N), sequential:N+loops:K (also each image with its K most similar images, to
+    /// find loops), similar:K (each image with its K most similar images only, for unordered
+    /// photos).
     #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Exhaustive)]
     pub(crate) pairs: PairSelection,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Mapping {
-    /// What holds cameras that ride together to each other: off (nothing), paper (the baseline
-    /// constraint of Huang, Elhashash & Qin 2022: the relative pose at one moment equals that at
-    /// the next), soft (one mounting for each camera, as firmly as held-out tracks allow), hard
-    /// (one mounting, exactly), auto (the firmest of these that held-out tracks do not contradict).
-    /// Times of the photos may be on clocks that disagree: they are found (paper: to half the time
-    /// between two photos).
+    /// Constraint on the relative poses of the cameras of a rig. off: none. paper: the baseline
+    /// constraint of Huang, Elhashash & Qin 2022; the relative pose is the same at consecutive
+    /// frames. soft: one sensor_from_rig per camera with standard deviations as small as held-out
+    /// tracks allow. hard: one exact sensor_from_rig per camera. auto: the strongest of off, soft
+    /// and hard that held-out tracks do not contradict. Cameras need not be synchronised: their
+    /// time offsets are estimated (paper: to half a frame interval).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
-    /// Distance of the first camera and the next (in the order of their folders), with its unit: m,
-    /// cm or mm. The result is scaled so that they are that far apart; by default its unit is
-    /// arbitrary.
+    /// Known distance between the first two cameras (in the order of their folders) with its unit,
+    /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m")]
     pub(crate) baseline: Option<Metres>,
-    /// Of cameras whose rows are exposed one after the other: the time from the first row to the
-    /// last one, as 16ms, or `estimate`. It needs times of the photos. By default all rows count as
-    /// exposed at once.
+    /// Readout time of rolling-shutter cameras from the first row to the last, as 16ms, or
+    /// `estimate`. Needs capture times. By default a global shutter is assumed.
     #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
     pub(crate) rolling_shutter: Option<Readout>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Seed {
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) seed: u64,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Adjust {
-    /// A folder with a COLMAP model, or a BAL problem (a text file).
+    /// Folder with a COLMAP model, workspace, or BAL problem (a text file).
     #[arg(value_name = "MODEL|PROBLEM.txt")]
     pub(crate) model: PathBuf,
-    /// Where to write the result, in the format of the input; without it, only the costs are told.
+    /// Where to write the result in the format of the input; without it only the costs are printed.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
-    /// Leave focal lengths and distortion as they are. (Those that a workspace was given with
-    /// --intrinsics stay anyway.)
+    /// Keeps all intrinsics fixed. Intrinsics that a workspace was given with --intrinsics are
+    /// always fixed.
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Evaluate {
-    /// Camera poses: centre errors after a similarity, relative-pose AUC, focal length.
+    /// Camera poses: position errors after Sim(3) alignment (ATE), rotation errors, relative-pose
+    /// AUC, focal lengths.
     Poses(EvaluatePoses),
-    /// A cloud: distance of its points to the nearest ones of a reference, a laser scan say, after
+    /// Point cloud: distances to the nearest points of a reference, such as a laser scan, after
     /// alignment.
     Cloud(EvaluateCloud),
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateCloud {
-    /// A PLY, LAS or LAZ file, a workspace, or a folder with a COLMAP model. (LAS and LAZ need a
-    /// build with --features las.)
+    /// PLY, LAS or LAZ file, workspace, or folder with a COLMAP model. LAS and LAZ need a build
+    /// with --features las.
     pub(crate) cloud: PathBuf,
-    /// What it is compared with: as above.
+    /// Reference cloud, in the same formats.
     pub(crate) reference: PathBuf,
-    /// What is found before distances are measured: similarity (from anywhere, by the clouds' own
-    /// axes and then closest points), rigid (a motion from where the cloud is), none. With a scale,
-    /// closest points hide drift.
+    /// Alignment before distances are measured: similarity (initialised from the principal axes of
+    /// both clouds, refined by ICP), rigid (ICP from the given coordinates), none. ICP with a free
+    /// scale hides scale drift.
     #[arg(long, value_name = "FREEDOM", default_value = "similarity", value_parser = alignment)]
     pub(crate) align: Alignment,
-    /// Puts the cloud of a workspace where its cameras belong, given true poses in the world of the
-    /// reference, and only moves it rigidly from there: the honest way. FORMAT as in
-    /// `evaluate poses`.
+    /// Aligns the cameras of a workspace to these true poses, given in the frame of the reference,
+    /// and refines by rigid ICP alone; scale drift stays visible. FORMAT as in `evaluate poses`.
     #[arg(long, value_name = "FORMAT:PATH", conflicts_with = "align")]
     pub(crate) truth: Option<Truth>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluatePoses {
-    /// A folder with a COLMAP model, or a workspace.
+    /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
-    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (the number of an image is
-    /// the line), tum (by time), colmap (a model).
+    /// True poses. FORMAT is strecha (a folder of .camera files), kitti (image number = line number
+    /// from 0), tum (by time), colmap (a model).
     #[arg(long, value_name = "FORMAT:PATH")]
     pub(crate) truth: Truth,
-    /// Compares only images whose names begin with this. By default all; for kitti and tum those of
-    /// the first camera.
+    /// Compares only images whose names start with this prefix. By default all; for kitti and tum
+    /// those of the first camera.
     #[arg(long, value_name = "PREFIX")]
     pub(crate) images: Option<String>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Export {
-    /// A workspace, or a folder with a COLMAP model.
+    /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap and colmap-text (a folder), ply (the cloud), tum or kitti (the trajectory of one
+    /// colmap or colmap-text (a folder), ply (point cloud), tum or kitti (trajectory of the first
     /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
-    /// with transforms.json, images and cloud), kalibr (the rig with its clocks, as camchain.yaml).
+    /// with transforms.json, images and cloud), kalibr (camchain.yaml with extrinsics and time
+    /// offsets of the rig).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
     #[arg(short, long = "output", value_name = "PATH")]
     pub(crate) output: PathBuf,
-    /// Adjusts first with every camera held exactly to one calibration, whatever --rig it was
-    /// mapped with, and makes the moments frames of a rig; what that does to the errors is told.
+    /// First adjusts the model with exact rig extrinsics (one sensor_from_rig per camera), whatever
+    /// --rig it was mapped with, and writes rigs and frames. Prints the reprojection error before
+    /// and after.
     #[arg(long)]
     pub(crate) rigid: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct View {
-    /// A workspace, or a folder with a COLMAP model.
+    /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Synth {
-    /// Where to write: left/, right/ and timestamps.csv as cameras leave them, and truth/. New,
-    /// empty, or of the same drive.
+    /// Output folder: gets left/, right/, timestamps.csv and truth/. It must be new, empty, or from
+    /// the same command.
     #[arg(short, long = "output", value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// At most so many images of each camera, the first ones; by default the whole drive around the
-    /// block.
+    /// Renders only the first N images of each camera; by default the whole drive.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
     #[arg(long, value_name = "WxH", default_value = "640x480")]
     pub(crate) size: ImageSize,
-    /// Seed of the street, the drive and everything random.
+    /// Seed of the street, the drive and all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Images a second.
+    /// Images per second of each camera.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub(crate) rate: f64,
-    /// Which way the street runs: loop (around a block, back to the start and a little further) or
-    /// open (onwards).
+    /// Route: loop (around a block, back to the start and a little further) or open (one way).
     #[arg(long, value_name = "ROUTE", default_value = "loop", value_parser = route)]
     pub(crate) route: RouteKind,
-    /// How long the street is, in metres.
+    /// Length of the street, in metres.
     #[arg(long, value_name = "M", default_value_t = 200.0)]
     pub(crate) length: f64,
-    /// Which way both cameras look, half a metre apart: front, front-right, right, rear or left.
+    /// Viewing direction of both cameras, half a metre apart: front, front-right, right, rear or
+    /// left.
     #[arg(long, value_name = "MOUNTING", default_value = "front")]
     pub(crate) mounting: Mounting,
-    /// What is not ideal: none, all, or some of lens, rolling-shutter, vibration, mounting,
-    /// traffic, clocks and photometry, joined by +.
+    /// Imperfections to simulate: none, all, or a list joined by + of lens, rolling-shutter,
+    /// vibration, mounting, traffic, clocks and photometry.
     #[arg(long, value_name = "NAMES", default_value = "none")]
     pub(crate) effects: Effects,
-    /// Also writes truth/scan.ply: the cloud of a laser scanner on the roof, for `evaluate cloud`.
+    /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
     #[arg(long)]
     pub(crate) scan: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Where to work and to leave everything. The same command goes on where an earlier one
-    /// stopped.
+    /// Output folder. The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
-    /// At most so many images of each camera, the first ones; by default the whole loop.
+    /// Renders only the first N images of each camera; by default the whole loop.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
     #[arg(long, value_name = "WxH", default_value = "640x480")]
     pub(crate) size: ImageSize,
-    /// Seed of the street and of everything random.
+    /// Seed of the street and all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Experiment {
-    /// Experiment I: one camera, looking to the front, right, rear and left in turn.
+    /// Experiment I: one camera that looks to the front, right, rear and left in turn.
     Mounting(Scenery),
-    /// Experiment II: two cameras half a metre apart that look right, with and without a constraint
-    /// between them.
+    /// Experiment II: two cameras half a metre apart that look to the right, with and without a rig
+    /// constraint.
     Baseline {
         #[command(flatten)]
         scenery: Scenery,
-        /// What holds the cameras to each other, one row each: off, paper, soft, hard, auto.
+        /// Rig constraints to compare, a row each: off, paper, soft, hard, auto.
         #[arg(
             long,
             value_name = "MODES",
@@ -377,35 +374,38 @@ pub(crate) enum Experiment {
 
 #[derive(Debug, Args)]
 pub(crate) struct Scenery {
-    /// Where to work and to leave everything. The same command goes on where an earlier one
-    /// stopped.
+    /// Output folder. The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-experiment")]
     pub(crate) output: PathBuf,
-    /// At most so many images of each camera, the first ones; by default the whole loop.
+    /// Renders only the first N images of each camera; by default the whole loop.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
     #[arg(long, value_name = "WxH", default_value = "400x300")]
     pub(crate) size: ImageSize,
-    /// Seed of the street, the drive and everything random.
+    /// Seed of the street, the drive and all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Images a second.
+    /// Images per second of each camera.
     #[arg(long, value_name = "HZ", default_value_t = 2.5)]
     pub(crate) rate: f64,
-    /// How long the loop is, in metres.
+    /// Length of the loop, in metres.
     #[arg(long, value_name = "M", default_value_t = 160.0)]
     pub(crate) length: f64,
-    /// What is not ideal, as in `synth`.
+    /// Imperfections to simulate, as in `synth`.
     #[arg(long, value_name = "NAMES", default_value = "all")]
     pub(crate) effects: Effects,
-    /// Which photos to match, as in `match`.
+    /// Image pairs to match, as in `match`.
     #[arg(long, value_name = "SELECTION", default_value = "sequential:6+ends")]
     pub(crate) pairs: PairSelection,
 }
 
 impl Cameras {
-    /// What is known of the cameras; an error is one of usage.
+    /// The calibration that --intrinsics, --focal-prior and --camera-model give.
+    ///
+    /// # Errors
+    ///
+    /// The number or the values of the intrinsics do not fit the camera model.
     pub(crate) fn calibration(&self) -> Result<Calibration, String> {
         let Some(NumberList(params)) = &self.intrinsics else {
             let model = self.camera_model.unwrap_or(CameraModelKind::SimpleRadial);
@@ -425,8 +425,7 @@ impl Cameras {
             (None, count) => {
                 return Err(format!(
                     "--intrinsics has {count} numbers: give fx,fy,cx,cy, or \
-                    fx,fy,cx,cy,k1,k2,p1,p2, or a --camera-model and its \
-                     parameters"
+                    fx,fy,cx,cy,k1,k2,p1,p2, or --camera-model NAME and its parameters"
                 ));
             }
         };
@@ -439,7 +438,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clap_finds_the_definitions_sound() {
+    fn clap_accepts_the_definitions() {
         <Cli as clap::CommandFactory>::command().debug_assert();
     }
 
@@ -453,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn intrinsics_choose_their_model() {
+    fn number_of_intrinsics_determines_the_camera_model() {
         let known =
             |model, params: &[f64]| Ok(Calibration::Known(Intrinsics::new(model, params).unwrap()));
         assert_eq!(
@@ -466,6 +465,6 @@ mod tests {
         assert_eq!(calibration("9,7,6,.1", Some("simple_radial")), radial);
         assert!(calibration("9,8,7", None).unwrap_err().contains("3 numbers"));
         assert!(calibration("-9,8,7,6", None).unwrap_err().contains("--intrinsics"));
-        assert!(calibration("9,8,x,6", None).unwrap_err().contains("'x' is no number"));
+        assert!(calibration("9,8,x,6", None).unwrap_err().contains("'x' is not a number"));
     }
 }

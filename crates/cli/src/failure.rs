@@ -1,12 +1,12 @@
-//! Why the program did not do what it was asked.
+//! Errors of commands.
 
-/// Why a command did not do what it was asked.
+/// Why a command failed.
 pub(crate) enum Failure {
-    /// The command line contradicts itself.
+    /// The command line is invalid: exit code 2.
     Usage(String),
-    /// It could not be done.
+    /// The work failed: exit code 1.
     CouldNot(String),
-    /// A signal asked to stop.
+    /// A signal interrupted the work.
     Cancelled,
 }
 

@@ -1,4 +1,4 @@
-//! Whether a signal came, and who ends the program for it.
+//! Interruption by a signal, and which thread then exits the program.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -10,22 +10,22 @@ use indicatif::ProgressBar;
 use signal_hook::consts::SIGTERM;
 use tiepoint_pipeline::{Event, Stage};
 
-/// What shells add to the number of a signal.
+/// Exit code of a process that signal N ended: 128 + N, as shells report it.
 const SIGNAL_BASE: u8 = 128;
 
-/// Which signal came, and who ends the program for it.
+/// State of an interruption, shared by the main thread and the signal thread.
 #[derive(Debug)]
 pub(crate) struct Interrupt {
-    /// The number of the signal; 0 before one came.
+    /// Number of the received signal; 0 before.
     signal: Arc<AtomicUsize>,
-    /// One thread alone says the last sentence.
-    is_ending: AtomicBool,
-    /// What is on the terminal. It is cleared before the last sentence.
+    /// Whether a thread has claimed the exit: only that one prints the final message.
+    is_exit_claimed: AtomicBool,
+    /// The progress bar, which is cleared before the final message.
     bar: Mutex<ProgressBar>,
-    /// The stage that `--redo` makes anew in place of what there is.
+    /// The stage of `--redo`, if it replaces existing results.
     redo: Option<Stage>,
-    /// Whether that stage has begun: what there was is gone, and the command without `--redo` goes
-    /// on.
+    /// Whether that stage has begun. Then the old results are gone, and the command without
+    /// `--redo` resumes.
     has_begun_redo: AtomicBool,
 }
 
@@ -36,29 +36,29 @@ impl Default for Interrupt {
 }
 
 impl Interrupt {
-    /// For a command that makes a stage anew in place of what there is.
+    /// `redo`: the stage whose existing results the command replaces.
     pub(crate) fn new(redo: Option<Stage>) -> Self {
         let bar = Mutex::new(ProgressBar::hidden());
-        let (is_ending, has_begun_redo) = (AtomicBool::new(false), AtomicBool::new(false));
-        Self { signal: Arc::default(), is_ending, bar, redo, has_begun_redo }
+        let (is_exit_claimed, has_begun_redo) = (AtomicBool::new(false), AtomicBool::new(false));
+        Self { signal: Arc::default(), is_exit_claimed, bar, redo, has_begun_redo }
     }
 
-    /// Notes this signal when it comes.
+    /// Installs a handler that stores the number of this signal.
     ///
     /// # Errors
     ///
-    /// The system refuses a handler.
-    pub(crate) fn note(&self, signal: i32) -> io::Result<()> {
+    /// The operating system refuses the handler.
+    pub(crate) fn register(&self, signal: i32) -> io::Result<()> {
         signal_hook::flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;
         Ok(())
     }
 
-    /// The number of the signal that came.
+    /// The number of the received signal.
     pub(crate) fn signal(&self) -> Option<usize> {
         Some(self.signal.load(Ordering::Relaxed)).filter(|signal| *signal != 0)
     }
 
-    /// Takes note of an event. Breaks once a signal came.
+    /// Notes whether the stage of `--redo` has begun. Returns `Break` after a signal.
     pub(crate) fn watch(&self, event: &Event) -> ControlFlow<()> {
         if let Event::StageBegan { stage, .. } = event
             && self.redo.is_some_and(|redo| redo <= *stage)
@@ -68,47 +68,46 @@ impl Interrupt {
         self.flow()
     }
 
-    /// Breaks once a signal came.
+    /// `Break` after a signal.
     pub(crate) fn flow(&self) -> ControlFlow<()> {
         if self.signal().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// What is on the terminal from now on.
+    /// Sets the progress bar that [`Interrupt::clear_bar`] clears.
     pub(crate) fn set_bar(&self, bar: &ProgressBar) {
         *self.bar.lock().unwrap_or_else(PoisonError::into_inner) = bar.clone();
     }
 
-    /// The run has ended, and the caller ends the program. This never returns where the thread that
-    /// listens ends it already.
-    pub(crate) fn end(&self) {
-        while !self.begin_end() {
+    /// Claims the exit for the calling thread. Never returns if the signal thread has claimed it.
+    pub(crate) fn claim_exit_or_park(&self) {
+        while !self.claim_exit() {
             thread::park();
         }
     }
 
-    /// Whether the caller is the first that is to end the program.
-    pub(crate) fn begin_end(&self) -> bool {
-        !self.is_ending.swap(true, Ordering::AcqRel)
+    /// Claims the exit; `true` for the first caller.
+    pub(crate) fn claim_exit(&self) -> bool {
+        !self.is_exit_claimed.swap(true, Ordering::AcqRel)
     }
 
-    /// Takes what is on the terminal away.
+    /// Clears the progress bar.
     pub(crate) fn clear_bar(&self) {
         self.bar.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
     }
 
-    /// The last sentence and the exit code of a run that ended for a signal.
-    pub(crate) fn last_words(&self) -> Option<(String, u8)> {
+    /// Final message and exit code after a signal.
+    pub(crate) fn final_message(&self) -> Option<(String, u8)> {
         let signal = self.signal()?;
-        let go_on = self.how_to_go_on();
+        let hint = self.resume_hint();
         let name = if signal == SIGTERM as usize { "SIGTERM" } else { "SIGINT" };
-        Some((format!("stopped by {name}: {go_on}"), SIGNAL_BASE + signal as u8))
+        Some((format!("stopped by {name}: {hint}"), SIGNAL_BASE + signal as u8))
     }
 
-    fn how_to_go_on(&self) -> &'static str {
+    fn resume_hint(&self) -> &'static str {
         if self.has_begun_redo.load(Ordering::Relaxed) {
-            "what is complete was kept; give the same command again without --redo to go on"
+            "completed work was kept; give the same command again without --redo to resume"
         } else {
-            "what is complete was kept; give the same command again to go on"
+            "completed work was kept; give the same command again to resume"
         }
     }
 }

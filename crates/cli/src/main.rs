@@ -1,4 +1,4 @@
-//! The program: parses, wires, prints, draws progress. Everything else is in the libraries.
+//! The command line program: parses arguments, calls the libraries, prints results and progress.
 
 mod args;
 mod commands;
@@ -20,9 +20,9 @@ use failure::Failure;
 use interrupt::Interrupt;
 use output::Output;
 
-/// The work could not be done.
+/// Exit code of failed work.
 const COULD_NOT: u8 = 1;
-/// The command line says nothing that could be done.
+/// Exit code of an invalid command line.
 const BAD_USAGE: u8 = 2;
 
 fn main() -> ExitCode {
@@ -30,7 +30,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };
-    let output = Output::new(cli.json, Interrupt::new(signals::redone_stage(&cli.command)));
+    let output = Output::new(cli.json, Interrupt::new(signals::stage_to_redo(&cli.command)));
     if let Err(error) = signals::listen(&output) {
         output.error(&format!("cannot listen for SIGINT and SIGTERM: {error}"));
         return ExitCode::from(COULD_NOT);
@@ -43,29 +43,29 @@ fn main() -> ExitCode {
         return ExitCode::from(COULD_NOT);
     }
     let outcome = commands::run(cli.command, &output);
-    output.interrupt.end();
+    output.interrupt.claim_exit_or_park();
     let (message, code) = match outcome {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Usage(message)) => (message, BAD_USAGE),
         Err(Failure::CouldNot(message)) => (message, COULD_NOT),
         Err(Failure::Cancelled) => {
             let cancelled = || (tiepoint_pipeline::Error::Cancelled.to_string(), COULD_NOT);
-            output.interrupt.last_words().unwrap_or_else(cancelled)
+            output.interrupt.final_message().unwrap_or_else(cancelled)
         }
     };
     output.error(&message);
     ExitCode::from(code)
 }
 
-/// Help and version as clap writes them; what is wrong with a command line as one sentence.
+/// Prints help and version as clap formats them, and usage errors as one sentence.
 fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
-            match output::written(error.print().and_then(|()| io::stdout().flush())) {
+            match output::ignore_broken_pipe(error.print().and_then(|()| io::stdout().flush())) {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(cause) => {
                     Output::new(false, Interrupt::default())
-                        .error(&output::not_written("this text", &cause));
+                        .error(&output::write_error("this text", &cause));
                     ExitCode::from(COULD_NOT)
                 }
             }

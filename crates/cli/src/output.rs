@@ -1,4 +1,4 @@
-//! What goes to stdout and stderr.
+//! Output to stdout and stderr.
 
 use std::borrow::Cow;
 use std::io::{self, ErrorKind, Write};
@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
-/// How to speak: to people, or in JSON to programs; and whether to go on.
+/// Format of the output (text or JSON), and the interruption state of the run.
 #[derive(Clone, Debug)]
 pub(crate) struct Output {
     pub(crate) json: bool,
@@ -21,11 +21,11 @@ impl Output {
         Self { json, interrupt: Arc::new(interrupt) }
     }
 
-    /// The result, on stdout: one JSON object, or lines for people.
+    /// Writes the result to stdout: `value` as one JSON object, or `text`.
     ///
     /// # Errors
     ///
-    /// Stdout does not take it.
+    /// Writing to stdout fails.
     pub(crate) fn result(
         &self,
         value: &impl Serialize,
@@ -37,11 +37,11 @@ impl Output {
             text().split_inclusive('\n').map(printable_line).collect()
         };
         let mut stdout = io::stdout();
-        written(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
-            .map_err(|cause| Failure::CouldNot(not_written("the result", &cause)))
+        ignore_broken_pipe(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
+            .map_err(|cause| Failure::CouldNot(write_error("the result", &cause)))
     }
 
-    /// The one sentence that says why nothing more came, on stderr.
+    /// Writes an error message to stderr, on one line.
     pub(crate) fn error(&self, message: &str) {
         let message = &*shortened(message);
         let line = if self.json {
@@ -53,21 +53,21 @@ impl Output {
     }
 }
 
-/// What became of a text for stdout. A reader that closed the pipe has read enough.
-pub(crate) fn written(outcome: io::Result<()>) -> io::Result<()> {
+/// A closed pipe is no error: the reader has read enough.
+pub(crate) fn ignore_broken_pipe(outcome: io::Result<()>) -> io::Result<()> {
     outcome.or_else(|cause| if cause.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(cause) })
 }
 
-/// A sentence on a text that stdout did not take.
-pub(crate) fn not_written(what: &str, cause: &io::Error) -> String {
+/// Error message for a text that could not be written to stdout.
+pub(crate) fn write_error(text: &str, cause: &io::Error) -> String {
     format!(
-        "cannot write {what} to stdout: {cause}; files that were made are kept, so give the same \
+        "cannot write {text} to stdout: {cause}; the result files were kept, so give the same \
         command again"
     )
 }
 
-/// A line for people. Names of files may have characters that would tear the line, command the
-/// terminal or turn the direction of what follows: escapes take their place.
+/// Escapes line breaks, control characters and marks of text direction, which file names may
+/// contain and which a terminal would interpret.
 pub(crate) fn printable(line: &str) -> Cow<'_, str> {
     if !line.contains(commands_terminal) {
         return Cow::Borrowed(line);
@@ -80,11 +80,10 @@ pub(crate) fn printable(line: &str) -> Cow<'_, str> {
     Cow::Owned(line.chars().map(escaped).collect())
 }
 
-/// Characters of a message that are shown at either end: names in files of others may have any
-/// length.
+/// Characters that are kept at either end of a long message: texts from files may have any length.
 const SHOWN: usize = 1000;
 
-/// A message without the middle of what is endlessly long.
+/// A message with its middle replaced by an ellipsis if it is long.
 fn shortened(message: &str) -> Cow<'_, str> {
     if message.chars().nth(2 * SHOWN).is_none() {
         return Cow::Borrowed(message);
@@ -94,7 +93,7 @@ fn shortened(message: &str) -> Cow<'_, str> {
     Cow::Owned(format!("{} … {}", text(&chars[..SHOWN]), text(&chars[chars.len() - SHOWN..])))
 }
 
-/// A line of a text, with its end.
+/// [`printable`] of a line that may end with a line break, which is kept.
 fn printable_line(line: &str) -> String {
     match line.strip_suffix('\n') {
         Some(line) => format!("{}\n", printable(line)),
@@ -102,7 +101,7 @@ fn printable_line(line: &str) -> String {
     }
 }
 
-/// A value as one line of JSON. Its escapes leave no control character above 7E.
+/// A value as one line of JSON, with all control characters escaped, also those above U+007E.
 pub(crate) fn json_line(value: &impl Serialize) -> String {
     let text =
         serde_json::to_string(value).expect("our own types are JSON: string keys, finite numbers");
@@ -110,7 +109,7 @@ pub(crate) fn json_line(value: &impl Serialize) -> String {
         return text;
     }
     let escaped = |c: char| {
-        // All of them lie below FFFF.
+        // All of them are below U+FFFF.
         if commands_terminal(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() }
     };
     text.chars().map(escaped).collect()
@@ -122,12 +121,12 @@ fn commands_terminal(c: char) -> bool {
         || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Writes a line to stderr, if anybody reads it.
+/// Writes a line to stderr and ignores errors.
 pub(crate) fn line_to_stderr(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
 }
 
-/// The first paragraph of clap's message, with its hints, on one line.
+/// The first paragraph of an error message of clap with its tips, on one line.
 pub(crate) fn one_sentence(message: &str) -> String {
     let mut paragraphs = message.split("\n\n");
     let join = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -145,7 +144,7 @@ mod tests {
     use super::{SHOWN, json_line, one_sentence, printable, printable_line, shortened};
 
     #[test]
-    fn a_line_for_people_is_one_line() {
+    fn printable_text_has_no_control_characters() {
         assert_eq!(printable("photos/ä b.jpg is empty"), "photos/ä b.jpg is empty");
         assert_eq!(printable("a\nb\u{1b}[31m\r\u{7f}\u{85}"), r"a\nb\u{1b}[31m\r\u{7f}\u{85}");
         assert_eq!(printable("a\u{202e}gpj.exe"), r"a\u{202e}gpj.exe");
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_has_an_end() {
+    fn long_messages_are_shortened() {
         let whole = "é".repeat(2 * SHOWN);
         assert_eq!(shortened(&whole), whole);
         let long = format!("a{}z", "é".repeat(10_000_000));
@@ -167,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_of_clap_becomes_one_sentence() {
+    fn clap_message_becomes_one_sentence() {
         let message = "error: unexpected argument '--pair' found\n\n  tip: a similar argument \
         exists: '--pairs'\n\nUsage: tiepoint \
                        match\n\nFor more information, try '--help'.\n";

@@ -1,4 +1,4 @@
-//! Draws events: a bar on a terminal, JSON lines for programs.
+//! Shows events as a progress bar on a terminal or as JSON lines.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -9,10 +9,10 @@ use tiepoint_pipeline::Event;
 use crate::interrupt::Interrupt;
 use crate::output::{Output, json_line, line_to_stderr, printable};
 
-/// Watches a run.
+/// Progress of a run, shown on stderr.
 pub(crate) struct Progress {
     json: bool,
-    /// Hidden where stderr is no terminal.
+    /// Hidden unless stderr is a terminal.
     bar: ProgressBar,
     interrupt: Arc<Interrupt>,
 }
@@ -23,7 +23,7 @@ impl Progress {
         Self { json: output.json, bar: ProgressBar::hidden(), interrupt }
     }
 
-    /// Tells an event. The run is to stop where this breaks.
+    /// Shows an event. `Break` asks the run to stop.
     pub(crate) fn watch(&mut self, event: &Event) -> ControlFlow<()> {
         if self.json {
             line_to_stderr(&json_line(event));
@@ -33,8 +33,8 @@ impl Progress {
         self.interrupt.watch(event)
     }
 
-    /// An image of a drive is about to be rendered, `done` of `total` being there. The run is to
-    /// stop where this breaks.
+    /// Shows that `image` is rendered next, after `done` of `total` images. `Break` asks the run to
+    /// stop.
     pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
         if self.json {
             let event = serde_json::json!({
@@ -44,20 +44,19 @@ impl Progress {
             return self.interrupt.flow();
         }
         if done == 0 {
-            self.begin("render", total, 0);
+            self.start_bar("render", total, 0);
         }
         self.show(image);
         self.bar.set_position(done as u64);
         self.interrupt.flow()
     }
 
-    /// A new bar.
-    fn begin(&mut self, what: &'static str, total: usize, done: usize) {
+    fn start_bar(&mut self, stage: &'static str, total: usize, done: usize) {
         let style =
             ProgressStyle::with_template("{prefix:>8} {bar:30} {pos}/{len} {elapsed} {wide_msg}");
         self.bar.finish_and_clear();
-        self.set_bar(ProgressBar::new(total as u64).with_prefix(what).with_position(done as u64));
-        self.bar.set_style(style.expect("the template is sound"));
+        self.set_bar(ProgressBar::new(total as u64).with_prefix(stage).with_position(done as u64));
+        self.bar.set_style(style.expect("the template is valid"));
     }
 
     fn set_bar(&mut self, bar: ProgressBar) {
@@ -67,21 +66,19 @@ impl Progress {
 
     fn draw(&mut self, event: &Event) {
         match *event {
-            Event::StageBegan { stage, total, done } => self.begin(stage.name(), total, done),
+            Event::StageBegan { stage, total, done } => self.start_bar(stage.name(), total, done),
             Event::StageKept { .. } => {}
-            Event::SoundHeard { reference, recording, after_s } => self.say(&format!(
-                "by its sound, {recording} began {:.3} s {} {reference}",
+            Event::SoundHeard { reference, recording, after_s } => self.print_line(&format!(
+                "audio synchronisation: {recording} started {:.3} s {} {reference}",
                 after_s.abs(),
                 if after_s < 0.0 { "before" } else { "after" }
             )),
-            Event::LoopClosed { pairs } => self.say(&format!(
-                "closed a loop: {pairs} pairs of images had been torn apart by \
-                drift"
+            Event::LoopClosed { pairs } => self.print_line(&format!(
+                "closed a loop: merged the points of {pairs} image pairs that drift had separated"
             )),
-            Event::Stabilised { recording } => self.say(&format!(
-                "{recording}: the camera stabilised its pictures electronically, which changes \
-                lens and mounting from frame to frame: switch that \
-                 off when recording"
+            Event::Stabilised { recording } => self.print_line(&format!(
+                "{recording} was recorded with electronic stabilisation, which changes intrinsics \
+                and rig extrinsics from frame to frame: switch it off when recording"
             )),
             Event::FrameKept { image, read } => {
                 if self.bar.is_hidden() || self.bar.length().is_some() {
@@ -91,15 +88,16 @@ impl Progress {
                 self.bar.tick();
             }
             Event::ImageSkipped { why, .. } => {
-                self.say(&format!("skipped {why}"));
+                self.print_line(&format!("skipped {why}"));
                 self.bar.inc(1);
             }
-            Event::FocalIgnored { image, focal_px } => self.say(&format!(
-                "{image}: its EXIF data tell a focal length of {focal_px:.3e} pixels, which no \
-                camera has, so it counts as unknown: give \
-                 --focal-prior PX if you know it"
+            Event::FocalIgnored { image, focal_px } => self.print_line(&format!(
+                "{image}: its EXIF focal length of {focal_px:.3e} pixels is impossible and is \
+                ignored: give --focal-prior PX if you know it"
             )),
-            Event::PointsGrey { why } => self.say(&format!("the points have no colours: {why}")),
+            Event::PointsGrey { why } => {
+                self.print_line(&format!("the points have no colours: {why}"))
+            }
             Event::ImageDone { image, keypoints } => {
                 self.show(&format!("{image}: {keypoints} keypoints"));
                 self.bar.inc(1);
@@ -109,7 +107,7 @@ impl Progress {
                 self.bar.inc(1);
             }
             Event::ModelBegan { image1, image2, points } => {
-                self.show(&format!("began with {image1}, {image2}: {points} points"));
+                self.show(&format!("initial pair {image1}, {image2}: {points} points"));
                 self.bar.set_position(2);
             }
             Event::ImageRegistered { image, registered, points } => {
@@ -130,13 +128,13 @@ impl Progress {
         }
     }
 
-    /// What stands behind the bar.
+    /// Sets the text behind the bar.
     fn show(&self, text: &str) {
         self.bar.set_message(printable(text).into_owned());
     }
 
-    /// A line that stays, above the bar.
-    fn say(&self, line: &str) {
+    /// Prints a line above the bar, where it stays.
+    fn print_line(&self, line: &str) {
         self.bar.suspend(|| line_to_stderr(&printable(line)));
     }
 }

@@ -1,5 +1,5 @@
-//! SIGINT and SIGTERM: a run ends at its next event, and where none comes soon, at once. Both end
-//! in one sentence that says how to go on.
+//! SIGINT and SIGTERM: a run stops at its next event, or after a grace period without one. In both
+//! cases a final message says how to resume.
 
 use std::io;
 use std::process;
@@ -13,21 +13,22 @@ use tiepoint_pipeline::Stage;
 use crate::args::{Command, Features, Match, Reconstruct};
 use crate::output::Output;
 
-/// The program looks this often whether a signal came.
+/// Polling interval for a received signal.
 const POLL: Duration = Duration::from_millis(50);
-/// A run has this long to end by itself: a transaction of the database takes less.
+/// Time for a run to stop at its next event: a database transaction takes less.
 const GRACE: Duration = Duration::from_secs(1);
-/// Somebody may hold stderr and not read it. Nobody waits longer than this for the last sentence.
-const LAST_WORDS: Duration = Duration::from_millis(500);
+/// Time limit for writing the final message: a reader of stderr may have stopped reading.
+const FINAL_MESSAGE_LIMIT: Duration = Duration::from_millis(500);
 
-/// Takes the signals, and ends the program where the run does not end by itself.
+/// Installs the signal handlers, and starts the thread that exits the program if the run does not
+/// stop within the grace period.
 ///
 /// # Errors
 ///
-/// The system refuses a handler or a thread.
+/// The operating system refuses a handler or a thread.
 pub(crate) fn listen(output: &Output) -> io::Result<()> {
     for signal in [SIGINT, SIGTERM] {
-        output.interrupt.note(signal)?;
+        output.interrupt.register(signal)?;
     }
     let output = output.clone();
     thread::Builder::new().name("interrupt".to_owned()).spawn(move || {
@@ -35,39 +36,39 @@ pub(crate) fn listen(output: &Output) -> io::Result<()> {
             thread::sleep(POLL);
         }
         thread::sleep(GRACE);
-        end_at_once(&output)
+        exit_now(&output)
     })?;
     Ok(())
 }
 
-/// The last sentence, if it can be said, and the end of the program.
-fn end_at_once(output: &Output) -> ! {
+/// Prints the final message, if stderr accepts it in time, and exits.
+fn exit_now(output: &Output) -> ! {
     let interrupt = &output.interrupt;
-    let (sentence, code) = interrupt.last_words().unwrap_or_default();
-    if !interrupt.begin_end() {
-        // The main thread is about to end the program.
-        thread::sleep(LAST_WORDS);
+    let (message, code) = interrupt.final_message().unwrap_or_default();
+    if !interrupt.claim_exit() {
+        // The main thread is about to exit.
+        thread::sleep(FINAL_MESSAGE_LIMIT);
         process::exit(code.into())
     }
-    let (tell, told) = mpsc::channel();
-    let speaker = output.clone();
-    // Another thread speaks: this one exits even where stderr does not take the sentence.
-    let speaking = thread::Builder::new().spawn(move || {
-        speaker.interrupt.clear_bar();
-        speaker.error(&sentence);
-        // The receiver may have waited long enough.
-        let _ = tell.send(());
+    let (sender, receiver) = mpsc::channel();
+    let writer = output.clone();
+    // A thread of its own, because writing to stderr may block forever.
+    let thread = thread::Builder::new().spawn(move || {
+        writer.interrupt.clear_bar();
+        writer.error(&message);
+        // The receiver may have timed out.
+        let _ = sender.send(());
     });
-    if speaking.is_ok() {
-        // The program ends either way.
-        let _ = told.recv_timeout(LAST_WORDS);
+    if thread.is_ok() {
+        // The program exits after a timeout, too.
+        let _ = receiver.recv_timeout(FINAL_MESSAGE_LIMIT);
     }
     process::exit(code.into())
 }
 
-/// The stage that a command makes anew in place of what there is. Models stay until the new ones
-/// are there.
-pub(crate) fn redone_stage(command: &Command) -> Option<Stage> {
+/// The stage of `--redo` whose existing results are replaced from the start. `map` is none: old
+/// models stay until the new ones are complete.
+pub(crate) fn stage_to_redo(command: &Command) -> Option<Stage> {
     let redo = match command {
         Command::Reconstruct(Reconstruct { redo, .. })
         | Command::Features(Features { redo, .. })

@@ -1,4 +1,4 @@
-//! Results for people.
+//! Results as text for the terminal.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -10,17 +10,17 @@ use tiepoint_pipeline::{
 
 use crate::output::printable;
 
-/// Names listed before the rest is only counted.
+/// More names are counted, not listed.
 const MAX_NAMES: usize = 8;
-/// Images that are farther apart in time are of different instants, in seconds: a millisecond is a
-/// centimetre at 10 m/s.
-const WORTH_SAYING_S: f64 = 0.001;
+/// Larger time differences between images of one rig frame are reported, in seconds: a millisecond
+/// is a centimetre at 10 m/s.
+const MIN_REPORTED_DIFFERENCE_S: f64 = 0.001;
 
-/// What a workspace holds now.
+/// The stages and models of a workspace.
 pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     let mut text = String::new();
     let mut line = |arguments: std::fmt::Arguments| {
-        // One line, whatever the names in it. Writing to a string does not fail.
+        // File names may contain line breaks. Writing to a string does not fail.
         let _ = writeln!(text, "{}", printable(&arguments.to_string()));
     };
     if let Some(features) = &report.stages.features {
@@ -46,7 +46,7 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             let label = if index == 0 { "map" } else { "" };
             let time = if index == 0 { format!("  ({:.1} s)", map.seconds) } else { String::new() };
             line(format_args!(
-                "{label:<9} {}: {} of {} images, {} points, {} observations ({:.2} a point), \
+                "{label:<9} {}: {} of {} images, {} points, {} observations ({:.2} per point), \
                 error {:.3} px{time}",
                 model.path,
                 model.registered,
@@ -59,21 +59,18 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             if model.loop_pairs > 0 {
                 let pairs = model.loop_pairs;
                 line(format_args!(
-                    "          closed a loop: {pairs} pairs of images had been torn apart by drift"
+                    "          closed loops: {pairs} image pairs were separated by drift before"
                 ));
             }
-            for what in &model.failed {
-                line(format_args!("          {what}"));
+            for failure in &model.failed {
+                line(format_args!("          {failure}"));
             }
         }
         let shutters = report.models.first().into_iter().flat_map(|model| &model.cameras);
         for (camera, readout_s) in
             shutters.filter_map(|camera| Some((camera.id, camera.readout_s?)))
         {
-            line(format_args!(
-                "shutter   camera {camera} reads a photo in {:.2} ms",
-                1e3 * readout_s
-            ));
+            line(format_args!("shutter   camera {camera}: readout time {:.2} ms", 1e3 * readout_s));
         }
         for scale in report.models.first().iter().filter_map(|model| model.scale.as_ref()) {
             line(format_args!("scale     {}", scale.why));
@@ -85,9 +82,9 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             for camera in &rig.cameras {
                 let [left, right] = &camera.names;
                 line(format_args!(
-                    "rig       {}: {left} and {right} in {} of {} moments, distance {:.4} {unit}, \
-                    its spread {:.2} %, rotation's {:.3}°, \
-                     second half / first {:.4}",
+                    "rig       {}: {left} and {right}: {} of {} frames, baseline {:.4} {unit}, \
+                    translation RMS {:.2} % of it, rotation RMS {:.3}°, baseline of second half / \
+                    first half {:.4}",
                     rig.mode,
                     camera.reconstructed_pairs,
                     camera.pairs,
@@ -97,26 +94,26 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                     camera.second_over_first_half,
                 ));
             }
-            if let Some(mounting) = &rig.mounting {
-                line(format_args!("          {}: {}", mounting.chosen, mounting.why));
-                for camera in mounting.rig.iter().flat_map(|rig| &rig.cameras) {
-                    line(format_args!("          {}", mounted(camera)));
+            if let Some(extrinsics) = &rig.extrinsics {
+                line(format_args!("          {}: {}", extrinsics.chosen, extrinsics.why));
+                for camera in extrinsics.rig.iter().flat_map(|rig| &rig.cameras) {
+                    line(format_args!("          {}", camera_extrinsics(camera)));
                 }
-                if let Some(split) = &mounting.split {
-                    line(format_args!("          {}", closed(split)));
+                if let Some(split) = &extrinsics.split {
+                    line(format_args!("          {}", repaired_split(split)));
                 }
-                for [left, right] in mounting.bad_pairs.iter().take(MAX_NAMES) {
+                for [left, right] in extrinsics.bad_pairs.iter().take(MAX_NAMES) {
                     line(format_args!(
-                        "          not held: {left} and {right} do not agree with the mounting"
+                        "          not constrained: {left} and {right} contradict the extrinsics"
                     ));
                 }
             }
             if let Some(paper) = &rig.paper {
                 let [first, second] = &paper.unit_images;
                 line(format_args!(
-                    "          the unit of \u{3bb} is the distance of {first} and {second} (now \
-                    {:.3} {unit}); \u{3bb} = {} holds p_i to {:.3} {unit} ({:.1} % of \
-                     the distance) and {:.2}°; {} pairs weighed as bad",
+                    "          one unit of \u{3bb} is the distance of {first} and {second} (now \
+                    {:.3} {unit}); \u{3bb} = {} means a sigma of p_i of {:.3} {unit} ({:.1} % of \
+                    the baseline) and {:.2}°; {} pairs weighted as incorrect",
                     paper.unit_distance,
                     paper.lambda,
                     paper.sigma_translation,
@@ -138,51 +135,54 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
     text
 }
 
-/// What became of a split, in a line.
-fn closed(split: &SplitReport) -> String {
+/// A repaired split of the model, as a line.
+fn repaired_split(split: &SplitReport) -> String {
     let SplitReport { images, pairs_matched_again } = split;
-    let held = match pairs_matched_again {
-        0 => "nothing but the mounting holds them there".to_owned(),
+    let support = match pairs_matched_again {
+        0 => "only the extrinsics determine their poses".to_owned(),
         pairs => format!("{pairs} pairs with them match now"),
     };
     format!(
-        "split: {images} images stood elsewhere, without matches with their partners, and were \
-        brought back; {held}"
+        "split: {images} images without matches to the other cameras had wrong poses, and were \
+        moved to where the extrinsics place them; {support}"
     )
 }
 
-/// The calibration of a camera and its clock, in a line.
-fn mounted(camera: &RigCamera) -> String {
+/// Extrinsics and time offset of a camera, as a line.
+fn camera_extrinsics(camera: &RigCamera) -> String {
     let RigCamera { name, centre_in_rig: [x, y, z], rotation_wxyz, clock, .. } = camera;
     let angle_deg = 2.0 * rotation_wxyz[0].abs().min(1.0).acos().to_degrees();
-    let spread = match (camera.translation_sd, camera.rotation_sd_deg) {
+    let uncertainty = match (camera.translation_sd, camera.rotation_sd_deg) {
         (Some(t), Some(r)) => {
-            format!("\u{b1} {t:.4}, turned by {angle_deg:.3}\u{b0} \u{b1} {r:.4}\u{b0}")
+            format!("\u{b1} {t:.4}, rotated by {angle_deg:.3}\u{b0} \u{b1} {r:.4}\u{b0}")
         }
-        _ => format!("turned by {angle_deg:.3}\u{b0}, not determined by the images"),
+        _ => format!("rotated by {angle_deg:.3}\u{b0}, undetermined by the images"),
     };
     let offset_ms = 1e3 * clock.offset_s;
-    let time = match (clock.timing.as_str(), clock.offset_sd_s) {
+    let time = match (clock.state.as_str(), clock.offset_sd_s) {
         ("free", Some(sd_s)) => format!(
-            "clock {offset_ms:+.2} \u{b1} {:.2} ms, {:+.0} \u{b1} {:.0} ppm",
+            "time offset {offset_ms:+.2} \u{b1} {:.2} ms, skew {:+.0} \u{b1} {:.0} ppm",
             1e3 * sd_s,
             clock.drift_ppm,
             clock.drift_sd_ppm.unwrap_or(f64::INFINITY),
         ),
-        ("free", None) => format!("clock {offset_ms:+.2} ms"),
-        ("not observable", _) => format!("clock not observable, held at {offset_ms:+.2} ms"),
-        _ => format!("images at the same instants, clock {offset_ms:+.2} ms"),
+        ("free", None) => format!("time offset {offset_ms:+.2} ms"),
+        ("not observable", _) => {
+            format!("time offset unobservable, fixed at {offset_ms:+.2} ms")
+        }
+        _ => format!("synchronised, time offset {offset_ms:+.2} ms"),
     };
-    let frames = if camera.hold == "hard" { "" } else { ", not rigid frames" };
-    let guessed = camera.unobservable.map_or(String::new(), |[x, y, z]| {
+    let frames = if camera.constraint == "hard" { "" } else { ", not rigid frames" };
+    let unobservable = camera.unobservable.map_or(String::new(), |[x, y, z]| {
         format!(
-            "; it sees nothing that the first camera sees, and the motion does not tell its \
-        place along ({x:.2}, {y:.2}, {z:.2})"
+            "; without common points with the first camera, its position along ({x:.2}, {y:.2}, \
+            {z:.2}) is unobservable from the motion"
         )
     });
-    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {spread}; {time}{frames}{guessed}")
+    format!("{name} at ({x:.4}, {y:.4}, {z:.4}) {uncertainty}; {time}{frames}{unobservable}")
 }
 
+/// The first [`MAX_NAMES`] names, and the number of the others.
 fn names(all: &[String]) -> String {
     let shown = all[..all.len().min(MAX_NAMES)].join(", ");
     match all.len() - all.len().min(MAX_NAMES) {
@@ -191,7 +191,7 @@ fn names(all: &[String]) -> String {
     }
 }
 
-/// A model against the truth.
+/// Pose errors of a model.
 pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     let PoseEvaluation { images, registered, scale, centre_error, rotation_error_deg, .. } =
         evaluation;
@@ -223,7 +223,7 @@ pub(crate) fn poses(evaluation: &PoseEvaluation) -> String {
     text
 }
 
-/// A cloud against a reference.
+/// Distances between a cloud and a reference.
 pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
     let CloudEvaluation { points, reference_points, scale, iterations, .. } = evaluation;
     let line = |distance: &ErrorStatistics| {
@@ -231,35 +231,35 @@ pub(crate) fn cloud(evaluation: &CloudEvaluation) -> String {
         format!("mean {mean:.6}  std {std:.6}  median {median:.6}  max {max:.6}")
     };
     format!(
-        "{points} points against {reference_points}, scale {scale:.6}, aligned in {iterations} \
-        rounds\n\
-         distance to the reference  {}\n\
-         distance of the reference  {}\n",
+        "{points} points, {reference_points} reference points, scale {scale:.6}, {iterations} ICP \
+        iterations\n\
+         cloud to reference  {}\n\
+         reference to cloud  {}\n",
         line(&evaluation.distance),
         line(&evaluation.reference_distance),
     )
 }
 
-/// What it took to make a model rigid.
+/// The effect of exact rig extrinsics on a model.
 pub(crate) fn rigid(report: &RigidReport) -> String {
     let RigidReport { cameras, frames, images, free_images, .. } = report;
     let mut text = format!(
-        "rigid     {} in {frames} frames of {images} images, {free_images} images free; mean \
-        reprojection error {:.3} px, before {:.3} px; \
-         {} of {} observations fit\n",
+        "rigid     {} in {frames} frames of {images} images, {free_images} images outside frames; \
+        mean reprojection error {:.3} px, before {:.3} px; {} of {} observations are inliers\n",
         printable(&cameras.join(" and ")),
         report.error_after_px,
         report.error_before_px,
         report.observations_after,
         report.observations_before,
     );
-    if let Some(apart_s) = report.max_time_difference_s.filter(|apart_s| *apart_s > WORTH_SAYING_S)
-    {
+    let difference_s =
+        report.max_time_difference_s.filter(|seconds| *seconds > MIN_REPORTED_DIFFERENCE_S);
+    if let Some(difference_s) = difference_s {
         let _ = writeln!(
             text,
-            "          images of one frame are up to {:.1} ms apart, in which the rig moves: no \
-            rigid model can be right",
-            1e3 * apart_s
+            "          images of one frame are up to {:.1} ms apart, and the rig moves in that \
+            time: a rigid model cannot be exact",
+            1e3 * difference_s
         );
     }
     text

@@ -1,5 +1,5 @@
-//! How far does a trajectory drift? `drift MODEL TRUTH`, two files of the KITTI format (12 numbers
-//! a line: rows of world_from_cam).
+//! ATE and RPE of a trajectory: `drift MODEL TRUTH`, two files in the KITTI format (12 numbers per
+//! line: the rows of world_from_cam).
 #![allow(clippy::print_stdout)]
 
 use tiepoint_eval::{Alignment, Statistics, compare_poses, pairs_by_path, relative_motion_errors};

@@ -1,6 +1,6 @@
-//! Point clouds against a reference, a laser scan say: distances to the nearest points, and
-//! alignment by iterated closest points (Besl and McKay 1992), trimmed (Chetverikov et al. 2002)
-//! because a reconstruction shows what the scan does not, and the other way round.
+//! Nearest-point distances between a point cloud and a reference such as a laser scan, and their
+//! alignment by ICP (Besl and McKay 1992). ICP is trimmed (Chetverikov et al. 2002), because cloud
+//! and scan overlap only partially.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use tiepoint_geometry::Sim3;
@@ -8,24 +8,24 @@ use tiepoint_geometry::nalgebra::Vector3;
 
 use crate::Alignment;
 
-/// A reference cloud, indexed.
+/// A point cloud with a k-d tree for nearest-neighbour queries.
 pub struct Cloud {
     points: Vec<Vector3<f64>>,
     tree: ImmutableKdTree<f64, 3>,
 }
 
-/// How to align a cloud.
+/// Options of ICP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IcpOptions {
-    /// Which freedom there is. With a scale, closest points tend to shrink a cloud that is noisy or
-    /// badly placed: start from a similarity of the camera poses, and go on with a rigid alignment.
+    /// Type of the transform. ICP with a free scale tends to shrink a noisy or badly initialised
+    /// cloud; prefer a rigid alignment that starts from a similarity of the camera poses.
     pub alignment: Alignment,
-    /// The part of the points, those nearest to the reference, that take part: 0 to 1.
+    /// Fraction of the points that is used, those nearest to the reference: 0 to 1.
     pub overlap: f64,
-    /// At most so many rounds.
+    /// Maximum number of iterations.
     pub max_iterations: usize,
-    /// Ends when a round makes the mean distance of the points that take part shorter by less than
-    /// this part of it.
+    /// ICP stops when an iteration reduces the mean distance of the used points by less than this
+    /// fraction.
     pub min_relative_change: f64,
 }
 
@@ -40,14 +40,14 @@ impl Default for IcpOptions {
     }
 }
 
-/// Where a cloud came to lie.
+/// Result of ICP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CloudAlignment {
-    /// The transform found.
+    /// The alignment.
     pub reference_from_cloud: Sim3,
-    /// Rounds that it took.
+    /// Number of iterations.
     pub iterations: usize,
-    /// Mean distance of the points that took part, in units of the reference.
+    /// Mean distance of the used points, in units of the reference.
     pub mean_distance: f64,
 }
 
@@ -58,7 +58,7 @@ impl std::fmt::Debug for Cloud {
 }
 
 impl Cloud {
-    /// Indexes a cloud; `None` where it is empty or a coordinate is not finite.
+    /// Builds the tree; `None` if there are no points or a coordinate is not finite.
     pub fn new(points: Vec<Vector3<f64>>) -> Option<Self> {
         if points.is_empty() || !points.iter().all(is_finite) {
             return None;
@@ -73,14 +73,14 @@ impl Cloud {
         &self.points
     }
 
-    /// The distance of each point of `cloud` to the nearest one of this cloud. A point that is not
-    /// finite is infinitely far.
+    /// Distance of each point of `cloud` to its nearest neighbour in this cloud; infinite for
+    /// points that are not finite.
     pub fn distances_of(&self, cloud: &[Vector3<f64>]) -> Vec<f64> {
         self.nearest(cloud).into_iter().map(|(_, distance)| distance).collect()
     }
 
-    /// Moves `cloud` from where `initial` puts it to where it lies closest to this one. `None`
-    /// where fewer than three points, or points on a line, are left to align by.
+    /// Aligns `cloud` to this one by ICP, starting from `initial` (reference_from_cloud). `None` if
+    /// the used points are fewer than three or collinear.
     pub fn align(
         &self,
         cloud: &[Vector3<f64>],
@@ -109,12 +109,12 @@ impl Cloud {
                 });
             }
             last_mean = mean;
-            // From the cloud itself rather than from where it lay last: roundings do not add up.
+            // Fitted to the original cloud, so that rounding errors do not accumulate.
             let from: Vec<_> = pairs.iter().map(|(index, _)| cloud[*index]).collect();
             let to: Vec<_> = pairs.iter().map(|(_, (nearest, _))| self.points[*nearest]).collect();
             transform = match options.alignment {
                 Alignment::Rigid => {
-                    // The scale is the one that the cloud came with.
+                    // The scale stays that of `initial`.
                     let scaled: Vec<_> = from.iter().map(|point| point * initial.scale).collect();
                     Sim3 { scale: initial.scale, ..Alignment::Rigid.fit(&scaled, &to)? }
                 }
@@ -125,7 +125,7 @@ impl Cloud {
         None
     }
 
-    /// Index and distance of the nearest point of this cloud.
+    /// Index and distance of each point's nearest neighbour in this cloud.
     fn nearest(&self, cloud: &[Vector3<f64>]) -> Vec<(usize, f64)> {
         let origin = [0.0; 3];
         let queries: Vec<[f64; 3]> = cloud
@@ -136,7 +136,7 @@ impl Cloud {
             self.tree.query_batch(&queries).nearest_one::<SquaredEuclidean<f64>>().execute();
         let nearest = found.into_iter().zip(cloud).map(|(nearest, query)| {
             let index = nearest.item as usize;
-            // Worked out here, so that it is the same number in whatever order the tree adds up.
+            // Computed here, because the tree may add up squares in another order.
             (
                 index,
                 if is_finite(query) { (self.points[index] - query).norm() } else { f64::INFINITY },

@@ -1,23 +1,23 @@
-//! Poses against the truth, after the freedom that images leave has been taken out.
+//! Errors of camera poses after alignment to the ground truth.
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::solvers::umeyama;
 use tiepoint_geometry::{Intrinsics, Rigid3, Sim3};
 
-/// Which freedom a comparison takes out.
+/// Type of the transform that aligns a model to the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alignment {
-    /// Rotation, translation and scale: for images alone.
+    /// Rotation, translation and scale: for models of unknown scale.
     Similarity,
-    /// Rotation and translation: where the scale was measured.
+    /// Rotation and translation: for metric models.
     Rigid,
-    /// None: both are in one frame.
+    /// Identity: for models in the frame of the ground truth.
     None,
 }
 
 impl Alignment {
-    /// The transform that takes `from` closest to `to` (least squares; Umeyama 1991); `None` for
-    /// fewer than three points, or points on a line.
+    /// The transform `to_from_from` with the least squared distances (Umeyama 1991); `None` for
+    /// fewer than three points, or collinear ones.
     pub fn fit(self, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Sim3> {
         match self {
             Self::Similarity => umeyama(from, to, true),
@@ -27,20 +27,20 @@ impl Alignment {
     }
 }
 
-/// What is left after alignment, one entry a camera; `None` for those that the model lacks.
+/// Pose errors after alignment, one entry per image; `None` for images without a pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseComparison {
-    /// Where the model lies in the world of the truth.
+    /// The alignment.
     pub truth_from_model: Sim3,
-    /// Distances between the centres, in units of the truth.
+    /// Distances between estimated and true centres, in units of the ground truth.
     pub centre_errors: Vec<Option<f64>>,
-    /// Angles between the orientations.
+    /// Angles between estimated and true orientations, in radians.
     pub rotation_errors_rad: Vec<Option<f64>>,
 }
 
-/// Compares poses (`cam_from_world`) with the true ones after aligning their centres. `None` where
-/// the alignment is not determined. The root mean square of the centre errors along a trajectory is
-/// its ATE (Sturm et al. 2012).
+/// Compares poses (`cam_from_world`) with the true ones after alignment of the camera centres.
+/// `None` if the centres do not determine the alignment. The root mean square of the centre errors
+/// is the ATE (Sturm et al. 2012).
 pub fn compare_poses(
     model: &[Option<Rigid3>],
     truth: &[Rigid3],
@@ -68,7 +68,7 @@ pub fn compare_poses(
     })
 }
 
-/// Error of the focal length, relative to the true one: +0.01 is one percent too long.
+/// Relative error of the focal length: +0.01 is one percent too long.
 pub fn focal_error(model: &Intrinsics, truth: &Intrinsics) -> f64 {
     model.mean_focal_px() / truth.mean_focal_px() - 1.0
 }

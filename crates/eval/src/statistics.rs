@@ -1,15 +1,15 @@
-/// What a list of errors comes to.
+/// Statistics of a list of errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Statistics {
-    /// How many.
+    /// Number of errors.
     pub count: usize,
     /// Mean.
     pub mean: f64,
-    /// Median; the mean of the middle two of an even number.
+    /// Median; the mean of the middle two for an even number.
     pub median: f64,
-    /// Root of the mean square.
+    /// Root mean square.
     pub rmse: f64,
-    /// Standard deviation from the mean, of the list itself (division by n).
+    /// Standard deviation with division by n.
     pub std: f64,
     /// Smallest.
     pub min: f64,
@@ -18,7 +18,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Of a list; `None` of an empty one.
+    /// Computes the statistics; `None` for an empty list.
     pub fn of(errors: &[f64]) -> Option<Self> {
         let mut sorted = errors.to_vec();
         sorted.sort_by(f64::total_cmp);

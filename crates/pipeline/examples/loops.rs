@@ -1,22 +1,20 @@
-//! Loop candidates on rendered drives: how many of the true ones are found, and how long a query
-//! takes.
+//! Recall and run time of the retrieval of loop candidates on rendered drives.
 //!
 //! ```text
 //! cargo run --release -p tiepoint-pipeline --example loops -- \
 //!     [SEEDS] [MOUNTINGS] [EFFECTS] [RATE_HZ]    (lists with commas)
 //! ```
 //!
-//! Two cameras drive around a block and half of it again. Two images overlap by the smaller of two
-//! shares: how many of the surface points that one sees (pixels of a grid; sky and moving things
-//! left out) the other sees as well, nothing standing in between. True loop pairs are those that
-//! overlap by 30 % or more and are not neighbours in time, that is, more than 20 images apart; a
-//! revisit is one that lies more than half a round apart. An image often has dozens of true
-//! partners, so what can be found among ten is counted against what could be: 10, or as many as
-//! there are. Some true pairs see the same from such different sides that no feature of one is
-//! found in the other; so pairs with 15 right matches are counted as well, and how many of the
-//! images with a revisit of that kind have one in their list.
+//! Two cameras drive one and a half loops around a block. The overlap of two images is the smaller
+//! of two fractions: of the surface points at a grid of pixels of one image (without sky and moving
+//! objects), the fraction that is visible in the other. True loop pairs have an overlap of 30 % or
+//! more and are more than 20 images apart; in a revisit they are more than half a loop apart. An
+//! image often has dozens of true pairs, so that recall among ten candidates is relative to
+//! min(10, number of true pairs). Some true pairs see a surface from such different directions that
+//! no features match. Therefore the recall of pairs with 15 correct matches is counted as well, and
+//! the number of images with such a revisit that have one among their candidates.
 
-#![allow(clippy::print_stdout)] // What a program is for.
+#![allow(clippy::print_stdout)]
 
 use std::time::Instant;
 
@@ -27,22 +25,24 @@ use tiepoint_sfm::matching::{self, Bank, Prepared, Vocabulary, VocabularyOptions
 use tiepoint_synth::image::DynamicImage;
 use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, Mounting, RouteKind};
 
-/// The goal of the measurement: overlap, rank and the size of the bank.
+/// Minimum overlap of a true loop pair.
 const MIN_OVERLAP: f64 = 0.3;
+/// Number of candidates per image.
 const TOP: usize = 10;
+/// Number of images for the measurement of run time.
 const BANK: usize = 4000;
-/// As `--pairs sequential:20` takes care of.
+/// Pairs within this number of images are matched by `--pairs sequential:20`.
 const REACH: usize = 20;
 const LENGTH_M: f64 = 200.0;
-/// Grid of pixels whose surfaces are looked up.
+/// Columns and rows of the grid of pixels.
 const GRID: [u32; 2] = [12, 9];
-/// Images whose centres are further apart see too little in common.
+/// Images with centres further apart than this are assumed not to overlap.
 const FAR_M: f64 = 60.0;
-/// Matches that connect a pair: as many as its verification asks for, and how near to the truth
-/// each is.
+/// Minimum number of correct matches of a connected pair, as geometric verification needs them.
 const MIN_MATCHES: usize = 15;
+/// Maximum distance of a correct match to the true pixel.
 const MAX_ERROR_PX: f64 = 4.0;
-/// A point is seen if what the pixel sees is this near to it, absolutely and relative to its
+/// A point is visible if the surface at its pixel is within `SAME_M` + `SAME_SHARE` times its
 /// distance.
 const SAME_M: f64 = 0.05;
 const SAME_SHARE: f64 = 0.02;
@@ -150,7 +150,7 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Hits among the first ten.
+/// Counts of correct candidates.
 #[derive(Default)]
 struct Tally {
     queries: usize,
@@ -224,7 +224,7 @@ fn views(drive: &Drive) -> Result<Vec<View<'_>>, Box<dyn std::error::Error>> {
     Ok(views?)
 }
 
-/// The share of what `a` sees that `b` sees.
+/// The fraction of the surface points of `a` that are visible in `b`.
 fn overlap(drive: &Drive, a: &View<'_>, b: &View<'_>) -> f64 {
     if a.frame.abs_diff(b.frame) <= REACH
         || (a.centre - b.centre).norm() > FAR_M
@@ -248,7 +248,7 @@ fn overlap(drive: &Drive, a: &View<'_>, b: &View<'_>) -> f64 {
     a.points.iter().filter(is_seen).count() as f64 / a.points.len() as f64
 }
 
-/// Whether enough features of `a` are matched where `b` truly sees them.
+/// Whether `a` and `b` have enough correct matches.
 fn connects(drive: &Drive, a: &View<'_>, b: &View<'_>) -> bool {
     let matches = match_prepared(&a.prepared, &b.prepared, &matching::Options::default());
     let is_right = |m: &&matching::Match| {

@@ -1,12 +1,12 @@
-//! What a pair of images costs one core: matching and verification, over the pairs of a workspace.
+//! Run time of matching and verification per image pair on one core, over the pairs of a workspace.
 //!
 //! `cargo run --release -p tiepoint-pipeline --example pairs -- WORKSPACE [STEP] [FEATURES]`
 //!
-//! Takes every STEP-th pair that `tiepoint match` has left in the workspace's database, and of
-//! every image the FEATURES largest features. Matches are compared with those of all descriptors
-//! compared in full: there must be no difference.
+//! Uses every STEP-th matched pair in the database of the workspace, and the FEATURES largest
+//! features of each image. The matches are compared with those of an exhaustive comparison of all
+//! descriptors: there must be no difference.
 
-#![allow(clippy::print_stdout)] // What a program is for.
+#![allow(clippy::print_stdout)]
 
 use std::path::Path;
 use std::time::Instant;

@@ -1,5 +1,4 @@
-//! Photos in, a COLMAP project out, in a program of one's own:
-//! `cargo run --release --example reconstruct PHOTOS WORKSPACE`.
+//! Reconstruction by library calls: `cargo run --release --example reconstruct PHOTOS WORKSPACE`.
 
 use std::error::Error;
 use std::ops::ControlFlow;
@@ -7,7 +6,7 @@ use std::path::PathBuf;
 
 use tiepoint_pipeline::{Event, Options, reconstruct};
 
-#[expect(clippy::print_stdout, reason = "an example speaks")]
+#[expect(clippy::print_stdout, reason = "an example prints")]
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
     let [photos, workspace] = paths.as_slice() else {
@@ -23,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 }
                 _ => {}
             }
-            // `Break` would stop; what is done is kept, and the next run goes on from there.
+            // `Break` would stop the run. Completed work is kept, and the next run resumes.
             ControlFlow::Continue(())
         })?;
     for model in &report.models {

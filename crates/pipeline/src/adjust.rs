@@ -1,4 +1,4 @@
-//! Bundle adjustment alone, of a COLMAP model or of a BAL problem.
+//! Bundle adjustment of a COLMAP model or a BAL problem.
 
 use std::path::Path;
 use std::time::Instant;
@@ -14,52 +14,50 @@ use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
 use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope};
 
 use crate::export::{model_files, write_colmap};
-use crate::model_place::ModelPlace;
+use crate::model_location::ModelLocation;
 use crate::output_file::write_file;
 use crate::{Error, Event, Watch, model_folder};
 
-/// What an adjustment came to.
+/// Summary of a bundle adjustment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AdjustReport {
-    /// ½ Σ ρ(|r|²) at the beginning; residuals in pixels, weighed by the scale of their keypoints
-    /// where that is known.
+    /// ½ Σ ρ(|r|²) before the first step. Residuals are in pixels, divided by the scale of the
+    /// keypoint where it is known.
     pub initial_cost: f64,
-    /// The same at the end.
+    /// ½ Σ ρ(|r|²) after the last step.
     pub final_cost: f64,
-    /// Steps attempted.
+    /// Number of attempted steps.
     pub iterations: usize,
-    /// Wall time of the adjustment, without reading and writing.
+    /// Wall time without reading and writing files.
     pub seconds: f64,
-    /// Whether it ended because nothing more was to be gained.
+    /// Whether a convergence criterion was met.
     pub converged: bool,
-    /// Numbers that were fitted.
+    /// Number of scalar residuals.
     pub residuals: usize,
-    /// Cameras or images.
+    /// Number of images; of a BAL problem, of cameras.
     pub images: usize,
-    /// Points.
+    /// Number of points.
     pub points: usize,
-    /// The cost against time.
+    /// Cost over time.
     pub steps: Vec<AdjustStep>,
 }
 
-/// One attempted step.
+/// An attempted step of the optimiser.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AdjustStep {
-    /// Since the optimiser began.
+    /// Wall time since the start of the optimiser.
     pub seconds: f64,
-    /// The cost after it.
+    /// ½ Σ ρ(|r|²) after the step.
     pub cost: f64,
-    /// Whether it was taken.
+    /// Whether the step was accepted.
     pub accepted: bool,
 }
 
-/// Iterations of an adjustment that is asked for by itself.
 const MAX_ITERATIONS: usize = 100;
 
 /// Adjusts a model (a folder with a COLMAP model, a workspace, or a BAL file) and writes the result
-/// to `output` in the format of the input. With `fix_intrinsics` the cameras' intrinsics stay as
-/// they are; so do those that a workspace was given. Images in frames of a rig stay rigidly
-/// connected.
+/// to `output` in the format of the input. Intrinsics are constant with `fix_intrinsics` and in a
+/// workspace that was given known ones. Images of a rig frame keep their sensor_from_rig in common.
 ///
 /// # Errors
 ///
@@ -85,7 +83,7 @@ fn adjust_colmap(
 ) -> Result<AdjustReport, Error> {
     let mut model = colmap::read_model(path)?;
     let defaults = AdjustOptions::default();
-    let are_known = fix_intrinsics || ModelPlace::of(path).has_known_intrinsics();
+    let are_known = fix_intrinsics || ModelLocation::of(path).has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();
@@ -101,8 +99,8 @@ fn adjust_colmap(
     Ok(report)
 }
 
-/// Costs are those of the BAL paper: no robust loss, no priors, pixels. The camera looks down −z
-/// there; half a turn about x makes it ours.
+/// The cost function is that of the BAL paper: no robust loss, no priors, residuals in pixels. A
+/// BAL camera looks along −z; a rotation by π about x converts it.
 fn adjust_bal(
     path: &Path,
     output: Option<&Path>,
@@ -120,7 +118,7 @@ fn adjust_bal(
         let params = SVector::<f64, 5>::new(camera.focal_px, 0.0, 0.0, camera.k1, camera.k2);
         let rotation = half_turn * so3::exp(&camera.axis_angle_rad);
         let params = problem.add_parameter(params, order);
-        // The principal point is the origin.
+        // BAL has the principal point at the origin.
         problem.fix_dofs(params, &[1, 2]).map_err(sfm::Error::from)?;
         if fix_intrinsics {
             problem.fix(params);

@@ -2,23 +2,22 @@ use tiepoint_io::ImageInfo;
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::Camera;
 
-/// What is known of the cameras beforehand.
+/// Prior knowledge of the intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Calibration {
-    /// They are calibrated along with everything else.
+    /// The mapper estimates the intrinsics.
     Unknown {
-        /// The model of their lenses.
+        /// Camera model.
         model: CameraModelKind,
-        /// Their focal length in pixels, roughly; else it is taken from EXIF, else guessed.
+        /// Initial focal length of all cameras, in pixels; `None`: from EXIF, else the default.
         focal_px: Option<f64>,
     },
-    /// All have these intrinsics, which stay as they are.
+    /// All cameras have these intrinsics, which stay fixed.
     Known(Intrinsics),
 }
 
-/// Focal length of a camera of which nothing is known, relative to the larger side of its images:
-/// 45° of view, COLMAP's guess.
-const GUESSED_FOCAL: f64 = 1.2;
+/// Default focal length over the larger image side, as in COLMAP: a field of view of 45°.
+const DEFAULT_FOCAL: f64 = 1.2;
 
 impl Default for Calibration {
     fn default() -> Self {
@@ -27,14 +26,14 @@ impl Default for Calibration {
 }
 
 impl Calibration {
-    /// The camera that took an image.
+    /// The initial camera of an image.
     pub(crate) fn camera(&self, info: &ImageInfo) -> Camera {
         let ImageInfo { width, height, exif, .. } = *info;
         let (intrinsics, has_focal_prior) = match *self {
             Self::Known(intrinsics) => (intrinsics, true),
             Self::Unknown { model, focal_px } => {
                 let known = focal_px.or_else(|| exif.focal_px(width, height, None));
-                let focal_px = known.unwrap_or(GUESSED_FOCAL * f64::from(width.max(height)));
+                let focal_px = known.unwrap_or(DEFAULT_FOCAL * f64::from(width.max(height)));
                 (Intrinsics::centred(model, focal_px, width, height), known.is_some())
             }
         };
@@ -48,7 +47,7 @@ mod tests {
     use tiepoint_io::Exif;
 
     #[test]
-    fn the_focal_length_is_given_or_from_exif_or_guessed() {
+    fn focal_length_is_the_given_one_or_that_of_exif_or_the_default() {
         let exif = Exif { focal_35mm: Some(36.0), ..Exif::default() };
         let info = |exif| ImageInfo { width: 600, height: 400, time_s: None, exif };
         let focal = |calibration: Calibration, exif| {

@@ -1,4 +1,5 @@
-//! A cloud against a reference, a laser scan say: what the paper's tables have.
+//! Distances between a point cloud and a reference such as a laser scan, as in the tables of Huang,
+//! Elhashash & Qin 2022.
 
 use std::path::Path;
 
@@ -12,36 +13,33 @@ use tiepoint_io::ply;
 use crate::evaluate::model_folder;
 use crate::{Error, ErrorStatistics};
 
-/// Points that take part in the search for the alignment, at most: evenly chosen. A rigid motion
-/// needs no more, and it is repeated for each.
-const MAX_ALIGNED: usize = 50_000;
+/// Largest number of points that ICP uses, which bounds its run time.
+const MAX_ICP_POINTS: usize = 50_000;
 
-/// How far a cloud is from a reference, point by point to the nearest one. In units of the
-/// reference.
+/// Distances between the nearest points of a cloud and a reference, in units of the reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CloudEvaluation {
-    /// Points of the cloud.
+    /// Number of points of the cloud.
     pub points: usize,
-    /// Points of the reference.
+    /// Number of points of the reference.
     pub reference_points: usize,
-    /// Length in the reference of one unit of the cloud.
+    /// Scale of `reference_from_cloud`.
     pub scale: f64,
-    /// Rounds of the alignment.
+    /// Number of ICP iterations.
     pub iterations: usize,
-    /// Distance of each point to the nearest one of the reference: `mean` and `std` are the paper's
-    /// numbers.
+    /// Accuracy: distances of the points to their nearest neighbours in the reference. The paper
+    /// has `mean` and `std`.
     pub distance: ErrorStatistics,
-    /// Distance of each point of the reference to the nearest one of the cloud: what was
-    /// reconstructed of it.
+    /// Completeness: distances of the reference points to their nearest neighbours in the cloud.
     pub reference_distance: ErrorStatistics,
-    /// Where the cloud came to lie.
+    /// The alignment.
     #[serde(skip)]
     pub reference_from_cloud: Sim3,
 }
 
-/// Compares a cloud with a reference after aligning it by closest points, beginning where `start`
-/// puts it. Points that are not finite are left out; `None` where nothing is left, or nothing to
-/// align by.
+/// Compares a cloud with a reference after ICP from the initial `reference_from_cloud` in `start`.
+/// Points with non-finite coordinates are left out. `None` if no points are left, or if they do not
+/// determine the alignment.
 pub fn evaluate_cloud(
     cloud: &[Vector3<f64>],
     reference: &[Vector3<f64>],
@@ -73,13 +71,17 @@ pub fn evaluate_cloud(
     })
 }
 
-/// Evenly chosen points, so that there are at most [`MAX_ALIGNED`].
+/// Every n-th point, at most [`MAX_ICP_POINTS`].
 fn sample(points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    points.iter().step_by(points.len().div_ceil(MAX_ALIGNED).max(1)).copied().collect()
+    points.iter().step_by(points.len().div_ceil(MAX_ICP_POINTS).max(1)).copied().collect()
 }
 
-/// The points of a PLY file, of a LAS or LAZ one (with the feature `las`), or of a model (a folder,
-/// or a workspace).
+/// Reads the points of a PLY file, of a LAS or LAZ file (with the feature `las`), or of a model (a
+/// folder or a workspace).
+///
+/// # Errors
+///
+/// The file or model cannot be read, or the build lacks the feature `las`.
 pub fn read_cloud(path: &Path) -> Result<Vec<Vector3<f64>>, Error> {
     if path.is_dir() {
         let model = read_model(&model_folder(path)?)?;

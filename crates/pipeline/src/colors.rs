@@ -1,4 +1,4 @@
-//! Colours of the points: the mean over the pixels at their observations.
+//! Point colours: the mean of the pixels at the observations.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,22 +8,25 @@ use tiepoint_sfm::scene::{Camera, Image, PointId, Reconstruction};
 
 use crate::Error;
 use crate::memory::budget_bytes;
-use crate::ordered::for_each_within;
+use crate::ordered::for_each_within_budget;
 
-/// Bytes that a colour image takes while it is decoded, for each of its pixels: those of a
-/// progressive JPEG file.
+/// Memory for decoding a colour image, in bytes per pixel; a progressive JPEG file takes most.
 pub(crate) const DECODER_BYTES_PER_PIXEL: u64 = 12;
 
-/// The same for a photo of a camera.
+/// Memory for decoding a photo of a camera, in bytes.
 pub(crate) fn decoder_bytes(camera: &Camera) -> u64 {
-    // A camera of a model may claim any size; its photo will not have it.
+    // A camera of a foreign model may have any size in its file.
     (DECODER_BYTES_PER_PIXEL * u64::from(camera.width))
         .saturating_mul(u64::from(camera.height))
         .min(1 << 48)
 }
 
-/// Colours the points of all models from the photos; points of photos that are no longer there stay
-/// grey.
+/// Sets the colours of the points of all models from the photos. Points without an existing photo
+/// stay grey.
+///
+/// # Errors
+///
+/// The input folders or a photo cannot be read.
 pub(crate) fn color_points<'a>(
     inputs: &[PathBuf],
     models: impl Iterator<Item = &'a mut Reconstruction>,
@@ -48,7 +51,7 @@ pub(crate) fn color_points<'a>(
             Rgb::read_of_size(path, camera.width, camera.height).map(|rgb| colors(image, &rgb))
         };
         let bytes = |(_, camera, _): &(&Image, &Camera, &Path)| decoder_bytes(camera);
-        for_each_within(budget_bytes(), bytes, &images, work, |_, found| {
+        for_each_within_budget(budget_bytes(), bytes, &images, work, |_, found| {
             for (point, color) in found? {
                 let (sum, count) = &mut sums[point.index()];
                 (0..3).for_each(|channel| sum[channel] += u32::from(color[channel]));
@@ -67,7 +70,7 @@ pub(crate) fn color_points<'a>(
     Ok(())
 }
 
-/// The colours of the pixels in which an image sees points.
+/// The colour of the pixel at each observation of an image.
 fn colors(image: &Image, rgb: &Rgb) -> Vec<(PointId, [u8; 3])> {
     let seen = image.points().iter().zip(image.keypoints.iter());
     seen.filter_map(|(point, keypoint)| {

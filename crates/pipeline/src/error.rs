@@ -2,44 +2,43 @@ use std::path::PathBuf;
 
 use crate::Stage;
 
-/// Paths in one line.
-fn listed(paths: &[PathBuf]) -> String {
+fn comma_separated(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Why a run could not go on. Each message is one sentence that says what, where and what to do;
-/// what earlier stages made is kept.
+/// Why a call failed. Each message is one sentence: what failed, on which file, and what to do.
+/// Results of earlier stages stay on disk.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The workspace cannot be written.
-    #[error("cannot write {path}: {cause}; choose a place where files can be written")]
+    /// A file or folder cannot be written.
+    #[error("cannot write {path}: {cause}; choose a folder that can be written")]
     Output {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// Something that is there cannot be read.
+    /// An existing file or folder cannot be read.
     #[error("cannot read {path}: {cause}")]
     Unreadable {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// Another process is at work in it.
+    /// Another process has locked the folder.
     #[error("{path} is in use by another run: wait for it to end, or choose another workspace")]
     InUse {
         /// The workspace.
         path: PathBuf,
     },
-    /// Not a workspace.
-    #[error("{path} is no workspace: make one with `tiepoint features INPUT -o {path}`")]
+    /// The folder is not a workspace.
+    #[error("{path} is not a workspace: create one with `tiepoint features INPUT -o {path}`")]
     NoWorkspace {
         /// The folder.
         path: PathBuf,
     },
-    /// A COLMAP project of somebody else.
+    /// The folder holds files of a COLMAP project that this program did not write.
     #[error(
         "{path} holds {found}, and this program did not make it: choose another folder for the \
         workspace, or move {found} away"
@@ -47,140 +46,138 @@ pub enum Error {
     ForeignWorkspace {
         /// The folder.
         path: PathBuf,
-        /// What is there.
+        /// Name of the foreign file in it.
         found: String,
     },
-    /// A file of the workspace is not what this program writes.
-    #[error("{path}: {what}; delete it to begin anew")]
+    /// A file of the workspace does not have the content that this program writes.
+    #[error("{path}: {what}; delete it to start again")]
     Broken {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         what: String,
     },
-    /// The record of the stages is damaged, and no database tells what they were made from.
+    /// The record of the stages is damaged, and there is no database to restore it from.
     #[error(
-        "{path} is damaged ({what}), and nothing else tells what the workspace was made from: \
-        choose another workspace, or move all \
-         of this one's files away"
+        "{path} is damaged ({what}), and there is no database.db to restore it from: choose \
+        another workspace, or move all files of this one away"
     )]
     BrokenRecord {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         what: String,
     },
     /// The database is damaged.
-    #[error("{cause}: give --redo features to make {path} anew")]
+    #[error("{cause}: give --redo features to make {path} again")]
     BrokenDatabase {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         cause: Box<tiepoint_io::Error>,
     },
-    /// A file is in the way that is not this program's.
+    /// A result would replace a file that this program did not write, or that was changed since.
     #[error(
-        "{path} is there, and this program did not make it, or somebody has changed it since: \
-        move it away, or choose another place"
+        "{path} exists, and this program did not make it or it was changed since: move it away, \
+        or choose another place for the result"
     )]
-    NotOurs {
-        /// Which file.
+    ForeignFile {
+        /// The file.
         path: PathBuf,
     },
-    /// Results of before were written and could not all be moved to their places.
+    /// An interrupted run has committed results that are not all in their final places yet.
     #[error(
-        "not all results of before are in their places in {path} yet: give the same command \
-        again, which ends that first"
+        "an earlier run was interrupted while it moved its results into {path}: give the same \
+        command again to complete that"
     )]
     Unfinished {
         /// The folder.
         path: PathBuf,
     },
-    /// The result would be written onto an input.
+    /// The result would overwrite an input.
     #[error(
         "{path} is read by this command, so the result cannot be written there: choose another \
         place"
     )]
     IsInput {
-        /// Which file.
+        /// The file.
         path: PathBuf,
     },
-    /// A name that leads out of the folder of the results.
+    /// The path of an image leads out of the output folder.
     #[error("the name {name:?} leads out of {path}: rename the image")]
     NotInside {
-        /// The folder.
+        /// The output folder.
         path: PathBuf,
-        /// The name.
+        /// Name of the image.
         name: String,
     },
-    /// The models are those of other matches, or were about to be replaced.
+    /// The models were computed from features or matches that have been replaced.
     #[error(
-        "the models in {path} were made before its features or matches were made anew: run \
-        `tiepoint map {path}`, or give \
-         {path}/sparse/0 to take them as they are"
+        "the models in {path} were made before its current features or matches: run `tiepoint \
+        map {path}`, or give {path}/sparse/0 to use the old models"
     )]
     StaleModels {
         /// The workspace.
         path: PathBuf,
     },
-    /// The times of the images are not those that the first stage wrote.
+    /// The capture times are not those that the feature stage wrote.
     #[error(
         "{path} has been changed or removed since it was written: move it away, and give your \
-        times to `tiepoint features` with \
-         --timestamps FILE.csv --redo features, from a file outside the workspace"
+        times to `tiepoint features` with --timestamps FILE.csv --redo features, from a file \
+        outside the workspace"
     )]
     ChangedTimes {
         /// The file.
         path: PathBuf,
     },
-    /// A stage is missing on which the asked one builds.
+    /// An earlier stage, which this one needs, is not complete.
     #[error("{path} has no {products} yet: run `tiepoint {stage}` \
     first", products = stage.products())]
     Missing {
         /// The workspace.
         path: PathBuf,
-        /// What is missing.
+        /// The missing stage.
         stage: Stage,
     },
-    /// No rig was found, or none was looked for.
+    /// The model has no `rig.json`: mapping estimated no rig extrinsics.
     #[error(
-        "{path} is not there, since this model's cameras are not held to each other: map with \
+        "{path} does not exist, because this model was mapped without rig extrinsics: map with \
         --rig soft, hard or auto"
     )]
     NoRig {
         /// The file.
         path: PathBuf,
     },
-    /// Nothing to hold rigidly.
+    /// No two cameras have poses at common frames, so that rig extrinsics are undetermined.
     #[error(
-        "{path} has no two cameras with poses at common moments, so no rig can be made of it: \
+        "{path} has no two cameras with poses at common frames, so no rig can be made of it: \
         leave out --rigid"
     )]
-    NothingRigid {
+    NoRigFrames {
         /// The model.
         path: PathBuf,
     },
-    /// A format without poses has nothing to be made rigid.
-    #[error("{path} would hold the rig's calibration alone, as rig.json has it: leave out --rigid")]
+    /// `--rigid` was given with a format that holds no poses.
+    #[error("{path} would hold the rig's calibration only, as in rig.json: leave out --rigid")]
     NoPoses {
         /// The file.
         path: PathBuf,
     },
-    /// The stage was made from something else, or in another way.
+    /// The stage on disk was computed from another input or with other options.
     #[error(
-        "the {products} in {path} were made {how}: give --redo {stage} to make them anew, or \
+        "the {products} in {path} were made {how}: give --redo {stage} to make them again, or \
         choose another workspace",
         products = stage.products()
     )]
     Changed {
         /// The workspace.
         path: PathBuf,
-        /// Which stage.
+        /// The stage.
         stage: Stage,
-        /// What differs.
+        /// The difference, as the end of the sentence "they were made …".
         how: String,
     },
-    /// Too little to reconstruct.
+    /// Fewer than two usable photos.
     #[error(
         "{path} gives {usable} usable photo{s} of {found}: at least two that overlap are \
         needed{also}",
@@ -195,41 +192,38 @@ pub enum Error {
         found: usize,
         /// Photos that could be read.
         usable: usize,
-        /// Files that are named like photos and are none that could be used: why, one sentence for
-        /// each.
+        /// Why files named like photos could not be used, one sentence for each.
         skipped: Vec<String>,
     },
-    /// Photos beside videos.
+    /// The input mixes photos and videos.
     #[error(
         "{photos} holds photos and {video} is a video: give folders of photos or videos, not both"
     )]
     MixedInput {
-        /// An input that is no video and holds none.
+        /// An input folder of photos.
         photos: PathBuf,
         /// A video.
         video: PathBuf,
     },
-    /// Two videos would be one camera.
-    #[error("two videos are called {name}: rename one, each is a camera of its own")]
+    /// Two videos have the same name, which would make them one camera.
+    #[error("two videos are called {name}: rename one, each video is one camera")]
     TwoVideosOfOneName {
-        /// Name without folder and ending.
+        /// Name without folder and extension.
         name: String,
     },
-    /// The frames in the workspace are not those of these videos.
+    /// The frames in the workspace come from other videos or another `--every`.
     #[error(
-        "{path} holds the frames of other videos, or another choice of them: give --redo features \
-        to take them anew, or choose another \
-         workspace"
+        "{path} holds frames of other videos or with another --every: give --redo features to \
+        extract them again, or choose another workspace"
     )]
     OtherFrames {
         /// The folder of the frames.
         path: PathBuf,
     },
-    /// One camera has one size.
+    /// The photos of one camera have different sizes.
     #[error(
         "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} \
-        is {other_size}: put them into one folder \
-         for each camera"
+        is {other_size}: put them into one folder for each camera"
     )]
     TwoSizes {
         /// The folder.
@@ -238,24 +232,24 @@ pub enum Error {
         first: String,
         /// Its size in pixels.
         first_size: Size,
-        /// Another one.
+        /// A photo of another size.
         other: String,
         /// Its size in pixels.
         other_size: Size,
     },
-    /// A list of times that does not fit.
+    /// A file of capture times does not fit the photos.
     #[error("{path}: {what}")]
     Times {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The defect.
         what: String,
     },
-    /// No pair of images has a common view.
+    /// No image pair has a verified two-view geometry.
     #[error(
-        "none of the {pairs} pairs of photos in {path} shows the same things: at least {required} \
-        matches must agree with each other, \
-         and the best pair has {best} in all; take photos that overlap more{or}",
+        "none of the {pairs} pairs of photos in {path} overlaps: a pair needs at least {required} \
+        matches that fit a two-view geometry, and the best pair has {best} matches in total; take \
+        photos that overlap more{or}",
         or = from_exif.map_or_else(String::new, |(focal_px, size)| format!(
             ", or give --focal-prior PX --redo features if the focal length in their EXIF data, \
             {focal_px:.0} pixels for {size}, is wrong"
@@ -264,41 +258,38 @@ pub enum Error {
     NoOverlap {
         /// The workspace.
         path: PathBuf,
-        /// Pairs that were tried.
+        /// Number of pairs that were matched.
         pairs: usize,
-        /// Matches of the best of them.
+        /// Largest number of matches of a pair.
         best: usize,
-        /// How many are asked for.
+        /// Number of inliers that a pair needs.
         required: usize,
-        /// Focal length in pixels and size of a camera of which EXIF data tell one.
+        /// Focal length in pixels from EXIF and image size in pixels of a camera that has one.
         from_exif: Option<(f64, Size)>,
     },
-    /// A rig term without moments.
+    /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
-        "--rig asks for cameras that ride together, and in {path} no two of {cameras} cameras \
-        took images at the same moments: put the \
-         photos of each camera into a folder of its own, give their times to `tiepoint features` \
-         with --timestamps FILE.csv, or \
-         choose --rig off"
+        "--rig needs two cameras with images of the same times, and in {path} no two of {cameras} \
+        cameras have them: put the photos of each camera into a folder of its own, give their \
+        times to `tiepoint features` with --timestamps FILE.csv, or choose --rig off"
     )]
-    NoMoments {
+    NoSynchronousImages {
         /// The workspace.
         path: PathBuf,
-        /// Cameras in it.
+        /// Number of cameras in it.
         cameras: usize,
     },
-    /// A rolling shutter without times.
+    /// A rolling shutter was asked for, and no camera has enough images with capture times.
     #[error(
-        "--rolling-shutter asks how the cameras move while they take a photo, and in {path} no \
-        camera has four photos of which the times are known: \
-         give their times to `tiepoint features` with --timestamps FILE.csv, or leave the option \
-         out"
+        "--rolling-shutter needs the motion of the cameras, and in {path} no camera has four \
+        photos with known capture times: give the times to `tiepoint features` with --timestamps \
+        FILE.csv, or leave the option out"
     )]
-    NoMotion {
+    NoTimedSequence {
         /// The workspace.
         path: PathBuf,
     },
-    /// A trajectory with times of images without.
+    /// A format with times was asked for, and no registered image has a time.
     #[error(
         "no image with a pose in {model} has a time: give times to `tiepoint features` with \
         --timestamps FILE.csv"
@@ -307,66 +298,66 @@ pub enum Error {
         /// The model.
         model: PathBuf,
     },
-    /// A model and a truth that cannot be compared.
+    /// A model cannot be compared with the ground truth.
     #[error("cannot compare {model} with {truth}: {why}")]
     Evaluation {
         /// The model.
         model: PathBuf,
-        /// The truth.
+        /// The ground truth.
         truth: PathBuf,
-        /// Why.
+        /// The reason.
         why: String,
     },
-    /// A format that goes with its photos, of a model that does not know them.
+    /// The format needs the photos, and a bare model does not tell where they are.
     #[error(
-        "{path} is no workspace, and this format needs the photos: export from the workspace that \
-        the model was made in"
+        "{path} is not a workspace, and this format needs the photos: export from the workspace \
+        that the model was made in"
     )]
     NoPhotos {
-        /// What was to be exported.
+        /// The model.
         path: PathBuf,
     },
-    /// A photo is gone.
-    #[error("the photo {image} is no longer in {}: put it back", listed(inputs))]
+    /// A photo of the workspace is no longer where it was.
+    #[error("the photo {image} is no longer in {}: put it back", comma_separated(inputs))]
     NoPhoto {
         /// Its name.
         image: String,
-        /// Where the photos were.
+        /// The input folders.
         inputs: Vec<PathBuf>,
     },
-    /// Clouds that cannot be laid on each other.
+    /// A cloud is too small or degenerate to be aligned.
     #[error(
         "cannot compare {cloud} with {reference}: one of them has fewer than three points that \
         are not on a line"
     )]
-    Clouds {
+    DegenerateClouds {
         /// The cloud.
         cloud: PathBuf,
         /// The reference.
         reference: PathBuf,
     },
-    /// LAS needs a feature.
+    /// The build lacks the feature `las`.
     #[error(
-        "{path} is a LAS file, which this build does not read: build with --features las, or \
+        "{path} is a LAS file, which this build cannot read: build with --features las, or \
         convert it to PLY"
     )]
     NoLas {
         /// The file.
         path: PathBuf,
     },
-    /// A file of another format.
+    /// A file cannot be read or written.
     #[error(transparent)]
     File(#[from] tiepoint_io::Error),
-    /// An option of the detector, or an image that contradicts itself.
+    /// Feature extraction failed.
     #[error(transparent)]
     Features(#[from] tiepoint_io::features::Error),
-    /// An option of matching.
+    /// Descriptor matching failed.
     #[error(transparent)]
     Matching(#[from] tiepoint_sfm::matching::Error),
-    /// The mapper.
+    /// The mapper failed.
     #[error(transparent)]
     Mapping(tiepoint_sfm::Error),
-    /// The caller's callback asked to stop.
+    /// The event callback returned `Break`.
     #[error("stopped on request")]
     Cancelled,
 }

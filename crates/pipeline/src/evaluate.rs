@@ -1,4 +1,4 @@
-//! A model against the truth.
+//! Evaluation of the poses of a model against ground truth.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,34 +13,34 @@ use tiepoint_io::{colmap, strecha, timestamps, trajectory};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use crate::image_names::{first_folder, number};
-use crate::model_place::ModelPlace;
+use crate::model_location::ModelLocation;
 use crate::output_folder::OutputFolder;
 use crate::workspace::{current_records, is_workspace};
 use crate::{Error, Stage, Workspace};
 
-/// Poses known to be true.
+/// A file or folder with ground truth poses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Truth {
-    /// How they are written.
+    /// Its format.
     pub format: TruthFormat,
-    /// Where.
+    /// Its path.
     pub path: PathBuf,
 }
 
-/// Formats of true poses.
+/// Formats of ground truth poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TruthFormat {
     /// A folder of `.camera` files, by image name.
     Strecha,
-    /// One pose a line, the number in an image's name being the line, from 0.
+    /// KITTI odometry: one pose per line; the number in an image's name is the line, from 0.
     Kitti,
-    /// Poses with times.
+    /// TUM RGB-D: poses with times.
     Tum,
     /// A COLMAP model, by image name.
     Colmap,
 }
 
-/// Formats by name.
+/// Formats by their names on the command line.
 const FORMATS: [(&str, TruthFormat); 4] = [
     ("strecha", TruthFormat::Strecha),
     ("kitti", TruthFormat::Kitti),
@@ -51,7 +51,7 @@ const FORMATS: [(&str, TruthFormat); 4] = [
 impl FromStr for Truth {
     type Err = String;
 
-    /// `FORMAT:PATH`.
+    /// Parses `FORMAT:PATH`.
     fn from_str(text: &str) -> Result<Self, String> {
         let known = || FORMATS.map(|(name, _)| name).join(", ");
         let (name, path) = text
@@ -64,33 +64,33 @@ impl FromStr for Truth {
     }
 }
 
-/// How far a model is from the truth, after a similarity of the camera centres. Lengths are in
-/// units of the truth.
+/// Pose errors of a model after Sim(3) alignment of the camera centres. Lengths are in units of the
+/// ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseEvaluation {
-    /// Images that the truth knows.
+    /// Number of images with a true pose.
     pub images: usize,
-    /// Those with a pose in the model.
+    /// Number of these that are registered.
     pub registered: usize,
-    /// Length in the truth of one unit of the model.
+    /// Scale of `truth_from_model`.
     pub scale: f64,
-    /// Distances between the centres; `rmse` is the ATE of a trajectory.
+    /// Distances between estimated and true centres; `rmse` is the ATE (Sturm et al. 2012).
     pub centre_error: ErrorStatistics,
-    /// Angles between the orientations, in degrees.
+    /// Angles between estimated and true orientations, in degrees.
     pub rotation_error_deg: ErrorStatistics,
-    /// Area under the recall curve of relative poses over all pairs of images, up to so many
-    /// degrees; missing images count.
+    /// Area under the recall curve of the relative-pose errors over all image pairs. Pairs with an
+    /// unregistered image count as wrong.
     pub relative_pose_auc: Vec<Auc>,
-    /// The cameras of these images.
+    /// Focal lengths of the cameras of these images.
     pub focal_lengths: Vec<FocalLength>,
     /// Centre errors by image name.
     pub centre_errors: BTreeMap<String, f64>,
-    /// Where the model lies in the world of the truth.
+    /// The alignment.
     #[serde(skip)]
     pub truth_from_model: Sim3,
 }
 
-/// What a list of errors comes to.
+/// Statistics of a list of errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ErrorStatistics {
     /// Mean.
@@ -99,7 +99,7 @@ pub struct ErrorStatistics {
     pub median: f64,
     /// Root mean square.
     pub rmse: f64,
-    /// Standard deviation from the mean.
+    /// Standard deviation.
     pub std: f64,
     /// Largest.
     pub max: f64,
@@ -114,44 +114,46 @@ impl From<Statistics> for ErrorStatistics {
 /// Area under a recall curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Auc {
-    /// Up to this error.
+    /// Upper limit of the error.
     pub threshold_deg: f64,
-    /// From 0 to 1.
+    /// Area over the threshold, from 0 to 1.
     pub auc: f64,
 }
 
-/// A focal length against the truth.
+/// The estimated and the true focal length of a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FocalLength {
     /// COLMAP's id of the camera.
     pub camera: u32,
-    /// In the model.
+    /// Estimated focal length.
     pub model_px: f64,
-    /// True, where that is known.
+    /// True focal length, where it is known.
     pub truth_px: Option<f64>,
 }
 
 /// Thresholds of the relative-pose AUC, in degrees.
 const AUC_THRESHOLDS_DEG: [f64; 4] = [1.0, 3.0, 5.0, 10.0];
-/// Cameras closer together have no direction from one to the other, in units of the truth.
+/// Below this distance of two true centres the direction of translation is undefined, in units of
+/// the ground truth.
 const MIN_BASELINE: f64 = 1e-9;
-/// Times farther apart are not those of one image.
+/// Largest difference between the time of an image and that of its true pose.
 const MAX_TIME_DIFFERENCE_S: f64 = 0.02;
 
-/// A true pose and, where it is known, the true focal length.
+/// A true pose, and the true focal length where it is known.
 struct TruePose {
     cam_from_world: Rigid3,
     focal_px: Option<f64>,
 }
 
-/// The folder of a COLMAP model: `path` itself, or its `sparse/0` where `path` is a workspace.
+/// The folder of a COLMAP model: `path` itself, or `path/sparse/0` if that exists. Completes the
+/// move of results that an interrupted run began.
 ///
 /// # Errors
 ///
-/// Where a workspace is given whose models are not made from what is in it now.
+/// The models of the workspace were computed from features or matches that have been replaced.
 pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     if OutputFolder::is_unfinished(path) {
-        // A killed run left the models on their way to their places.
+        // Opening completes the interrupted move.
         if is_workspace(path) {
             drop(Workspace::open(path)?);
         } else {
@@ -168,7 +170,11 @@ pub fn model_folder(path: &Path) -> Result<PathBuf, Error> {
     Ok(largest)
 }
 
-/// Gives the images of a model their times from a file, if it is there.
+/// Sets the capture times of the images from a CSV file, if it exists.
+///
+/// # Errors
+///
+/// The file exists and cannot be read.
 pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), Error> {
     if file.is_file() {
         let times = timestamps::read(file)?;
@@ -179,9 +185,14 @@ pub(crate) fn read_times(model: &mut Reconstruction, file: &Path) -> Result<(), 
     Ok(())
 }
 
-/// Compares the images of a model (a folder, or a workspace) with the truth: those whose names
-/// begin with `prefix`; without it, all that the truth knows by name, or, where the truth is one
-/// trajectory, those of the camera of the first image.
+/// Evaluates the poses of a model (a folder or a workspace). With `prefix`, only images whose names
+/// start with it are compared. Without, all images are, except with ground truth that is the
+/// trajectory of one camera (KITTI, TUM): then those of the camera of the first image.
+///
+/// # Errors
+///
+/// The model or the ground truth cannot be read, fewer than three images have both poses, or the
+/// camera centres are collinear.
 pub fn evaluate_poses(
     path: &Path,
     truth: &Truth,
@@ -201,7 +212,7 @@ pub fn evaluate_poses(
         .filter(|image| image.name.starts_with(&prefix))
         .collect();
     let pairs = associate_images(&folder, &images, truth)?;
-    let cannot =
+    let error =
         |why: String| Error::Evaluation { model: path.to_owned(), truth: truth.path.clone(), why };
     let found: Vec<Option<Rigid3>> = pairs
         .iter()
@@ -210,13 +221,16 @@ pub fn evaluate_poses(
     let true_poses: Vec<Rigid3> = pairs.iter().map(|(_, truth)| truth.cam_from_world).collect();
     let registered = found.iter().flatten().count();
     if registered < 3 {
-        return Err(cannot(format!(
+        return Err(error(format!(
             "only {registered} images have a pose in both, and three are needed"
         )));
     }
     let comparison =
         compare_poses(&found, &true_poses, Alignment::Similarity).ok_or_else(|| {
-            cannot("the camera centres lie on a line, which leaves a turn about it open".to_owned())
+            error(
+                "the camera centres are collinear, so that the alignment is undetermined"
+                    .to_owned(),
+            )
         })?;
     let relative = relative_pose_errors_rad(&found, &true_poses, MIN_BASELINE);
     let statistics = |errors: &[Option<f64>], unit: f64| {
@@ -244,7 +258,7 @@ pub fn evaluate_poses(
     })
 }
 
-/// Each image that the truth knows, with the model's image where there is one.
+/// The true poses, each with the image of the model if there is one.
 fn associate_images<'a>(
     folder: &Path,
     images: &[&'a Image],
@@ -290,7 +304,7 @@ fn associate_images<'a>(
         TruthFormat::Tum => {
             let mut poses = trajectory::read_tum(path)?;
             poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-            let file = ModelPlace::of(folder).timestamps();
+            let file = ModelLocation::of(folder).timestamps();
             let times = timestamps::read(&file)?;
             let mut timed: Vec<(f64, &Image)> = images
                 .iter()
@@ -326,7 +340,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_truth_is_a_format_and_a_path() {
+    fn ground_truth_is_parsed_from_format_and_path() {
         let truth: Truth = "kitti:data/poses:1.txt".parse().unwrap();
         assert_eq!(truth, Truth { format: TruthFormat::Kitti, path: "data/poses:1.txt".into() });
         assert!("poses.txt".parse::<Truth>().unwrap_err().contains("FORMAT:PATH"));
@@ -334,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_name_is_the_last_one() {
+    fn number_of_a_name_is_its_last_one() {
         for (name, expected) in [
             ("left/000012.png", Some(12)),
             ("cam2/frame_7.color.jpg", Some(7)),

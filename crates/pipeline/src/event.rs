@@ -4,141 +4,141 @@ use serde::Serialize;
 
 use crate::{Error, Stage};
 
-/// What a run tells while it works.
+/// Progress events of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event<'a> {
-    /// A stage begins, or goes on after an interruption.
+    /// A stage begins or resumes.
     StageBegan {
-        /// Which.
+        /// The stage.
         stage: Stage,
-        /// How many steps it has: images, pairs, images.
+        /// Its number of steps: images to extract, pairs to match, or images to register.
         total: usize,
-        /// How many of them an earlier run did.
+        /// Number of steps that an earlier run completed.
         done: usize,
     },
-    /// An earlier run finished this stage with the same input and options.
+    /// An earlier run completed this stage with the same input and options.
     StageKept {
-        /// Which.
+        /// The stage.
         stage: Stage,
     },
-    /// What two recordings have both heard tells when one of them began.
+    /// The soundtracks of two recordings gave the offset of their starts.
     SoundHeard {
         /// The first recording.
         reference: &'a str,
-        /// The other one.
+        /// The other recording.
         recording: &'a str,
-        /// By how many seconds it began later.
+        /// Start of the other recording minus start of the first, in seconds.
         after_s: f64,
     },
-    /// A camera has stabilised its pictures electronically.
+    /// A camera recorded with electronic stabilisation.
     Stabilised {
         /// The recording.
         recording: &'a str,
     },
-    /// A frame of a video was put into the workspace.
+    /// A frame of a video was selected and written into the workspace.
     FrameKept {
-        /// Its name.
+        /// Name of the image.
         image: &'a str,
-        /// Frames of this camera that were read so far.
+        /// Number of frames of this recording that were read so far.
         read: usize,
     },
-    /// A photo cannot be used; the others are.
+    /// A photo cannot be used and is skipped.
     ImageSkipped {
         /// Its name.
         image: &'a str,
-        /// Why, as a sentence.
+        /// The reason, as a sentence.
         why: &'a str,
     },
-    /// The focal length that a photo tells is none that a camera can have, and counts as unknown.
+    /// The EXIF focal length of a camera is impossible and is ignored.
     FocalIgnored {
-        /// The first photo of its camera.
+        /// The first photo of the camera.
         image: &'a str,
-        /// What it tells, in pixels.
+        /// The focal length in EXIF, in pixels.
         focal_px: f64,
     },
     /// The features of an image are in the database.
     ImageDone {
         /// Its name.
         image: &'a str,
-        /// How many keypoints it has.
+        /// Number of keypoints.
         keypoints: usize,
     },
     /// A pair is matched and verified.
     PairDone {
-        /// One image.
+        /// The first image.
         image1: &'a str,
-        /// The other one.
+        /// The second image.
         image2: &'a str,
-        /// Matches of descriptors.
+        /// Number of descriptor matches.
         matches: usize,
-        /// Those that agree with a two-view geometry; 0 where there is none.
+        /// Number of inliers of the two-view geometry; 0 without one.
         inliers: usize,
     },
-    /// A model begins with two images.
+    /// A model was initialised from two images.
     ModelBegan {
-        /// One image.
+        /// The first image.
         image1: &'a str,
-        /// The other one.
+        /// The second image.
         image2: &'a str,
-        /// Points that they see together.
+        /// Number of triangulated points.
         points: usize,
     },
-    /// An image has a pose.
+    /// An image was registered.
     ImageRegistered {
         /// Its name.
         image: &'a str,
-        /// Images with a pose in this model.
+        /// Number of registered images of the model.
         registered: usize,
-        /// Points in this model.
+        /// Number of points of the model.
         points: usize,
     },
-    /// A loop that drift had left open is closed.
+    /// A loop was closed.
     LoopClosed {
-        /// Pairs of images that it had torn apart.
+        /// Number of image pairs that drift had separated.
         pairs: usize,
     },
-    /// The whole model was adjusted.
+    /// Global bundle adjustment finished.
     ModelAdjusted {
-        /// Images with a pose.
+        /// Number of registered images.
         images: usize,
-        /// Observations.
+        /// Number of observations.
         observations: usize,
-        /// ½ Σ ρ at the end.
+        /// Final cost ½ Σ ρ.
         cost: f64,
-        /// Steps taken.
+        /// Number of steps.
         iterations: usize,
     },
-    /// An adjustment that was asked for by itself tried a step.
+    /// [`adjust`](crate::adjust) attempted a step.
     AdjustmentStep {
-        /// From 1.
+        /// Number of the step, from 1.
         step: usize,
-        /// ½ Σ ρ after it.
+        /// Cost ½ Σ ρ after the step.
         cost: f64,
     },
-    /// The points have no colours, since the photos could not be read again.
+    /// The points stay grey, because the photos cannot be read any more.
     PointsGrey {
-        /// Why, as a sentence.
+        /// The reason, as a sentence.
         why: &'a str,
     },
     /// A stage is complete on disk.
     StageDone {
-        /// Which.
+        /// The stage.
         stage: Stage,
-        /// Wall time of this run's part.
+        /// Wall time in this run.
         seconds: f64,
     },
 }
 
-/// Gets every event, in order, on the calling thread; what it returns stops the run.
+/// Callback for every event, in order and on the calling thread. `Break` stops the run.
 pub type Watch<'a> = &'a mut dyn FnMut(&Event) -> ControlFlow<()>;
 
-/// Tells an event.
+/// Passes an event to the callback.
 ///
 /// # Errors
 ///
-/// [`Error::Cancelled`] where the run is to stop.
-pub(crate) fn tell(watch: Watch, event: &Event) -> Result<(), Error> {
+/// [`Error::Cancelled`] if the callback returns `Break`.
+pub(crate) fn emit(watch: Watch, event: &Event) -> Result<(), Error> {
     match watch(event) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),

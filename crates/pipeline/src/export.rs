@@ -1,4 +1,4 @@
-//! A result in formats of others.
+//! Export of models to the formats of other programs.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -23,37 +23,37 @@ use crate::evaluate::model_folder;
 use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
-use crate::model_place::ModelPlace;
-use crate::ordered::for_each_within;
+use crate::model_location::ModelLocation;
+use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{current_records, is_workspace};
 
-/// A format to write.
+/// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportFormat {
     /// COLMAP's binary files, in a folder.
     Colmap,
     /// COLMAP's text files, in a folder.
     ColmapText,
-    /// The cloud.
+    /// Point cloud.
     Ply,
-    /// Poses with times, of the camera of the first image.
+    /// TUM RGB-D trajectory (poses with times) of the camera of the first image.
     Tum,
-    /// Poses line by line, of the camera of the first image.
+    /// KITTI odometry trajectory of the camera of the first image.
     Kitti,
-    /// A bundle adjustment problem.
+    /// BAL problem.
     Bal,
     /// `scene.mvs` and undistorted images, in a folder.
     OpenMvs,
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
-    /// The rig with its clocks, as Kalibr's `camchain.yaml`.
+    /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
     Kalibr,
 }
 
-/// Formats by name.
+/// Formats by their names on the command line.
 const FORMATS: [(&str, ExportFormat); 9] = [
     ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
@@ -77,28 +77,37 @@ impl FromStr for ExportFormat {
     }
 }
 
-/// What was written.
+/// Summary of an export.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Exported {
-    /// Where.
+    /// The file or folder that was written.
     pub path: PathBuf,
-    /// How many poses, where the format has any.
+    /// Number of poses in it.
     pub poses: usize,
-    /// How many points, where the format has any.
+    /// Number of points in it.
     pub points: usize,
-    /// Photos that lay in their places already, and were left as they are.
+    /// Number of photos that were in their places already and were not copied.
     pub photos_in_place: usize,
-    /// What it took to make the cameras rigid, where that was asked for.
+    /// The effect of exact rig extrinsics, with [`export_rigid`].
     pub rigid: Option<RigidReport>,
 }
 
-/// Writes a model (a folder, or a workspace) in another format.
+/// Writes a model (a folder or a workspace) to `to` in another format.
+///
+/// # Errors
+///
+/// The model or its photos cannot be read, the model lacks data that the format needs (capture
+/// times, rig extrinsics, photos), or the result cannot be written.
 pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     write_as(from, &read_model(&model_folder(from)?)?, format, to)
 }
 
-/// Adjusts a model with its cameras held exactly to one calibration first, whatever it was held to
-/// before; its moments are frames of a rig then. What is on disk is not changed.
+/// Adjusts a model with exact rig extrinsics (one sensor_from_rig per camera), whatever constraint
+/// it was mapped with, and exports it with its rig and frames. The model on disk is not changed.
+///
+/// # Errors
+///
+/// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
 pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
     if format == ExportFormat::Kalibr {
         return Err(Error::NoPoses { path: to.to_owned() });
@@ -129,7 +138,7 @@ fn write_as(
         ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
         ExportFormat::Nerfstudio => in_place = export_nerfstudio(from, model, to)?,
         ExportFormat::Kalibr => {
-            let (text, cameras) = kalibr::camchain(model, &ModelPlace::of(&folder).rig())?;
+            let (text, cameras) = kalibr::camchain(model, &ModelLocation::of(&folder).rig())?;
             let text = format!("{COMMENT_MARK}\n{text}");
             file(Some(COMMENT_MARK), &|to| {
                 Ok(AtomicFile::write_with(to, |out| out.write_all(text.as_bytes()))?)
@@ -147,7 +156,7 @@ fn write_as(
             (poses, points) = (trajectory.len(), 0);
         }
         ExportFormat::Tum => {
-            let times = ModelPlace::of(&folder).timestamps();
+            let times = ModelLocation::of(&folder).timestamps();
             let times = if times.is_file() { timestamps::read(&times)? } else { BTreeMap::new() };
             let timed = trajectory_of(model).into_iter().filter_map(|(image, cam_from_world)| {
                 Some(TimedPose { time_s: *times.get(&image.name)?, cam_from_world })
@@ -164,7 +173,11 @@ fn write_as(
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
 }
 
-/// Writes a COLMAP model into a folder; what is there under a model's names must be this program's.
+/// Writes a COLMAP model into a folder and replaces an earlier one of this program.
+///
+/// # Errors
+///
+/// A file of a model exists that is an input or not this program's, or writing fails.
 pub(crate) fn write_colmap(
     to: &Path,
     model: &Reconstruction,
@@ -176,25 +189,24 @@ pub(crate) fn write_colmap(
     let names = model_names(None);
     folder.refuse_foreign(names.iter().map(String::as_str))?;
     let staged = folder.stage_model(None, model, format)?;
-    // A model in the other format would be taken for this one.
+    // Readers might prefer files of the other format.
     let removed: Vec<String> = names.into_iter().filter(|name| !staged.contains(name)).collect();
     folder.publish(&staged, &removed).map(drop)
 }
 
-/// The files that a model is read from.
+/// Paths of all files that a COLMAP model in a folder may have.
 pub(crate) fn model_files(folder: &Path) -> Vec<PathBuf> {
     model_names(None).iter().map(|name| folder.join(name)).collect()
 }
 
-/// Where the images lie in the folder of an export.
+/// Folder of the images in an export.
 const IMAGES: &str = "images";
 
 fn image_name(image: &Image) -> String {
     format!("{IMAGES}/{}", image.name)
 }
 
-/// OpenMVS takes images to be free of distortion: they are written anew, as pinhole cameras would
-/// have taken them.
+/// Writes `scene.mvs` and undistorted images: OpenMVS supports pinhole cameras only.
 fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
     const SCENE: &str = "scene.mvs";
     let photos = photos_of(from, model)?;
@@ -210,15 +222,15 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
         let photo = Rgb::read_of_size(path, old.width, old.height)?;
         Ok(undistort::undistort_image(&photo, old, new).write(&target)?)
     };
-    // The photo, and the one that is written.
+    // The photo and its undistorted copy.
     let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
-    for_each_within(budget_bytes(), bytes, &photos, write, |_, written| written)?;
+    for_each_within_budget(budget_bytes(), bytes, &photos, write, |_, written| written)?;
     openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
     folder.publish(&names, &[]).map(drop)
 }
 
-/// nerfstudio knows distortion: the photos are copied as they are. Those that lie in their places
-/// already stay; gives how many.
+/// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.
+/// Photos that are in their places already are not copied; returns their number.
 fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<usize, Error> {
     const CLOUD: &str = "points.ply";
     const TRANSFORMS: &str = "transforms.json";
@@ -233,7 +245,7 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
     let mut names: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
     names.extend([CLOUD, TRANSFORMS].map(str::to_owned));
     if is_workspace(to) {
-        // The cloud there is that of its model.
+        // The points.ply of a workspace is the cloud of its model.
         return Err(Error::IsInput { path: to.join(CLOUD) });
     }
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
@@ -248,7 +260,7 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
     Ok(photos.len() - copied.len())
 }
 
-/// The registered images with their files.
+/// The registered images with the paths of their photos.
 fn photos_of<'a>(
     from: &Path,
     model: &'a Reconstruction,
@@ -272,7 +284,7 @@ fn photos_of<'a>(
     model.registered().map(|(_, image, _)| photo(image)).collect()
 }
 
-/// The registered images of the first camera, by name.
+/// Registered images of the first camera and their poses (`cam_from_world`), ordered by name.
 fn trajectory_of(model: &Reconstruction) -> Vec<(&Image, Rigid3)> {
     let prefix = first_folder(model);
     let mut images: Vec<(&Image, Rigid3)> = model

@@ -1,4 +1,4 @@
-//! First stage: keypoints and descriptors of every image, into the database.
+//! Stage 1: extracts keypoints and descriptors of every image into the database.
 
 use std::fs::File;
 use std::io::Read;
@@ -15,27 +15,27 @@ use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 use crate::cameras::Calibration;
 use crate::fingerprint::of_text;
 use crate::memory::budget_bytes;
-use crate::ordered::for_each_within;
+use crate::ordered::for_each_within_budget;
 use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
     CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace,
-    option_keys, tell,
+    emit, option_keys,
 };
 
-/// How to extract features.
+/// Options of feature extraction.
 #[derive(Clone, Debug)]
 pub struct FeatureOptions {
-    /// What is known of the cameras.
+    /// Prior knowledge of the intrinsics.
     pub calibration: Calibration,
-    /// The detector.
+    /// Options of SIFT.
     pub detector: sift::Options,
-    /// When the images were taken (CSV with the header `image,seconds`); else from their names or
-    /// EXIF.
+    /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
+    /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
-    /// Photos of more pixels are skipped, so that a damaged or hostile file cannot ask for any
-    /// amount of memory. At most [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
+    /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
+    /// file can request. At most [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
     pub max_pixels: u64,
 }
 
@@ -51,6 +51,7 @@ impl Default for FeatureOptions {
 }
 
 impl FeatureOptions {
+    /// The recipe of the stage: fingerprint of the photos, and the options.
     fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
         let Self { calibration, detector, timestamps, max_pixels } = self;
         let timestamps = timestamps.as_deref().map(of_text).transpose()?;
@@ -60,7 +61,14 @@ impl FeatureOptions {
     }
 }
 
-/// Extracts the features of all photos; those that cannot be read are reported and left out.
+/// Extracts the features of all photos into the database of a workspace, or resumes that. Photos
+/// that cannot be read are reported and skipped.
+///
+/// # Errors
+///
+/// The options are invalid; the stage was run with other photos or options, and `redo` does not ask
+/// for it; fewer than two photos are usable, or photos of one camera differ in size; a file cannot
+/// be read or written; `watch` returns `Break`.
 pub fn extract_features(
     photos: &Photos,
     workspace: &mut Workspace,
@@ -79,21 +87,21 @@ pub fn extract_features(
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         if workspace.records.inputs != inputs_before {
-            // The photos have moved: exports look for them there.
+            // The photos have moved, and exports need their paths.
             workspace.note(|_| {})?;
         }
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
     let cameras = cameras(&usable, &options.calibration);
-    // Refused, if at all, before anything is replaced.
+    // Foreign files are detected before anything is replaced.
     let staged = workspace.folder.stage(TIMESTAMPS)?;
     timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
     workspace.folder.refuse_unless_same(TIMESTAMPS)?;
     let mut database = open(workspace, photos, &usable, &cameras, progress, redo)?;
     workspace.publish(vec![TIMESTAMPS.to_owned()], &[], |_| {})?;
     if !workspace.folder.is_as_left(TIMESTAMPS)? {
-        // Somebody wrote the same times there.
+        // A foreign file with the same content: it becomes ours.
         workspace.folder.claim(&[TIMESTAMPS.to_owned()])?;
     }
     let mut counts = database.keypoint_counts()?;
@@ -103,18 +111,18 @@ pub fn extract_features(
         .filter(|(index, _)| counts[*index].is_none())
         .map(|(index, photo)| (ImageId::from_index(index), photo))
         .collect();
-    tell(
+    emit(
         watch,
         &Event::StageBegan { stage: STAGE, total: usable.len(), done: usable.len() - tasks.len() },
     )?;
     for SkippedImage { image, why } in &skipped {
-        tell(watch, &Event::ImageSkipped { image, why })?;
+        emit(watch, &Event::ImageSkipped { image, why })?;
     }
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable) {
             let ImageInfo { width, height, exif, .. } = photo.info;
             if let Some(focal_px) = exif.absurd_focal_px(width, height) {
-                tell(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
+                emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }
         }
     }
@@ -123,7 +131,7 @@ pub fn extract_features(
     let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
     let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
     let budget = budget_bytes();
-    let taken = for_each_within(
+    let taken = for_each_within_budget(
         budget,
         bytes,
         &tasks,
@@ -135,11 +143,11 @@ pub fn extract_features(
                     let keypoints = features.keypoints.len();
                     database.write_features([(*id, &features)])?;
                     counts[id.index()] = Some(keypoints);
-                    tell(watch, &Event::ImageDone { image, keypoints })
+                    emit(watch, &Event::ImageDone { image, keypoints })
                 }
                 Err(error) => {
                     let why = error.to_string();
-                    tell(watch, &Event::ImageSkipped { image, why: &why })?;
+                    emit(watch, &Event::ImageSkipped { image, why: &why })?;
                     skipped.push(SkippedImage { image: image.to_owned(), why });
                     Ok(())
                 }
@@ -165,15 +173,15 @@ pub fn extract_features(
             .map(|(index, camera)| CameraReport::new(CameraId::from_index(index), camera, None))
             .collect(),
     };
-    // The report first: a database that says that all is there is the last word.
+    // The report is written first, because the database marks the stage as complete.
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.features = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
     database.finish()?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The times that are known, in order of the images.
+/// Names and capture times, in seconds, of the images with a known time.
 fn times<'a>(
     photos: &'a Photos,
     usable: &[Photo],
@@ -198,7 +206,7 @@ fn times<'a>(
     Ok(times)
 }
 
-/// One for each camera number, from its first photo.
+/// The initial cameras, each from its first photo.
 fn cameras(usable: &[Photo], calibration: &Calibration) -> Vec<Camera> {
     firsts(usable).map(|photo| calibration.camera(&photo.info)).collect()
 }
@@ -214,7 +222,11 @@ fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
     })
 }
 
-/// The database with cameras and images, but without what is to be made anew.
+/// Opens the database to resume, or creates it with cameras and images.
+///
+/// # Errors
+///
+/// A foreign file has its name, it is damaged and is not to be redone, or it cannot be written.
 fn open(
     workspace: &Workspace,
     photos: &Photos,
@@ -226,8 +238,8 @@ fn open(
     let path = workspace.database();
     if path.is_file() {
         match read_stage_rows(&path) {
-            // It is complete but for features: it got its name when cameras, images and rigs were
-            // there.
+            // The file was renamed into place after cameras, images and rigs had been written, so
+            // that only features can be missing.
             Ok(Some(_)) if progress == Progress::Continue => {
                 let database = Database::open(&path)?;
                 if database.num_images() == usable.len() {
@@ -235,8 +247,8 @@ fn open(
                 }
             }
             Ok(Some(_)) => {}
-            Ok(None) => return Err(Error::NotOurs { path }),
-            Err(_) if !is_sqlite(&path) => return Err(Error::NotOurs { path }),
+            Ok(None) => return Err(Error::ForeignFile { path }),
+            Err(_) if !is_sqlite(&path) => return Err(Error::ForeignFile { path }),
             Err(cause) if redo != Some(Stage::Features) => {
                 return Err(Error::BrokenDatabase { path, cause: Box::new(cause) });
             }
@@ -255,7 +267,7 @@ fn open(
     })?)
 }
 
-/// Whether a file begins as SQLite's do.
+/// Whether a file has the header of SQLite.
 fn is_sqlite(path: &Path) -> bool {
     const HEADER: &[u8] = b"SQLite format 3\0";
     let mut head = Vec::new();
@@ -264,7 +276,7 @@ fn is_sqlite(path: &Path) -> bool {
     read.is_ok() && head == HEADER
 }
 
-/// Extractors keep their memory from image to image: as many as images that are worked on at once.
+/// Pool of extractors, whose buffers are reused: one per image that is processed at a time.
 struct Extractors {
     options: sift::Options,
     idle: Mutex<Vec<Sift>>,
@@ -272,12 +284,12 @@ struct Extractors {
 
 impl Extractors {
     fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Sift>> {
-        // A list of idle extractors is sound even if a thread died that held the lock.
+        // The list stays valid when a thread panics while it holds the lock.
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Bytes that the features of a photo take while they are extracted, for each of its pixels.
+/// Memory of feature extraction, in bytes per pixel.
 const BYTES_PER_PIXEL: u64 = 16;
 
 fn memory_of(photo: &ImageInfo) -> u64 {

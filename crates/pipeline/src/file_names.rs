@@ -1,8 +1,8 @@
-//! Names of files that a workspace has for each of its models.
+//! Names of the files that a workspace has for each of its models.
 
-/// How the cameras of the largest model are held to each other.
+/// Rig extrinsics of the largest model.
 pub(crate) const RIG: &str = "rig.json";
-/// The folder of the models.
+/// Folder of the models.
 pub(crate) const SPARSE: &str = "sparse";
 
 /// The folder of a model, relative to the workspace.
@@ -10,13 +10,13 @@ pub(crate) fn model_path(index: usize) -> String {
     format!("{SPARSE}/{index}")
 }
 
-/// The file of a model's rig, relative to the workspace: `rig.json` of the largest model,
-/// `rig-1.json` of the next.
+/// The file of a model's rig extrinsics, relative to the workspace: `rig.json` for the largest
+/// model, `rig-1.json` for the next.
 pub(crate) fn rig_name(index: usize) -> String {
     if index == 0 { RIG.to_owned() } else { format!("rig-{index}.json") }
 }
 
-/// Whether a name is that of a model's rig.
+/// Whether [`rig_name`] can give a name.
 pub(crate) fn is_rig_name(name: &str) -> bool {
     let number = name.strip_prefix("rig-").and_then(|rest| rest.strip_suffix(".json"));
     name == RIG
@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_rigs_are_told_from_others() {
+    fn rig_names_are_recognised() {
         assert!((0..20).all(|index| is_rig_name(&rig_name(index))));
         let others = [
             "rig-0.json",

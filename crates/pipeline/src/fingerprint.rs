@@ -1,9 +1,9 @@
-//! Whether photos are still the same, without reading all of them.
+//! Fingerprints that detect changed photos without reading them completely.
 //!
-//! A file is told by its name, its size, and the BLAKE3 hash of its first and last 64 KiB. So
-//! copying or touching the photos changes nothing, and editing, replacing or exporting one anew
-//! does: it changes the size, the header or the end of the compressed data. Not noticed is only a
-//! change of bytes in the middle of a file that keeps its length.
+//! The fingerprint of a file covers its name, its size, and the BLAKE3 hash of its first and last
+//! 64 KiB. Copying or touching a photo does not change it. Editing or replacing one does, because
+//! the size, the header or the end of the compressed data changes. A change in the middle of a file
+//! that keeps its size goes undetected.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -17,8 +17,7 @@ use crate::Error;
 /// Bytes hashed at each end of a file.
 const END: u64 = 64 << 10;
 
-/// Of all images of a folder. An image that cannot be opened counts too: when it can, the
-/// fingerprint is another.
+/// Fingerprint of all images of a folder. An unreadable image has a hash of zeros.
 pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     let hashes: Vec<[u8; 32]> = (0..folder.images().len())
         .into_par_iter()
@@ -33,7 +32,7 @@ pub(crate) fn fingerprint(folder: &ImageFolder) -> Result<String, Error> {
     Ok(all.finalize().to_hex().to_string())
 }
 
-/// Of one small file, whole.
+/// Fingerprint of a small file, of its whole content.
 pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
     require_regular_file(path)?;
     let bytes =
@@ -41,7 +40,7 @@ pub(crate) fn of_text(path: &Path) -> Result<String, Error> {
     Ok(blake3::hash(&bytes).to_hex().to_string())
 }
 
-/// Of files of any size, in this order, whatever their names.
+/// Fingerprint of a list of files, without their names.
 pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
     let mut all = blake3::Hasher::new();
     for path in paths {
@@ -71,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ends_and_length_count_and_touching_does_not() {
+    fn file_fingerprint_depends_on_length_and_ends() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.jpg");
         let of = |bytes: &[u8]| {
@@ -92,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn names_count() {
+    fn folder_fingerprint_depends_on_names() {
         let dir = tempfile::tempdir().unwrap();
         let of =
             || fingerprint(&ImageFolder::open(&[dir.path().to_owned()], None).unwrap()).unwrap();

@@ -1,8 +1,8 @@
-//! What the names of images tell: the folder of their camera, and their number.
+//! Camera folder and number in the names of images.
 
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
-/// The folder that a camera's images are in, without its `/`.
+/// The folder of a camera's images, without a final `/`; `camera N` for images without one.
 pub(crate) fn folder_of(model: &Reconstruction, camera: CameraId) -> String {
     let image = model.images().find(|(_, image)| image.camera == camera);
     let name = image.map_or("", |(_, image)| image.name.as_str());
@@ -18,13 +18,13 @@ pub(crate) fn camera_of_folder<'a>(
     model.cameras().find(|(id, _)| folder_of(model, *id) == folder)
 }
 
-/// The folder in the name of the first image, with its `/`.
+/// The folder of the first image by name, with a final `/`; empty without one.
 pub(crate) fn first_folder(model: &Reconstruction) -> String {
     let first = model.images().map(|(_, image)| image.name.as_str()).min().unwrap_or("");
     first.rfind('/').map_or(String::new(), |end| first[..=end].to_owned())
 }
 
-/// The last number in a file's name, before its ending.
+/// The last number in a file name without extension.
 pub(crate) fn number(name: &str) -> Option<usize> {
     let stem = name.rsplit('/').next()?.split('.').next()?;
     stem.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()

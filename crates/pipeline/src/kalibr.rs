@@ -1,8 +1,8 @@
-//! The rig as Kalibr writes it: `camchain.yaml`, with the clocks.
+//! Kalibr's `camchain.yaml` of a rig, with time offsets.
 //!
-//! `T_cn_cnm1` takes a point of the camera before to this one. Kalibr has no clocks between
-//! cameras; `timeshift_cam0` is named after its `timeshift_cam_imu`: time of cam0 = time of this
-//! camera + timeshift. Its pixels count from the centre of the first one, ours from its corner.
+//! `T_cn_cnm1` is cam_n_from_cam_{n−1}. Kalibr has no time offsets between cameras;
+//! `timeshift_cam0` follows its `timeshift_cam_imu`: time of cam0 = time of this camera +
+//! timeshift. Kalibr has the centre of the first pixel at (0, 0), COLMAP at (0.5, 0.5).
 
 use std::fmt::Write;
 use std::path::Path;
@@ -15,10 +15,14 @@ use tiepoint_sfm::scene::{Camera, Reconstruction};
 use crate::image_names::camera_of_folder;
 use crate::{Error, RigCamera, RigFile};
 
-/// Pixels of ours less those of Kalibr.
-const CORNER_PX: f64 = 0.5;
+/// Pixel coordinates of COLMAP minus those of Kalibr.
+const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
 
-/// The text, and how many cameras it has.
+/// The text of `camchain.yaml` for the rig file at `rig`, and the number of its cameras.
+///
+/// # Errors
+///
+/// The rig file does not exist or is damaged, or names a camera that the model lacks.
 pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, usize), Error> {
     require_regular_file(rig)?;
     let text = std::fs::read(rig).map_err(|_| Error::NoRig { path: rig.to_owned() })?;
@@ -46,22 +50,23 @@ pub(crate) fn camchain(model: &Reconstruction, rig: &Path) -> Result<(String, us
             lens.width,
             lens.height
         );
-        yaml += &lens_lines(&lens.intrinsics);
+        yaml += &intrinsics_lines(&lens.intrinsics);
         if let Some(camera) = camera {
-            yaml += &mount_lines(&(pose * before.inverse()), camera);
+            yaml += &extrinsics_lines(&(pose * before.inverse()), camera);
         }
         before = pose;
     }
     Ok((yaml, file.cameras.len() + 1))
 }
 
-/// A text as it can stand in YAML: in quotes, as JSON has it, unless it is plain.
+/// A string in YAML, quoted as in JSON if it has special characters.
 fn yaml_text(text: &str) -> String {
     let is_plain = text.chars().all(|c| c.is_alphanumeric() || matches!(c, '/' | '_' | '-' | '.'));
     if is_plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
 }
 
-fn mount_lines(pose: &Rigid3, camera: &RigCamera) -> String {
+/// `T_cn_cnm1` (`pose`) and the time offset of a camera.
+fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 4>(0, 0).copy_from(&pose.to_matrix());
     let mut text = String::from("  T_cn_cnm1:\n");
@@ -73,7 +78,8 @@ fn mount_lines(pose: &Rigid3, camera: &RigCamera) -> String {
     text
 }
 
-fn lens_lines(intrinsics: &Intrinsics) -> String {
+/// Camera model, intrinsics and distortion in Kalibr's convention.
+fn intrinsics_lines(intrinsics: &Intrinsics) -> String {
     let p = intrinsics.params();
     let (model, distortion) = match intrinsics.kind() {
         CameraModelKind::SimplePinhole | CameraModelKind::Pinhole => ("radtan", vec![0.0; 4]),
@@ -81,7 +87,7 @@ fn lens_lines(intrinsics: &Intrinsics) -> String {
         CameraModelKind::Radial => ("radtan", vec![p[3], p[4], 0.0, 0.0]),
         CameraModelKind::Opencv => ("radtan", p[4..8].to_vec()),
         CameraModelKind::OpencvFisheye => ("equidistant", p[4..8].to_vec()),
-        // Kalibr has no such lens, and half of one would mislead.
+        // Kalibr does not have this model. A comment keeps the parameters.
         CameraModelKind::ThinPrismFisheye => {
             let params: Vec<String> = p.iter().map(f64::to_string).collect();
             return format!("  # {}: {}\n", intrinsics.kind().name(), params.join(", "));
@@ -94,8 +100,8 @@ fn lens_lines(intrinsics: &Intrinsics) -> String {
     format!(
         "  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {}, {}]\n  distortion_model: \
         {model}\n  distortion_coeffs: [{}]\n",
-        centre.x - CORNER_PX,
-        centre.y - CORNER_PX,
+        centre.x - PIXEL_CENTRE_OFFSET_PX,
+        centre.y - PIXEL_CENTRE_OFFSET_PX,
         distortion.join(", "),
     )
 }
@@ -107,13 +113,13 @@ mod tests {
     use tiepoint_sfm::scene::Image;
 
     #[test]
-    fn names_cannot_add_lines() {
+    fn special_characters_of_names_are_quoted() {
         assert_eq!(yaml_text("/cam_0/left-é.1"), "/cam_0/left-é.1");
         assert_eq!(yaml_text("/a\n  evil: 1"), r#""/a\n  evil: 1""#);
     }
 
     #[test]
-    fn a_chain_has_lenses_mountings_and_clocks() {
+    fn camchain_has_intrinsics_extrinsics_and_time_offsets() {
         let mut model = Reconstruction::default();
         let names = ["left", "right", "rear"];
         for name in names {
@@ -156,7 +162,7 @@ mod tests {
         let last = "cam2:\n  rostopic: /rear\n  resolution: [640, 480]\n  # THIN_PRISM_FISHEYE: \
         500, 500, 320, 240, 0, 0, 0, 0, 0, 0, 0, 0\n  T_cn_cnm1:\n";
         assert!(text.contains(last), "{text}");
-        // From the one before, not from the first.
+        // Relative to the previous camera, not to the first.
         assert!(
             text.ends_with(
                 "  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, \

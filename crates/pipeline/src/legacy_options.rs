@@ -1,17 +1,15 @@
-//! Options as workspaces held them before there were keys (records of versions 1 and 2): a few
-//! names, and as values the text that `#[derive(Debug)]` gave of whole structs at that time. They
-//! become keys and values of [`crate::option_keys`].
+//! Conversion of options in records of versions 1 and 2 to the keys of [`crate::option_keys`].
 //!
-//! The structs are flattened as they stand in the text, a field being a part of the key: those
-//! fields are the ones that keys were named after, so that nothing needs to be translated but the
-//! few values that the tables below name.
+//! These records have a few names, and as values the `#[derive(Debug)]` text of whole structs. The
+//! text of a struct is flattened, with the fields as parts of the key. The keys were named after
+//! these fields, so that only the few names and values below need a translation.
 
 use std::collections::BTreeMap;
 
 use crate::Stage;
 use crate::option_keys::NONE;
 
-/// Names without structure, and their keys.
+/// Names of plain values, and their keys.
 const PLAIN: [(Stage, &str, &str); 7] = [
     (Stage::Features, "camera-model", "features.camera_model"),
     (Stage::Features, "focal-prior", "features.focal_prior"),
@@ -21,18 +19,18 @@ const PLAIN: [(Stage, &str, &str); 7] = [
     (Stage::Match, "seed", "match.seed"),
     (Stage::Map, "baseline", "mapper.baseline"),
 ];
-/// Names whose values are texts of structs, and what the keys of the fields begin with.
+/// Names whose values are texts of structs, and the prefix of the keys of their fields.
 const STRUCTS: [(Stage, &str, &str); 4] = [
     (Stage::Features, "detector", "features.detector"),
     (Stage::Match, "matching", "match.descriptors"),
     (Stage::Match, "verification", "match.verify"),
     (Stage::Map, "mapper", "mapper"),
 ];
-/// Structs and enums in each other, at most; options had four.
+/// Maximum nesting of structs and enums; the options have a nesting of four.
 const MAX_DEPTH: usize = 8;
 
-/// The options of a stage by key. What cannot be read stays under its name: it then differs from
-/// all that can be asked for.
+/// The options of a stage by key. An option that cannot be parsed keeps its old name, so that it
+/// differs from every option that can be asked for.
 pub(crate) fn by_key(stage: Stage, options: &BTreeMap<String, String>) -> BTreeMap<String, String> {
     let mut texts = BTreeMap::new();
     for (name, value) in options {
@@ -48,7 +46,7 @@ pub(crate) fn by_key(stage: Stage, options: &BTreeMap<String, String>) -> BTreeM
         }
     }
     texts.retain(|_, value| value != NONE);
-    // It was "0.62 m".
+    // The old value has a space, "0.62 m".
     texts.entry("mapper.baseline".to_owned()).and_modify(|baseline| baseline.retain(|c| c != ' '));
     texts.entry("mapper.readout".to_owned()).and_modify(|readout| {
         if let Some(time_s) = readout.strip_prefix("known:") {
@@ -60,7 +58,7 @@ pub(crate) fn by_key(stage: Stage, options: &BTreeMap<String, String>) -> BTreeM
     texts
 }
 
-/// A text of `#[derive(Debug)]`.
+/// A parsed text of `#[derive(Debug)]`.
 #[derive(Debug, PartialEq)]
 enum Debug<'a> {
     /// `Name { field: value, .. }`.
@@ -128,11 +126,11 @@ impl<'a> Debug<'a> {
     fn to_text(&self) -> String {
         let (word, values) = match self {
             Self::Value(word, values) => (*word, values.as_slice()),
-            // No variant of an enum held a struct.
+            // No enum variant in the options has a struct.
             Self::Struct(_) => ("", [].as_slice()),
         };
         let mut text = match word.parse::<f64>() {
-            // Integers may have more digits than a float, and are what they are.
+            // Integers may have more digits than a float, and are kept as text.
             Ok(number) if word.parse::<i128>().is_err() => number.to_string(),
             Ok(_) => word.to_owned(),
             Err(_) => snake_case(word),
@@ -145,7 +143,7 @@ impl<'a> Debug<'a> {
     }
 }
 
-/// A name or a number.
+/// Takes a name or a number from the start of the text.
 fn take_word<'a>(rest: &mut &'a str) -> Option<&'a str> {
     let is_of_word = |c: char| c.is_ascii_alphanumeric() || "_.-+".contains(c);
     let end = rest.find(|c| !is_of_word(c)).unwrap_or(rest.len());
@@ -211,9 +209,9 @@ mod tests {
         given.map(|(key, value)| (key.to_owned(), value)).collect()
     }
 
-    /// The texts are those that the version before wrote.
+    /// The texts are those of the previous version.
     #[test]
-    fn features_of_the_version_before() {
+    fn feature_options_of_the_previous_version() {
         let unknown = [("camera-model", "SIMPLE_RADIAL"), ("detector", PLAIN_DETECTOR)];
         let (calibration, detector) = (Calibration::default(), sift::Options::default());
         assert_eq!(
@@ -265,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn matches_of_the_version_before() {
+    fn match_options_of_the_previous_version() {
         let texts = [
             (
                 "matching",
@@ -307,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn models_of_the_version_before() {
+    fn map_options_of_the_previous_version() {
         let mapper = |refine: &str, loss: &str, end: &str| {
             format!(
                 "MapperOptions {{ refine: RefineIntrinsics {{ focal: {refine}, principal_point: \
@@ -354,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_stays_and_is_different() {
+    fn unparsable_options_are_kept() {
         let deep = "A(".repeat(1 << 20);
         for text in [
             "",

@@ -17,8 +17,7 @@ mod legacy_options;
 mod mapping;
 mod matching;
 mod memory;
-mod metric;
-mod model_place;
+mod model_location;
 mod option_keys;
 mod ordered;
 mod output_file;
@@ -27,10 +26,11 @@ mod photos;
 mod reconstruct;
 mod records;
 mod report;
+mod rig_evaluation;
 mod rig_file;
-mod rig_over_time;
 mod rig_report;
 mod rigid;
+mod scale;
 mod stage;
 mod surface;
 mod table;
@@ -46,13 +46,12 @@ pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,
     model_folder,
 };
-pub(crate) use event::tell;
+pub(crate) use event::emit;
 pub use event::{Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
 pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
-pub use metric::ScaleReport;
 pub use output_file::{refuse_foreign_page, write_page};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
@@ -60,16 +59,17 @@ pub use report::{
     CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage,
     StageReports,
 };
+pub use rig_evaluation::{RigEvaluation, evaluate_rig};
 pub use rig_file::{RigCamera, RigClock, RigFile};
-pub use rig_over_time::{RigEvaluation, evaluate_rig};
-pub use rig_report::{MountingReport, PaperReport, RigCameraReport, RigReport, SplitReport};
+pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
 pub use rigid::RigidReport;
+pub use scale::ScaleReport;
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};
 pub use table::{Table, TableRow};
 pub use tiepoint_eval as eval;
 pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
-pub use video::{DEFAULT_EVERY, Opened, open_input};
-pub use view::{Exhibit, Whereabouts, report_html, view};
+pub use video::{DEFAULT_EVERY, OpenedInput, open_input};
+pub use view::{CameraError, ReportModel, report_html, view};
 pub use workspace::Workspace;

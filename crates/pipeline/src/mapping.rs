@@ -1,4 +1,5 @@
-//! Third stage: poses and points, from the database to `sparse/`, `points.ply` and the report.
+//! Stage 3: incremental mapping from the database to `sparse/`, `points.ply`, `rig.json` and the
+//! report.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
@@ -16,26 +17,34 @@ use tiepoint_sfm::{
 use crate::colors::color_points;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::matching::keypoint;
-use crate::metric::{ScaleReport, scale_to_baseline};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
+use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
-    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, option_keys,
-    tell,
+    Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
+    option_keys,
 };
 
-/// How to map.
+/// Options of mapping.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MapOptions {
-    /// The mapper.
+    /// Options of the mapper.
     pub mapper: MapperOptions,
-    /// Distance of the first camera and the next, in metres: it sets the size of the models.
+    /// Known distance between the first two cameras, in metres: it determines the scale of the
+    /// models.
     pub baseline_m: Option<f64>,
 }
 
-/// Maps a workspace that has matches: models of everything that hangs together, the largest first.
+/// Maps a workspace that has matches and writes its models, the largest first.
+///
+/// # Errors
+///
+/// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
+/// it; no image pair overlaps; a rig constraint or a rolling shutter is asked for and the capture
+/// times do not suffice; the mapper fails; a file cannot be read or written; `watch` returns
+/// `Break`.
 pub fn map(
     workspace: &mut Workspace,
     options: &MapOptions,
@@ -51,25 +60,25 @@ pub fn map(
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
-    // Refused, if at all, before hours of work. What is there stays until the new models are.
+    // Foreign files are detected before mapping. Old models stay until the new ones are complete.
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let (graph, scene) = load(workspace)?;
     let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
-    tell(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
     if graph.pairs().is_empty() {
         let required = VerifyOptions::default().min_num_inliers;
         return Err(no_overlap(workspace, required)?);
     }
     match options.rig {
         RigTerm::Off | RigTerm::Auto => {}
-        term => require_moments(workspace, &scene, term)?,
+        term => require_synchronous_images(workspace, &scene, term)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
-        return Err(Error::NoMotion { path: workspace.root().to_owned() });
+        return Err(Error::NoTimedSequence { path: workspace.root().to_owned() });
     }
     let name = |id| scene.image(id).name.as_str();
     let database = Database::open(&workspace.database())?;
@@ -92,8 +101,8 @@ pub fn map(
         &workspace.records.inputs,
         models.iter_mut().map(|model| &mut model.reconstruction),
     ) {
-        // The photos may have moved since; the model does not need them.
-        tell(watch, &Event::PointsGrey { why: &error.to_string() })?;
+        // The photos may have moved; the model is valid without colours.
+        emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
     let scales: Vec<Option<ScaleReport>> = match baseline_m {
         Some(baseline_m) => {
@@ -108,7 +117,7 @@ pub fn map(
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
-            failed: model.failures.iter().map(what_failed).collect(),
+            failed: model.failures.iter().map(describe_failure).collect(),
             rig: RigReport::new(options.rig, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
@@ -121,21 +130,19 @@ pub fn map(
         all.stages.map = Some(MapReport { seconds });
         all.models = reports;
     })?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// A sentence.
-fn what_failed(Failure { stage, why }: &Failure) -> String {
-    let what = match stage {
-        OptionalStage::RollingShutter => {
-            "what a rolling shutter did could not be taken off the keypoints"
-        }
-        OptionalStage::Rig => "the cameras could not be held to each other",
+/// A failed optional stage, as a sentence.
+fn describe_failure(Failure { stage, why }: &Failure) -> String {
+    let stage = match stage {
+        OptionalStage::RollingShutter => "the rolling-shutter correction failed",
+        OptionalStage::Rig => "the estimation of rig extrinsics failed",
     };
-    format!("{what}, and the model is as it was before: {why}")
+    format!("{stage}, and the model is the one before it: {why}")
 }
 
-/// The scene without poses, and what relates its images, as they stand in the database.
+/// Reads the database: the correspondence graph, and the scene without poses.
 fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), Error> {
     let database = Database::open(&workspace.database())?;
     let mut scene = Reconstruction::default();
@@ -157,6 +164,7 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
     Ok((graph, scene))
 }
 
+/// [`Error::NoOverlap`] with the numbers of the database.
 fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
     let database = Database::open(&workspace.database())?;
     let matches = database.read_matches()?;
@@ -164,14 +172,14 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
     let is_given = |option: &&str| workspace.records.option(Stage::Features, option).is_some();
     let given = [option_keys::INTRINSICS, option_keys::FOCAL_PRIOR];
     let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
-    let told = cameras.iter().find(|camera| camera.has_focal_prior);
+    let camera = cameras.iter().find(|camera| camera.has_focal_prior);
     let from_exif =
-        told.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
+        camera.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
     let path = workspace.root().to_owned();
     Ok(Error::NoOverlap { path, pairs: matches.len(), best, required, from_exif })
 }
 
-/// What the mapper tells, with names for ids.
+/// An event of the mapper with image names in place of ids.
 fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
     Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => {
@@ -193,14 +201,19 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
             }
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
-        // These are for the report.
-        sfm::Event::Failed(_) | sfm::Event::Merged { .. } => return None,
+        // The report has these.
+        sfm::Event::Failed(_) | sfm::Event::Joined { .. } => return None,
     })
 }
 
-/// A rig term joins moments at which two cameras took an image; without two of them it would
-/// silently be nothing. With times on clocks of their own, images need no partner.
-fn require_moments(
+/// Checks that a rig constraint has something to constrain: two cameras with two pairs of
+/// synchronous images, or, except for `paper`, times of all images of two cameras, whose clocks
+/// need not be synchronised.
+///
+/// # Errors
+///
+/// [`Error::NoSynchronousImages`].
+fn require_synchronous_images(
     workspace: &Workspace,
     scene: &Reconstruction,
     term: RigTerm,
@@ -212,17 +225,17 @@ fn require_moments(
         return Ok(());
     }
     let cameras = scene.cameras().count();
-    Err(Error::NoMoments { path: workspace.root().to_owned(), cameras })
+    Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
 }
 
-/// Whether some camera has enough images with times to be followed through them.
+/// Whether a camera has enough images with times for the interpolation of its motion.
 fn is_timed(scene: &Reconstruction) -> bool {
     const MIN_TIMES: usize = 4;
     let times = |id| scene.images().filter(|(_, i)| i.camera == id && i.time_s.is_some()).count();
     scene.cameras().any(|(id, _)| times(id) >= MIN_TIMES)
 }
 
-/// What new models take the place of: all files of models that are there, and what tells of them.
+/// Names of all existing files of models, which new models replace.
 fn replaced_names(workspace: &Workspace) -> Vec<String> {
     let prefix = format!("{SPARSE}/");
     let earlier = workspace.folder.names().filter(|name| name.starts_with(&prefix));
@@ -231,14 +244,17 @@ fn replaced_names(workspace: &Workspace) -> Vec<String> {
     names.extend(models.flat_map(|model| model_names(Some(&model))));
     names.insert(POINTS.to_owned());
     names.extend(workspace.folder.names().filter(|name| is_rig_name(name)).map(str::to_owned));
-    // Also those of others, so that they are refused before any work is done.
+    // Also foreign files, which are then rejected before mapping.
     names.extend(rigs_in(workspace.root()));
     names.retain(|name| std::fs::symlink_metadata(workspace.root().join(name)).is_ok());
     names.into_iter().collect()
 }
 
-/// Writes all models with the rigs of those whose cameras are held to each other, and the cloud of
-/// the largest. Gives the files' names.
+/// Stages all models, their rig extrinsics, and the cloud of the largest. Returns the file names.
+///
+/// # Errors
+///
+/// A file cannot be written.
 fn stage_models(workspace: &Workspace, models: &[MappedModel]) -> Result<Vec<String>, Error> {
     let mut names = Vec::new();
     let Some(largest) = models.first() else { return Ok(names) };
@@ -266,12 +282,12 @@ mod tests {
     use tiepoint_sfm::rig::Clock;
     use tiepoint_sfm::scene::{Camera, ImagePair};
     use tiepoint_sfm::{
-        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, SensorPair,
+        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, RigSensor,
     };
 
     use super::*;
 
-    /// Two cameras so far apart, with a wrong pair where that is so.
+    /// A model of two cameras with this baseline and rig extrinsics.
     fn model(baseline: f64, has_bad_pair: bool) -> MappedModel {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
@@ -284,7 +300,7 @@ mod tests {
         });
         model.register(left, Rigid3::identity());
         model.register(right, right_from_left);
-        let sensor_pair = SensorPair {
+        let rig_sensor = RigSensor {
             left: model.image(left).camera,
             right: model.image(right).camera,
             clock: Clock::default(),
@@ -294,7 +310,7 @@ mod tests {
         };
         let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
         let camera = CalibratedCamera {
-            sensor_pair,
+            rig_sensor,
             right_from_left,
             covariance: None,
             constraint,
@@ -320,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn each_model_has_the_file_of_its_own_rig() {
+    fn each_model_has_its_own_rig_file() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("ws");
         let mut workspace = Workspace::create(&root).unwrap();
@@ -330,8 +346,8 @@ mod tests {
             stage_models(&workspace, &[model(1.0, false), without, model(2.0, true)]).unwrap();
         workspace.publish(names, &[], |_| {}).unwrap();
         let rig = |index| {
-            let place = crate::model_place::ModelPlace::of(&root.join(model_path(index)));
-            let path = place.rig();
+            let path =
+                crate::model_location::ModelLocation::of(&root.join(model_path(index))).rig();
             path.is_file()
                 .then(|| RigFile::from_json(&path, &std::fs::read(&path).unwrap()).unwrap())
         };
@@ -343,12 +359,12 @@ mod tests {
         assert_eq!(centre(&third.clone().unwrap()), 2.0);
         let pair = ["left/0.png", "right/0.png"].map(str::to_owned);
         assert_eq!(third.unwrap().bad_pairs, Some(vec![pair]));
-        // New models take all files of the ones before with them.
+        // New models replace all files of the old ones.
         let replaced = replaced_names(&workspace);
         for name in ["rig.json", "rig-2.json", "sparse/2/images.bin"] {
             assert!(replaced.iter().any(|other| other == name), "{name}: {replaced:?}");
         }
-        // Also where somebody has deleted a model, or has a file of such a name.
+        // Also if the user has deleted a model, or if a foreign file has such a name.
         std::fs::remove_dir_all(root.join("sparse/2")).unwrap();
         std::fs::write(root.join("rig-7.json"), "mine").unwrap();
         let replaced = replaced_names(&workspace);

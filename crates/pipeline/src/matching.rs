@@ -1,7 +1,7 @@
-//! Second stage: which images show the same things, and which of their keypoints.
+//! Stage 2: matches image pairs and verifies them by two-view geometry.
 //!
-//! Pairs are worked off in tiles of the table image × image, so that the descriptors of two blocks
-//! of images are in memory at a time and no more, however many images there are.
+//! Pairs are processed in tiles of the image × image matrix, so that at most the descriptors of two
+//! blocks of images are in memory at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
@@ -19,31 +19,31 @@ use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
 use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
-use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, option_keys, tell};
+use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit, option_keys};
 
-/// Images on a side of a tile. 8192 features take 1.4 MiB with their short forms: a tile takes a
-/// third of a gigabyte.
+/// Images per side of a tile. 8192 prepared features take 1.4 MiB, so that a tile takes a third of
+/// a gigabyte.
 const TILE: u32 = 128;
-/// Pairs written in one transaction: what an interruption loses.
+/// Pairs per transaction: an interruption loses at most these.
 const PAIRS_PER_TRANSACTION: usize = 64;
 
-/// Images that the vocabulary is learnt from, evenly spread, and descriptors of each: about 400 for
-/// each word.
+/// Size of the sample that the visual vocabulary is learnt from: number of images, and descriptors
+/// per image. It gives about 400 descriptors per word.
 const SAMPLE_IMAGES: usize = 256;
 const SAMPLE_DESCRIPTORS: usize = 200;
-/// Images in memory before they are made ready: for matching, or described as a whole.
+/// Images that are read from the database at a time.
 const IMAGES_READ_AT_ONCE: usize = 16;
 
-/// How to match.
+/// Options of matching.
 #[derive(Clone, Debug)]
 pub struct MatchOptions {
-    /// Which images with which.
+    /// Image pairs to match.
     pub pairs: PairSelection,
-    /// Which descriptors with which.
+    /// Options of descriptor matching.
     pub descriptors: matching::Options,
-    /// What counts as a two-view geometry.
+    /// Options of geometric verification.
     pub verify: VerifyOptions,
-    /// Seed of the random samples.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -59,19 +59,25 @@ impl Default for MatchOptions {
 }
 
 impl MatchOptions {
+    /// The recipe of the stage; `input`: fingerprint of the feature stage.
     fn recipe(&self, input: String) -> Recipe {
         let Self { pairs, descriptors, verify, seed } = self;
         Recipe::new(input, option_keys::of_matching(pairs, descriptors, verify, *seed))
     }
 }
 
-/// An image in memory for matching.
+/// Features of an image in memory.
 struct Loaded {
     keypoints: Vec<Keypoint>,
     descriptors: Prepared,
 }
 
-/// Matches and verifies the pairs of a workspace that has features.
+/// Matches and verifies the pairs of a workspace that has features, or resumes that.
+///
+/// # Errors
+///
+/// The options are invalid; the workspace has no features; the stage was run with other options,
+/// and `redo` does not ask for it; the database cannot be read or written; `watch` returns `Break`.
 pub fn match_images(
     workspace: &mut Workspace,
     options: &MatchOptions,
@@ -83,7 +89,7 @@ pub fn match_images(
     let recipe = options.recipe(workspace.fingerprint(Stage::Features)?);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
-        return tell(watch, &Event::StageKept { stage: STAGE });
+        return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
     let mut database = Database::open(&workspace.database())?;
@@ -95,8 +101,8 @@ pub fn match_images(
     let all = select_pairs(workspace, &database, &images, options)?;
     let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
     let tiles = tiles(all.iter().copied().filter(|pair| !done.contains(pair)));
-    let mut report = report(&database)?;
-    tell(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
+    let mut report = report_so_far(&database)?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
 
     let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
     for pairs in &tiles {
@@ -112,24 +118,24 @@ pub fn match_images(
             if batch.len() >= PAIRS_PER_TRANSACTION {
                 write(&mut database, &mut batch)?;
             }
-            tell(watch, &event)
+            emit(watch, &event)
         });
-        // What is done is kept even when the caller asked to stop.
+        // Completed pairs are kept when the callback stops the run.
         write(&mut database, &mut batch)?;
         taken?;
     }
     let seconds = start.elapsed().as_secs_f64();
     report.seconds = seconds;
-    // The report first: a database that says that all is there is the last word.
+    // The report is written first, because the database marks the stage as complete.
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.matches = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
     database.finish()?;
-    tell(watch, &Event::StageDone { stage: STAGE, seconds })
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs among the images of each camera, in order of their names or, where all times are
-/// known, of their times; and those that look alike.
+/// The pairs to match. The images of a camera are ordered by time if all times are known, else by
+/// name; similar images are found by the visual vocabulary.
 fn select_pairs(
     workspace: &Workspace,
     database: &Database,
@@ -163,8 +169,7 @@ fn select_pairs(
     Ok(pairs.into_iter().filter_map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b))).collect())
 }
 
-/// What every image looks like as a whole, by a vocabulary that is learnt from some of them. Images
-/// are read a few at a time.
+/// Global descriptors of all images, from a visual vocabulary that is learnt from a sample of them.
 fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
     let mut sample = Vec::new();
     for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
@@ -186,7 +191,7 @@ fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
     Ok(bank)
 }
 
-/// Groups pairs by the tile that they lie in.
+/// Groups pairs by tile.
 fn tiles(pairs: impl Iterator<Item = ImagePair>) -> Vec<Vec<ImagePair>> {
     let mut tiles: BTreeMap<(u32, u32), Vec<ImagePair>> = BTreeMap::new();
     for pair in pairs {
@@ -195,7 +200,7 @@ fn tiles(pairs: impl Iterator<Item = ImagePair>) -> Vec<Vec<ImagePair>> {
     tiles.into_values().collect()
 }
 
-/// Brings the images of these pairs into memory, and lets go of all others.
+/// Loads the features of the images of these pairs, and drops all others.
 fn load(
     database: &Database,
     pairs: &[ImagePair],
@@ -209,7 +214,7 @@ fn load(
         let keypoints = features.keypoints.iter().map(keypoint).collect();
         (image, Loaded { keypoints, descriptors: Prepared::new(&features.descriptors) })
     };
-    // A few at a time, so that not all are in memory twice.
+    // In batches, so that few images are in memory twice.
     for batch in missing.chunks(IMAGES_READ_AT_ONCE) {
         let read = batch.iter().map(|&image| Ok((image, database.read_features(image)?)));
         let features = read.collect::<Result<Vec<_>, Error>>()?;
@@ -218,7 +223,7 @@ fn load(
     Ok(())
 }
 
-/// A keypoint as the scene has it.
+/// Converts a keypoint of the detector to one of the scene.
 pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
     Keypoint {
         pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)),
@@ -226,6 +231,8 @@ pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
     }
 }
 
+/// Matches the descriptors of a pair and estimates its two-view geometry. The random seed depends
+/// only on `options.seed` and the pair.
 fn match_pair(
     pair: ImagePair,
     loaded: &BTreeMap<ImageId, Loaded>,
@@ -245,7 +252,7 @@ fn match_pair(
     (matches, two_view)
 }
 
-/// Writes pairs; the list is empty afterwards.
+/// Writes the pairs of a batch in one transaction, and empties it.
 fn write(
     database: &mut Database,
     batch: &mut Vec<(ImagePair, Vec<Match>, TwoView)>,
@@ -256,8 +263,9 @@ fn write(
     Ok(())
 }
 
-/// What an earlier run left, by counts: the matches of a long video do not fit into memory.
-fn report(database: &Database) -> Result<MatchReport, Error> {
+/// The report on the pairs in the database. Only counts are read, because the matches of a long
+/// video may not fit into memory.
+fn report_so_far(database: &Database) -> Result<MatchReport, Error> {
     let mut report = MatchReport::default();
     let inliers: BTreeMap<ImagePair, Option<usize>> =
         database.inlier_counts()?.into_iter().collect();
@@ -267,7 +275,7 @@ fn report(database: &Database) -> Result<MatchReport, Error> {
     Ok(report)
 }
 
-/// One pair more, with the number of its matches and, if it is verified, of those that agree.
+/// Adds a pair to the report. `inliers`: number of inliers if the pair is verified.
 fn count(report: &mut MatchReport, matches: usize, inliers: Option<usize>) {
     report.pairs += 1;
     report.matches += matches;
@@ -286,8 +294,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn images_of_one_place_are_found_by_what_they_look_like() {
-        /// More than are read at once, and each place seen twice.
+    fn similar_images_are_paired() {
+        /// More than are read at a time; two images per place.
         const PLACES: usize = 50;
         const FEATURES: usize = 40;
         let folder = tempfile::tempdir().unwrap();
@@ -318,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_hold_every_pair_once_and_few_images() {
+    fn tiles_have_every_pair_once_and_few_images() {
         let pair = |a, b| ImagePair::new(ImageId(a), ImageId(b)).unwrap();
         let pairs: Vec<ImagePair> =
             (0..300).flat_map(|a| (a + 1..300).step_by(7).map(move |b| pair(a, b))).collect();

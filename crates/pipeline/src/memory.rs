@@ -1,14 +1,14 @@
-//! How much memory may be used at once for what can wait.
+//! Memory budget for parallel work.
 
-/// What is taken where the system does not tell: half of a small machine's.
-const UNKNOWN_BYTES: u64 = 4 << 30;
+/// Budget where the available memory is unknown: half of a small machine's memory.
+const DEFAULT_BYTES: u64 = 4 << 30;
 
-/// Half of the memory that is free now: the rest is for what else grows.
+/// Half of the memory that is available now.
 pub(crate) fn budget_bytes() -> u64 {
-    available_bytes().map_or(UNKNOWN_BYTES, |bytes| bytes / 2)
+    available_bytes().map_or(DEFAULT_BYTES, |bytes| bytes / 2)
 }
 
-/// What Linux reckons can be used without swapping.
+/// `MemAvailable` of Linux: the memory that can be used without swapping.
 fn available_bytes() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_is_some() {
+    fn budget_is_positive() {
         assert!(budget_bytes() > 1 << 20);
         assert_eq!(available_bytes().is_some(), cfg!(target_os = "linux"));
     }

@@ -1,14 +1,13 @@
-//! The options of each stage as texts: a dotted key and a value for every one.
+//! The options of each stage as texts: a dotted key and a value each.
 //!
-//! A stage is kept as long as these texts stay the same, so they are part of the format of a
-//! workspace: no key and no value follows from the name of a field or a type. Every struct is taken
-//! apart without `..`, so that a new option does not compile until it has a key here.
-//! Floating-point numbers have the fewest digits that bring them back. `none` is an option that is
-//! not given: records leave it out.
+//! A complete stage is kept as long as these texts are the same, so that they are part of the
+//! format of a workspace. Therefore keys and values are written out here instead of being derived
+//! from the names of fields and types. Every struct is destructured without `..`, so that a new
+//! option does not compile until it has a key. Floating-point numbers have the shortest digits that
+//! round-trip. `none` stands for an option that is not given; records leave it out.
 //!
-//! Where a value has another meaning than before, or a key is new and its value not `none`, the
-//! stages of earlier workspaces differ from those that are asked for. `crate::legacy_options` reads
-//! the texts of workspaces from before there were keys.
+//! Stages of existing workspaces become invalid if a value changes its meaning, or if a new key has
+//! a value other than `none`. `crate::legacy_options` reads workspaces without keys.
 
 use tiepoint_io::MAX_PIXELS;
 use tiepoint_io::features::{
@@ -28,15 +27,15 @@ use crate::cameras::Calibration;
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
 
-/// Intrinsics that are known: the mapper keeps them.
+/// Key of known intrinsics, which the mapper keeps fixed.
 pub(crate) const INTRINSICS: &str = "features.intrinsics";
 
-/// A focal length that is known roughly.
+/// Key of the initial focal length.
 pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
-/// How many pixels a photo may have, in millions as on the command line.
+/// Key of the limit on the pixels of a photo, in millions.
 const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
-/// Keys of options that have a name on the command line.
+/// Keys of options of the command line, and their names there.
 const ON_COMMAND_LINE: [(&str, &str); 11] = [
     ("features.camera_model", "--camera-model"),
     (FOCAL_PRIOR, "--focal-prior"),
@@ -51,7 +50,7 @@ const ON_COMMAND_LINE: [(&str, &str); 11] = [
     ("mapper.seed", "--seed"),
 ];
 
-/// What a user calls an option: as on the command line where it is there, else its key.
+/// The name of an option in messages: that on the command line if it has one, else its key.
 pub(crate) fn shown(key: &str) -> &str {
     ON_COMMAND_LINE.iter().find(|(own, _)| *own == key).map_or(key, |(_, name)| name)
 }
@@ -59,7 +58,7 @@ pub(crate) fn shown(key: &str) -> &str {
 /// Keys with their values.
 type Texts = Vec<(&'static str, String)>;
 
-/// Of the first stage. `timestamps` stands for the content of the file.
+/// Options of the feature stage. `timestamps`: hash of the file of capture times.
 pub(crate) fn of_features(
     calibration: &Calibration,
     detector: &DetectorOptions,
@@ -125,13 +124,13 @@ pub(crate) fn of_features(
     texts
 }
 
-/// Of the first stage, too: how many pixels a photo may have. The default is not written, since
-/// workspaces from before there was a limit have photos below it.
+/// The limit on pixels, an option of the feature stage. The default is `none`, so that workspaces
+/// of versions without a limit stay valid.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
     (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
 
-/// Of the second stage.
+/// Options of the match stage.
 pub(crate) fn of_matching(
     pairs: &PairSelection,
     descriptors: &DescriptorOptions,
@@ -147,7 +146,7 @@ pub(crate) fn of_matching(
         Method::Cheapest(checks) => format!("cheapest:{}", of_checks(checks)),
     };
     let mut texts = vec![
-        // As users write it: the format of the option is fixed.
+        // In the format of the command line.
         ("match.pairs", pairs.to_string()),
         ("match.seed", seed.to_string()),
         ("match.descriptors.max_ratio", or_none(*max_ratio)),
@@ -168,7 +167,7 @@ pub(crate) fn of_matching(
     texts
 }
 
-/// Of the third stage.
+/// Options of the map stage.
 pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
     let MapperOptions {
         refine: RefineIntrinsics { focal, principal_point, distortion },
@@ -262,10 +261,10 @@ mod tests {
         texts.into_iter().map(|(key, value)| format!("{key} = {value}")).collect()
     }
 
-    /// A workspace of yesterday is compared with these. A line that must change here makes every
-    /// workspace different: give [`crate::legacy_options`] the old one.
+    /// Existing workspaces have these texts. Changing a line invalidates all of them, unless
+    /// [`crate::legacy_options`] converts the old one.
     #[test]
-    fn keys_and_defaults_stay_what_they_are() {
+    fn keys_and_default_values_are_fixed() {
         let found = lines(of_features(&Calibration::default(), &DetectorOptions::default(), None));
         let expected = [
             "features.camera_model = SIMPLE_RADIAL",
@@ -332,7 +331,7 @@ mod tests {
 
     /// Values that are not the defaults.
     #[test]
-    fn other_values_stay_what_they_are() {
+    fn texts_of_other_values_are_fixed() {
         let intrinsics =
             Intrinsics::new(CameraModelKind::Pinhole, &[500.25, 501.0, 1e-7, 240.0]).unwrap();
         let detector = DetectorOptions {
@@ -434,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn no_key_is_there_twice_and_every_name_of_the_command_line_has_one() {
+    fn keys_are_unique_and_include_all_of_the_command_line() {
         let (detector, mapper) = (DetectorOptions::default(), MapperOptions::default());
         let mut keys: Vec<&str> = of_features(&Calibration::default(), &detector, None)
             .into_iter()

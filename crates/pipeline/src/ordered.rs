@@ -1,8 +1,8 @@
-//! Parallel work whose results are taken in order, with a bounded number of them waiting, and
-//! within a budget of memory.
+//! Parallel tasks whose results are consumed in order, with a bounded number of pending results and
+//! a memory budget.
 //!
-//! Tasks run on rayon's current pool; the calling thread takes the results, one by one in the order
-//! of the tasks, so that what it does with them does not depend on the number of threads.
+//! Tasks run on rayon's current pool. The calling thread consumes the results in the order of the
+//! tasks, so that the outcome does not depend on the number of threads.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -10,25 +10,33 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
-/// Tasks that are running or whose results wait, for each thread: enough that none idles while a
-/// slow one is awaited.
+/// Maximum number of running tasks and pending results per thread: enough that no thread idles
+/// behind a slow task.
 const WINDOW_PER_THREAD: usize = 3;
-/// How long a thread of the pool sleeps when there is nothing to do but wait.
-const NAP: Duration = Duration::from_micros(200);
+/// Sleep of an idle thread of the pool between polls.
+const IDLE_SLEEP: Duration = Duration::from_micros(200);
 
-/// Calls `work` for every task in parallel, and `take` for every result in order, until that fails.
+/// Calls `work` for every task in parallel and `take` for every result in order.
+///
+/// # Errors
+///
+/// The first error of `take`, which ends the loop.
 pub(crate) fn for_each_in_order<T: Sync, R: Send, E>(
     tasks: &[T],
     work: impl Fn(&T) -> R + Sync,
     take: impl FnMut(&T, R) -> Result<(), E>,
 ) -> Result<(), E> {
-    for_each_within(u64::MAX, |_| 0, tasks, work, take)
+    for_each_within_budget(u64::MAX, |_| 0, tasks, work, take)
 }
 
-/// The same for work that takes memory: a task waits until the `bytes` of all that run and its own
-/// are within a budget, or until nothing else runs. So a budget delays, but what comes out does not
-/// depend on it.
-pub(crate) fn for_each_within<T: Sync, R: Send, E>(
+/// [`for_each_in_order`] with a memory budget: a task waits until its `bytes` and those of all
+/// running tasks are within `budget`, or until no other task runs. The results do not depend on the
+/// budget.
+///
+/// # Errors
+///
+/// The first error of `take`, which ends the loop.
+pub(crate) fn for_each_within_budget<T: Sync, R: Send, E>(
     budget: u64,
     bytes: impl Fn(&T) -> u64,
     tasks: &[T],
@@ -40,8 +48,8 @@ pub(crate) fn for_each_within<T: Sync, R: Send, E>(
     rayon::in_place_scope(|scope| {
         let work = &work;
         let (mut started, mut in_use) = (0, 0u64);
-        // Threads of the pool never wait for memory: one may have stolen its task from within
-        // another that holds some.
+        // Only the calling thread waits for memory. A waiting thread of the pool could deadlock: it
+        // may run a stolen task inside another one that holds memory.
         let mut start = |taken: usize, done: Option<usize>| {
             in_use -= done.map_or(0, |done| bytes(&tasks[done]));
             while let Some(task) = tasks[..tasks.len().min(taken + window)].get(started)
@@ -50,7 +58,7 @@ pub(crate) fn for_each_within<T: Sync, R: Send, E>(
                 let (sender, index) = (sender.clone(), started);
                 scope.spawn(move |_| {
                     let result = catch_unwind(AssertUnwindSafe(|| work(task)));
-                    // Nobody listens after an error.
+                    // The receiver is gone after an error.
                     let _ = sender.send((index, result));
                 });
                 in_use += bytes(task);
@@ -74,8 +82,8 @@ pub(crate) fn for_each_within<T: Sync, R: Send, E>(
     })
 }
 
-/// Waits for a message; on a thread of the pool by working, since the sender may have no other
-/// thread to run on.
+/// Waits for a message. A thread of the pool runs other tasks meanwhile, because the sender may
+/// have no other thread to run on.
 fn receive<T>(receiver: &Receiver<T>) -> T {
     loop {
         if let Ok(message) = receiver.try_recv() {
@@ -83,7 +91,7 @@ fn receive<T>(receiver: &Receiver<T>) -> T {
         }
         match rayon::yield_now() {
             Some(rayon::Yield::Executed) => {}
-            Some(rayon::Yield::Idle) => thread::sleep(NAP),
+            Some(rayon::Yield::Idle) => thread::sleep(IDLE_SLEEP),
             None => return receiver.recv().expect("the caller holds a sender"),
         }
     }
@@ -96,7 +104,7 @@ mod tests {
     fn squares(tasks: &[u64]) -> Vec<u64> {
         let mut taken = Vec::new();
         let square = |task: &u64| {
-            // The earlier, the slower.
+            // Earlier tasks are slower.
             thread::sleep(Duration::from_micros(500 / (task + 1)));
             task * task
         };
@@ -109,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn results_come_in_order_within_a_pool_of_any_size_and_outside() {
+    fn results_are_ordered_inside_and_outside_a_pool() {
         let tasks: Vec<u64> = (0..100).collect();
         let expected: Vec<u64> = tasks.iter().map(|task| task * task).collect();
         assert_eq!(squares(&tasks), expected);
@@ -121,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_stops_and_only_the_window_was_computed() {
+    fn after_an_error_at_most_the_window_was_computed() {
         let computed = std::sync::atomic::AtomicUsize::new(0);
         let tasks = [(); 1000];
         let count = |_: &()| computed.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -130,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_delays_and_changes_nothing() {
+    fn budget_bounds_memory_and_does_not_change_results() {
         use std::sync::atomic::{AtomicU64, Ordering};
         let tasks: Vec<u64> = (0..60).map(|k| 1 + k % 7).collect();
         let expected: Vec<u64> = tasks.iter().map(|task| task * task).collect();
@@ -149,7 +157,8 @@ mod tests {
                 taken.push(result);
                 Ok::<(), ()>(())
             };
-            pool.install(|| for_each_within(budget, |task| *task, &tasks, work, take)).unwrap();
+            pool.install(|| for_each_within_budget(budget, |task| *task, &tasks, work, take))
+                .unwrap();
             assert_eq!(taken, expected);
             assert!(most.into_inner() <= budget.max(7), "budget {budget}");
         }
@@ -157,7 +166,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "task 7")]
-    fn a_panic_of_a_task_arrives() {
+    fn panic_of_a_task_propagates() {
         let tasks: Vec<u32> = (0..20).collect();
         let work = |task: &u32| assert!(*task != 7, "task {task}");
         let _ = for_each_in_order(&tasks, work, |_, ()| Ok::<(), ()>(()));

@@ -1,4 +1,4 @@
-//! Single files into which a command writes its result.
+//! Safe writing of single output files.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -10,22 +10,22 @@ use tiepoint_io::disk::{self, FileId};
 use crate::Error;
 use crate::output_folder::{STAGED, output};
 
-/// A PLY file of this program has this line in its header.
+/// Marks a PLY file as written by this program.
 pub(crate) const PLY_MARK: &str = "\ncomment tiepoint\n";
-/// The first line of a text of this program begins so, where its format has comments.
+/// Start of the first line of a text file of this program, if its format has comments.
 pub(crate) const COMMENT_MARK: &str = "# tiepoint";
-/// A page of this program has this title.
+/// Marks an HTML page as written by this program.
 const PAGE_MARK: &str = "<title>tiepoint</title>";
-/// A mark stands within so many bytes.
+/// Marks are searched for in the first bytes of a file.
 const HEAD_BYTES: u64 = 4096;
 
-/// Writes a file that the user named. One that is there is replaced only where it is empty or has
-/// this program's mark, or has the same content; an input of the command never is. `write` gets the
-/// path to write to.
+/// Writes a file that the user named, by calling `write` with a path. An existing file is replaced
+/// only if it is empty, has this program's `mark`, or has the same content. An input of the command
+/// is never replaced.
 ///
 /// # Errors
 ///
-/// Where the file is an input or somebody's, and those of `write`.
+/// The file is an input or not this program's, and those of `write`.
 pub(crate) fn write_file<'a>(
     path: &Path,
     inputs: impl IntoIterator<Item = &'a Path>,
@@ -44,31 +44,30 @@ pub(crate) fn write_file<'a>(
     let new = path.with_file_name(format!(".{name}{STAGED}"));
     let same = write(&new).and_then(|()| is_same(&new, path));
     disk::remove_file(&new).map_err(output(&new))?;
-    if same? { Ok(()) } else { Err(Error::NotOurs { path: path.to_owned() }) }
+    if same? { Ok(()) } else { Err(Error::ForeignFile { path: path.to_owned() }) }
 }
 
-/// Writes a page (HTML) of this program; one that is there is replaced only where it is this
-/// program's.
+/// Writes an HTML page. An existing page is replaced only if this program wrote it.
 ///
 /// # Errors
 ///
-/// Where a page of somebody is there, and where it cannot be written.
+/// A foreign page exists, or the page cannot be written.
 pub fn write_page(path: &Path, html: &str) -> Result<(), Error> {
     write_file(path, [], Some(PAGE_MARK), |path| {
         Ok(AtomicFile::write_with(path, |file| io::Write::write_all(file, html.as_bytes()))?)
     })
 }
 
-/// Refuses, before any work is done, to replace a page that is somebody's.
+/// Checks before any work is done that [`write_page`] may write.
 ///
 /// # Errors
 ///
-/// Where there is one.
+/// A foreign page exists.
 pub fn refuse_foreign_page(path: &Path) -> Result<(), Error> {
     if may_be_replaced(path, Some(PAGE_MARK))? {
         Ok(())
     } else {
-        Err(Error::NotOurs { path: path.to_owned() })
+        Err(Error::ForeignFile { path: path.to_owned() })
     }
 }
 
@@ -77,7 +76,7 @@ fn may_be_replaced(path: &Path, mark: Option<&str>) -> Result<bool, Error> {
     match fs::metadata(path) {
         Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(true),
         Err(cause) => return Err(unreadable(cause)),
-        // What is no file is written through, or refused by who writes it.
+        // Devices are written to; folders are rejected when writing.
         Ok(found) if !found.is_file() || found.len() == 0 => return Ok(true),
         Ok(_) => {}
     }
@@ -104,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_of_others_and_inputs_stay() {
+    fn foreign_files_and_inputs_are_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.txt");
         let put = |text: &str, inputs: &[&Path], mark: Option<&str>| {
@@ -117,12 +116,12 @@ mod tests {
         fs::write(&path, "").unwrap();
         put("mine", &[], None).unwrap();
         put("mine", &[], None).unwrap();
-        assert!(matches!(put("other", &[], None), Err(Error::NotOurs { .. })));
-        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("other", &[], None), Err(Error::ForeignFile { .. })));
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::ForeignFile { .. })));
         assert!(matches!(put("mine", &[&path], None), Err(Error::IsInput { .. })));
         assert_eq!(fs::read(&path).unwrap(), b"mine");
         fs::write(&path, format!("1 2 3\n{COMMENT_MARK} was wrong here\n")).unwrap();
-        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::NotOurs { .. })));
+        assert!(matches!(put("other", &[], Some(COMMENT_MARK)), Err(Error::ForeignFile { .. })));
         fs::write(&path, format!("{COMMENT_MARK}\n1 2 3\n")).unwrap();
         put("other", &[], Some(COMMENT_MARK)).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"other");

@@ -1,15 +1,15 @@
-//! Folders into which results go, beside files of others.
+//! Transactional replacement of files in an output folder that may also hold foreign files.
 //!
-//! A manifest in the folder lists the files that this program made, with the BLAKE3 hash of their
-//! content. A file that is not in it, or has another content, is somebody's: it is refused by name
-//! and neither replaced nor deleted.
+//! A manifest in the folder lists the files that this program wrote, with the BLAKE3 hashes of
+//! their content. A file that is not listed, or has another content, is foreign: it is neither
+//! replaced nor deleted.
 //!
-//! New files replace old ones together. They are first written into a folder of their own
-//! (`STAGED`) and brought to the disk; then the manifest learns their hashes; then that folder
-//! takes another name (`COMMITTED`), which is the moment that decides. After it the files move to
-//! their places, the old ones being moved out before. What a killed run left undone of that, the
-//! next one does ([`OutputFolder::open`]). While it is done, the file that readers look for first
-//! is missing: nobody reads a mix of old and new.
+//! A set of new files replaces old ones as a transaction. The files are first written into a folder
+//! of their own (`STAGED`) and synchronised to the disk; then their hashes are added to the
+//! manifest; then the folder is renamed to `COMMITTED`, which commits the transaction. Afterwards
+//! the old files are moved out and the new ones into place. The next [`OutputFolder::open`]
+//! completes a move that was interrupted. During the move the file that readers look for first is
+//! missing, so that no reader sees a mix of old and new files.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -24,41 +24,44 @@ use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
 
-/// Where new files are written first; new single files have names that end so.
+/// Folder of staged files; also the suffix of temporary single files.
 pub(crate) const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
 const REPLACED: &str = ".tiepoint-old";
-/// Bytes read at once.
+/// Size of read buffers.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// A folder for results, held by this process.
+/// An output folder, locked by this process.
 #[derive(Debug)]
 pub(crate) struct OutputFolder {
     root: PathBuf,
     manifest: Manifest,
-    /// What the command reads.
+    /// Files that the command reads.
     inputs: BTreeSet<FileId>,
-    /// Files whose content does not count: they are this program's in a folder of its own.
+    /// Names of files that are never foreign, whatever their content.
     always_ours: &'static [&'static str],
-    /// Locked for as long as it lives, where folders can be.
+    /// Lock on the folder, on systems that can lock folders.
     _lock: Option<File>,
 }
 
-/// Whose a file is.
+/// The owner of a file name.
 enum Owner {
+    /// The file does not exist.
     Nobody,
+    /// This program.
     Us,
-    /// It is read by this command.
+    /// The command reads the file.
     Input,
+    /// The file is foreign.
     Others,
 }
 
 impl OutputFolder {
-    /// Opens a folder, or makes one where there is none, and ends what a killed run left undone.
+    /// Opens or creates a folder, and completes the transaction of an interrupted run.
     ///
     /// # Errors
     ///
-    /// Where it cannot be written, is in use by another run, or its manifest is not one.
+    /// The folder cannot be written, another run uses it, or its manifest is invalid.
     pub(crate) fn open(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let lock = lock(root)?;
@@ -73,17 +76,21 @@ impl OutputFolder {
         Ok(this)
     }
 
-    /// Whether a folder has files of this program.
+    /// Whether a folder has a manifest of this program.
     pub(crate) fn is_ours(root: &Path) -> bool {
         root.join(MANIFEST).is_file()
     }
 
-    /// Whether a killed run left files on their way to their places.
+    /// Whether an interrupted run left a committed transaction incomplete.
     pub(crate) fn is_unfinished(root: &Path) -> bool {
         root.join(COMMITTED).is_dir()
     }
 
-    /// Takes the folder, and the files of these names as they are.
+    /// Adds the existing files of these names to the manifest with their current content.
+    ///
+    /// # Errors
+    ///
+    /// A file cannot be read, or the manifest cannot be written.
     pub(crate) fn claim(&mut self, names: &[String]) -> Result<(), Error> {
         for name in names {
             if let Some(hash) = hash_of(&self.root.join(name))? {
@@ -93,22 +100,26 @@ impl OutputFolder {
         Ok(self.manifest.write(&self.root)?)
     }
 
-    /// Names of files that are this program's whatever they hold.
+    /// Sets the names of files that are never foreign, whatever their content.
     pub(crate) fn always_ours(&mut self, names: &'static [&'static str]) {
         self.always_ours = names;
     }
 
-    /// Names what the command reads: it is never written.
+    /// Adds files that the command reads, and which it must therefore not write.
     pub(crate) fn protect<'a>(&mut self, inputs: impl IntoIterator<Item = &'a Path>) {
         self.inputs.extend(inputs.into_iter().filter_map(FileId::of));
     }
 
-    /// The files of this program, by their names.
+    /// Names of the files in the manifest.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.manifest.files.keys().map(String::as_str)
     }
 
-    /// Refuses, before any work is done, to replace what is somebody's.
+    /// Checks before any work is done that these names may be written.
+    ///
+    /// # Errors
+    ///
+    /// A file of these names is foreign or an input.
     pub(crate) fn refuse_foreign<'a>(
         &self,
         names: impl IntoIterator<Item = &'a str>,
@@ -116,7 +127,11 @@ impl OutputFolder {
         names.into_iter().try_for_each(|name| self.refuse(name, &self.owner(name)?.0))
     }
 
-    /// The same for a staged file: it may have the content that is there.
+    /// [`OutputFolder::refuse_foreign`] for a staged file, which may equal an existing foreign one.
+    ///
+    /// # Errors
+    ///
+    /// The existing file is foreign or an input, and has another content.
     pub(crate) fn refuse_unless_same(&self, name: &str) -> Result<(), Error> {
         let (owner, hash) = self.owner(name)?;
         let staged = hash_of(&self.root.join(STAGED).join(name))?;
@@ -131,18 +146,18 @@ impl OutputFolder {
         match owner {
             Owner::Nobody | Owner::Us => Ok(()),
             Owner::Input => Err(Error::IsInput { path: path() }),
-            Owner::Others => Err(Error::NotOurs { path: path() }),
+            Owner::Others => Err(Error::ForeignFile { path: path() }),
         }
     }
 
-    /// Whose a file is, and the hash of its content where that was asked.
+    /// The owner of a file, and the hash of its content if it was computed.
     fn owner(&self, name: &str) -> Result<(Owner, Option<String>), Error> {
         let path = self.root.join(name);
         let found = match fs::symlink_metadata(&path) {
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
                 return Ok((Owner::Nobody, None));
             }
-            // A part of the path is a file: it cannot be written either.
+            // A parent of the path is a file, so that the path cannot be written.
             Err(cause) => return Err(Error::Output { path, cause }),
             Ok(found) => found,
         };
@@ -161,8 +176,7 @@ impl OutputFolder {
         Ok((if is_known { Owner::Us } else { Owner::Others }, hash))
     }
 
-    /// The hash of a file that is there, with what [`OutputFolder::owner`] found: no file is read
-    /// twice.
+    /// The hash of an existing file, computed unless [`OutputFolder::owner`] did so.
     fn hash_there(
         &self,
         name: &str,
@@ -176,7 +190,11 @@ impl OutputFolder {
         }
     }
 
-    /// Whether a file is as this program left it: it has a content that this program gave it.
+    /// Whether a file is unchanged since this program wrote it.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read.
     pub(crate) fn is_as_left(&self, name: &str) -> Result<bool, Error> {
         let path = self.root.join(name);
         let is_link = fs::symlink_metadata(&path).is_ok_and(|found| found.is_symlink());
@@ -186,7 +204,11 @@ impl OutputFolder {
         Ok(hash_of(&path)?.is_some_and(|hash| known.contains(&hash)))
     }
 
-    /// The path at which to write a file that shall have this name; its folder is made.
+    /// The path at which to write the staged file of a name; creates its folder.
+    ///
+    /// # Errors
+    ///
+    /// The name leads out of the folder, or the folder cannot be created.
     pub(crate) fn stage(&self, name: &str) -> Result<PathBuf, Error> {
         if !is_inside(name) {
             return Err(Error::NotInside { path: self.root.clone(), name: name.to_owned() });
@@ -196,13 +218,21 @@ impl OutputFolder {
         Ok(path)
     }
 
-    /// Writes a file that shall have this name.
+    /// Writes the staged file of a name.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`OutputFolder::stage`], and the file cannot be written.
     pub(crate) fn stage_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
         disk::write_new(&self.stage(name)?, bytes).map_err(output(&self.root.join(name)))
     }
 
-    /// Writes a COLMAP model into a folder of this name (none: the folder itself). Gives the names
-    /// of its files, in the order for [`OutputFolder::publish`].
+    /// Stages a COLMAP model in a sub-folder (`None`: in the folder itself). Returns the names of
+    /// its files in the order for [`OutputFolder::publish`].
+    ///
+    /// # Errors
+    ///
+    /// The model is invalid or cannot be written.
     pub(crate) fn stage_model(
         &self,
         folder: Option<&str>,
@@ -231,7 +261,7 @@ impl OutputFolder {
         Ok(names)
     }
 
-    /// An error that names the place that was asked for, and not the one in between.
+    /// Replaces the staged path in an error by the final path.
     fn renamed(&self, error: tiepoint_io::Error, staged: &str, folder: Option<&str>) -> Error {
         let asked = folder.map_or_else(|| self.root.clone(), |folder| self.root.join(folder));
         let staged = self.root.join(STAGED).join(staged);
@@ -254,15 +284,15 @@ impl OutputFolder {
         })
     }
 
-    /// Puts the staged files in their places, together, and removes others; in this order, the one
-    /// that readers look for first being the last. Those that are there already with the same
-    /// content stay. Gives how many those are.
+    /// Moves the staged files into place and removes others, as a transaction. `order`: names of
+    /// the staged files; the last one is the one that readers look for first. Existing files with
+    /// the same content are kept; returns their number.
     ///
     /// # Errors
     ///
-    /// Where a file of somebody would be replaced or removed; then nothing is. Where the system
-    /// refuses: if that comes after the moment that decides, the next [`OutputFolder::open`] goes
-    /// on, and until then nothing else is published.
+    /// A foreign file would be replaced or removed; then nothing changes. A file operation fails;
+    /// if the transaction was committed before, the next [`OutputFolder::open`] completes it, and
+    /// until then nothing else can be published.
     pub(crate) fn publish(&mut self, order: &[String], removed: &[String]) -> Result<usize, Error> {
         if Self::is_unfinished(&self.root) {
             return Err(Error::Unfinished { path: self.root.clone() });
@@ -310,7 +340,7 @@ impl OutputFolder {
         Ok(kept)
     }
 
-    /// Moves files from `COMMITTED` to their places. What of that was done before is passed over.
+    /// Moves the files of a committed transaction into place, except those that were moved before.
     fn put_in_place(&self) -> Result<(), Error> {
         let (committed, replaced) = (self.root.join(COMMITTED), self.root.join(REPLACED));
         let Manifest { order, removed, .. } = &self.manifest;
@@ -320,10 +350,10 @@ impl OutputFolder {
                 && fs::symlink_metadata(self.root.join(name)).is_ok()
         };
         let old: Vec<(usize, &&String)> = all.iter().enumerate().filter(is_old).collect();
-        // Somebody may have put a file there since a run was killed.
+        // A foreign file may have been put there since the run was interrupted.
         for (_, name) in &old {
             if !self.is_as_left(name)? {
-                return Err(Error::NotOurs { path: self.root.join(name) });
+                return Err(Error::ForeignFile { path: self.root.join(name) });
             }
         }
         disk::create_folders(&replaced).map_err(output(&self.root))?;
@@ -341,7 +371,7 @@ impl OutputFolder {
                 folders.extend(own);
             }
         }
-        // From the innermost outwards.
+        // Inner folders first.
         for folder in folders.iter().rev() {
             disk::sync_folder(folder).map_err(output(folder))?;
         }
@@ -350,7 +380,7 @@ impl OutputFolder {
             if let Some(folder) =
                 folder.parent().filter(|folder| *folder != self.root && folder.is_dir())
             {
-                // A link, or a folder of somebody: it may stay.
+                // A folder with foreign files, or a link, stays.
                 let _ = disk::remove_empty_folder(folder);
             }
         }
@@ -366,7 +396,7 @@ impl OutputFolder {
 
 impl Drop for OutputFolder {
     fn drop(&mut self) {
-        // What was not published; nobody is left to tell.
+        // Staged files that were not published. Errors cannot be returned here.
         let _ = disk::remove_own_folder(&self.root.join(STAGED));
     }
 }
@@ -374,11 +404,11 @@ impl Drop for OutputFolder {
 fn read_manifest(root: &Path) -> Result<Option<Manifest>, Error> {
     Manifest::read(root).map_err(|error| match error {
         tiepoint_io::Error::Io { path, cause } => Error::Unreadable { path, cause },
-        _ => Error::NotOurs { path: root.join(MANIFEST) },
+        _ => Error::ForeignFile { path: root.join(MANIFEST) },
     })
 }
 
-/// The names that a COLMAP model in this folder may have, in both formats.
+/// Names of the files of a COLMAP model in this sub-folder, in both formats.
 pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     let prefix = folder.map_or_else(String::new, |folder| format!("{folder}/"));
     let names =
@@ -386,12 +416,13 @@ pub(crate) fn model_names(folder: Option<&str>) -> Vec<String> {
     Format::ALL.into_iter().flat_map(names).collect()
 }
 
+/// Converts an I/O error to [`Error::Output`] for a path.
 pub(crate) fn output(path: &Path) -> impl FnOnce(io::Error) -> Error {
     let path = path.to_owned();
     move |cause| Error::Output { path, cause }
 }
 
-/// BLAKE3 of a regular file; `None` where there is none.
+/// BLAKE3 hash of a regular file; `None` if there is none.
 fn hash_of(path: &Path) -> Result<Option<String>, Error> {
     let unreadable = |cause| Error::Unreadable { path: path.to_owned(), cause };
     match fs::metadata(path) {
@@ -414,7 +445,7 @@ fn hash_of(path: &Path) -> Result<Option<String>, Error> {
     }
 }
 
-/// Renames, or copies where a folder on the way is a link to another disk.
+/// Renames a file; copies it if the target is on another disk.
 fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     match disk::rename(from, to) {
         Err(cause) if cause.kind() == io::ErrorKind::CrossesDevices => {
@@ -428,7 +459,7 @@ fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// Brings the names in a folder and below to the disk.
+/// Synchronises a folder and its sub-folders to the disk.
 fn sync_folders(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
@@ -445,7 +476,7 @@ fn lock(root: &Path) -> Result<Option<File>, Error> {
         File::open(root).map_err(|cause| Error::Unreadable { path: root.to_owned(), cause })?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(Error::InUse { path: root.to_owned() }),
-        // Some network disks have no locks: a lock is a help and not a promise there.
+        // Some network file systems do not support locks; then there is none.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(folder)),
     }
 }
@@ -461,7 +492,7 @@ mod tests {
 
     use super::*;
 
-    /// Files whose hash was taken, in any test.
+    /// Paths whose hash was computed, in any test.
     pub(super) static HASHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
     fn put(
@@ -477,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn own_files_are_replaced_and_those_of_others_refused() {
+    fn own_files_are_replaced_and_foreign_ones_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
         let read = |name: &str| fs::read_to_string(root.join(name)).unwrap();
@@ -496,7 +527,7 @@ mod tests {
         fs::write(root.join("c"), "changed").unwrap();
         for name in ["mine", "c"] {
             let error = put(&mut folder, &[("a/b", "3"), (name, "3")], &[]).unwrap_err();
-            assert!(matches!(error, Error::NotOurs { .. }), "{error}");
+            assert!(matches!(error, Error::ForeignFile { .. }), "{error}");
             drop(folder);
             folder = OutputFolder::open(root).unwrap();
         }
@@ -507,14 +538,14 @@ mod tests {
             (read("a/b"), read("mine"), read("c")),
             ("2".into(), "mine".into(), "changed".into())
         );
-        // The same content is no harm, and stays theirs.
+        // A foreign file with the same content is accepted, and stays foreign.
         assert_eq!(put(&mut folder, &[("mine", "mine")], &["a/b"]).unwrap(), 1);
         assert!(!root.join("a").exists());
         assert!(put(&mut folder, &[("mine", "other")], &[]).is_err());
     }
 
     #[test]
-    fn a_file_that_is_replaced_is_read_once_before() {
+    fn replaced_file_is_hashed_once_before_the_commit() {
         let dir = tempfile::tempdir().unwrap();
         let mut folder = OutputFolder::open(dir.path()).unwrap();
         folder.always_ours(&["ours"]);
@@ -525,13 +556,13 @@ mod tests {
         let count = || HASHED.lock().unwrap().iter().filter(|path| paths.contains(path)).count();
         let before = count();
         assert_eq!(put(&mut folder, &names.map(|name| (name, "2")), &[]).unwrap(), 1);
-        // Each once, and the two that are replaced again before they go, since they may have
-        // changed meanwhile.
+        // Each file once, and the two replaced ones again after the commit, because they may have
+        // changed.
         assert_eq!(count() - before, 5);
     }
 
     #[test]
-    fn what_a_killed_run_left_is_ended_and_spares_what_came_since() {
+    fn interrupted_transaction_is_completed_and_spares_new_foreign_files() {
         let dir = tempfile::tempdir().unwrap();
         let (root, outside) = (dir.path().join("out"), dir.path().join("keep"));
         fs::write(&outside, "precious").unwrap();
@@ -539,36 +570,36 @@ mod tests {
         put(&mut folder, &[("a", "1"), ("b", "1")], &[]).unwrap();
         put(&mut folder, &[("a", "2")], &["b"]).unwrap();
         drop(folder);
-        // Killed before the files took their places; somebody brought one back.
+        // The state of a run that was killed after the commit, with `a` as a file at its place.
         let undo = |a: &str| {
             fs::create_dir_all(root.join(COMMITTED)).unwrap();
             fs::write(root.join(COMMITTED).join("a"), "2").unwrap();
             fs::write(root.join("a"), a).unwrap();
         };
         undo("mine");
-        assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })));
+        assert!(matches!(OutputFolder::open(&root), Err(Error::ForeignFile { .. })));
         assert_eq!(fs::read(root.join("a")).unwrap(), b"mine");
         undo("2");
         drop(OutputFolder::open(&root).unwrap());
         assert_eq!(fs::read(root.join("a")).unwrap(), b"2");
         assert!(!root.join(COMMITTED).exists());
-        // A list from somebody else leads nowhere out of the folder.
+        // A foreign manifest cannot name files outside the folder.
         for name in ["../keep", outside.to_str().unwrap()] {
             let mut manifest = Manifest::default();
             manifest.removed.push(name.to_owned());
             manifest.write(&root).unwrap();
-            assert!(matches!(OutputFolder::open(&root), Err(Error::NotOurs { .. })), "{name}");
+            assert!(matches!(OutputFolder::open(&root), Err(Error::ForeignFile { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
     }
 
     #[test]
-    fn what_is_on_its_way_to_its_place_is_not_dropped_for_what_comes_next() {
+    fn incomplete_transaction_blocks_the_next_one() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
         let mut folder = OutputFolder::open(root).unwrap();
         put(&mut folder, &[("a", "1"), ("b", "1")], &[]).unwrap();
-        // The old files cannot be moved out.
+        // A file at REPLACED prevents that the old files are moved out.
         fs::write(root.join(REPLACED), "").unwrap();
         assert!(put(&mut folder, &[("a", "2"), ("b", "2")], &[]).is_err());
         fs::remove_file(root.join(REPLACED)).unwrap();
@@ -583,7 +614,7 @@ mod tests {
     }
 
     #[test]
-    fn an_input_is_never_an_output_and_nothing_leaves_the_folder() {
+    fn inputs_and_paths_outside_the_folder_are_rejected() {
         let dir = tempfile::tempdir().unwrap();
         let photos = dir.path().join("photos");
         fs::create_dir(&photos).unwrap();

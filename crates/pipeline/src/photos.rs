@@ -1,4 +1,4 @@
-//! The photos that a workspace is made from.
+//! The input photos of a workspace.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
 use crate::fingerprint::fingerprint;
 use crate::{Error, Size, SkippedImage};
 
-/// Photos on disk, listed but not read.
+/// The files of the input photos; their contents are not read yet.
 #[derive(Clone, Debug)]
 pub struct Photos {
     pub(crate) folder: ImageFolder,
@@ -18,19 +18,24 @@ pub struct Photos {
 
 /// A photo whose header could be read.
 pub(crate) struct Photo {
-    /// Its place in the folder.
+    /// Index in [`Photos::folder`].
     pub(crate) index: usize,
-    /// Its camera, numbered among those that have a usable photo.
+    /// Index of its camera among the cameras with a usable photo.
     pub(crate) camera: usize,
     pub(crate) info: ImageInfo,
 }
 
 impl Photos {
     /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder
-    /// per camera is a rig. Nothing is detected where the mask of an image is 0.
+    /// per camera is several. `masks`: folder of masks; no keypoints are detected where a mask is
+    /// 0.
+    ///
+    /// # Errors
+    ///
+    /// A folder cannot be read, or there are fewer than two photos.
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self, Error> {
         let folder = ImageFolder::open(inputs, masks)?;
-        // So that a later run finds them from another working directory.
+        // Absolute, so that a later run in another working directory finds them.
         let absolute = |path: &PathBuf| {
             path.canonicalize().map_err(|cause| Error::Unreadable { path: path.clone(), cause })
         };
@@ -47,19 +52,19 @@ impl Photos {
         Ok(photos)
     }
 
-    /// The same photos; those of more pixels are skipped.
+    /// The same photos with a limit on their pixels; larger ones are skipped.
     pub(crate) fn with_max_pixels(&self, max_pixels: u64) -> Self {
         Self { folder: self.folder.clone().with_max_pixels(max_pixels), ..self.clone() }
     }
 
-    /// With the reasons why the others are skipped.
+    /// [`Error::TooFewPhotos`] with the reasons why the others are skipped.
     pub(crate) fn too_few(&self, usable: usize, skipped: Vec<String>) -> Error {
         let path = self.inputs.first().cloned().unwrap_or_default();
         let found = self.folder.images().len() + self.folder.skipped().len();
         Error::TooFewPhotos { path, found, usable, skipped }
     }
 
-    /// The files that are read.
+    /// Paths of the photos.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         (0..self.folder.images().len()).map(|index| self.folder.path(index))
     }
@@ -68,7 +73,11 @@ impl Photos {
         &self.folder.images()[photo.index].name
     }
 
-    /// Of all photos and masks.
+    /// Fingerprint of all photos and masks.
+    ///
+    /// # Errors
+    ///
+    /// The folder of masks cannot be read.
     pub(crate) fn fingerprint(&self) -> Result<String, Error> {
         let photos = fingerprint(&self.folder)?;
         let Some(masks) = &self.masks else { return Ok(photos) };
@@ -76,12 +85,11 @@ impl Photos {
         Ok(format!("{photos} masked by {masks}"))
     }
 
-    /// Reads all headers: the photos that can be used, and those that cannot. Those of one camera
-    /// must be of one size.
+    /// Reads the headers of all photos, and returns usable and skipped ones.
     ///
     /// # Errors
     ///
-    /// Photos of one camera have two sizes, or there are fewer than two.
+    /// Photos of one camera differ in size, or fewer than two are usable.
     pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
         let infos: Vec<_> =

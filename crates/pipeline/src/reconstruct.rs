@@ -2,24 +2,24 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::{
-    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, Opened, Report, Stage, Watch,
-    extract_features, map, match_images, open_input,
+    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
+    Watch, extract_features, map, match_images, open_input,
 };
 
-/// How to reconstruct.
+/// Options of [`reconstruct`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// First stage.
+    /// Stage 1.
     pub features: FeatureOptions,
-    /// Where nothing is to be detected: a folder with a mask for each image, 0 being out.
+    /// Folder with a mask for each image; no keypoints are detected where a mask is 0.
     pub masks: Option<PathBuf>,
-    /// Of videos, one frame of so many is taken, the sharpest.
+    /// The sharpest of every N frames of a video is used.
     pub every: NonZeroUsize,
-    /// Second stage.
+    /// Stage 2.
     pub matching: MatchOptions,
-    /// Third stage.
+    /// Stage 3.
     pub mapping: MapOptions,
-    /// Makes this stage and the later ones anew, whatever there is.
+    /// Runs this stage and the later ones again, even if they are complete.
     pub redo: Option<Stage>,
 }
 
@@ -36,7 +36,12 @@ impl Default for Options {
     }
 }
 
-/// Photos or videos in, a COLMAP project out: all stages, going on where an earlier run stopped.
+/// Runs all stages: photos or videos in, a COLMAP project out. Complete stages with the same input
+/// and options are kept, incomplete ones are resumed.
+///
+/// # Errors
+///
+/// Those of [`open_input`], [`extract_features`], [`match_images`] and [`map`].
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,
@@ -44,7 +49,7 @@ pub fn reconstruct(
     watch: Watch,
 ) -> Result<Report, Error> {
     let (masks, every) = (options.masks.as_deref(), options.every);
-    let Opened { mut workspace, photos, timestamps } =
+    let OpenedInput { mut workspace, photos, timestamps } =
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);

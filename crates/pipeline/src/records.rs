@@ -1,12 +1,14 @@
-//! What each stage was made from, so that a later run can tell whether to keep it, to go on with
-//! it, or to ask.
+//! Records of the input and options of each stage, from which a later run decides whether to keep,
+//! to resume or to reject the stage.
 //!
-//! The database holds this for its own two stages, written in the transactions that change them;
-//! `stages.json` holds it for all. Where they differ, the database is right.
+//! The database holds the records of the two stages whose results it holds, written in the
+//! transactions that change them; `stages.json` holds those of all stages. If they differ, the
+//! database takes precedence.
 //!
-//! The input of the first stage is a fingerprint of the photos; that of a later stage stands for
-//! everything before it. Options are kept as texts by key ([`crate::option_keys`]), so that a
-//! difference can be named. Records of earlier versions become ones with keys as they are read.
+//! The input of the first stage is a fingerprint of the photos; that of a later stage is the
+//! fingerprint of the stage before it. Options are kept as texts by key ([`crate::option_keys`]),
+//! so that error messages can name a difference. Records of earlier versions are converted when
+//! they are read.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -17,26 +19,26 @@ use tiepoint_io::database::StageRow;
 use crate::option_keys::{NONE, shown};
 use crate::{Error, Stage, legacy_options};
 
-/// Raised when the meaning of the file changes.
+/// Current version of the file format.
 const VERSION: u32 = 3;
-/// Options of this version and of those before it had no keys.
+/// Last version with options as texts of Rust structs, without keys.
 const VERSION_WITHOUT_KEYS: u32 = 2;
-/// Databases of this version know nothing of stages.
+/// Version whose databases have no records.
 const VERSION_WITHOUT_ROWS: u32 = 1;
-/// The stages whose products lie in the database.
+/// Stages whose results are in the database.
 const IN_DATABASE: [Stage; 2] = [Stage::Features, Stage::Match];
-/// Longer values of options are not quoted in a message.
+/// Longer option values are not quoted in error messages.
 const MAX_QUOTED: usize = 48;
-/// More options that differ are counted in a message, and not named.
+/// Error messages name at most this number of options that differ.
 const MAX_NAMED: usize = 3;
 
-/// What a stage was, or is to be, made from.
+/// Input and options of a stage, which determine its result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Recipe {
-    /// Fingerprint of the photos, or of the stage before.
+    /// Fingerprint of the photos, or of the previous stage.
     pub(crate) input: String,
-    /// Options by key. One that is not given is left out, so that a new one changes no record of
-    /// before.
+    /// Options by key, without those that are not given: so a new option does not change existing
+    /// records.
     pub(crate) options: BTreeMap<String, String>,
 }
 
@@ -49,7 +51,7 @@ impl Recipe {
         Self { input, options: given.map(|(key, value)| (key.to_owned(), value)).collect() }
     }
 
-    /// A fingerprint of the stage: the input of the next.
+    /// Fingerprint of the stage, which is the input of the next one.
     fn fingerprint(&self) -> String {
         let mut hash = blake3::Hasher::new();
         let words = self.options.iter().flat_map(|(name, value)| [name, value]);
@@ -59,7 +61,8 @@ impl Recipe {
         hash.finalize().to_hex().to_string()
     }
 
-    /// In what this, which was, differs from what is asked for now; as the end of "were made …".
+    /// Difference between this recorded recipe and the one that is asked for, as the end of the
+    /// sentence "they were made …"; `None` if they are equal.
     fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
         let keys: BTreeSet<&String> = self.options.keys().chain(asked.options.keys()).collect();
         let changed =
@@ -73,8 +76,9 @@ impl Recipe {
             });
         }
         (self.input != asked.input).then(|| match stage {
-            Stage::Features => "from other photos, or some have changed since".to_owned(),
-            Stage::Match | Stage::Map => "from something that has been made anew since".to_owned(),
+            Stage::Features => "from other photos, or photos have changed since".to_owned(),
+            Stage::Match => "from other features than the current ones".to_owned(),
+            Stage::Map => "from other matches than the current ones".to_owned(),
         })
     }
 
@@ -90,18 +94,17 @@ impl Recipe {
     }
 }
 
-/// A stage as it stands on disk.
+/// The state of a stage on disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Record {
-    /// Whether all of it is there.
     is_complete: bool,
     #[serde(flatten)]
     recipe: Recipe,
 }
 
-/// Gives the options of an earlier version their keys. The input of a stage is the fingerprint of
-/// the one before, and follows it.
-fn give_keys(stages: &mut BTreeMap<Stage, Record>) {
+/// Converts the options of an earlier version to keys, and updates the input of each stage to the
+/// new fingerprint of the previous one.
+fn convert_to_keys(stages: &mut BTreeMap<Stage, Record>) {
     let mut made: Option<(String, String)> = None;
     for (stage, record) in stages {
         let recipe = &mut record.recipe;
@@ -116,7 +119,7 @@ fn give_keys(stages: &mut BTreeMap<Stage, Record>) {
     }
 }
 
-/// A recipe as it stands in the database.
+/// A recipe as text in the database.
 #[derive(Serialize, Deserialize)]
 struct RecipeRow {
     #[serde(default = "version_without_keys")]
@@ -129,22 +132,22 @@ fn version_without_keys() -> u32 {
     VERSION_WITHOUT_KEYS
 }
 
-/// What is to be done about a stage.
+/// How to run a stage, given the state on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Progress {
-    /// Everything.
+    /// From the start.
     Begin,
-    /// What is missing.
+    /// Resume an incomplete stage.
     Continue,
-    /// Nothing.
+    /// Not at all: the stage is complete.
     Kept,
 }
 
-/// The file.
+/// The content of `stages.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Records {
     version: u32,
-    /// Where the photos are.
+    /// Input folders of the photos.
     pub(crate) inputs: Vec<PathBuf>,
     stages: BTreeMap<Stage, Record>,
 }
@@ -156,7 +159,11 @@ impl Default for Records {
 }
 
 impl Records {
-    /// Reads the file; `None` where there is none.
+    /// Reads the file; `None` if it does not exist.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read or is damaged.
     pub(crate) fn read(path: &Path) -> Result<Option<Self>, Error> {
         let broken = |what: String| Error::BrokenRecord { path: path.to_owned(), what };
         let text = match std::fs::read(path) {
@@ -170,7 +177,7 @@ impl Records {
             return Err(broken(format!("it is of version {} and not {VERSION}", records.version)));
         }
         if records.version <= VERSION_WITHOUT_KEYS {
-            give_keys(&mut records.stages);
+            convert_to_keys(&mut records.stages);
         }
         Ok(Some(records))
     }
@@ -179,18 +186,18 @@ impl Records {
         json(self)
     }
 
-    /// Whether the database may not know its stages yet.
+    /// Whether the database of this version has no records.
     pub(crate) fn is_without_rows(&self) -> bool {
         self.version == VERSION_WITHOUT_ROWS
     }
 
-    /// The file as this version writes it.
+    /// The same records in the current version.
     pub(crate) fn upgraded(mut self) -> Self {
         self.version = VERSION;
         self
     }
 
-    /// What the database is to hold.
+    /// The records for the database.
     pub(crate) fn rows(&self) -> Vec<StageRow> {
         let row = |stage: &Stage| {
             let Record { is_complete, recipe } = self.stages.get(stage)?;
@@ -201,7 +208,8 @@ impl Records {
         IN_DATABASE.iter().filter_map(row).collect()
     }
 
-    /// Takes what the database holds; models of matches that are gone are forgotten.
+    /// Replaces the records of stages in the database by those in the database. The record of the
+    /// models is removed if they were computed from other matches.
     pub(crate) fn take_rows(&mut self, rows: &[StageRow]) {
         let mut stages = BTreeMap::new();
         let mut has_keys = true;
@@ -214,7 +222,7 @@ impl Records {
             }
         }
         if !has_keys {
-            give_keys(&mut stages);
+            convert_to_keys(&mut stages);
         }
         self.forget_database();
         self.stages.append(&mut stages);
@@ -225,18 +233,22 @@ impl Records {
         }
     }
 
-    /// Forgets what a database held that is no longer there. The models stay what they were.
+    /// Removes the records of stages in a database that no longer exists. That of the models stays.
     pub(crate) fn forget_database(&mut self) {
         IN_DATABASE.iter().for_each(|stage| drop(self.stages.remove(stage)));
     }
 
-    /// Whether all of a stage is there.
+    /// Whether a stage is complete.
     pub(crate) fn is_complete(&self, stage: Stage) -> bool {
         self.stages.get(&stage).is_some_and(|record| record.is_complete)
     }
 
-    /// Compares what was with what is asked for, and notes that the stage is to be made where it
-    /// is. Later stages are forgotten with it.
+    /// Decides how to run a stage with a recipe. A stage that runs from the start gets a new
+    /// record, and the records of later stages are removed.
+    ///
+    /// # Errors
+    ///
+    /// The stage was run with another recipe, and `redo` does not name it.
     pub(crate) fn begin(
         &mut self,
         workspace: &Path,
@@ -258,24 +270,28 @@ impl Records {
         Ok(Progress::Begin)
     }
 
-    /// Forgets a stage and the later ones.
+    /// Removes the records of a stage and of the later ones.
     pub(crate) fn forget_from(&mut self, stage: Stage) {
         self.stages.retain(|other, _| *other < stage);
     }
 
-    /// Notes that all of a stage is there.
+    /// Marks a stage as complete.
     pub(crate) fn complete(&mut self, stage: Stage) {
         if let Some(record) = self.stages.get_mut(&stage) {
             record.is_complete = true;
         }
     }
 
-    /// An option of a stage that is there; `None` where it was not given.
+    /// The value of an option in the record of a stage; `None` if it was not given.
     pub(crate) fn option(&self, stage: Stage, key: &str) -> Option<&str> {
         self.stages.get(&stage)?.recipe.options.get(key).map(String::as_str)
     }
 
     /// The fingerprint of a complete stage.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Missing`] if the stage is not complete.
     pub(crate) fn fingerprint(&self, workspace: &Path, stage: Stage) -> Result<String, Error> {
         match self.stages.get(&stage) {
             Some(record) if record.is_complete => Ok(record.recipe.fingerprint()),
@@ -284,7 +300,7 @@ impl Records {
     }
 }
 
-/// A text of ours.
+/// Pretty JSON with a final line break.
 pub(crate) fn json(value: &impl Serialize) -> Vec<u8> {
     let mut text = serde_json::to_vec_pretty(value)
         .expect("our own types are JSON: string keys, finite numbers");
@@ -310,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_is_begun_continued_and_kept() {
+    fn stage_is_begun_resumed_and_kept() {
         let (dir, mut records) = (Path::new("ws"), Records::default());
         let asked = recipe("a", "exhaustive");
         assert_eq!(records.begin(dir, Stage::Match, &asked, None).unwrap(), Progress::Begin);
@@ -325,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_is_named_and_redone_on_request() {
+    fn difference_is_named_and_stage_is_redone_on_request() {
         let (dir, mut records) = (Path::new("ws"), Records::default());
         records.begin(dir, Stage::Match, &recipe("a", "exhaustive"), None).unwrap();
         records.begin(dir, Stage::Map, &recipe("b", "-"), None).unwrap();
@@ -334,15 +350,14 @@ mod tests {
         assert_eq!(
             error.to_string(),
             "the matches in ws were made with --pairs exhaustive and not sequential:5: give \
-            --redo match to make them anew, or \
-             choose another workspace"
+            --redo match to make them again, or choose another workspace"
         );
         let error = records.begin(dir, Stage::Match, &recipe("c", "exhaustive"), None).unwrap_err();
-        assert!(error.to_string().contains("made anew since"), "{error}");
+        assert!(error.to_string().contains("from other features"), "{error}");
         let redone =
             records.begin(dir, Stage::Match, &recipe("a", "sequential:5"), Some(Stage::Match));
         assert_eq!(redone.unwrap(), Progress::Begin);
-        // What was made from it is forgotten.
+        // The record of the later stage is removed.
         assert_eq!(
             records.begin(dir, Stage::Map, &recipe("b", "-"), None).unwrap(),
             Progress::Begin
@@ -350,14 +365,14 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_words_do_not_run_together() {
+    fn fingerprint_depends_on_boundaries_between_words() {
         let one = Recipe::new("ab".to_owned(), [("c", String::new())]);
         let other = Recipe::new("a".to_owned(), [("bc", String::new())]);
         assert_ne!(one.fingerprint(), other.fingerprint());
     }
 
     #[test]
-    fn the_file_comes_back_and_a_broken_one_is_named() {
+    fn file_round_trips_and_a_damaged_one_is_an_error() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("stages.json");
         assert!(Records::read(&path).unwrap().is_none());
@@ -374,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn the_database_is_right() {
+    fn records_of_the_database_take_precedence() {
         let (dir, mut records) = (Path::new("ws"), Records::default());
         let mut add = |stage, recipe: &Recipe| {
             records.begin(dir, stage, recipe, None).unwrap();
@@ -388,7 +403,7 @@ mod tests {
         let mut rows = records.rows();
         records.take_rows(&rows);
         assert_eq!(records.to_json(), same.to_json());
-        // Its matches are not complete, so the models are none of them.
+        // Models of incomplete matches are not valid.
         rows[1].is_complete = false;
         records.take_rows(&rows);
         assert!(!records.is_complete(Stage::Match) && !records.is_complete(Stage::Map));
@@ -401,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn each_option_that_differs_is_named_and_many_are_counted() {
+    fn differing_options_are_named_up_to_a_number() {
         let recipe = |options: &[(&'static str, &str)]| {
             Recipe::new(
                 "a".to_owned(),
@@ -438,7 +453,7 @@ mod tests {
         }
     }
 
-    /// `stages.json` of version VERSION as the version before wrote it, for four photos.
+    /// `stages.json` of an earlier version for four photos, and its recipes.
     fn legacy_file(version: u32, pairs: &str) -> (String, [String; 3]) {
         let detector = "Options { first_octave: -1, octaves: 4, levels: 3, peak_threshold: \
         0.0066666664, \
@@ -488,7 +503,7 @@ mod tests {
         (file, [features, matches, models])
     }
 
-    /// What a run asks for whose options are the defaults of the command line.
+    /// The recipe of a run with the default options of the command line.
     fn asked(records: &Records, stage: Stage, pairs: PairSelection) -> Recipe {
         let dir = Path::new("ws");
         let mapper = MapperOptions { rig: RigTerm::Auto, ..MapperOptions::default() };
@@ -510,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn records_without_keys_go_on_and_differences_are_named() {
+    fn records_without_keys_are_converted() {
         let (dir, folder) = (Path::new("ws"), tempfile::tempdir().unwrap());
         let path = folder.path().join("stages.json");
         let exhaustive = PairSelection::Exhaustive;
@@ -530,7 +545,7 @@ mod tests {
             let mut with_rows = read.clone();
             with_rows.take_rows(&rows);
             assert_eq!(with_rows.to_json(), read.to_json(), "the database says the same");
-            // A record that was brought up to date beside a database that was not.
+            // A converted `stages.json` beside a database that was not converted.
             std::fs::write(&path, read.clone().upgraded().to_json()).unwrap();
             let mut upgraded = Records::read(&path).unwrap().unwrap();
             upgraded.take_rows(&rows);
@@ -560,7 +575,7 @@ mod tests {
                 assert!(error.contains("in ws were made from other photos"), "{error}");
             }
         }
-        // Models of other matches than those of the database are forgotten as before.
+        // Models of other matches than those of the database are not valid.
         let (file, _) = legacy_file(2, "exhaustive");
         let (_, [features, matches, _]) = legacy_file(2, "sequential:5");
         std::fs::write(&path, file).unwrap();

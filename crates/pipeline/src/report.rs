@@ -6,69 +6,69 @@ use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
 use crate::{Error, RigReport, ScaleReport, Stage};
 
-/// `report.json`: what came out of each stage.
+/// `report.json`: the results of all stages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Version of this program.
     pub version: String,
-    /// What each stage did.
+    /// Summaries of the stages.
     pub stages: StageReports,
     /// The models, the largest first.
     pub models: Vec<ModelReport>,
 }
 
-/// What each stage did; `None` before it is complete.
+/// Summaries of the stages; `None` before a stage is complete.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageReports {
-    /// Keypoints and descriptors.
+    /// Stage 1.
     pub features: Option<FeaturesReport>,
-    /// Matches.
+    /// Stage 2. The key of the file is `match`.
     #[serde(rename = "match")]
     pub matches: Option<MatchReport>,
-    /// The mapper.
+    /// Stage 3.
     pub map: Option<MapReport>,
 }
 
-/// What the extraction of features gave.
+/// Summary of feature extraction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FeaturesReport {
-    /// Wall time of the run that ended it.
+    /// Wall time of the run that completed the stage.
     pub seconds: f64,
-    /// Images with features.
+    /// Number of images with features.
     pub images: usize,
-    /// Keypoints of all.
+    /// Number of keypoints of all images.
     pub keypoints: usize,
-    /// Images that could not be used.
+    /// Images that were skipped.
     pub skipped: Vec<SkippedImage>,
-    /// As they were before any image was registered.
+    /// Initial cameras.
     pub cameras: Vec<CameraReport>,
 }
 
-/// An image that could not be used.
+/// An image that was skipped.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SkippedImage {
     /// Its name.
     pub image: String,
-    /// Why.
+    /// The reason.
     pub why: String,
 }
 
-/// What matching gave.
+/// Summary of matching.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MatchReport {
-    /// Wall time of the run that ended it.
+    /// Wall time of the run that completed the stage.
     pub seconds: f64,
-    /// Pairs of images that were matched.
+    /// Number of image pairs that were matched.
     pub pairs: usize,
-    /// Those with a two-view geometry.
+    /// Number of pairs with a verified two-view geometry.
     pub verified_pairs: usize,
-    /// Matches of descriptors.
+    /// Number of descriptor matches.
     pub matches: usize,
-    /// Those that agree with a two-view geometry.
+    /// Number of inlier matches of verified pairs.
     pub inlier_matches: usize,
 }
 
-/// What the mapper did.
+/// Summary of mapping.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapReport {
     /// Wall time.
@@ -80,32 +80,32 @@ pub struct MapReport {
 pub struct ModelReport {
     /// Its folder, relative to the workspace.
     pub path: String,
-    /// Images with a pose.
+    /// Number of registered images.
     pub registered: usize,
-    /// Images with features.
+    /// Number of images with features.
     pub images: usize,
-    /// Names of the images without a pose.
+    /// Names of the unregistered images.
     pub unregistered: Vec<String>,
-    /// Points.
+    /// Number of points.
     pub points: usize,
-    /// Observations of them.
+    /// Number of observations.
     pub observations: usize,
-    /// Observations a point.
+    /// Mean number of observations per point.
     pub mean_track_length: f64,
-    /// Mean over the points of the mean over their observations, in pixels, as COLMAP has it.
+    /// Mean over the points of the mean reprojection error of their observations, in pixels, as in
+    /// COLMAP.
     pub mean_reprojection_error_px: f64,
-    /// Cameras with an image in it.
+    /// Cameras with a registered image.
     pub cameras: Vec<CameraReport>,
-    /// Cameras that took images at the same moments.
+    /// The rig, if there are cameras with synchronous images.
     pub rig: Option<RigReport>,
-    /// Pairs of images that drift had torn apart where the way meets itself, and that are one place
-    /// now.
+    /// Number of image pairs that drift had separated and that loop closure merged.
     #[serde(default)]
     pub loop_pairs: usize,
-    /// What was asked for and failed, as sentences; the model is as it would be without.
+    /// Optional stages that failed, as sentences; the model is that without them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
-    /// What a given distance of two cameras made of it.
+    /// The metric scale, with `--baseline`.
     pub scale: Option<ScaleReport>,
 }
 
@@ -114,18 +114,18 @@ pub struct ModelReport {
 pub struct CameraReport {
     /// COLMAP's id.
     pub id: u32,
-    /// COLMAP's name of the model.
+    /// COLMAP's name of the camera model.
     pub model: String,
-    /// In pixels.
+    /// Image width, in pixels.
     pub width: u32,
-    /// In pixels.
+    /// Image height, in pixels.
     pub height: u32,
-    /// Parameters of the model, in its order.
+    /// Parameters of the camera model, in COLMAP's order.
     pub params: Vec<f64>,
-    /// With `--rolling-shutter`: time from the first row to the last one, in seconds.
+    /// With `--rolling-shutter`: readout time from the first row to the last, in seconds.
     #[serde(default)]
     pub readout_s: Option<f64>,
-    /// Its standard deviation, where it was estimated and the images tell it.
+    /// Its standard deviation, if it was estimated and is observable.
     #[serde(default)]
     pub readout_sd_s: Option<f64>,
 }
@@ -143,7 +143,7 @@ impl CameraReport {
 }
 
 impl ModelReport {
-    /// What the model itself tells, and the shutters of its cameras.
+    /// The report on a model and the shutters of its cameras, without rig and scale.
     pub(crate) fn new(path: String, model: &Reconstruction, shutters: &[RollingShutter]) -> Self {
         // Images without keypoints could not be read.
         let images = || model.images().filter(|(_, image)| !image.keypoints.is_empty());
@@ -174,6 +174,11 @@ impl ModelReport {
 }
 
 impl Report {
+    /// Reads `report.json`; an empty report if the file does not exist.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read or is damaged.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
         match std::fs::read(path) {
             Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
@@ -185,16 +190,16 @@ impl Report {
         }
     }
 
-    /// Drops what is said of stages that are not there.
-    pub(crate) fn keep_only(&mut self, is_there: impl Fn(Stage) -> bool) {
+    /// Removes the parts on stages that are not complete.
+    pub(crate) fn keep_only(&mut self, is_complete: impl Fn(Stage) -> bool) {
         let Self { stages, models, .. } = self;
-        if !is_there(Stage::Features) {
+        if !is_complete(Stage::Features) {
             stages.features = None;
         }
-        if !is_there(Stage::Match) {
+        if !is_complete(Stage::Match) {
             stages.matches = None;
         }
-        if !is_there(Stage::Map) {
+        if !is_complete(Stage::Map) {
             stages.map = None;
             models.clear();
         }

@@ -1,4 +1,4 @@
-//! `rig.json`: the calibration that was found, with its uncertainty, and the clocks.
+//! `rig.json`: the estimated rig extrinsics and time offsets with their covariance.
 
 use std::cmp::Ordering;
 use std::path::Path;
@@ -12,24 +12,24 @@ use tiepoint_sfm::{CalibratedCamera, CalibratedRig, ClockState, RigConstraint};
 use crate::Error;
 use crate::image_names::folder_of;
 
-/// The norm of a quaternion of three digits differs from 1 by less.
+/// Largest accepted deviation of a quaternion's norm from 1: three digits are precise to less.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
-/// The rig of a model: its frame is that of the first camera.
+/// The rig of a model. The rig frame is the frame of the reference camera, which is the first.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigFile {
-    /// The folder of the first camera, whose clock the others' are related to.
+    /// Folder of the reference camera.
     pub reference: String,
-    /// The others.
+    /// The other cameras.
     pub cameras: Vec<RigCamera>,
-    /// Images of one moment, the first camera's and another's, that are wrong: they agree neither
-    /// in the model nor by their own matches with the mounting. `None` in files of versions before
-    /// this was written.
+    /// Image pairs of one frame, reference camera first, whose relative pose contradicts the
+    /// extrinsics, both in the model and by their own matches. `None` in files of versions that did
+    /// not write them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bad_pairs: Option<Vec<[String; 2]>>,
 }
 
-/// A camera beside the first one.
+/// A non-reference camera of a rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigCamera {
     /// Its folder.
@@ -40,46 +40,53 @@ pub struct RigCamera {
     pub translation: [f64; 3],
     /// Its centre in the rig, in units of the model.
     pub centre_in_rig: [f64; 3],
-    /// soft or hard: whether its poses are rigid frames with the first camera's.
-    pub hold: String,
-    /// What turns its times into the first camera's.
+    /// soft, or hard: the poses of the frames satisfy the extrinsics exactly. The key of the file
+    /// is `hold`.
+    #[serde(rename = "hold")]
+    pub constraint: String,
+    /// Its clock relative to the reference camera's.
     pub clock: RigClock,
-    /// Joint covariance of rotation (radians, R ← Exp(δ) R), translation, offset (seconds) and
-    /// drift, rows in this order; zeros where something is held, none where it is not determined.
-    /// The size of the model is held, not part of it.
+    /// Joint covariance, 8 x 8, of rotation (radians, R ← Exp(δ) R), translation (units of the
+    /// model), offset (seconds) and skew, in this order. Rows of fixed parameters are zero; `None`
+    /// where the images do not determine it. It is conditional on the scale of the model.
     pub covariance: Option<Vec<Vec<f64>>>,
-    /// Largest standard deviation of the rotation about any axis.
+    /// Largest standard deviation of the rotation about any axis, in degrees.
     pub rotation_sd_deg: Option<f64>,
-    /// Largest standard deviation of the translation in any direction.
+    /// Largest standard deviation of the translation in any direction, in units of the model.
     pub translation_sd: Option<f64>,
-    /// Of cameras that see nothing in common: a direction in the rig along which the motion does
-    /// not tell where the camera is, as upwards on a flat road. Its place along it is a guess:
-    /// zero.
+    /// For cameras without common points: a unit vector in the rig frame along which the motion
+    /// does not determine the position of the camera, such as the vertical on a flat road. The
+    /// coordinate along it is set to zero.
     #[serde(default)]
     pub unobservable: Option<[f64; 3]>,
 }
 
-/// Time of the first camera = time + offset + drift (time − pivot).
+/// Time of the reference camera = time + offset + drift (time − pivot).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigClock {
-    /// together: the cameras take their images at the same instants, which fixes the offset; free:
-    /// found from the images; not observable: the images tell too little, and the offset is what
-    /// the time stamps say.
-    pub timing: String,
-    /// Offset at the pivot.
+    /// together: the cameras are synchronised, which fixes the offset; free: the offset is
+    /// estimated; not observable: the images do not determine the offset, and that of the time
+    /// stamps is used. The key of the file is `timing`.
+    #[serde(rename = "timing")]
+    pub state: String,
+    /// Time offset at the pivot, in seconds.
     pub offset_s: f64,
-    /// Its standard deviation, where it was found.
+    /// Its standard deviation, if it was estimated.
     pub offset_sd_s: Option<f64>,
-    /// Drift, in parts per million.
+    /// Clock skew, in parts per million.
     pub drift_ppm: f64,
-    /// Its standard deviation, where it was found.
+    /// Its standard deviation, if it was estimated.
     pub drift_sd_ppm: Option<f64>,
-    /// The middle of this camera's images, on its own clock.
+    /// Mid-time of this camera's images, on its own clock, in seconds.
     pub pivot_s: f64,
 }
 
 impl RigFile {
-    /// From the text of the file at `path`.
+    /// Parses the content of the file at `path`.
+    ///
+    /// # Errors
+    ///
+    /// The content is not JSON of this form, or a rotation is not a unit quaternion.
     pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
         let broken = |what: String| Error::Broken { path: path.to_owned(), what };
         let file: Self = serde_json::from_slice(text).map_err(|error| broken(error.to_string()))?;
@@ -94,9 +101,9 @@ impl RigFile {
         Ok(file)
     }
 
-    /// `None` without a camera that is held to the first one.
+    /// The extrinsics of a model's rig; `None` if none were estimated.
     pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
-        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.left);
+        let reference = folder_of(model, rig.cameras.first()?.rig_sensor.left);
         let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
@@ -109,7 +116,7 @@ impl RigFile {
 }
 
 impl RigCamera {
-    /// Its pose on the rig.
+    /// Its sensor_from_rig.
     pub(crate) fn cam_from_rig(&self) -> Rigid3 {
         let [w, x, y, z] = self.rotation_wxyz;
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
@@ -117,44 +124,44 @@ impl RigCamera {
     }
 
     fn new(model: &Reconstruction, camera: &CalibratedCamera) -> Self {
-        let (pose, clock) = (&camera.right_from_left, &camera.sensor_pair.clock);
+        let (pose, clock) = (&camera.right_from_left, &camera.rig_sensor.clock);
         let q = &pose.rotation;
         let sd =
             |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
-        let widest = |first: usize| {
+        let largest_sd = |first: usize| {
             let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
             Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
         };
-        let is_free = camera.sensor_pair.clock_state == ClockState::Estimated;
+        let is_estimated = camera.rig_sensor.clock_state == ClockState::Estimated;
         Self {
-            name: folder_of(model, camera.sensor_pair.right),
+            name: folder_of(model, camera.rig_sensor.right),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
-            hold: match camera.constraint {
+            constraint: match camera.constraint {
                 RigConstraint::Soft { .. } => "soft",
                 RigConstraint::Rigid => "hard",
             }
             .to_owned(),
             clock: RigClock {
-                timing: match camera.sensor_pair.clock_state {
+                state: match camera.rig_sensor.clock_state {
                     ClockState::Synchronised => "together",
                     ClockState::Estimated => "free",
                     ClockState::Unobservable => "not observable",
                 }
                 .to_owned(),
                 offset_s: clock.offset_s,
-                offset_sd_s: sd(6).filter(|_| is_free),
+                offset_sd_s: sd(6).filter(|_| is_estimated),
                 drift_ppm: 1e6 * clock.drift,
-                drift_sd_ppm: sd(7).filter(|_| is_free).map(|sd| 1e6 * sd),
+                drift_sd_ppm: sd(7).filter(|_| is_estimated).map(|sd| 1e6 * sd),
                 pivot_s: clock.pivot_s,
             },
             covariance: camera.covariance.map(|covariance| {
                 covariance.row_iter().map(|row| row.iter().copied().collect()).collect()
             }),
-            rotation_sd_deg: widest(0).map(f64::to_degrees),
-            translation_sd: widest(3),
-            unobservable: camera.sensor_pair.unobservable_direction.map(Into::into),
+            rotation_sd_deg: largest_sd(0).map(f64::to_degrees),
+            translation_sd: largest_sd(3),
+            unobservable: camera.rig_sensor.unobservable_direction.map(Into::into),
         }
     }
 }
@@ -164,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rotation_that_is_none_is_refused() {
+    fn rotation_that_is_not_a_unit_quaternion_is_rejected() {
         let read = |rotation_wxyz| {
             let camera =
                 RigCamera { name: "right".to_owned(), rotation_wxyz, ..RigCamera::default() };
@@ -182,7 +189,7 @@ mod tests {
                 "{error}"
             );
         }
-        // serde_json writes what is not finite as null, and refuses that and 1e999 when it reads.
+        // serde_json writes NaN as null, and rejects null when it reads a number.
         assert!(read([f64::NAN; 4]).is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! What the report says about cameras that ride together.
+//! The part of `report.json` on rigs.
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::rig::{RelativePose, RelativePoseStatistics, paper, relative_pose_statistics};
@@ -11,119 +11,122 @@ use tiepoint_sfm::{
 use crate::image_names::folder_of;
 use crate::rig_file::RigFile;
 
-/// Two or more cameras that took images at the same moments.
+/// Relative poses and extrinsics of two or more cameras with synchronous images.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigReport {
-    /// What was asked to hold them to each other: off, paper, soft, hard or auto.
+    /// The value of `--rig`: off, paper, soft, hard or auto.
     pub mode: String,
-    /// The first camera with each other one.
+    /// Relative-pose statistics of the first camera with each other one.
     pub cameras: Vec<RigCameraReport>,
-    /// With `--rig paper`: what the constraint meant in this model.
+    /// With `--rig paper`: the constraint in the units of this model.
     pub paper: Option<PaperReport>,
-    /// With soft, hard and auto: what came of it.
-    pub mounting: Option<MountingReport>,
+    /// With soft, hard and auto: the estimated extrinsics. The key of the file is `mounting`.
+    #[serde(rename = "mounting")]
+    pub extrinsics: Option<ExtrinsicsReport>,
 }
 
-/// How firmly the cameras were held to one mounting in the end, and why.
+/// The rig extrinsics of a model, and the constraint that was chosen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MountingReport {
+pub struct ExtrinsicsReport {
     /// off, soft or hard.
     pub chosen: String,
-    /// The reason, in one sentence.
+    /// The reason for the choice, in one sentence.
     pub why: String,
-    /// Of soft: standard deviation of each coordinate of the centre, as a share of the baseline.
+    /// With soft: standard deviation of each coordinate of the centre, as a fraction of the
+    /// baseline.
     pub sigma_translation: Option<f64>,
-    /// Of soft: standard deviation of each component of the rotation.
+    /// With soft: standard deviation of each component of the rotation vector, in degrees.
     pub sigma_rotation_deg: Option<f64>,
-    /// Error of tracks that took no part, without any mounting.
+    /// Reprojection error of held-out tracks without a rig constraint, in pixels.
     pub held_out_error_off_px: f64,
-    /// The same in the end.
+    /// Reprojection error of held-out tracks with the chosen constraint, in pixels.
     pub held_out_error_px: f64,
-    /// Images of one moment that agree with the mounting neither in the model nor by their own
-    /// matches.
+    /// Image pairs of one frame whose relative pose contradicts the extrinsics, both in the model
+    /// and by their own matches.
     pub bad_pairs: Vec<[String; 2]>,
-    /// Where images without matches with their partners stood elsewhere: how many were brought
-    /// back.
+    /// A repaired split of the model, if there was one.
     #[serde(default)]
     pub split: Option<SplitReport>,
-    /// The calibration with the clocks, as in `rig.json`.
+    /// Extrinsics and time offsets, as in `rig.json`.
     pub rig: Option<RigFile>,
 }
 
-/// A split of the model that the mounting closed.
+/// A repaired split: images without matches to the other cameras had wrong poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplitReport {
-    /// Images that were brought back to where their mounting has them.
+    /// Number of images that were moved to the poses that the extrinsics give.
     pub images: usize,
-    /// Pairs with them that matched when they were matched again; with none, nothing but the
-    /// mounting holds these images.
+    /// Number of pairs with these images that matched afterwards. If it is 0, only the extrinsics
+    /// determine their poses.
     pub pairs_matched_again: usize,
 }
 
-/// How constant the relative pose of two cameras is, without any truth.
+/// Statistics of the relative pose of two cameras over all frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigCameraReport {
-    /// Their folders.
+    /// Folders of the two cameras.
     pub names: [String; 2],
-    /// N_t: moments at which both took an image, or at which the first camera's place is known
-    /// where the other took one.
+    /// N_t: number of frames with an image of both cameras, or, with unsynchronised cameras, with
+    /// an image of the second and a (synchronous or interpolated) reference pose.
     pub pairs: usize,
-    /// N_p: those with both poses; of cameras that are held to a mounting, those at which they are.
+    /// N_p: number of these frames with both poses; with estimated extrinsics, number of the frames
+    /// that they constrain.
     pub reconstructed_pairs: usize,
-    /// Distance of the two, in units of the model.
+    /// Median distance of the two cameras, in units of the model.
     pub median_baseline: f64,
     /// Standard deviation of the distance over its mean.
     pub relative_baseline_sd: f64,
-    /// Root mean square distance of the second camera from its mean place, over the mean distance.
+    /// Root mean square distance of the second camera's centre from its mean, in the frame of the
+    /// first camera, over the mean distance.
     pub relative_translation_rms: f64,
-    /// Root mean square angle from the mean rotation.
+    /// Root mean square angle between the relative rotations and their mean, in degrees.
     pub rotation_rms_deg: f64,
-    /// Mean distance in the second half of the drive over that in the first half: 1 where the scale
-    /// does not drift.
+    /// Mean distance in the second half of the drive over that in the first half: 1 without scale
+    /// drift.
     pub second_over_first_half: f64,
 }
 
-/// The constraint of Huang, Elhashash & Qin 2022 has a unit: what it was, and how strong λ is in
-/// it.
+/// λ of Huang, Elhashash & Qin 2022 (Eq. 2), which depends on the unit of length.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PaperReport {
-    /// The images whose distance is one unit; the pose of the first one and this distance were
-    /// held.
+    /// The initial pair: its distance is the unit of length. The gauge fixes the pose of the first
+    /// image and one coordinate of the second.
     pub unit_images: [String; 2],
-    /// Their distance now, in units: only one coordinate of it is held.
+    /// Final distance of the initial pair, in units of the model.
     pub unit_distance: f64,
-    /// λ while mapping, of a complete model.
+    /// λ while mapping, when all pairs are reconstructed.
     pub lambda: f64,
-    /// The same as a standard deviation between consecutive moments, in units of the model.
+    /// λ as a standard deviation of the translation between consecutive frames, in units of the
+    /// model.
     pub sigma_translation: f64,
-    /// The same over the median distance of the cameras.
+    /// `sigma_translation` over the median baseline.
     pub relative_sigma_translation: f64,
-    /// The same of the rotation.
+    /// λ as a standard deviation of the rotation between consecutive frames, in degrees.
     pub sigma_rotation_deg: f64,
-    /// Pairs that Eq. (4) took for incorrectly estimated, as it sees the final model; they weigh
-    /// 500 and not 250.
+    /// Image pairs that Eq. (4) classifies as incorrectly estimated in the final model: λ_i = 500,
+    /// not 250.
     pub bad_pairs: Vec<[String; 2]>,
 }
 
 impl RigReport {
-    /// `None` for a lone camera.
-    /// `factor` is what the lengths of the model were multiplied by after mapping.
+    /// The report on the rig of a model; `None` for a single camera. `factor`: metres per unit of
+    /// the model while mapping, or 1 where the model was not scaled.
     pub(crate) fn new(term: RigTerm, mapped: &MappedModel, factor: f64) -> Option<Self> {
         let MappedModel { reconstruction: model, initial_pair, rig, .. } = mapped;
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
             rigs.iter().map(|rig| (rig, relative_poses(model, &rig.pairs))).collect();
-        let mounted = rig.as_ref().map_or(&[][..], |rig| &rig.cameras);
+        let calibrated = rig.as_ref().map_or(&[][..], |rig| &rig.cameras);
         let mut cameras: Vec<RigCameraReport> =
-            mounted.iter().filter_map(|mounted| mounted_camera(model, mounted)).collect();
-        // Where clocks are not known, images nearest in time count as of one moment.
-        let is_left =
-            |rig: &RigPairs| mounted.iter().all(|mounted| mounted.sensor_pair.right != rig.right);
+            calibrated.iter().filter_map(|camera| calibrated_camera(model, camera)).collect();
+        // Without estimated time offsets, the images nearest in time form a frame.
+        let is_uncalibrated =
+            |rig: &RigPairs| calibrated.iter().all(|camera| camera.rig_sensor.right != rig.right);
         cameras.extend(
             series
                 .iter()
-                .filter(|(rig, _)| is_left(rig))
-                .filter_map(|(rig, poses)| camera(model, rig, poses)),
+                .filter(|(rig, _)| is_uncalibrated(rig))
+                .filter_map(|(rig, poses)| uncalibrated_camera(model, rig, poses)),
         );
         let mode = match term {
             RigTerm::Off => "off",
@@ -136,12 +139,13 @@ impl RigReport {
             RigTerm::Paper => paper_report(model, &series, &cameras, *initial_pair, factor),
             _ => None,
         };
-        let mounting = rig.as_ref().map(|rig| mounting_report(term, model, rig));
-        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, mounting })
+        let extrinsics = rig.as_ref().map(|rig| extrinsics_report(term, model, rig));
+        (!cameras.is_empty()).then(|| Self { mode: mode.to_owned(), cameras, paper, extrinsics })
     }
 }
 
-fn camera(
+/// Statistics of two cameras without estimated extrinsics, over the frames with both poses.
+fn uncalibrated_camera(
     model: &Reconstruction,
     rig: &RigPairs,
     poses: &[(RigPair, RelativePose)],
@@ -155,10 +159,10 @@ fn camera(
     ))
 }
 
-/// With its clock: the moments at which it is held.
-fn mounted_camera(model: &Reconstruction, mounted: &CalibratedCamera) -> Option<RigCameraReport> {
-    let cameras = [mounted.sensor_pair.left, mounted.sensor_pair.right];
-    Some(camera_report(model, cameras, mounted.num_referenced_images, &mounted.statistics?))
+/// Statistics of a camera with estimated extrinsics, over the frames that they constrain.
+fn calibrated_camera(model: &Reconstruction, camera: &CalibratedCamera) -> Option<RigCameraReport> {
+    let cameras = [camera.rig_sensor.left, camera.rig_sensor.right];
+    Some(camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?))
 }
 
 fn camera_report(
@@ -179,7 +183,11 @@ fn camera_report(
     }
 }
 
-fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &CalibratedRig) -> MountingReport {
+fn extrinsics_report(
+    term: RigTerm,
+    model: &Reconstruction,
+    rig: &CalibratedRig,
+) -> ExtrinsicsReport {
     let CalibratedRig { constraint, error_off_px, error_px, .. } = *rig;
     let name = |image| model.image(image).name.clone();
     let (chosen, sigmas) = match constraint {
@@ -192,19 +200,17 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &CalibratedRig) -
     let errors = format!("{error_off_px:.3} px without and {error_px:.3} px with it");
     let why = match (term, constraint) {
         (RigTerm::Auto, None) => {
-            "cameras held to one mounting would explain tracks that took no part worse, even \
-            loosely"
-                .to_owned()
+            "even a weak rig constraint would increase the error of held-out tracks".to_owned()
         }
         (RigTerm::Auto, Some(RigConstraint::Rigid)) => {
-            format!("a rigid rig explains tracks that took no part as well as any: {errors}")
+            format!("exact extrinsics fit held-out tracks as well as weaker ones: {errors}")
         }
         (_, Some(RigConstraint::Soft { .. })) => {
-            format!("this is as firmly as tracks that took no part allow: {errors}")
+            format!("smaller sigmas would increase the error of held-out tracks: {errors}")
         }
-        _ => format!("it was asked for; tracks that took no part are off by {errors}"),
+        _ => format!("as asked for; error of held-out tracks {errors}"),
     };
-    MountingReport {
+    ExtrinsicsReport {
         chosen: chosen.to_owned(),
         why,
         sigma_translation: sigmas.map(|sigmas| sigmas.0),
@@ -214,9 +220,9 @@ fn mounting_report(term: RigTerm, model: &Reconstruction, rig: &CalibratedRig) -
         bad_pairs: rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
         split: rig.split.map(|split| SplitReport {
             images: split.num_images,
-            pairs_matched_again: split.num_rematched_pairs,
+            pairs_matched_again: split.num_pairs_matched_again,
         }),
-        // The pairs stand above already.
+        // `bad_pairs` of this report has them.
         rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: None, ..file }),
     }
 }

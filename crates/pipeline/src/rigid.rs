@@ -1,11 +1,10 @@
-//! A workspace's model with its cameras held exactly to one calibration: what rigs and frames of
-//! COLMAP can say.
+//! A model with exact rig extrinsics, as COLMAP's rigs and frames express it.
 //!
-//! The calibration, clocks and wrong pairs are those that mapping found (`rig.json`); where it held
-//! nothing, the robust mean of the relative poses and [`tiepoint_sfm::sensor_pairs`]. Images of one
-//! moment are then those nearest to each other in time. Where cameras are not triggered together,
-//! that is not the same instant, and what the rig moved in between becomes error: the report says
-//! how much.
+//! The initial extrinsics, the clocks and the incorrect pairs come from mapping (`rig.json`).
+//! Without that file, they come from the robust mean of the relative poses and
+//! [`tiepoint_sfm::rig_sensors`]. The images of a frame are those nearest in time. If the cameras
+//! are not synchronised, these were taken at different instants, and the motion in between becomes
+//! reprojection error; the report has its size.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -17,81 +16,88 @@ use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
-    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair,
-    RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
+    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigSensor,
+    RigidCamera, constrain_rigidly, relative_poses, rig_sensors,
 };
 
 use crate::evaluate::read_times;
 use crate::image_names::{camera_of_folder, folder_of};
-use crate::model_place::ModelPlace;
+use crate::model_location::ModelLocation;
 use crate::{Error, Report, RigCamera, RigFile, model_folder};
 
-/// What it took to make a model rigid.
+/// The effect of exact rig extrinsics on a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RigidReport {
-    /// The cameras on the rig, the first one being its frame.
+    /// Folders of the cameras of the rig; the first one is the reference camera.
     pub cameras: Vec<String>,
-    /// Moments at which two or more of them have a pose: frames of the rig.
+    /// Number of frames: instants with a pose of two or more cameras.
     pub frames: usize,
-    /// Images in them.
+    /// Number of images in frames.
     pub images: usize,
-    /// Images that stay free: without a partner, or known to be wrong.
+    /// Number of registered images outside frames: without a synchronous image, or incorrect.
     pub free_images: usize,
-    /// Mean reprojection error of the model as it was.
+    /// Mean reprojection error before, in pixels.
     pub error_before_px: f64,
-    /// The same of the rigid one.
+    /// Mean reprojection error with exact extrinsics, in pixels.
     pub error_after_px: f64,
-    /// Observations as they were.
+    /// Number of observations before.
     pub observations_before: usize,
-    /// Those that still fit.
+    /// Number of observations that remain inliers.
     pub observations_after: usize,
-    /// Largest difference in time between images of one frame, by the clocks that were found;
+    /// Largest time difference between images of one frame on the clock of the reference camera;
     /// `None` without times.
     pub max_time_difference_s: Option<f64>,
 }
 
-/// Without a mounting found before, a pair farther than this from the mean is none: in baselines,
-/// and in radians.
+/// Largest deviation of a pair from the mean relative pose, without known extrinsics: distance in
+/// baselines, and angle in radians.
 const MAX_DEVIATION: (f64, f64) = (0.5, 0.1);
 const MIN_PAIRS: usize = 2;
 const ITERATIONS: usize = 100;
 
-/// Reads a model (a folder, or a workspace) and makes it rigid.
+/// Reads a model (a folder or a workspace) and adjusts it with exact rig extrinsics.
+///
+/// # Errors
+///
+/// The model or a file beside it cannot be read, no two cameras have poses at common frames, or the
+/// adjustment fails.
 pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), Error> {
     let folder = model_folder(from)?;
-    let place = ModelPlace::of(&folder);
+    let location = ModelLocation::of(&folder);
     let mut model = read_model(&folder)?;
-    read_times(&mut model, &place.timestamps())?;
-    let rig = place.rig();
-    let (found, bad) =
-        if rig.is_file() { mounted(&model, &place)? } else { (Vec::new(), BTreeSet::new()) };
-    let candidates = if found.is_empty() {
-        sensor_pairs(&model).into_iter().map(|sensor_pair| (sensor_pair, None)).collect()
+    read_times(&mut model, &location.timestamps())?;
+    let (known, bad) = if location.rig().is_file() {
+        known_sensors(&model, &location)?
     } else {
-        found
+        (Vec::new(), BTreeSet::new())
+    };
+    let candidates = if known.is_empty() {
+        rig_sensors(&model).into_iter().map(|rig_sensor| (rig_sensor, None)).collect()
+    } else {
+        known
     };
     let mut cameras: Vec<(RigidCamera, Clock)> = Vec::new();
-    for (sensor_pair, calibration) in candidates {
+    for (rig_sensor, calibration) in candidates {
         cameras.extend(
-            rigid_camera(&model, &sensor_pair, calibration, &bad)
-                .map(|camera| (camera, sensor_pair.clock)),
+            rigid_camera(&model, &rig_sensor, calibration, &bad)
+                .map(|camera| (camera, rig_sensor.clock)),
         );
     }
     if cameras.is_empty() {
-        return Err(Error::NothingRigid { path: from.to_owned() });
+        return Err(Error::NoRigFrames { path: from.to_owned() });
     }
     let max_time_difference_s = time_difference_s(&model, &cameras);
     let mut cameras: Vec<RigidCamera> = cameras.into_iter().map(|(camera, _)| camera).collect();
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
-    let length = cameras[0].right_from_left.translation.norm();
-    let are_known = place.has_known_intrinsics();
+    let baseline = cameras[0].right_from_left.translation.norm();
+    let are_known = location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
-    let options = options.with_noise_of(&model);
+    let options = options.weighed_against(&model);
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
-    // The distance of the first two cameras is what the model's size is known by, if at all.
-    let factor = length / cameras[0].right_from_left.translation.norm();
+    // The adjustment is free in scale. The baseline before may be metric.
+    let factor = baseline / cameras[0].right_from_left.translation.norm();
     if factor.is_normal() {
         let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
         model.transform(&Sim3 { scale: factor, rotation, translation });
@@ -112,16 +118,19 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     Ok((model, report))
 }
 
-/// Cameras with what mapping found of them: clocks and calibrations.
-type Found = Vec<(SensorPair, Option<Rigid3>)>;
+/// Rig sensors with their clocks, and their sensor_from_rig if it is known.
+type Sensors = Vec<(RigSensor, Option<Rigid3>)>;
 
-/// What mapping found of the cameras, and the images of further cameras that it found to be none of
-/// their moment.
-fn mounted(
+/// The rig sensors in `rig.json`, and the images of non-reference sensors in incorrect pairs.
+///
+/// # Errors
+///
+/// The file cannot be read, is damaged, or names a camera that the model lacks.
+fn known_sensors(
     model: &Reconstruction,
-    place: &ModelPlace,
-) -> Result<(Found, BTreeSet<ImageId>), Error> {
-    let rig = place.rig();
+    location: &ModelLocation,
+) -> Result<(Sensors, BTreeSet<ImageId>), Error> {
+    let rig = location.rig();
     let broken = |what: String| Error::Broken { path: rig.clone(), what };
     let text =
         std::fs::read(&rig).map_err(|cause| Error::Unreadable { path: rig.clone(), cause })?;
@@ -136,7 +145,7 @@ fn mounted(
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
-        let sensor_pair = SensorPair {
+        let rig_sensor = RigSensor {
             left,
             right: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
@@ -144,12 +153,12 @@ fn mounted(
             assumed_baseline: None,
             unobservable_direction: None,
         };
-        Ok((sensor_pair, Some(camera.cam_from_rig())))
+        Ok((rig_sensor, Some(camera.cam_from_rig())))
     };
     let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
     let pairs = match file.bad_pairs {
         Some(pairs) => pairs,
-        None => bad_pairs_of_report(place)?,
+        None => bad_pairs_of_report(location)?,
     };
     let names: BTreeSet<&str> = pairs.iter().map(|[_, right]| right.as_str()).collect();
     let bad =
@@ -157,34 +166,33 @@ fn mounted(
     Ok((cameras, bad.collect()))
 }
 
-/// Workspaces of 0.1.0 before `rig.json` had the wrong pairs: there they stand in the report alone.
-fn bad_pairs_of_report(place: &ModelPlace) -> Result<Vec<[String; 2]>, Error> {
-    let (path, index) = place.report();
+/// Incorrect pairs of a workspace of 0.1.0 whose `rig.json` does not have them: from its report.
+fn bad_pairs_of_report(location: &ModelLocation) -> Result<Vec<[String; 2]>, Error> {
+    let (path, index) = location.report();
     if !path.is_file() {
         return Ok(Vec::new());
     }
     let report = Report::read(&path)?;
-    let mounting = report.models.get(index).and_then(|model| model.rig.as_ref()?.mounting.as_ref());
-    Ok(mounting.map_or(Vec::new(), |mounting| mounting.bad_pairs.clone()))
+    let rig = report.models.get(index).and_then(|model| model.rig.as_ref());
+    let extrinsics = rig.and_then(|rig| rig.extrinsics.as_ref());
+    Ok(extrinsics.map_or(Vec::new(), |extrinsics| extrinsics.bad_pairs.clone()))
 }
 
-/// A camera with its moments; `None` where there are too few.
+/// A rig sensor with its frames and its initial extrinsics: `calibration`, else the robust mean of
+/// the relative poses. `None` if there are too few frames.
 fn rigid_camera(
     model: &Reconstruction,
-    sensor_pair: &SensorPair,
+    rig_sensor: &RigSensor,
     calibration: Option<Rigid3>,
     bad: &BTreeSet<ImageId>,
 ) -> Option<RigidCamera> {
-    // Together: images pair up by their clocks, whatever lies between them.
-    let sensor_pair = SensorPair { clock_state: ClockState::Synchronised, ..*sensor_pair };
-    let pairs: Vec<RigPair> = sensor_pair
+    // As synchronised cameras: images are paired by their clocks, whatever the time between them.
+    let rig_sensor = RigSensor { clock_state: ClockState::Synchronised, ..*rig_sensor };
+    let pairs: Vec<RigPair> = rig_sensor
         .referenced_images(model)
         .iter()
-        .filter(|moment| !bad.contains(&moment.right))
-        .map(|moment| RigPair {
-            left: moment.nearest_reference(&sensor_pair.clock),
-            right: moment.right,
-        })
+        .filter(|image| !bad.contains(&image.right))
+        .map(|image| RigPair { left: image.nearest_left(&rig_sensor.clock), right: image.right })
         .collect();
     let poses = relative_poses(model, &pairs);
     let (right_from_left, pairs) = match calibration {
@@ -193,7 +201,7 @@ fn rigid_camera(
             let all: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
             let average = robust_average(&all)?;
             let is_near = |pose: &RelativePose| {
-                let (distance, angle) = pose.distance_and_angle(&average);
+                let (distance, angle) = pose.apart(&average);
                 distance <= MAX_DEVIATION.0 * average.translation.norm() && angle <= MAX_DEVIATION.1
             };
             (
@@ -202,17 +210,18 @@ fn rigid_camera(
             )
         }
     };
-    let (left, right) = (sensor_pair.left, sensor_pair.right);
+    let (left, right) = (rig_sensor.left, rig_sensor.right);
     (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
 }
 
+/// Largest time difference between the two images of a pair, on the reference clock.
 fn time_difference_s(model: &Reconstruction, cameras: &[(RigidCamera, Clock)]) -> Option<f64> {
     let all = cameras
         .iter()
         .flat_map(|(camera, clock)| camera.pairs.iter().map(move |pair| (pair, clock)));
-    let apart_s = |(pair, clock): (&RigPair, &Clock)| {
+    let difference_s = |(pair, clock): (&RigPair, &Clock)| {
         let right_s = clock.reference_time_s(model.image(pair.right).time_s?);
         Some((right_s - model.image(pair.left).time_s?).abs())
     };
-    all.map(apart_s).try_fold(0.0, |most: f64, apart_s| Some(most.max(apart_s?)))
+    all.map(difference_s).try_fold(0.0, |max: f64, seconds| Some(max.max(seconds?)))
 }

@@ -3,7 +3,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A part of the work whose result is kept on disk.
+/// A stage of the pipeline, whose result is kept on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
@@ -16,7 +16,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All, each made from what the ones before it left.
+    /// All stages in order.
     pub const ALL: [Self; 3] = [Self::Features, Self::Match, Self::Map];
 
     /// Its name on the command line and in files.
@@ -28,7 +28,7 @@ impl Stage {
         }
     }
 
-    /// What it makes, as a plural.
+    /// Its results, as a plural noun for messages.
     pub(crate) fn products(self) -> &'static str {
         match self {
             Self::Features => "features",

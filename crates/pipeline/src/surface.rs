@@ -1,72 +1,74 @@
-//! A model against a world that can be asked what lies behind a pixel, and against a laser scan.
+//! Distances of points to the true surface at their pixels, in a rendered scene.
 
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_eval::geometry::Sim3;
 use tiepoint_eval::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_eval::{Sighting, Statistics, SurfaceError, points_of_true_cameras, surface_errors};
+use tiepoint_eval::{
+    Statistics, SurfaceError, TrueObservation, surface_errors, triangulate_true_observations,
+};
 use tiepoint_sfm::scene::{Image, PointId, Reconstruction, Track};
 
 use crate::ErrorStatistics;
 
-/// Surfaces farther than this from every camera that saw them count as far, in units of the truth
-/// (metres): a keypoint off by 0.3 px moves a point 30 m away by decimetres, and far points would
-/// drown the mean.
+/// Maximum range of near points, in units of the ground truth (metres): a keypoint error of 0.3 px
+/// moves a point at 30 m by decimetres, so that far points would dominate the mean.
 const NEAR: f64 = 30.0;
 
-/// How far the points of a model are from the true surface at their pixels, cameras aligned. In
-/// units of the truth.
+/// Distances of the points of a model to the true surface at their pixels, after alignment of the
+/// cameras, in units of the ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceEvaluation {
-    /// Points of the model.
+    /// Number of points of the model.
     pub points: usize,
-    /// Those that show the sky or something that moves; they are not in the statistics.
+    /// Number of points on the sky or on moving objects, which the statistics leave out.
     pub not_on_a_surface: usize,
-    /// All others.
+    /// Distances of all other points.
     pub distance: ErrorStatistics,
-    /// Those seen from at most 30 m (units of the truth).
+    /// Distances of points seen from at most 30 m (units of the ground truth).
     pub near: Option<ErrorStatistics>,
-    /// The distances that points would have if the cameras were exactly known: what is left is the
-    /// keypoints' and the matches'.
+    /// Error floor: distances of the same tracks triangulated with the true cameras. It is due to
+    /// keypoints and matches.
     pub floor: Option<ErrorStatistics>,
-    /// The same of those seen from at most 30 m.
+    /// Error floor of points seen from at most 30 m.
     pub near_floor: Option<ErrorStatistics>,
-    /// The points that exactly known cameras would have given.
+    /// The tracks triangulated with the true cameras.
     #[serde(skip)]
     pub exact_points: Vec<Vector3<f64>>,
-    /// Each measured point's error.
+    /// The error of each point on a surface.
     #[serde(skip)]
     pub errors: Vec<(PointId, SurfaceError)>,
 }
 
-/// Compares each point of a model with what truly lies behind the pixels that saw it.
-/// `truth_from_model` comes from the cameras ([`crate::PoseEvaluation::truth_from_model`]);
-/// `sighting` says what an image sees at a pixel, and is asked in parallel. `None` where no point
-/// is on a surface.
+/// Compares each point of a model with the true surface points at its observations.
+/// `truth_from_model` is the alignment of the cameras
+/// ([`crate::PoseEvaluation::truth_from_model`]); `true_observation` returns the true camera centre
+/// and surface point of a pixel of an image, and is called in parallel. `None` if no point is on a
+/// surface.
 pub fn evaluate_surface(
     model: &Reconstruction,
     truth_from_model: &Sim3,
-    sighting: impl Fn(&Image, &Vector2<f64>) -> Sighting + Sync,
+    true_observation: impl Fn(&Image, &Vector2<f64>) -> TrueObservation + Sync,
 ) -> Option<SurfaceEvaluation> {
     let tracks: Vec<(PointId, &Track)> = model.tracks().collect();
-    let sightings_of = |(_, track): &(PointId, &Track)| -> Vec<Sighting> {
+    let of_track = |(_, track): &(PointId, &Track)| -> Vec<TrueObservation> {
         let observations = track.observations.iter();
         let asked = observations.map(|observation| {
             let image = model.image(observation.image);
-            sighting(image, &image.keypoints[observation.keypoint as usize].pixel)
+            true_observation(image, &image.keypoints[observation.keypoint as usize].pixel)
         });
         asked.collect()
     };
-    let sightings: Vec<Vec<Sighting>> = tracks.par_iter().map(sightings_of).collect();
+    let true_observations: Vec<Vec<TrueObservation>> = tracks.par_iter().map(of_track).collect();
     let points: Vec<Vector3<f64>> =
         tracks.iter().map(|(_, track)| *truth_from_model * track.xyz).collect();
-    let all = surface_errors(&points, &sightings);
+    let all = surface_errors(&points, &true_observations);
     let errors: Vec<(PointId, SurfaceError)> =
         tracks.iter().zip(all).filter_map(|((id, _), error)| Some((*id, error?))).collect();
-    let (known, of_known): (Vec<_>, Vec<_>) = points_of_true_cameras(&sightings)
+    let (known, of_known): (Vec<_>, Vec<_>) = triangulate_true_observations(&true_observations)
         .into_iter()
-        .zip(sightings)
-        .filter_map(|(point, sightings)| Some((point?, sightings)))
+        .zip(true_observations)
+        .filter_map(|(point, true_observations)| Some((point?, true_observations)))
         .unzip();
     let floor: Vec<SurfaceError> =
         surface_errors(&known, &of_known).into_iter().flatten().collect();

@@ -1,24 +1,24 @@
-//! Tables for people: on a terminal, in Markdown, in a report.
+//! Tables as text for the terminal, as Markdown, and as data of the report page.
 
 use serde::Serialize;
 
-/// A row of a table: what it is, and its values.
+/// A row of a table: its heading and its values.
 pub type TableRow = (String, Vec<String>);
 
-/// A table with lines of headings. An empty heading belongs to the one on its left, but in the
-/// first column.
+/// A table with one or more lines of headings. A heading spans the empty headings on its right,
+/// except in the first column.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Table {
-    /// What it shows; may be empty.
+    /// Caption; may be empty.
     pub caption: String,
-    /// Lines of headings, each as long as a row with its name.
+    /// Lines of headings, each with as many entries as a row including its heading.
     pub head: Vec<Vec<String>>,
     /// The rows.
     pub rows: Vec<TableRow>,
 }
 
 impl Table {
-    /// One line of headings above the values of the rows.
+    /// A table with one line of column headings.
     pub fn of_columns(names: &[String], rows: Vec<TableRow>) -> Self {
         let head = std::iter::once(String::new()).chain(names.iter().cloned()).collect();
         Self { caption: String::new(), head: vec![head], rows }
@@ -33,8 +33,7 @@ impl Table {
         head.chain(rows).collect()
     }
 
-    /// With columns aligned: names to the left, values to the right, headings over all their
-    /// columns.
+    /// The table as text with aligned columns: row headings on the left, values on the right.
     pub fn to_text(&self) -> String {
         const GAP: usize = 2;
         let lines = self.lines();
@@ -48,7 +47,7 @@ impl Table {
                 }
             }
         }
-        // A heading over several columns that is wider than they are widens the last of them.
+        // A heading that is wider than the columns it spans widens the last of them.
         for line in &lines[..self.head.len()] {
             for column in 0..line.len() {
                 let span = span(line, column);
@@ -77,7 +76,7 @@ impl Table {
         if self.caption.is_empty() { text } else { format!("{}\n\n{text}", self.caption) }
     }
 
-    /// As Markdown has it: the first line of headings, then a rule, then everything else.
+    /// The table as Markdown: the first line of headings, a rule, and all other lines.
     pub fn to_markdown(&self) -> String {
         let lines = self.lines();
         let mut text =
@@ -92,7 +91,7 @@ impl Table {
     }
 }
 
-/// How many columns a heading is for.
+/// Number of columns that a heading spans.
 fn span(line: &[&str], column: usize) -> usize {
     if column == 0 {
         return 1;
@@ -121,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn headings_stand_over_their_columns() {
+    fn headings_are_aligned_with_their_columns() {
         let expected = "\
 Table 3. Errors.
 

@@ -1,11 +1,12 @@
-//! Videos as input: the frames worth having, as photos in the workspace, and when they were taken.
+//! Videos as input: selected frames are written into the workspace as photos with capture times.
 //!
-//! A recording says when it began in whole seconds at best. Where two have heard the same, their
-//! sound tells how much later one began than the other ([`sound`]); then its frames are taken at
-//! the moments of the other's, so that partners lie within half a frame.
+//! A recording has its start time in whole seconds at best. If the soundtracks of two recordings
+//! correlate, they give the offset between the starts ([`audio_offset`]). Then the frames of the
+//! second one are selected at the times of the first one's, so that synchronous frames differ by at
+//! most half a frame interval.
 
-mod choice;
-mod sound;
+mod audio_offset;
+mod frame_selection;
 
 use std::fs;
 use std::num::NonZeroUsize;
@@ -19,18 +20,18 @@ use tiepoint_io::video::{Recording, VideoReader, is_stabilised, is_video, read_s
 use crate::fingerprint::of_files;
 use crate::output_folder::OutputFolder;
 use crate::records::json;
-use crate::{Error, Event, Photos, Stage, Watch, Workspace, tell};
-use choice::{Candidate, Chooser};
+use crate::{Error, Event, Photos, Stage, Watch, Workspace, emit};
+use frame_selection::{Candidate, FrameSelector};
 
-/// The paper takes every third frame of a camera at 30 Hz.
+/// Huang, Elhashash & Qin 2022 use every third frame at 30 Hz.
 pub const DEFAULT_EVERY: NonZeroUsize = NonZeroUsize::new(3).unwrap();
 const FRAMES: &str = "frames";
 const RECORD: &str = "videos.json";
 const TIMES: &str = "timestamps.csv";
-/// Frames are named by their numbers in their recordings.
+/// Digits of the frame number in the name of a frame.
 const FRAME_DIGITS: usize = 6;
 
-/// What the frames were made from; written last.
+/// Source of the frames in a folder; the last file to be written there.
 #[derive(Debug, Serialize, Deserialize, PartialEq, Eq)]
 struct Record {
     every: NonZeroUsize,
@@ -38,20 +39,26 @@ struct Record {
     videos: Vec<(String, String)>,
 }
 
-/// A workspace, the photos that it is to be made from, and when they were taken where the input
-/// says it.
-pub struct Opened {
-    /// The workspace, held.
+/// A workspace with its input photos.
+pub struct OpenedInput {
+    /// The locked workspace.
     pub workspace: Workspace,
-    /// Its photos.
+    /// The input photos, or the selected frames of videos.
     pub photos: Photos,
-    /// Times of frames of videos: CSV with the header `image,seconds`.
+    /// CSV file of the capture times of frames, with the header `image,seconds`; `None` for photos.
     pub timestamps: Option<PathBuf>,
 }
 
-/// Opens the input of a workspace: folders of photos, or videos (files, or folders of them), of
-/// which the frames worth having are put into the workspace first, one of `every`. Frames of other
-/// videos, or another choice, are replaced where features are to be redone.
+/// Opens or creates the workspace at `root` for `inputs`: folders of photos, or videos (files or
+/// folders of them). The sharpest of every `every` frames of a video is written into the workspace.
+/// Existing frames of other videos, or with another `every`, are replaced if `redo` is the feature
+/// stage.
+///
+/// # Errors
+///
+/// The input mixes photos and videos, cannot be read or has fewer than two photos; two videos have
+/// the same name; existing frames differ and are not to be redone; the workspace cannot be opened
+/// or written; `watch` returns `Break`.
 pub fn open_input(
     inputs: &[PathBuf],
     masks: Option<&Path>,
@@ -59,14 +66,14 @@ pub fn open_input(
     every: NonZeroUsize,
     redo: Option<Stage>,
     watch: Watch,
-) -> Result<Opened, Error> {
+) -> Result<OpenedInput, Error> {
     let files = videos(inputs)?;
     if files.is_empty() {
-        // In this order: for an input that is no good nothing is begun.
+        // In this order: no workspace is created for an invalid input.
         let photos = Photos::open(inputs, masks)?;
-        return Ok(Opened { photos, workspace: Workspace::create(root)?, timestamps: None });
+        return Ok(OpenedInput { photos, workspace: Workspace::create(root)?, timestamps: None });
     }
-    let recordings = named_apart(recordings(&files))?;
+    let recordings = with_unique_names(recordings(&files))?;
     let videos = recordings
         .iter()
         .map(|recording| Ok((recording.name.clone(), of_files(&recording.chapters)?)));
@@ -93,10 +100,14 @@ pub fn open_input(
     }
     drop(frames);
     let photos = Photos::open(&[folder], masks)?;
-    Ok(Opened { workspace, photos, timestamps: Some(times) })
+    Ok(OpenedInput { workspace, photos, timestamps: Some(times) })
 }
 
-/// The folder of the frames, and what they were made from where it is this program's and complete.
+/// Opens the folder of the frames, and reads the source of the frames if they are complete.
+///
+/// # Errors
+///
+/// The folder is foreign or cannot be read or written.
 fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     let read = || {
         let text = fs::read(folder.join(RECORD)).ok()?;
@@ -108,10 +119,10 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     let unreadable = |cause| Error::Unreadable { path: folder.to_owned(), cause };
     let Some(record) = read() else {
         let is_empty = fs::read_dir(folder).map_err(unreadable)?.next().is_none();
-        let theirs = || Error::NotOurs { path: folder.to_owned() };
-        return if is_empty { Ok((OutputFolder::open(folder)?, None)) } else { Err(theirs()) };
+        let foreign = || Error::ForeignFile { path: folder.to_owned() };
+        return if is_empty { Ok((OutputFolder::open(folder)?, None)) } else { Err(foreign()) };
     };
-    // An earlier version kept no list of its frames: they are named by their numbers.
+    // An earlier version wrote no manifest: its frames are recognised by their names.
     let mut names = vec![TIMES.to_owned(), RECORD.to_owned()];
     for (video, _) in &record.videos {
         let Ok(entries) = fs::read_dir(folder.join(video)) else { continue };
@@ -128,8 +139,11 @@ fn open_frames(folder: &Path) -> Result<(OutputFolder, Option<Record>), Error> {
     Ok((frames, Some(record)))
 }
 
-/// The video files that are meant: inputs themselves, or what lies in a folder without images.
-/// Empty where photos are meant.
+/// The video files among the inputs and in input folders without images; empty for photos.
+///
+/// # Errors
+///
+/// A folder cannot be read, or the input mixes photos and videos.
 fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     for input in inputs {
@@ -155,8 +169,12 @@ fn videos(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
     }
 }
 
-/// Cameras of the same name are told apart by their folders.
-fn named_apart(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> {
+/// Prefixes the names of recordings with their folders where two have the same name.
+///
+/// # Errors
+///
+/// Two recordings still have the same name.
+fn with_unique_names(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> {
     let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
     for recording in &mut recordings {
         if names.iter().filter(|name| **name == recording.name).count() > 1 {
@@ -174,85 +192,88 @@ fn named_apart(mut recordings: Vec<Recording>) -> Result<Vec<Recording>, Error> 
     Ok(recordings)
 }
 
-/// Stages the frames of all recordings, and when they were taken. Gives the names of these files.
+/// Stages the selected frames of all recordings and their capture times. Returns the file names.
 fn extract(
     recordings: &[Recording],
     frames: &OutputFolder,
     every: NonZeroUsize,
     watch: Watch,
 ) -> Result<Vec<String>, Error> {
-    let mut taken: Vec<(String, f64)> = Vec::new();
-    let after_s = heard_after_s(recordings, watch)?;
-    // When the first recording began, and when its frames were taken that are kept.
-    let (mut first_began_s, mut first_moments_s) = (None, Vec::new());
-    for (recording, after_s) in recordings.iter().zip(after_s) {
+    // Names and capture times of the selected frames.
+    let mut selected: Vec<(String, f64)> = Vec::new();
+    let start_offsets_s = start_offsets_s(recordings, watch)?;
+    // Start time and times of the selected frames of the first recording.
+    let (mut first_start_s, mut first_times_s) = (None, Vec::new());
+    for (recording, start_offset_s) in recordings.iter().zip(start_offsets_s) {
         let is_moving = recording.chapters.first().map(|file| is_stabilised(file)).transpose()?;
         if is_moving.flatten() == Some(true) {
-            tell(watch, &Event::Stabilised { recording: &recording.name })?;
+            emit(watch, &Event::Stabilised { recording: &recording.name })?;
         }
-        let moments_s = if after_s.is_some() { first_moments_s.clone() } else { Vec::new() };
-        let mut choice = Chooser::new(every, moments_s);
-        let heard_s = after_s.and_then(|after_s| Some(first_began_s? + after_s));
-        let (mut read, mut began_s, mut offset_s, mut last_s, mut interval_s) =
-            (0, heard_s, 0.0, 0.0, 0.0);
-        let of_recording = taken.len();
+        let target_times_s =
+            if start_offset_s.is_some() { first_times_s.clone() } else { Vec::new() };
+        let mut selector = FrameSelector::new(every, target_times_s);
+        let start_by_audio_s = start_offset_s.and_then(|offset_s| Some(first_start_s? + offset_s));
+        let (mut read, mut start_s, mut chapter_offset_s, mut last_s, mut interval_s) =
+            (0, start_by_audio_s, 0.0, 0.0, 0.0);
+        let selected_before = selected.len();
         let mut keep = |frame: Option<Candidate>, watch: Watch, read: usize| -> Result<(), Error> {
             let Some(frame) = frame else { return Ok(()) };
             let name = format!("{}/{:0FRAME_DIGITS$}.jpg", recording.name, frame.index);
             frame.image.write(&frames.stage(&name)?)?;
-            tell(watch, &Event::FrameKept { image: &name, read })?;
-            taken.push((name, frame.time_s));
+            emit(watch, &Event::FrameKept { image: &name, read })?;
+            selected.push((name, frame.time_s));
             Ok(())
         };
         for chapter in &recording.chapters {
             let mut reader = VideoReader::open(chapter)?;
             while let Some(frame) = reader.next_frame()? {
-                let began_s = *began_s.get_or_insert(reader.created_s().unwrap_or(0.0));
-                let time_s = began_s + offset_s + frame.time_s;
+                let start_s = *start_s.get_or_insert(reader.created_s().unwrap_or(0.0));
+                let time_s = start_s + chapter_offset_s + frame.time_s;
                 if read > 0 {
                     interval_s = time_s - last_s;
                 }
                 last_s = time_s;
-                keep(choice.add(Candidate::new(read, time_s, frame.image)), watch, read)?;
+                keep(selector.add(Candidate::new(read, time_s, frame.image)), watch, read)?;
                 read += 1;
             }
-            // A chapter begins where the one before has ended.
-            offset_s = last_s + interval_s - began_s.unwrap_or(0.0);
+            // A chapter starts one frame interval after the last frame of the previous one.
+            chapter_offset_s = last_s + interval_s - start_s.unwrap_or(0.0);
         }
-        keep(choice.end(), watch, read)?;
-        if first_began_s.is_none() {
-            first_began_s = began_s;
-            first_moments_s = taken[of_recording..].iter().map(|(_, time_s)| *time_s).collect();
+        keep(selector.end(), watch, read)?;
+        if first_start_s.is_none() {
+            first_start_s = start_s;
+            first_times_s = selected[selected_before..].iter().map(|(_, time_s)| *time_s).collect();
         }
     }
-    taken.sort_by(|a, b| a.0.cmp(&b.0));
+    selected.sort_by(|a, b| a.0.cmp(&b.0));
     timestamps::write(
         &frames.stage(TIMES)?,
-        taken.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
+        selected.iter().map(|(name, time_s)| (name.as_str(), *time_s)),
     )?;
-    Ok(taken.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect())
+    Ok(selected.into_iter().map(|(name, _)| name).chain([TIMES.to_owned()]).collect())
 }
 
-/// By how many seconds each recording began after the first one, where their sound tells it.
-fn heard_after_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
-    let mut after_s = vec![None; recordings.len()];
+/// Start of each recording minus start of the first one, in seconds, if the soundtracks correlate.
+fn start_offsets_s(recordings: &[Recording], watch: Watch) -> Result<Vec<Option<f64>>, Error> {
+    let mut offsets_s = vec![None; recordings.len()];
     let Some((first, others)) = recordings.split_first().filter(|(_, others)| !others.is_empty())
     else {
-        return Ok(after_s);
+        return Ok(offsets_s);
     };
     let sound = |recording: &Recording| -> Result<Vec<i16>, Error> {
-        let chapters = recording.chapters.iter().map(|chapter| read_sound(chapter, sound::RATE_HZ));
+        let chapters =
+            recording.chapters.iter().map(|chapter| read_sound(chapter, audio_offset::RATE_HZ));
         Ok(chapters.collect::<Result<Vec<_>, _>>()?.concat())
     };
     let of_first = sound(first)?;
-    for (other, after_s) in others.iter().zip(&mut after_s[1..]) {
-        *after_s = sound::began_after_s(&of_first, &sound(other)?);
-        if let Some(after_s) = *after_s {
+    for (other, offset_s) in others.iter().zip(&mut offsets_s[1..]) {
+        *offset_s = audio_offset::start_offset_s(&of_first, &sound(other)?);
+        if let Some(after_s) = *offset_s {
             let (reference, recording) = (first.name.as_str(), other.name.as_str());
-            tell(watch, &Event::SoundHeard { reference, recording, after_s })?;
+            emit(watch, &Event::SoundHeard { reference, recording, after_s })?;
         }
     }
-    Ok(after_s)
+    Ok(offsets_s)
 }
 
 #[cfg(test)]
@@ -260,7 +281,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn photos_and_videos_are_not_mixed_and_cameras_are_told_apart() {
+    fn mixed_input_is_rejected_and_recordings_get_unique_names() {
         let dir = tempfile::tempdir().unwrap();
         for folder in ["photos", "left", "right"] {
             fs::create_dir(dir.path().join(folder)).unwrap();
@@ -274,11 +295,11 @@ mod tests {
         assert!(matches!(videos(&[path("photos"), path("left")]), Err(Error::MixedInput { .. })));
         let files = videos(&[path("left"), path("right/GX010042.MP4")]).unwrap();
         assert_eq!(files.len(), 3);
-        let named = named_apart(recordings(&files)).unwrap();
+        let named = with_unique_names(recordings(&files)).unwrap();
         let names: Vec<&str> = named.iter().map(|recording| recording.name.as_str()).collect();
         assert_eq!(names, ["left-GX010042", "right-GX010042"]);
         assert!(matches!(
-            named_apart(recordings(&[path("left/a.mp4"), path("left/a.mov")])),
+            with_unique_names(recordings(&[path("left/a.mp4"), path("left/a.mov")])),
             Err(Error::TwoVideosOfOneName { .. })
         ));
     }

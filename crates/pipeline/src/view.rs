@@ -1,9 +1,9 @@
-//! `report.html`: models to look at, in one file that needs nothing else.
+//! `report.html`: a page without external resources that shows models in a browser.
 //!
-//! This gathers the data, bounded in size whatever the model's; `view.html` draws them. Models are
-//! turned upright (up is where the cameras' pictures have it on average) and scaled so that nine
-//! points of ten lie within a distance of one. Where the world of the models is known, all get one
-//! frame, so that they can be compared by eye.
+//! This module samples the data, so that the size of the page is bounded; `view.html` draws them.
+//! The view frame has the mean up direction of the images as z and unit length such that 90 % of
+//! the points lie within a distance of 1 of the median. Models with a known world frame share one
+//! view frame, so that they can be compared.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -21,53 +21,52 @@ use crate::output_file::{refuse_foreign_page, write_page};
 use crate::workspace::REPORT;
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
 
-/// The name of the page.
 const PAGE: &str = "report.html";
 const TEMPLATE: &str = include_str!("view.html");
-/// Where the data stand in the template.
-const PLACE: &str = "{{DATA}}";
-/// Points shown, of all models together: about 1.2 MB of the file.
+/// Placeholder of the data in the template.
+const PLACEHOLDER: &str = "{{DATA}}";
+/// Points of all models together: about 1.2 MB of the file.
 const MAX_POINTS: usize = 100_000;
-/// Cameras, and moments of a rig, shown of one model.
-const MAX_CAMERAS: usize = 2_000;
-/// Cells along a side of the matrix; more images share a cell.
-const MAX_CELLS: usize = 100;
-/// Coordinates are whole multiples of this, in view units, up to 8 of them. `view.html` has the
+/// Images, and frames of a rig, shown per model.
+const MAX_IMAGES: usize = 2_000;
+/// Largest number of rows of the covisibility matrix; with more images, neighbours share a row.
+const MAX_MATRIX_ROWS: usize = 100;
+/// Quantisation step of point coordinates, in view units: an `i16` reaches ±8. `view.html` has the
 /// same number.
 const UNIT: f64 = 8.0 / 32767.0;
-/// Errors beyond this are in the last bar, in pixels.
+/// Larger reprojection errors are counted in the last bin, in pixels.
 const MAX_ERROR_PX: f64 = 4.0;
 const ERROR_BINS: usize = 40;
+/// Longer tracks are counted in the last bin.
 const MAX_TRACK_LENGTH: usize = 30;
-/// Depth of a drawn camera, as a part of the step from one to the next.
-const CAMERA_DEPTH: f64 = 0.5;
+/// Depth of a drawn frustum over the median distance of consecutive images.
+const FRUSTUM_DEPTH: f64 = 0.5;
 
-/// A model to show.
+/// A model that the page shows.
 #[derive(Clone, Copy, Debug)]
-pub struct Exhibit<'a> {
-    /// What it is called: the heading of its column.
+pub struct ReportModel<'a> {
+    /// Heading of its column.
     pub name: &'a str,
     /// The model.
     pub model: &'a Reconstruction,
-    /// Where it lies in a world in metres, if that is known: models are then shown in one frame,
-    /// and lengths in metres.
+    /// Similarity to a metric world frame, if it is known. The page then shows lengths in metres.
     pub world_from_model: Option<Sim3>,
-    /// What each stage did.
+    /// The report of the run, for the times of the stages.
     pub report: Option<&'a Report>,
-    /// Where its cameras are in that world and where they should be, in order of time; empty where
-    /// that is not known.
-    pub whereabouts: &'a [Whereabouts],
+    /// Estimated and true camera centres in the world frame, in order of time; empty without ground
+    /// truth.
+    pub camera_errors: &'a [CameraError],
 }
 
-/// A camera centre in a world that is known.
+/// The estimated and the true centre of a camera, in a metric world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Whereabouts {
-    /// Number of the camera.
+pub struct CameraError {
+    /// Index of the camera.
     pub camera: usize,
-    /// Where it was found.
-    pub found: Vector3<f64>,
-    /// Where it was.
-    pub truth: Vector3<f64>,
+    /// Estimated centre, in metres.
+    pub estimated_centre: Vector3<f64>,
+    /// True centre, in metres.
+    pub true_centre: Vector3<f64>,
 }
 
 #[derive(Serialize)]
@@ -84,21 +83,23 @@ struct Model<'a> {
     num_images: usize,
     num_points: usize,
     points_shown: usize,
-    /// Base64 of three 16-bit coordinates a point, in units of [`UNIT`].
+    /// Base64 of three little-endian `i16` per point: view coordinates in units of [`UNIT`].
     points: String,
-    /// Base64 of red, green, blue.
+    /// Base64 of red, green and blue per point.
     colours: String,
     cameras: Vec<Frusta>,
     errors: Histogram,
     track_lengths: Histogram,
-    shared: Matrix,
+    covisibility: Matrix,
     rigs: Vec<RigSeries>,
-    way: Option<Way>,
+    trajectory: Option<Trajectory>,
+    /// Name and seconds of each stage.
     stages: Vec<(&'static str, f64)>,
+    /// Name and text of each file.
     files: Vec<(&'static str, String)>,
 }
 
-/// Images of one camera: centre and four corners of each, 15 numbers.
+/// The images of one camera: centre and four image corners, 15 view coordinates per image.
 #[derive(Serialize)]
 struct Frusta {
     colour: u32,
@@ -107,7 +108,9 @@ struct Frusta {
 
 #[derive(Serialize)]
 struct Histogram {
+    /// Lower bound of the first bin.
     first: f64,
+    /// Upper bound of the last bin.
     last: f64,
     counts: Vec<usize>,
 }
@@ -123,48 +126,56 @@ struct RigSeries {
     cameras: [String; 2],
     times_s: Vec<f64>,
     baselines: Vec<f64>,
-    turns_deg: [Vec<f64>; 3],
+    rotations_deg: [Vec<f64>; 3],
 }
 
-/// The way of the first camera, found and true. Lengths are in metres, up is the view's.
+/// Estimated and true trajectory of the first camera. Lengths are in metres except where noted; up
+/// is the view's z axis.
 #[derive(Default, Serialize)]
-struct Way {
-    /// In view units, three numbers a place.
+struct Trajectory {
+    /// True centres in view coordinates, three numbers each.
     truth: Vec<f32>,
-    /// Seen from above.
-    found_above: Vec<[f32; 2]>,
+    /// Horizontal coordinates of the estimated centres.
+    estimated_above: Vec<[f32; 2]>,
+    /// Horizontal coordinates of the true centres.
     truth_above: Vec<[f32; 2]>,
-    /// How far it was until there.
-    driven: Vec<f32>,
+    /// Length of the true trajectory up to each centre.
+    path_length: Vec<f32>,
+    /// Length of the horizontal component of the error.
     horizontal: Vec<f32>,
+    /// Vertical component of the error.
     vertical: Vec<f32>,
 }
 
-/// A page with models side by side below tables; `files` are texts to fold out below the first
-/// model.
+/// The HTML text of a page that shows tables, and below them models side by side. `files` (name and
+/// text) can be unfolded below the first model.
 pub fn report_html(
     title: &str,
-    exhibits: &[Exhibit],
+    report_models: &[ReportModel],
     tables: &[Table],
     files: Vec<(&'static str, String)>,
 ) -> String {
     let shared_frame =
-        exhibits.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
+        report_models.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
     let mut files = Some(files);
-    let models = exhibits.iter().map(|exhibit| {
-        let view_from_world = shared_frame.filter(|_| exhibit.world_from_model.is_some());
-        let view_from_world = view_from_world.unwrap_or_else(|| upright(exhibit));
+    let models = report_models.iter().map(|report_model| {
+        let view_from_world = shared_frame.filter(|_| report_model.world_from_model.is_some());
+        let view_from_world = view_from_world.unwrap_or_else(|| upright(report_model));
         let files = files.take().unwrap_or_default();
-        describe(exhibit, &view_from_world, MAX_POINTS / exhibits.len(), files)
+        describe(report_model, &view_from_world, MAX_POINTS / report_models.len(), files)
     });
     let page = Page { title, tables, models: models.collect() };
     let data = serde_json::to_string(&page).expect("our own types are JSON: string keys");
-    // No text can end the script that the data stand in.
-    TEMPLATE.replacen(PLACE, &data.replace('<', "\\u003c"), 1)
+    // Escaped, so that a name cannot close the script element of the data.
+    TEMPLATE.replacen(PLACEHOLDER, &data.replace('<', "\\u003c"), 1)
 }
 
-/// Writes `report.html` into a workspace: its largest model, with what `report.json` and `rig.json`
-/// say. `path` may also be a folder with a COLMAP model. Gives the file's path.
+/// Writes `report.html` for the largest model of a workspace, with the texts of `report.json` and
+/// `rig.json`. `path` may also be a folder with a COLMAP model. Returns the path of the page.
+///
+/// # Errors
+///
+/// The model or a file beside it cannot be read, or the page cannot be written.
 pub fn view(path: &Path) -> Result<PathBuf, Error> {
     refuse_foreign_page(&path.join(PAGE))?;
     let folder = model_folder(path)?;
@@ -179,22 +190,22 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         }
     }
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
-    let exhibit = Exhibit {
+    let report_model = ReportModel {
         name: &name,
         model: &model,
         world_from_model: None,
         report: report.as_ref(),
-        whereabouts: &[],
+        camera_errors: &[],
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
-    let html = report_html(&format!("tiepoint: {name}"), &[exhibit], &[table], files);
+    let html = report_html(&format!("tiepoint: {name}"), &[report_model], &[table], files);
     let file = path.join(PAGE);
     write_page(&file, &html)?;
     Ok(file)
 }
 
 fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
-    // A model on disk holds no images without a pose; the report counts them.
+    // A COLMAP model holds only registered images; the report counts all.
     let images = report
         .and_then(|report| report.models.first())
         .map_or(model.images().count(), |m| m.images);
@@ -203,7 +214,7 @@ fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
         ("images with a pose".to_owned(), registered),
         ("points".to_owned(), model.num_tracks().to_string()),
         (
-            "observations (a point)".to_owned(),
+            "observations (per point)".to_owned(),
             format!("{} ({:.2})", model.num_observations(), model.mean_track_length()),
         ),
         (
@@ -214,29 +225,34 @@ fn summary(model: &Reconstruction, report: Option<&Report>) -> Vec<TableRow> {
     for rig in evaluate_rig(model, 1.0) {
         let between = format!("{} – {}", rig.cameras[0], rig.cameras[1]);
         let baseline = format!("{:.4} ± {:.4}", rig.baseline.mean, rig.baseline.std);
-        rows.push((format!("distance {between} (model units)"), baseline));
-        let spread = format!("{:.4}°", rig.rotation_rms_deg);
-        rows.push((format!("spread of the rotation {between}"), spread));
+        rows.push((format!("baseline {between} (model units)"), baseline));
+        let rotation_rms = format!("{:.4}°", rig.rotation_rms_deg);
+        rows.push((format!("relative rotation {between}, RMS"), rotation_rms));
     }
-    rows.into_iter().map(|(what, value)| (what, vec![value])).collect()
+    rows.into_iter().map(|(name, value)| (name, vec![value])).collect()
 }
 
-/// The frame to look at a model in, from its world.
-fn upright(exhibit: &Exhibit) -> Sim3 {
-    let world_from_model = exhibit.world_from_model.unwrap_or_else(Sim3::identity);
-    let poses = exhibit.model.registered().map(|(.., pose)| world_from_model.transform_pose(pose));
+/// `view_from_world` of a model: z up, the median of points and cameras at the origin, 90 % of them
+/// within a distance of 1.
+fn upright(report_model: &ReportModel) -> Sim3 {
+    let world_from_model = report_model.world_from_model.unwrap_or_else(Sim3::identity);
+    let poses =
+        report_model.model.registered().map(|(.., pose)| world_from_model.transform_pose(pose));
     let poses: Vec<Rigid3> = poses.collect();
     let up: Vector3<f64> = poses.iter().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum();
     let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(|| {
         UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
     });
-    let seen = exhibit.model.tracks().map(|(_, track)| world_from_model * track.xyz);
-    let places: Vec<Vector3<f64>> = seen.chain(poses.iter().map(Rigid3::origin_in_a)).collect();
-    let middle = |axis: usize| {
-        median(&mut places.iter().map(|place| place[axis]).collect::<Vec<f64>>()).unwrap_or(0.0)
+    let points = report_model.model.tracks().map(|(_, track)| world_from_model * track.xyz);
+    let positions: Vec<Vector3<f64>> =
+        points.chain(poses.iter().map(Rigid3::origin_in_a)).collect();
+    let median_of = |axis: usize| {
+        median(&mut positions.iter().map(|position| position[axis]).collect::<Vec<f64>>())
+            .unwrap_or(0.0)
     };
-    let centre = Vector3::new(middle(0), middle(1), middle(2));
-    let mut distances: Vec<f64> = places.iter().map(|place| (place - centre).norm()).collect();
+    let centre = Vector3::new(median_of(0), median_of(1), median_of(2));
+    let mut distances: Vec<f64> =
+        positions.iter().map(|position| (position - centre).norm()).collect();
     distances.sort_by(f64::total_cmp);
     let radius = distances
         .get(distances.len() * 9 / 10)
@@ -247,20 +263,21 @@ fn upright(exhibit: &Exhibit) -> Sim3 {
     Sim3 { scale, rotation, translation: -(rotation * centre) * scale }
 }
 
+/// The data of one model, with at most `max_points` points.
 fn describe<'a>(
-    exhibit: &Exhibit<'a>,
+    report_model: &ReportModel<'a>,
     view_from_world: &Sim3,
     max_points: usize,
     files: Vec<(&'static str, String)>,
 ) -> Model<'a> {
-    let Exhibit { name, model, world_from_model, report, whereabouts } = exhibit;
+    let ReportModel { name, model, world_from_model, report, camera_errors } = report_model;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
     let (mut points, mut colours) = (Vec::new(), Vec::new());
     for (_, track) in model.tracks().step_by(model.num_tracks().div_ceil(max_points).max(1)) {
-        let place = (view_from_model * track.xyz) / UNIT;
-        // Points far outside, in the sky say, would only be dots at the rim.
-        if place.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
-            points.extend(place.iter().flat_map(|value| (value.round() as i16).to_le_bytes()));
+        let position = (view_from_model * track.xyz) / UNIT;
+        // Points outside the range of `i16`, such as points of the sky, are left out.
+        if position.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
+            points.extend(position.iter().flat_map(|value| (value.round() as i16).to_le_bytes()));
             colours.extend(track.color);
         }
     }
@@ -276,23 +293,26 @@ fn describe<'a>(
         cameras: frusta(model, &view_from_model),
         errors: errors(model),
         track_lengths: track_lengths(model),
-        shared: shared_points(model),
+        covisibility: covisibility(model),
         rigs: rigs(model, scale),
-        way: way(whereabouts, view_from_world),
+        trajectory: trajectory(camera_errors, view_from_world),
         stages: report.map_or_else(Vec::new, stages),
         files,
     }
 }
 
-fn way(whereabouts: &[Whereabouts], view_from_world: &Sim3) -> Option<Way> {
-    let first = whereabouts.iter().map(|place| place.camera).min()?;
-    let places: Vec<&Whereabouts> =
-        whereabouts.iter().filter(|place| place.camera == first).collect();
-    let (mut way, mut driven_m, step) =
-        (Way::default(), 0.0, places.len().div_ceil(MAX_CAMERAS).max(1));
-    for (index, Whereabouts { found, truth, .. }) in places.iter().enumerate() {
-        driven_m +=
-            index.checked_sub(1).map_or(0.0, |before| (truth - places[before].truth).norm());
+/// Estimated and true trajectory of the camera with the smallest index; `None` without ground
+/// truth.
+fn trajectory(camera_errors: &[CameraError], view_from_world: &Sim3) -> Option<Trajectory> {
+    let first = camera_errors.iter().map(|error| error.camera).min()?;
+    let errors: Vec<&CameraError> =
+        camera_errors.iter().filter(|error| error.camera == first).collect();
+    let (mut trajectory, mut path_length_m, step) =
+        (Trajectory::default(), 0.0, errors.len().div_ceil(MAX_IMAGES).max(1));
+    for (index, CameraError { estimated_centre, true_centre, .. }) in errors.iter().enumerate() {
+        path_length_m += index
+            .checked_sub(1)
+            .map_or(0.0, |previous| (true_centre - errors[previous].true_centre).norm());
         if index % step > 0 {
             continue;
         }
@@ -300,24 +320,26 @@ fn way(whereabouts: &[Whereabouts], view_from_world: &Sim3) -> Option<Way> {
             let upright = view_from_world.rotation * point;
             [upright.x as f32, upright.y as f32]
         };
-        let off = view_from_world.rotation * (found - truth);
-        way.truth.extend((*view_from_world * *truth).iter().map(|value| *value as f32));
-        way.found_above.push(above(found));
-        way.truth_above.push(above(truth));
-        way.driven.push(driven_m as f32);
-        way.horizontal.push(off.xy().norm() as f32);
-        way.vertical.push(off.z as f32);
+        let error = view_from_world.rotation * (estimated_centre - true_centre);
+        let in_view = *view_from_world * *true_centre;
+        trajectory.truth.extend(in_view.iter().map(|value| *value as f32));
+        trajectory.estimated_above.push(above(estimated_centre));
+        trajectory.truth_above.push(above(true_centre));
+        trajectory.path_length.push(path_length_m as f32);
+        trajectory.horizontal.push(error.xy().norm() as f32);
+        trajectory.vertical.push(error.z as f32);
     }
-    Some(way)
+    Some(trajectory)
 }
 
+/// View frusta of the images of each camera, at most [`MAX_IMAGES`] in all.
 fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
-    let step = model.num_registered().div_ceil(MAX_CAMERAS).max(1);
+    let step = model.num_registered().div_ceil(MAX_IMAGES).max(1);
     let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
     let steps =
         poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
     let mut steps: Vec<f64> = steps.collect();
-    let depth = CAMERA_DEPTH * median(&mut steps).unwrap_or(1.0);
+    let depth = FRUSTUM_DEPTH * median(&mut steps).unwrap_or(1.0);
     let mut all: BTreeMap<CameraId, Vec<f32>> = BTreeMap::new();
     for (id, pose) in poses.iter().step_by(step) {
         let camera = model.camera(*id);
@@ -328,7 +350,7 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
         });
         let numbers = all.entry(*id).or_default();
         for point in std::iter::once(pose.origin_in_a()).chain(corners) {
-            // A ten-thousandth of the view is less than a pixel.
+            // 1e-4 view units are less than a pixel on the screen.
             numbers.extend(
                 (*view_from_model * point).iter().map(|value| (value * 1e4).round() as f32 / 1e4),
             );
@@ -337,6 +359,7 @@ fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
     all.into_iter().map(|(id, corners)| Frusta { colour: id.0, corners }).collect()
 }
 
+/// Histogram of the reprojection errors of all observations, in pixels.
 fn errors(model: &Reconstruction) -> Histogram {
     let mut counts = vec![0; ERROR_BINS];
     for (_, track) in model.tracks() {
@@ -359,21 +382,21 @@ fn track_lengths(model: &Reconstruction) -> Histogram {
     Histogram { first: SHORTEST as f64, last: MAX_TRACK_LENGTH as f64 + 1.0, counts }
 }
 
-/// How many points images have in common; neighbours by name share a cell where there are many
-/// images.
-fn shared_points(model: &Reconstruction) -> Matrix {
+/// Number of points that two images observe both, with the images in order of their names. With
+/// more than [`MAX_MATRIX_ROWS`] images, neighbours share a row and a column.
+fn covisibility(model: &Reconstruction) -> Matrix {
     let mut order: Vec<(&str, ImageId)> =
         model.registered().map(|(id, image, _)| (image.name.as_str(), id)).collect();
     order.sort_unstable();
-    let side = order.len().min(MAX_CELLS);
-    let cells: BTreeMap<ImageId, usize> =
+    let side = order.len().min(MAX_MATRIX_ROWS);
+    let row_of: BTreeMap<ImageId, usize> =
         order.iter().enumerate().map(|(k, (_, id))| (*id, k * side / order.len())).collect();
     let mut counts = vec![0; side * side];
     for (_, track) in model.tracks() {
-        let seen: BTreeSet<usize> =
-            track.observations.iter().filter_map(|o| cells.get(&o.image).copied()).collect();
-        for a in &seen {
-            for b in seen.iter().filter(|b| *b != a) {
+        let rows: BTreeSet<usize> =
+            track.observations.iter().filter_map(|o| row_of.get(&o.image).copied()).collect();
+        for a in &rows {
+            for b in rows.iter().filter(|b| *b != a) {
                 counts[a * side + b] += 1;
             }
         }
@@ -381,11 +404,14 @@ fn shared_points(model: &Reconstruction) -> Matrix {
     Matrix { side, counts }
 }
 
+/// Baseline and relative rotation over time of each pair of cameras. `scale`: unit of the lengths
+/// per unit of the model.
 fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
     let series = |rig: crate::RigEvaluation| {
-        let step = rig.moments.div_ceil(MAX_CAMERAS).max(1);
-        let turn = |axis: usize| {
-            rig.series.turns_rad.iter().step_by(step).map(|turn| turn[axis].to_degrees()).collect()
+        let step = rig.frames.div_ceil(MAX_IMAGES).max(1);
+        let rotations = |axis: usize| {
+            let rotations = rig.series.rotations_rad.iter().step_by(step);
+            rotations.map(|rotation| rotation[axis].to_degrees()).collect()
         };
         RigSeries {
             times_s: rig.times_s.iter().step_by(step).copied().collect(),
@@ -396,7 +422,7 @@ fn rigs(model: &Reconstruction, scale: f64) -> Vec<RigSeries> {
                 .step_by(step)
                 .map(|centre| centre.norm() * scale)
                 .collect(),
-            turns_deg: [turn(0), turn(1), turn(2)],
+            rotations_deg: [rotations(0), rotations(1), rotations(2)],
             cameras: rig.cameras,
         }
     };
@@ -433,7 +459,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base64_is_that_of_the_rfc() {
+    fn base64_matches_rfc_4648() {
         for (plain, coded) in
             [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
         {
@@ -443,8 +469,8 @@ mod tests {
     }
 
     #[test]
-    fn the_template_has_one_place_for_the_data_and_loads_nothing() {
-        assert_eq!(TEMPLATE.matches(PLACE).count(), 1);
+    fn template_has_one_placeholder_and_no_external_resources() {
+        assert_eq!(TEMPLATE.matches(PLACEHOLDER).count(), 1);
         assert!(TEMPLATE.contains("8 / 32767"));
         for word in ["src=", "href=", "@import", "fetch(", "https://"] {
             assert!(!TEMPLATE.contains(word), "{word}");

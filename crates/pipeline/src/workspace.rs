@@ -1,5 +1,4 @@
-//! The folder in which a run works and leaves its results: a COLMAP project with a few files of
-//! ours beside it.
+//! The workspace: a folder with a COLMAP project and a few files of this program.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -12,11 +11,10 @@ use crate::output_folder::{OutputFolder, model_names, output};
 use crate::records::{Progress, Recipe, Records, json};
 use crate::{Error, Report, Stage};
 
-/// A workspace that this process holds; nobody else can while it does.
+/// A workspace, locked by this process.
 #[derive(Debug)]
 pub struct Workspace {
     root: PathBuf,
-    /// Locked for as long as it lives.
     _lock: File,
     pub(crate) folder: OutputFolder,
     pub(crate) records: Records,
@@ -28,26 +26,26 @@ pub(crate) const REPORT: &str = "report.json";
 pub(crate) const POINTS: &str = "points.ply";
 pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
 pub(crate) const DATABASE: &str = "database.db";
-/// What a workspace may hold: where a folder is to become one, none of these may be there.
+/// Names of files in a workspace. A folder that has one of them cannot become a workspace.
 const RESERVED: [&str; 9] =
     [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html"];
-/// Files of an earlier version, which kept no list of them.
-const TAKEN_OVER: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
+/// Files of workspaces of an earlier version, which had no manifest.
+const FILES_WITHOUT_MANIFEST: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
 
 impl Workspace {
-    /// Opens a workspace, or makes one where there is none.
+    /// Opens or creates a workspace.
     ///
     /// # Errors
     ///
-    /// Where the folder holds files of somebody under the names of a workspace's, is in use, or
-    /// cannot be written.
+    /// The folder holds foreign files with the names of a workspace's files, another run uses it,
+    /// or it cannot be written.
     pub fn create(root: &Path) -> Result<Self, Error> {
         disk::create_folders(root).map_err(output(root))?;
         let is_claimed = OutputFolder::is_ours(root);
         let record = Records::read(&root.join(STAGES));
         let database = root.join(DATABASE);
         if !is_claimed {
-            // What says that this program made it: the record, or, where that is damaged, the
+            // The record shows that this program made the folder, or, if it is damaged, the
             // database.
             let is_ours = matches!(record, Ok(Some(_)))
                 || database.is_file() && matches!(read_stage_rows(&database), Ok(Some(_)));
@@ -65,7 +63,7 @@ impl Workspace {
             let models = (0..).map(model_path);
             let models = models.take_while(|model| root.join(model).is_dir());
             let models = models.flat_map(|model| model_names(Some(&model)));
-            let names = TAKEN_OVER.iter().map(|name| (*name).to_owned()).chain(models);
+            let names = FILES_WITHOUT_MANIFEST.iter().map(|name| (*name).to_owned()).chain(models);
             folder.claim(&names.collect::<Vec<_>>())?;
         }
         let mut log = database.as_os_str().to_owned();
@@ -74,10 +72,10 @@ impl Workspace {
             && matches!(read_stage_rows(&database), Ok(Some(_)))
             && let Ok(database) = Database::open(&database)
         {
-            // What a killed run committed belongs into the file.
+            // Moves the write-ahead log of an interrupted run into the database.
             database.finish()?;
         }
-        // Again, since what a killed run left undone was done meanwhile.
+        // Read again, because opening the folder may have completed an interrupted transaction.
         let written = Records::read(&root.join(STAGES)).ok().flatten();
         let records = match (current_records(root)?, &written) {
             (records, Some(written)) if written.is_without_rows() => {
@@ -94,16 +92,16 @@ impl Workspace {
         let mut this =
             Self { root: root.to_owned(), _lock: lock, folder, records: records.upgraded() };
         if written.is_none_or(|written| written.to_json() != this.records.to_json()) {
-            this.mend()?;
+            this.repair()?;
         }
         Ok(this)
     }
 
-    /// Opens a workspace that is there.
+    /// Opens an existing workspace.
     ///
     /// # Errors
     ///
-    /// Where there is none, and those of [`Workspace::create`].
+    /// The folder is not a workspace, and those of [`Workspace::create`].
     pub fn open(root: &Path) -> Result<Self, Error> {
         if !is_workspace(root) {
             return Err(Error::NoWorkspace { path: root.to_owned() });
@@ -111,8 +109,8 @@ impl Workspace {
         Self::create(root)
     }
 
-    /// Writes the record, and forgets what is no longer there from the report.
-    fn mend(&mut self) -> Result<(), Error> {
+    /// Writes the record, and removes stages that are no longer complete from the report.
+    fn repair(&mut self) -> Result<(), Error> {
         let is_old = match self.report() {
             Ok(mut report) => {
                 let before = json(&report);
@@ -128,12 +126,12 @@ impl Workspace {
         self.folder.publish(&[STAGES.to_owned()], &[]).map(drop)
     }
 
-    /// Begins a workspace at `root` with the features and matches of this one, unless there is one
-    /// already.
+    /// Creates a workspace at `root` with a copy of the features and matches of this one, unless
+    /// `root` is a workspace already.
     ///
     /// # Errors
     ///
-    /// Where `root` holds files of somebody, or cannot be written.
+    /// `root` holds foreign files or cannot be written.
     pub fn fork(&self, root: &Path) -> Result<(), Error> {
         if is_workspace(root) && root.join(DATABASE).is_file() {
             return Ok(());
@@ -144,7 +142,7 @@ impl Workspace {
             disk::copy_new(&self.timestamps(), &to).map_err(output(&fork.timestamps()))?;
             fork.folder.publish(&[TIMESTAMPS.to_owned()], &[])?;
         }
-        // The database has its record with it.
+        // The database includes its records.
         let to = fork.folder.stage(DATABASE)?;
         disk::copy_new(&self.database(), &to).map_err(output(&fork.database()))?;
         disk::rename(&to, &fork.database()).map_err(output(&fork.database()))?;
@@ -155,32 +153,36 @@ impl Workspace {
         fork.note(|all| *all = report)
     }
 
-    /// The folder.
+    /// Folder of the workspace.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// COLMAP's database.
+    /// Path of the COLMAP database.
     pub fn database(&self) -> PathBuf {
         self.root.join(DATABASE)
     }
 
-    /// The folder of the models, the largest in `0`.
+    /// Folder of the models; the largest is in its sub-folder `0`.
     pub fn sparse(&self) -> PathBuf {
         self.root.join(SPARSE)
     }
 
-    /// The cloud of the largest model.
+    /// Path of the point cloud of the largest model.
     pub fn points(&self) -> PathBuf {
         self.root.join(POINTS)
     }
 
-    /// When each image was taken.
+    /// Path of the capture times.
     pub fn timestamps(&self) -> PathBuf {
         self.root.join(TIMESTAMPS)
     }
 
-    /// What came out.
+    /// Reads the report on all complete stages.
+    ///
+    /// # Errors
+    ///
+    /// `report.json` cannot be read or is damaged.
     pub fn report(&self) -> Result<Report, Error> {
         Report::read(&self.report_path())
     }
@@ -189,7 +191,12 @@ impl Workspace {
         self.root.join(REPORT)
     }
 
-    /// What is to be done about a stage. Nothing is written yet.
+    /// Decides how to run a stage. Writes nothing.
+    ///
+    /// # Errors
+    ///
+    /// The stage was run with another recipe, and `redo` does not name it; or `report.json` is
+    /// foreign.
     pub(crate) fn begin(
         &mut self,
         stage: Stage,
@@ -198,18 +205,26 @@ impl Workspace {
     ) -> Result<Progress, Error> {
         let progress = self.records.begin(&self.root, stage, recipe, redo)?;
         if progress != Progress::Kept {
-            // Refused before any work is done.
+            // Foreign files are detected before any work is done.
             self.folder.refuse_foreign([REPORT])?;
         }
         Ok(progress)
     }
 
-    /// Writes the record and the report: what `change` makes of it.
+    /// Writes the record and the report after `change`.
+    ///
+    /// # Errors
+    ///
+    /// A file is damaged, foreign, or cannot be written.
     pub(crate) fn note(&mut self, change: impl FnOnce(&mut Report)) -> Result<(), Error> {
         self.publish(Vec::new(), &[], change)
     }
 
-    /// The same, with files that were staged and others that go, all together.
+    /// [`Workspace::note`] in one transaction with staged files and removed ones.
+    ///
+    /// # Errors
+    ///
+    /// A file is damaged, foreign, or cannot be written.
     pub(crate) fn publish(
         &mut self,
         mut files: Vec<String>,
@@ -225,18 +240,25 @@ impl Workspace {
         self.folder.publish(&files, removed).map(drop)
     }
 
-    /// Notes that all of a stage is there; it is on disk with the next [`Workspace::publish`].
+    /// Marks a stage as complete; the next [`Workspace::publish`] writes that.
     pub(crate) fn complete(&mut self, stage: Stage) {
         self.records.complete(stage);
     }
 
-    /// The fingerprint of a stage that must be complete.
+    /// The fingerprint of a complete stage.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Missing`] if the stage is not complete.
     pub(crate) fn fingerprint(&self, stage: Stage) -> Result<String, Error> {
         self.records.fingerprint(&self.root, stage)
     }
 
-    /// The times of the images as the first stage left them; nobody else may have changed them,
-    /// since the record would not tell.
+    /// Path of the capture times that the feature stage wrote; `None` if it wrote none.
+    ///
+    /// # Errors
+    ///
+    /// The file was changed or removed since, which the records would not show.
     pub(crate) fn timestamps_as_left(&self) -> Result<Option<PathBuf>, Error> {
         let path = self.timestamps();
         if !path.is_file() && self.folder.names().all(|name| name != TIMESTAMPS) {
@@ -250,7 +272,7 @@ impl Workspace {
     }
 }
 
-/// The names of files in a folder that are those of models' rigs.
+/// Names of the files of rig extrinsics in a folder.
 pub(crate) fn rigs_in(root: &Path) -> impl Iterator<Item = String> {
     let entries = fs::read_dir(root).into_iter().flatten().flatten();
     entries
@@ -258,13 +280,16 @@ pub(crate) fn rigs_in(root: &Path) -> impl Iterator<Item = String> {
         .filter(|name| is_rig_name(name))
 }
 
-/// Whether this program works in a folder.
+/// Whether a folder is a workspace.
 pub(crate) fn is_workspace(root: &Path) -> bool {
     root.join(STAGES).is_file() || OutputFolder::is_ours(root) && root.join(DATABASE).is_file()
 }
 
-/// What the stages of a workspace were made from, by its record and its database; nothing is
-/// written.
+/// The records of a workspace, from `stages.json` and the database. Writes nothing.
+///
+/// # Errors
+///
+/// `stages.json` is damaged, and there is no database to restore it from.
 pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     let database = root.join(DATABASE);
     let found = Records::read(&root.join(STAGES));
@@ -276,14 +301,14 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     let rows = read_stage_rows(&database);
     let mut records = match (found, &rows) {
         (Ok(found), _) => found.unwrap_or_default(),
-        // The database tells it all the same.
+        // The database has the records, too.
         (Err(Error::BrokenRecord { .. }), Ok(Some(_))) => Records::default(),
         (Err(error), _) => return Err(error),
     };
     match rows {
         Ok(Some(rows)) => records.take_rows(&rows),
         Ok(None) if !records.is_without_rows() => records.forget_database(),
-        // A database that cannot be read is named by who needs it.
+        // The stage that needs a damaged database reports it.
         Ok(None) | Err(_) => {}
     }
     Ok(records)
@@ -292,9 +317,9 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
 fn lock(root: &Path) -> Result<File, Error> {
     let path = root.join(LOCK);
     if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
-        return Err(Error::NotOurs { path });
+        return Err(Error::ForeignFile { path });
     }
-    // Whatever it holds stays.
+    // Not truncated: an existing file keeps its content.
     let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
     let lock = lock.map_err(output(&path))?;
     match lock.try_lock() {
@@ -309,7 +334,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_workspace_is_held_by_one() {
+    fn workspace_is_locked() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("deep/ws");
         assert!(matches!(Workspace::open(&root), Err(Error::NoWorkspace { .. })));
@@ -320,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fork_has_features_and_matches_and_no_models() {
+    fn fork_has_features_and_matches_and_no_models() {
         let dir = tempfile::tempdir().unwrap();
         let mut from = Workspace::create(&dir.path().join("a")).unwrap();
         from.folder.stage_bytes(TIMESTAMPS, b"image,seconds\n").unwrap();
@@ -347,11 +372,11 @@ mod tests {
         drop(fork);
         let before = fs::read(root.join(DATABASE)).unwrap();
         from.fork(&root).unwrap();
-        assert_eq!(fs::read(root.join(DATABASE)).unwrap(), before, "what is there stays");
+        assert_eq!(fs::read(root.join(DATABASE)).unwrap(), before, "an existing workspace is kept");
     }
 
     #[test]
-    fn a_damaged_record_is_mended_from_the_database() {
+    fn damaged_record_is_restored_from_the_database() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("ws");
         let mut made = Workspace::create(&root).unwrap();
@@ -372,7 +397,7 @@ mod tests {
             assert!(Workspace::open(&root).unwrap().records.is_complete(Stage::Features));
             assert_eq!(fs::read(root.join(STAGES)).unwrap(), good);
         }
-        // Without the list of its files, as a copy without hidden files is.
+        // Without the manifest, like a copy without hidden files.
         fs::remove_file(root.join(tiepoint_io::MANIFEST)).unwrap();
         fs::write(root.join(STAGES), "{").unwrap();
         assert!(Workspace::open(&root).unwrap().records.is_complete(Stage::Features));
@@ -386,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_made_is_left_alone() {
+    fn folder_with_foreign_files_does_not_become_a_workspace() {
         for name in RESERVED {
             let dir = tempfile::tempdir().unwrap();
             fs::write(dir.path().join(name), "theirs").unwrap();
@@ -400,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_in_the_way_is_named() {
+    fn error_names_a_file_in_place_of_a_folder() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("file");
         fs::write(&file, "").unwrap();

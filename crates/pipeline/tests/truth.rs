@@ -1,17 +1,17 @@
-//! The measures of a drive: nothing is wrong with the truth, and what is made wrong is measured.
+//! Evaluation on a rendered drive: the true model has no error, and added errors are measured.
 #![allow(clippy::unwrap_used)]
 
 use tiepoint_pipeline::eval::find_alignment;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3};
-use tiepoint_pipeline::eval::{Alignment, Sighting};
+use tiepoint_pipeline::eval::{Alignment, TrueObservation};
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
 use tiepoint_pipeline::{
-    Exhibit, Table, Whereabouts, evaluate_cloud, evaluate_rig, evaluate_surface, report_html,
+    CameraError, ReportModel, Table, evaluate_cloud, evaluate_rig, evaluate_surface, report_html,
 };
 use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 
-/// Through lens and shutter and back, at distances up to 100 m.
+/// Rounding of projection and ray casting at distances up to 100 m.
 const TOLERANCE_M: f64 = 1e-5;
 
 fn drive(effects: &str) -> Drive {
@@ -25,10 +25,10 @@ fn drive(effects: &str) -> Drive {
     drive
 }
 
-fn sighting(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> Sighting {
+fn true_observation(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> TrueObservation {
     let (camera, exposure) = drive.find(&image.name).unwrap();
     let surface = drive.surface_at(camera, exposure.time_s, pixel);
-    Sighting {
+    TrueObservation {
         camera_in_world: drive
             .row_pose(camera, exposure.time_s, pixel.y)
             .world_from_cam
@@ -39,8 +39,8 @@ fn sighting(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> Sighting {
     }
 }
 
-/// The true model with points: those that a grid of pixels of the left camera sees, where the right
-/// camera sees them as well.
+/// The true model with the surface points at a grid of pixels of the left camera that the right
+/// camera sees as well.
 fn truth_with_points(drive: &Drive) -> Reconstruction {
     let bare = drive.truth();
     let mut keypoints: Vec<Vec<Keypoint>> = bare.images().map(|_| Vec::new()).collect();
@@ -91,14 +91,15 @@ fn truth_with_points(drive: &Drive) -> Reconstruction {
 }
 
 #[test]
-fn the_truth_has_no_error_and_a_shift_is_measured() {
+fn true_model_has_no_surface_error_and_a_shift_is_measured() {
     for effects in ["none", "lens+rolling-shutter+traffic"] {
         let drive = drive(effects);
         let mut model = truth_with_points(&drive);
         let truth_from_model = Sim3 { scale: 2.0, ..Sim3::identity() };
         model.transform(&truth_from_model.inverse());
         let evaluate = |model: &Reconstruction| {
-            evaluate_surface(model, &truth_from_model, |i, p| sighting(&drive, i, p)).unwrap()
+            evaluate_surface(model, &truth_from_model, |i, p| true_observation(&drive, i, p))
+                .unwrap()
         };
         let exact = evaluate(&model);
         assert!(exact.points > 500 && exact.not_on_a_surface == 0, "{effects}: {exact:?}");
@@ -123,12 +124,12 @@ fn the_truth_has_no_error_and_a_shift_is_measured() {
 }
 
 #[test]
-fn the_true_rig_is_rigid_and_a_drifting_one_is_not() {
+fn relative_pose_of_the_true_rig_is_constant_and_drift_is_measured() {
     let drive = drive("none");
     let mut model = drive.truth();
     let rigs = evaluate_rig(&model, 1.0);
     let rig = &rigs[0];
-    assert_eq!((rigs.len(), rig.moments), (1, 30));
+    assert_eq!((rigs.len(), rig.frames), (1, 30));
     assert_eq!(rig.cameras, ["left", "right"]);
     assert!((rig.baseline.mean - 0.5).abs() < TOLERANCE_M, "{rig:?}");
     assert!(
@@ -136,7 +137,7 @@ fn the_true_rig_is_rigid_and_a_drifting_one_is_not() {
             && rig.translation_rms < TOLERANCE_M
             && rig.rotation_rms_deg < 1e-6
     );
-    // The right camera moves off to its right by 1 cm an image; in units of half a metre.
+    // The right camera drifts to its right by 1 cm per image; lengths are scaled by 2.
     let right: Vec<(ImageId, Rigid3)> = model
         .registered()
         .filter(|(_, i, _)| i.name.starts_with("right"))
@@ -154,7 +155,7 @@ fn the_true_rig_is_rigid_and_a_drifting_one_is_not() {
 }
 
 #[test]
-fn a_moved_cloud_is_put_back_onto_its_scan() {
+fn icp_aligns_a_moved_cloud_to_its_scan() {
     let drive = drive("none");
     let scanner = LidarOptions {
         every_turns: 10,
@@ -169,14 +170,14 @@ fn a_moved_cloud_is_put_back_onto_its_scan() {
         translation: Vector3::new(0.3, -0.2, 0.1),
     };
     let cloud: Vec<_> = cloud.iter().map(|point| moved * *point).collect();
-    // From roughly where it belongs, as cameras would give it.
+    // An approximate alignment, as the camera poses would give it.
     let start = Sim3 { scale: 4.0, ..Sim3::identity() };
     let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Rigid).unwrap();
     assert!(found.distance.max < 1e-6, "{found:?}");
     assert!((found.scale - 4.0).abs() < 1e-9);
     let unaligned = evaluate_cloud(&cloud, &scan, &start, Alignment::None).unwrap();
     assert!(unaligned.distance.mean > 0.05, "{unaligned:?}");
-    // Every third point is there, so the nearest to any is near.
+    // The cloud has every third point of the scan.
     assert!(
         found.reference_distance.mean > 0.0
             && found.reference_distance.mean < unaligned.distance.mean * 10.0
@@ -185,7 +186,7 @@ fn a_moved_cloud_is_put_back_onto_its_scan() {
 }
 
 #[test]
-fn a_cloud_is_found_from_anywhere() {
+fn coarse_alignment_needs_no_initial_guess() {
     let drive = drive("none");
     let scanner = LidarOptions {
         every_turns: 10,
@@ -193,8 +194,7 @@ fn a_cloud_is_found_from_anywhere() {
         ..LidarOptions::default()
     };
     let scan = reference_cloud(&drive, &scanner).unwrap();
-    // What another scan of the same drive sees, at another place, orientation and scale, with
-    // points far out.
+    // Another scan of the same drive, moved by a similarity, with outliers.
     let other = LidarOptions { azimuth_step_rad: 1.3f64.to_radians(), seed: 1, ..scanner };
     let moved = Sim3 {
         scale: 0.03,
@@ -206,8 +206,8 @@ fn a_cloud_is_found_from_anywhere() {
     cloud.extend((0..20).map(|k| Vector3::new(1000.0, f64::from(k), 0.0)));
     let start = find_alignment(&cloud, &scan).unwrap();
     let found = evaluate_cloud(&cloud, &scan, &start, Alignment::Similarity).unwrap();
-    // Scans half a metre apart between points at 10 m, and noise of 1.5 cm: closest points pull the
-    // scale by a few parts of a thousand.
+    // At 10 m the points of a scan are half a metre apart, with noise of 1.5 cm: ICP changes the
+    // scale by some 1e-3.
     assert!((found.scale * moved.scale - 1.0).abs() < 0.01, "{found:?}");
     assert!(found.distance.median < 0.3, "{found:?}");
     let line: Vec<_> = (0..50).map(|k| Vector3::new(f64::from(k), 0.0, 0.0)).collect();
@@ -216,49 +216,50 @@ fn a_cloud_is_found_from_anywhere() {
 }
 
 #[test]
-fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
+fn report_shows_models_side_by_side_and_escapes_names() {
     let drive = drive("none");
     let model = truth_with_points(&drive);
-    // A metre aside and two too low all along.
-    let off = Vector3::new(0.6, 0.8, -2.0);
-    let centre = |pose: &Rigid3| pose.origin_in_a();
-    let places = model.registered().map(|(_, image, pose)| Whereabouts {
+    // All centres are 1 m off horizontally and 2 m too low.
+    let error = Vector3::new(0.6, 0.8, -2.0);
+    let errors = model.registered().map(|(_, image, pose)| CameraError {
         camera: image.camera.index(),
-        found: centre(pose) + off,
-        truth: centre(pose),
+        estimated_centre: pose.origin_in_a() + error,
+        true_centre: pose.origin_in_a(),
     });
-    let whereabouts: Vec<Whereabouts> = places.collect();
-    let exhibit = Exhibit {
+    let camera_errors: Vec<CameraError> = errors.collect();
+    let report_model = ReportModel {
         name: "off",
         model: &model,
         world_from_model: Some(Sim3::identity()),
         report: None,
-        whereabouts: &whereabouts,
+        camera_errors: &camera_errors,
     };
-    let other = Exhibit { name: "</script>paper", ..exhibit };
+    let other = ReportModel { name: "</script>paper", ..report_model };
     let rows = vec![("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
     let table = Table::of_columns(&["off".to_owned(), "paper".to_owned()], rows);
-    let page =
-        report_html("a drive", &[exhibit, other], &[table], vec![("rig.json", "{}".to_owned())]);
+    let page = report_html(
+        "a drive",
+        &[report_model, other],
+        &[table],
+        vec![("rig.json", "{}".to_owned())],
+    );
     assert_eq!(page.matches("</script>").count(), 2, "the template's own");
     let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
     assert_eq!(data["tables"][0]["rows"][0], serde_json::json!(["ATE", ["1 m", "2 m"]]));
-    let way = &data["models"][0]["way"];
+    let trajectory = &data["models"][0]["trajectory"];
     let series = |name: &str| -> Vec<f64> {
-        way[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect()
+        trajectory[name].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect()
     };
     assert_eq!(series("truth").len(), 3 * 30, "of the first camera");
-    // Up is where the cameras have it on average: a body that pitches leaves a hundredth of two
-    // metres.
-    assert!(series("horizontal").iter().all(|off| (off - 1.0).abs() < 0.02), "{way}");
-    assert!(series("vertical").iter().all(|off| (off + 2.0).abs() < 0.02), "{way}");
-    assert!(series("driven").windows(2).all(|pair| pair[0] < pair[1]), "{way}");
+    // Up is the mean up direction of the cameras: the pitch of the vehicle changes it by 1 %.
+    assert!(series("horizontal").iter().all(|m| (m - 1.0).abs() < 0.02), "{trajectory}");
+    assert!(series("vertical").iter().all(|m| (m + 2.0).abs() < 0.02), "{trajectory}");
+    assert!(series("path_length").windows(2).all(|pair| pair[0] < pair[1]), "{trajectory}");
     assert_eq!(data["models"][1]["name"], "</script>paper");
     for shown in data["models"].as_array().unwrap() {
         assert_eq!(shown["points_shown"], shown["num_points"]);
-        // Four letters of base64 are three bytes; a point has six bytes of place and three of
-        // colour.
+        // Four characters of base64 are three bytes; a position has six bytes.
         let count = shown["num_points"].as_u64().unwrap() as usize;
         assert_eq!(shown["points"].as_str().unwrap().len(), (6 * count).div_ceil(3) * 4);
         assert_eq!(shown["cameras"][0]["corners"].as_array().unwrap().len(), 15 * 30);
@@ -267,9 +268,9 @@ fn a_report_shows_models_side_by_side_and_no_name_breaks_it() {
         let baselines = shown["rigs"][0]["baselines"].as_array().unwrap();
         assert!(baselines.iter().all(|b| (b.as_f64().unwrap() - 0.5).abs() < TOLERANCE_M));
     }
-    // A frame's two images have their points in common, and no others.
-    let shared = &data["models"][0]["shared"];
-    assert_eq!(shared["side"], 60);
-    let total: u64 = shared["counts"].as_array().unwrap().iter().map(|c| c.as_u64().unwrap()).sum();
+    // Every point is common to the two images of one frame.
+    let matrix = &data["models"][0]["covisibility"];
+    assert_eq!(matrix["side"], 60);
+    let total: u64 = matrix["counts"].as_array().unwrap().iter().map(|c| c.as_u64().unwrap()).sum();
     assert_eq!(total, 2 * model.num_tracks() as u64);
 }

@@ -1,4 +1,4 @@
-//! What stands behind options: values with their bounds, and names.
+//! Parsers of option values, with their bounds.
 
 use std::fmt;
 use std::num::NonZeroUsize;
@@ -23,7 +23,7 @@ impl FromStr for ImageSize {
         let sides = text.split_once('x').and_then(|(width, height)| {
             Some(Self { width: width.parse().ok()?, height: height.parse().ok()? })
         });
-        sides.ok_or_else(|| "it must be a width and a height in pixels, as 640x480".to_owned())
+        sides.ok_or_else(|| "expected width x height in pixels, as 640x480".to_owned())
     }
 }
 
@@ -33,7 +33,7 @@ impl fmt::Display for ImageSize {
     }
 }
 
-/// Numbers with commas between them.
+/// Numbers separated by commas.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NumberList(pub(super) Vec<f64>);
 
@@ -41,20 +41,20 @@ impl FromStr for NumberList {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let number = |word: &str| word.trim().parse().map_err(|_| format!("'{word}' is no number"));
+        let number =
+            |word: &str| word.trim().parse().map_err(|_| format!("'{word}' is not a number"));
         text.split(',').map(number).collect::<Result<_, _>>().map(Self)
     }
 }
 
-/// More threads than any machine has use for.
-const MOST_THREADS: usize = 1024;
+const MAX_THREADS: usize = 1024;
 
 pub(super) fn threads(text: &str) -> Result<NonZeroUsize, String> {
-    let count = text.parse().ok().filter(|count: &NonZeroUsize| count.get() <= MOST_THREADS);
-    count.ok_or_else(|| format!("it must be a number of threads from 1 to {MOST_THREADS}"))
+    let count = text.parse().ok().filter(|count: &NonZeroUsize| count.get() <= MAX_THREADS);
+    count.ok_or_else(|| format!("expected a number of threads from 1 to {MAX_THREADS}"))
 }
 
-/// A length in pixels that is not zero.
+/// A positive length in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PositivePixels(pub(super) f64);
 
@@ -63,7 +63,7 @@ impl FromStr for PositivePixels {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
-        value.map(Self).ok_or_else(|| "it must be a number of pixels above 0".to_owned())
+        value.map(Self).ok_or_else(|| "expected a number of pixels greater than 0".to_owned())
     }
 }
 
@@ -71,48 +71,47 @@ impl FromStr for PositivePixels {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Metres(pub(crate) f64);
 
-/// Cameras are no nearer to each other than this, in metres, and no farther apart.
-const NEAREST_M: f64 = 1e-4;
-const FARTHEST_M: f64 = 1e4;
+/// Bounds of the distance between two cameras, in metres.
+const MIN_BASELINE_M: f64 = 1e-4;
+const MAX_BASELINE_M: f64 = 1e4;
 
 impl FromStr for Metres {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        // The longer endings first.
+        // Longer suffixes first: "mm" ends with "m".
         let units = [("mm", 1e3), ("cm", 1e2), ("m", 1.0), ("", 1.0)];
         let split = units.iter().find_map(|(unit, per_m)| Some((text.strip_suffix(unit)?, per_m)));
         let length =
             split.and_then(|(number, per_m)| Some(number.trim_end().parse::<f64>().ok()? / per_m));
-        length.filter(|length| (NEAREST_M..=FARTHEST_M).contains(length)).map(Self).ok_or_else(
-            || {
-                format!(
-                    "it must be a length from {} mm to {} m with its unit, m, cm or mm, as 0.62m",
-                    1e3 * NEAREST_M,
-                    FARTHEST_M
-                )
-            },
-        )
+        let is_in_range = |length: &f64| (MIN_BASELINE_M..=MAX_BASELINE_M).contains(length);
+        length.filter(is_in_range).map(Self).ok_or_else(|| {
+            format!(
+                "expected a length from {} mm to {MAX_BASELINE_M} m with its unit, m, cm or mm, as \
+                0.62m",
+                1e3 * MIN_BASELINE_M
+            )
+        })
     }
 }
 
-/// Slowest readout, in seconds.
-const SLOWEST_S: f64 = 0.1;
+/// Longest readout time, in seconds.
+const MAX_READOUT_S: f64 = 0.1;
 
 pub(super) fn readout(text: &str) -> Result<Readout, String> {
     if text == "estimate" {
         return Ok(Readout::Estimated);
     }
-    // The longer ending first.
+    // The longer suffix first: "ms" ends with "s".
     let units = [("ms", 1e3), ("s", 1.0)];
     let split = units.iter().find_map(|(unit, per_s)| Some((text.strip_suffix(unit)?, per_s)));
     let time_s =
         split.and_then(|(number, per_s)| Some(number.trim_end().parse::<f64>().ok()? / per_s));
-    time_s.filter(|time_s| time_s.abs() <= SLOWEST_S).map(Readout::Known).ok_or_else(|| {
+    time_s.filter(|time_s| time_s.abs() <= MAX_READOUT_S).map(Readout::Known).ok_or_else(|| {
         format!(
-            "it must be the word estimate or a time of up to {} ms with its unit, ms or s, as \
-            16ms; negative where the last row comes first",
-            1e3 * SLOWEST_S
+            "expected estimate, or a time of up to {} ms with its unit, ms or s, as 16ms; a \
+            negative time means that the last row is read first",
+            1e3 * MAX_READOUT_S
         )
     })
 }
@@ -122,7 +121,7 @@ pub(super) fn alignment(name: &str) -> Result<Alignment, String> {
         "similarity" => Ok(Alignment::Similarity),
         "rigid" => Ok(Alignment::Rigid),
         "none" => Ok(Alignment::None),
-        _ => Err("use similarity, rigid or none".to_owned()),
+        _ => Err("expected similarity, rigid or none".to_owned()),
     }
 }
 
@@ -134,7 +133,7 @@ pub(super) fn route(name: &str) -> Result<RouteKind, String> {
     match name {
         "loop" => Ok(RouteKind::Loop),
         "open" => Ok(RouteKind::Open),
-        _ => Err("it must be loop or open".to_owned()),
+        _ => Err("expected loop or open".to_owned()),
     }
 }
 
@@ -145,11 +144,11 @@ pub(super) fn rig_term(mode: &str) -> Result<RigTerm, String> {
         "soft" => Ok(RigTerm::Soft),
         "hard" => Ok(RigTerm::Hard),
         "auto" => Ok(RigTerm::Auto),
-        _ => Err("it must be off, paper, soft, hard or auto".to_owned()),
+        _ => Err("expected off, paper, soft, hard or auto".to_owned()),
     }
 }
 
-/// The name of a mode on the command line.
+/// The value of --rig on the command line.
 pub(crate) fn rig_name(term: RigTerm) -> &'static str {
     match term {
         RigTerm::Off => "off",

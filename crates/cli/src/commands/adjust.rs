@@ -17,7 +17,7 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
     })?;
     drop(progress);
     output.result(&report, || {
-        let end = if report.converged { "converged" } else { "stopped at the limit of steps" };
+        let end = if report.converged { "converged" } else { "iteration limit reached" };
         let mut text = "   seconds           cost\n".to_owned();
         for step in &report.steps {
             let rejected = if step.accepted { "" } else { "  rejected" };
@@ -26,7 +26,8 @@ pub(crate) fn adjust(args: &Adjust, output: &Output) -> Result<(), Failure> {
         }
         let _ = writeln!(
             text,
-            "{} images, {} points, {} residuals\ncost {:.6e} -> {:.6e} in {} steps, {:.2} s, {end}",
+            "{} images, {} points, {} residuals\ncost {:.6e} -> {:.6e} in {} iterations, \
+            {:.2} s, {end}",
             report.images,
             report.points,
             report.residuals,

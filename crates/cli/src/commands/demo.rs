@@ -1,5 +1,5 @@
-//! `demo`: the drive of `synth`, through `reconstruct` without a constraint between its cameras,
-//! with the paper's, and with one mounting and its clock, and all against the truth.
+//! `demo`: renders a drive as `synth` does, reconstructs it with `--rig off`, `paper` and `auto`,
+//! and compares the models with the ground truth.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -10,41 +10,41 @@ use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
 use tiepoint_pipeline::sfm::scene::Reconstruction;
 use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Exhibit, FeatureOptions, MapOptions, MatchOptions, Options, PoseEvaluation,
-    Report, RigCamera, RigEvaluation, SurfaceEvaluation, Table, TableRow, Whereabouts, Workspace,
-    reconstruct, refuse_foreign_page, report_html, write_page,
+    CameraError, CloudEvaluation, FeatureOptions, MapOptions, MatchOptions, Options,
+    PoseEvaluation, Report, ReportModel, RigCamera, RigEvaluation, SurfaceEvaluation, Table,
+    TableRow, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
-use super::judge::{Judged, judge};
+use super::drive_evaluation::{DriveEvaluation, evaluate_drive};
 use super::synth::{BASELINE_M, Plan, Rendered, render, scan};
 use crate::args::Demo;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
 
-/// Images a second: the vehicle moves by 2 to 3 m from one to the next.
+/// Frame rate: the vehicle moves by 2 to 3 m between images.
 const RATE_HZ: f64 = 2.5;
-/// The shortest block to drive around, in metres.
+/// Length of the shortest loop, in metres.
 const LENGTH_M: f64 = 160.0;
-/// Which photos are matched: neighbours, and the end of the loop with its beginning.
+/// Neighbours, and the end of the loop with its beginning.
 const PAIRS: &str = "sequential:6+ends";
-/// What is not ideal.
+/// Simulated imperfections: unsynchronised clocks.
 const EFFECTS: &str = "clocks";
 
 #[derive(Serialize)]
 struct Outcome {
     drive: Rendered,
-    /// Of this run; what was kept took none of it.
+    /// Wall time of this command; stages kept from earlier ones take none.
     seconds: f64,
-    /// What turns the right camera's times into the left one's, in the middle of the drive.
+    /// True time offset of the right camera to the left one in the middle of the drive.
     true_offset_s: f64,
     runs: Vec<Run>,
-    /// The table, the clouds and the plots, side by side.
+    /// The HTML page that shows the models side by side.
     page: PathBuf,
 }
 
-/// One reconstruction, against the truth.
+/// One reconstruction with its errors.
 #[derive(Serialize)]
 struct Run {
     rig: &'static str,
@@ -54,13 +54,13 @@ struct Run {
     #[serde(skip)]
     model: Reconstruction,
     #[serde(skip)]
-    whereabouts: Vec<Whereabouts>,
+    camera_errors: Vec<CameraError>,
     /// Lengths in metres.
     baseline: Option<RigEvaluation>,
     surface: Option<SurfaceEvaluation>,
     cloud: Option<CloudEvaluation>,
-    /// What one unit of the model truly was where it began, over what it is on the whole: 1 where
-    /// the model keeps its size.
+    /// With `--rig paper`: local scale at the initial pair over the scale of the whole model; 1
+    /// without scale drift.
     model_size_over_true_size: Option<f64>,
 }
 
@@ -95,7 +95,7 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     for (rig, term) in [("off", RigTerm::Off), ("paper", RigTerm::Paper), ("auto", RigTerm::Auto)] {
         let workspace = args.output.join(rig);
         if let Some(first) = runs.first().map(|run: &Run| &run.workspace) {
-            // Features and matches are the same.
+            // Reuses features and matches of the first run.
             Workspace::open(first)?.fork(&workspace)?;
         }
         let report = reconstruct(
@@ -114,6 +114,7 @@ pub(crate) fn demo(args: &Demo, output: &Output) -> Result<(), Failure> {
     output.result(&outcome, || outcome.describe(&plan))
 }
 
+/// The drive to render.
 fn plan(args: &Demo) -> Result<Plan, Failure> {
     let effects = EFFECTS
         .parse()
@@ -140,8 +141,8 @@ fn evaluate(
     rendered: &Rendered,
     scan: &[Vector3<f64>],
 ) -> Result<Run, Failure> {
-    let Judged { poses, model, whereabouts, baseline, surface, cloud, .. } =
-        judge(&workspace, drive, &rendered.truth, scan, |_| true)?;
+    let DriveEvaluation { poses, model, camera_errors, baseline, surface, cloud, .. } =
+        evaluate_drive(&workspace, drive, &rendered.truth, scan, |_| true)?;
     let model_size_over_true_size = size_ratio(&report, &model, drive, poses.scale);
     Ok(Run {
         rig,
@@ -149,7 +150,7 @@ fn evaluate(
         report,
         poses,
         model,
-        whereabouts,
+        camera_errors,
         baseline,
         surface,
         cloud,
@@ -157,8 +158,8 @@ fn evaluate(
     })
 }
 
-/// With the paper's constraint one unit is the distance of the initial pair: what it truly is, over
-/// what the whole model says.
+/// True distance of the initial pair over its distance in the aligned model, in a model that was
+/// mapped with `--rig paper`: there this distance is the unit of length.
 fn size_ratio(
     report: &Report,
     model: &Reconstruction,
@@ -166,16 +167,17 @@ fn size_ratio(
     metres_per_unit: f64,
 ) -> Option<f64> {
     let names = &report.models.first()?.rig.as_ref()?.paper.as_ref()?.unit_images;
-    let place = |name: &String| {
+    let centres = |name: &String| {
         let (camera, exposure) = drive.find(name)?;
         let image = model.images().find(|(_, image)| image.name == *name)?.1;
         let true_centre = drive.cam_from_world(camera, exposure.time_s).origin_in_a();
         Some((true_centre, image.cam_from_world()?.origin_in_a()))
     };
-    let (first, second) = (place(&names[0])?, place(&names[1])?);
+    let (first, second) = (centres(&names[0])?, centres(&names[1])?);
     Some((first.0 - second.0).norm() / ((first.1 - second.1).norm() * metres_per_unit))
 }
 
+/// True time minus time stamp of the last camera, in seconds, in the middle of its images.
 fn true_offset_s(drive: &Drive) -> f64 {
     let Some(camera) = drive.cameras().last() else { return 0.0 };
     let (first, last) = (camera.exposures.first(), camera.exposures.last());
@@ -184,91 +186,92 @@ fn true_offset_s(drive: &Drive) -> f64 {
 }
 
 impl Run {
-    /// The right camera's calibration and clock, where they were found.
-    fn mounted(&self) -> Option<&RigCamera> {
-        self.report.models.first()?.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first()
+    /// Estimated extrinsics and clock of the right camera.
+    fn right_camera(&self) -> Option<&RigCamera> {
+        let rig = self.report.models.first()?.rig.as_ref()?;
+        rig.extrinsics.as_ref()?.rig.as_ref()?.cameras.first()
     }
 }
 
 impl Outcome {
     fn write_page(&self) -> Result<(), Failure> {
         let names: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
-        let exhibits: Vec<Exhibit> = self
+        let report_models: Vec<ReportModel> = self
             .runs
             .iter()
             .zip(&names)
-            .map(|(run, name)| Exhibit {
+            .map(|(run, name)| ReportModel {
                 name,
                 model: &run.model,
                 world_from_model: Some(run.poses.truth_from_model),
                 report: Some(&run.report),
-                whereabouts: &run.whereabouts,
+                camera_errors: &run.camera_errors,
             })
             .collect();
         let table = Table::of_columns(&names, self.table());
-        let page = report_html("tiepoint demo", &exhibits, &[table], Vec::new());
+        let page = report_html("tiepoint demo", &report_models, &[table], Vec::new());
         Ok(write_page(&self.page, &page)?)
     }
 
-    /// Lengths and times beside the truth.
+    /// Results of all runs, a column each.
     fn table(&self) -> Vec<TableRow> {
         let mut rows: Vec<TableRow> = Vec::new();
-        let mut row = |what: &str, value: &dyn Fn(&Run) -> Option<String>| {
+        let mut row = |name: &str, value: &dyn Fn(&Run) -> Option<String>| {
             let values = self.runs.iter().map(|run| value(run).unwrap_or_else(|| "-".to_owned()));
-            rows.push((what.to_owned(), values.collect()));
+            rows.push((name.to_owned(), values.collect()));
         };
         row("images with a pose", &|run| {
             Some(format!("{} of {}", run.poses.registered, run.poses.images))
         });
         row("trajectory error (ATE)", &|run| Some(format!("{:.4} m", run.poses.centre_error.rmse)));
-        row("camera centres, median", &|run| {
+        row("camera position error, median", &|run| {
             Some(format!("{:.4} m", run.poses.centre_error.median))
         });
-        row("rotation, median", &|run| {
+        row("rotation error, median", &|run| {
             Some(format!("{:.4}°", run.poses.rotation_error_deg.median))
         });
-        row("focal length", &|run| {
+        row("focal length (error)", &|run| {
             let focal = run.poses.focal_lengths.first()?;
             let percent = 100.0 * (focal.model_px / focal.truth_px? - 1.0);
             Some(format!("{:.2} px ({percent:+.2} %)", focal.model_px))
         });
-        row("baseline (true 0.5 m), mean", &|run| {
+        row("stereo baseline (0.5 m), mean", &|run| {
             Some(format!("{:.4} m", run.baseline.as_ref()?.baseline.mean))
         });
-        row("baseline, spread", &|run| {
+        row("right camera in left, RMS dev.", &|run| {
             Some(format!("{:.4} m", run.baseline.as_ref()?.translation_rms))
         });
-        row("baseline, drift", &|run| {
+        row("stereo baseline, drift", &|run| {
             Some(format!("{:+.2} %", 100.0 * run.baseline.as_ref()?.baseline_drift))
         });
-        row("relative rotation, spread", &|run| {
+        row("relative rotation, RMS dev.", &|run| {
             Some(format!("{:.4}°", run.baseline.as_ref()?.rotation_rms_deg))
         });
-        row("mounting's baseline", &|run| {
-            let [x, y, z] = run.mounted()?.centre_in_rig;
+        row("baseline of the extrinsics", &|run| {
+            let [x, y, z] = run.right_camera()?.centre_in_rig;
             Some(format!("{:.4} m", run.poses.scale * (x * x + y * y + z * z).sqrt()))
         });
-        row("right camera's clock, offset", &|run| {
-            let clock = &run.mounted()?.clock;
+        row("time offset of right camera", &|run| {
+            let clock = &run.right_camera()?.clock;
             Some(format!("{:.2} ± {:.2} ms", 1e3 * clock.offset_s, 1e3 * clock.offset_sd_s?))
         });
         let true_ms = 1e3 * self.true_offset_s;
-        row("  true", &|run| run.mounted().map(|_| format!("{true_ms:.2} ms")));
+        row("  true", &|run| run.right_camera().map(|_| format!("{true_ms:.2} ms")));
         row("surface distance to 30 m, median", &|run| {
             Some(format!("{:.4} m", run.surface.as_ref()?.near.as_ref()?.median))
         });
-        row("  with exactly known cameras", &|run| {
+        row("  with the true cameras", &|run| {
             Some(format!("{:.4} m", run.surface.as_ref()?.near_floor.as_ref()?.median))
         });
         row("cloud to laser scan, mean ± sd", &|run| {
             let distance = &run.cloud.as_ref()?.distance;
             Some(format!("{:.3} ± {:.3} m", distance.mean, distance.std))
         });
-        row("model size / true size", &|run| {
+        row("scale at start / mean scale", &|run| {
             Some(format!("{:.4}", run.model_size_over_true_size?))
         });
         row("points", &|run| Some(run.report.models.first()?.points.to_string()));
-        row("time to map", &|run| {
+        row("mapping time", &|run| {
             Some(format!("{:.1} s", run.report.stages.map.as_ref()?.seconds))
         });
         rows
@@ -282,16 +285,16 @@ impl Outcome {
         };
         let images: usize = self.drive.cameras.iter().map(|camera| camera.images).sum();
         line(format_args!(
-            "{:.1} m around a block, {images} images of two cameras, against the truth:\n",
+            "loop of {:.1} m, {images} images of two cameras, compared with ground truth:\n",
             self.drive.driven_m
         ));
         let heads: Vec<String> = self.runs.iter().map(|run| format!("--rig {}", run.rig)).collect();
-        for (what, values) in std::iter::once((String::new(), heads)).chain(self.table()) {
+        for (name, values) in std::iter::once((String::new(), heads)).chain(self.table()) {
             let columns: String = values.iter().map(|value| format!("{value:>22}")).collect();
-            line(format_args!("{what:<33}{columns}"));
+            line(format_args!("{name:<33}{columns}"));
         }
         line(format_args!(
-            "\ntime of this run {:.1} s\nto look at: {}\n\nThis did what these do:",
+            "\nwall time {:.1} s\nopen in a browser: {}\n\nThe same as these commands:",
             self.seconds,
             self.page.display()
         ));
@@ -306,8 +309,7 @@ impl Outcome {
             let workspace = workspace.display();
             line(format_args!(
                 "  tiepoint reconstruct {folder} -o {workspace} --rig {rig} --pairs {PAIRS} \
-                --timestamps {folder}/timestamps.csv \
-                 --seed {}",
+                --timestamps {folder}/timestamps.csv --seed {}",
                 plan.options.seed
             ));
             line(format_args!("  tiepoint evaluate poses {workspace} --truth colmap:{truth}"));

@@ -26,7 +26,7 @@ pub(crate) fn cloud(args: &EvaluateCloud, output: &Output) -> Result<(), Failure
         (None, alignment) => (Some(Sim3::identity()), alignment),
     };
     let evaluation = start.and_then(|start| evaluate_cloud(&cloud, &reference, &start, alignment));
-    let evaluation = evaluation.ok_or_else(|| Error::Clouds {
+    let evaluation = evaluation.ok_or_else(|| Error::DegenerateClouds {
         cloud: args.cloud.clone(),
         reference: args.reference.clone(),
     })?;

@@ -1,18 +1,18 @@
-//! `experiment`: Experiments I and II of Huang, Elhashash & Qin 2022 in the rendered world, where
-//! the truth is known.
+//! `experiment`: Experiments I and II of Huang, Elhashash & Qin 2022 on rendered images with ground
+//! truth.
 //!
-//! Both drive along one street on a loop whose end overlaps with its beginning. I (`mounting`): one
-//! camera, looking to the front, right, rear and left in turn. II (`baseline`): two cameras that
-//! look right, reconstructed with and without a constraint between them. What is measured is what
-//! the paper measures, the distance of the cloud to a laser scan after registration, scans of one
-//! side where a camera sees one side; beside it stand the distances that exactly known cameras
-//! would have, and the error of the trajectory. A sparse cloud takes the place of the dense one.
+//! The vehicle drives a loop whose end overlaps its beginning. Experiment I (`mounting`): one
+//! camera that looks to the front, right, rear and left in turn. Experiment II (`baseline`): two
+//! cameras that look to the right, reconstructed with and without a rig constraint. As in the
+//! paper, the error is the distance of the cloud to a laser scan after registration; a camera that
+//! looks to one side is compared with the scan of that side. Unlike the paper, the cloud is sparse.
+//! The tables also have the distances with the true cameras, and trajectory errors.
 //!
-//! Each drive and each reconstruction has a folder of its own that is kept: what is complete is not
-//! made again.
+//! Each drive and each reconstruction has a folder of its own. Complete ones are not computed
+//! again.
 
-mod cell;
 mod drive;
+mod run;
 mod side;
 mod tables;
 
@@ -20,22 +20,22 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_pipeline::sfm::RigTerm;
-use tiepoint_pipeline::{Exhibit, Report, Table, Workspace, report_html};
+use tiepoint_pipeline::{Report, ReportModel, Table, Workspace, report_html};
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
-use super::judge::{read_drive_model, whereabouts};
+use super::drive_evaluation::{camera_errors, read_drive_model};
 use super::synth::{BASELINE_M, Plan, claim};
 use crate::args::{Experiment, Scenery, rig_name};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
-use cell::{Cell, Scan, Task};
 use drive::write;
+use run::{Run, Scan, Task};
 use side::Side;
 
-/// What the files in the folder were made from.
+/// File with the options of the experiment in a folder.
 const RECORD: &str = "experiment.json";
-/// Mountings of the paper's Table 3, in its order.
+/// Camera configurations of Table 3 of the paper, in its order.
 const MOUNTINGS: [(&str, Mounting); 4] = [
     ("Front", Mounting::Front),
     ("Right", Mounting::Right),
@@ -47,9 +47,10 @@ const MOUNTINGS: [(&str, Mounting); 4] = [
 struct Outcome {
     experiment: &'static str,
     folder: PathBuf,
-    /// Where to look at tables, clouds and trajectories.
+    /// HTML page with tables, clouds and trajectories.
     page: PathBuf,
-    cells: Vec<Cell>,
+    #[serde(rename = "cells")]
+    runs: Vec<Run>,
     #[serde(skip)]
     tables: Vec<Table>,
 }
@@ -60,7 +61,7 @@ pub(crate) fn experiment(experiment: &Experiment, output: &Output) -> Result<(),
         Experiment::Baseline { scenery, rig } => baseline(scenery, rig, output)?,
     };
     let text = || outcome.tables.iter().map(|table| table.to_text() + "\n").collect::<String>();
-    output.result(&outcome, || format!("{}to look at: {}\n", text(), outcome.page.display()))
+    output.result(&outcome, || format!("{}open in a browser: {}\n", text(), outcome.page.display()))
 }
 
 fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
@@ -68,9 +69,9 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
     let folder = scenery.output.join("mounting");
     begin(scenery, &folder, &plan(PathBuf::new(), Mounting::Front)?)?;
     let mut progress = Progress::new(output);
-    // The street and the way are the same for all, so the scan is.
-    let whole = Scan::new();
-    let (mut cells, mut drives) = (Vec::new(), Vec::new());
+    // Street and trajectory are the same for all runs, so they share the scan.
+    let scan = Scan::new();
+    let (mut runs, mut drives) = (Vec::new(), Vec::new());
     for (name, mounting) in MOUNTINGS {
         let own = folder.join(mounting.name());
         let plan = plan(own.join("drive"), mounting)?;
@@ -83,18 +84,18 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
             plan: &plan,
             drive: &drive,
         };
-        // Where a camera sees one side of the street, that side is what is compared.
+        // A camera that looks to one side is compared on that side only.
         let side = match mounting {
             Mounting::Right => Side::right(&drive),
             Mounting::Left => Side::left(&drive),
             Mounting::Front | Mounting::FrontRight | Mounting::Rear => Side::both(),
         };
-        cells.push(task.run(&side, &whole, &mut progress)?);
+        runs.push(task.run(&side, &scan, &mut progress)?);
         drives.push(drive);
     }
     drop(progress);
-    let tables = tables::of_mountings(&cells);
-    finish("mounting", folder, cells, &drives.iter().collect::<Vec<_>>(), tables)
+    let tables = tables::of_mountings(&runs);
+    write_results("mounting", folder, runs, &drives.iter().collect::<Vec<_>>(), tables)
 }
 
 fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outcome, Failure> {
@@ -104,7 +105,7 @@ fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outc
     let drive = plan.drive()?;
     begin(scenery, &folder, &plan)?;
     let mut progress = Progress::new(output);
-    let (mut cells, whole) = (Vec::new(), Scan::new());
+    let (mut runs, scan) = (Vec::new(), Scan::new());
     for (index, rig) in rigs.iter().enumerate().filter(|(index, rig)| !rigs[..*index].contains(rig))
     {
         let workspace = folder.join(rig_name(*rig));
@@ -113,17 +114,17 @@ fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outc
             && first.join("stages.json").is_file()
             && !workspace.join("stages.json").is_file()
         {
-            // Features and matches are the same.
+            // Reuses features and matches of the first run.
             Workspace::open(&first)?.fork(&workspace)?;
         }
         let name = tables::row_of(*rig);
         let task = Task { name: &name, rig: *rig, workspace, scenery, plan: &plan, drive: &drive };
-        cells.push(task.run(&Side::right(&drive), &whole, &mut progress)?);
+        runs.push(task.run(&Side::right(&drive), &scan, &mut progress)?);
     }
     drop(progress);
-    let tables = tables::of_constraints(&cells);
-    let drives = vec![&drive; cells.len()];
-    finish("baseline", folder, cells, &drives, tables)
+    let tables = tables::of_constraints(&runs);
+    let drives = vec![&drive; runs.len()];
+    write_results("baseline", folder, runs, &drives, tables)
 }
 
 fn plan(scenery: &Scenery, folder: PathBuf, mounts: Vec<Mount>) -> Result<Plan, Failure> {
@@ -142,53 +143,52 @@ fn plan(scenery: &Scenery, folder: PathBuf, mounts: Vec<Mount>) -> Result<Plan, 
     Ok(Plan { folder, frames: *frames, options })
 }
 
-/// Takes the folder for an experiment with these options.
+/// Checks the options and claims the folder for an experiment with them.
 fn begin(scenery: &Scenery, folder: &Path, plan: &Plan) -> Result<(), Failure> {
-    if let Some(frames) =
-        scenery.frames.map(usize::from).filter(|frames| *frames < cell::MIN_FRAMES)
+    if let Some(frames) = scenery.frames.map(usize::from).filter(|frames| *frames < run::MIN_FRAMES)
     {
-        let least = cell::MIN_FRAMES;
+        let least = run::MIN_FRAMES;
         return Err(Failure::Usage(format!(
-            "--frames {frames} is too few: a trajectory can be compared from {least} frames on"
+            "--frames {frames} is too few: the alignment of a trajectory needs {least} frames"
         )));
     }
-    // Says what cannot be driven before anything is written.
+    // Rejects impossible options before anything is written.
     plan.drive()?;
     claim(folder, RECORD, &format!("{}pairs {}\n", plan.record(), scenery.pairs), "an experiment")
 }
 
-/// Writes the tables and the page.
-fn finish(
+/// Writes tables.md and report.html.
+fn write_results(
     experiment: &'static str,
     folder: PathBuf,
-    cells: Vec<Cell>,
+    runs: Vec<Run>,
     drives: &[&Drive],
     tables: Vec<Table>,
 ) -> Result<Outcome, Failure> {
-    let mut shown = Vec::new();
-    for (cell, drive) in cells.iter().zip(drives) {
-        let Some(world_from_model) = cell.world_from_model() else { continue };
-        let model = read_drive_model(&cell.workspace, drive)?;
-        let places = whereabouts(&model, drive, &world_from_model);
-        let report: Report = Workspace::open(&cell.workspace)?.report()?;
-        shown.push((cell, world_from_model, model, places, report));
+    let mut models = Vec::new();
+    for (run, drive) in runs.iter().zip(drives) {
+        let Some(world_from_model) = run.world_from_model() else { continue };
+        let model = read_drive_model(&run.workspace, drive)?;
+        let errors = camera_errors(&model, drive, &world_from_model);
+        let report: Report = Workspace::open(&run.workspace)?.report()?;
+        models.push((run, world_from_model, model, errors, report));
     }
-    let exhibits: Vec<Exhibit> = shown
+    let report_models: Vec<ReportModel> = models
         .iter()
-        .map(|(cell, world_from_model, model, whereabouts, report)| Exhibit {
-            name: &cell.name,
+        .map(|(run, world_from_model, model, camera_errors, report)| ReportModel {
+            name: &run.name,
             model,
             world_from_model: Some(*world_from_model),
             report: Some(report),
-            whereabouts,
+            camera_errors,
         })
         .collect();
     let page = folder.join("report.html");
     let title = format!("tiepoint experiment {experiment}");
-    write(&page, &report_html(&title, &exhibits, &tables, Vec::new()))?;
+    write(&page, &report_html(&title, &report_models, &tables, Vec::new()))?;
     write(
         &folder.join("tables.md"),
         &tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>(),
     )?;
-    Ok(Outcome { experiment, folder, page, cells, tables })
+    Ok(Outcome { experiment, folder, page, runs, tables })
 }

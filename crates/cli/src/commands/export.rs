@@ -17,7 +17,7 @@ fn describe(exported: &Exported) -> String {
     let rigid = exported.rigid.as_ref().map_or_else(String::new, summary::rigid);
     let in_place = match exported.photos_in_place {
         0 => String::new(),
-        count => format!("{count} photos are in their places already and were left as they are\n"),
+        count => format!("{count} photos are in their places already and were not copied\n"),
     };
     format!("{rigid}{in_place}{}\n", exported.path.display())
 }

@@ -1,11 +1,11 @@
-//! One file a command.
+//! The commands, one file each.
 
 mod adjust;
 mod demo;
+mod drive_evaluation;
 mod evaluate;
 mod experiment;
 mod export;
-mod judge;
 mod stages;
 mod synth;
 mod view;

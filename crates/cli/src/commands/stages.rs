@@ -1,9 +1,9 @@
-//! `reconstruct`, and its stages one by one.
+//! `reconstruct`, and its stages `features`, `match` and `map`.
 
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
-    FeatureOptions, MapOptions, MatchOptions, Opened, Options, Stage, Workspace, extract_features,
-    map as map_workspace, match_images as match_workspace, open_input,
+    FeatureOptions, MapOptions, MatchOptions, OpenedInput, Options, Stage, Workspace,
+    extract_features, map as map_workspace, match_images as match_workspace, open_input,
     reconstruct as reconstruct_all,
 };
 
@@ -34,50 +34,51 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
 }
 
 pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> {
-    let redo = own_stage(args.redo, Stage::Features)?;
+    let redo = check_redo(args.redo, Stage::Features)?;
     let mut options = feature_options(&args.input, &args.cameras)?;
     let mut progress = Progress::new(output);
     let Input { inputs, output: root, masks, every, .. } = &args.input;
-    let Opened { photos, mut workspace, timestamps } =
+    let OpenedInput { photos, mut workspace, timestamps } =
         open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| {
             progress.watch(event)
         })?;
     options.timestamps = options.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    tell(&workspace, output)
+    print_report(&workspace, output)
 }
 
 pub(crate) fn match_images(args: &Match, output: &Output) -> Result<(), Failure> {
-    let redo = own_stage(args.redo, Stage::Match)?;
+    let redo = check_redo(args.redo, Stage::Match)?;
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
     let options = match_options(&args.pairs, &args.seed);
     match_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
-    tell(&workspace, output)
+    print_report(&workspace, output)
 }
 
 pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
-    let redo = own_stage(args.redo, Stage::Map)?;
+    let redo = check_redo(args.redo, Stage::Map)?;
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
     map_workspace(&mut workspace, &map_options(&args.mapping, &args.seed), redo, &mut |event| {
         progress.watch(event)
     })?;
     drop(progress);
-    tell(&workspace, output)
+    print_report(&workspace, output)
 }
 
-fn tell(workspace: &Workspace, output: &Output) -> Result<(), Failure> {
+fn print_report(workspace: &Workspace, output: &Output) -> Result<(), Failure> {
     let report = workspace.report()?;
     output.result(&report, || summary::report(workspace.root(), &report))
 }
 
-fn own_stage(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure> {
+/// Checks that --redo of a command for one stage names this stage.
+fn check_redo(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure> {
     match redo {
         Some(stage) if stage != own => Err(Failure::Usage(format!(
-            "this command makes the stage {own}, so --redo can only be {own} here"
+            "this command runs the stage {own}, so --redo can only be {own} here"
         ))),
         _ => Ok(redo),
     }

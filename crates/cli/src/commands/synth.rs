@@ -1,8 +1,8 @@
-//! `synth`: a drive on disk.
+//! `synth`: renders a drive to disk.
 //!
-//! The same command writes the same files again. A folder with anything else is refused, so that no
-//! drive is mixed with another and nothing of anybody is overwritten: `synth.json` says what the
-//! files were made from.
+//! The same command writes the same files again. A folder with other content is rejected, so that
+//! drives are not mixed and no foreign file is overwritten: `synth.json` holds the options of the
+//! drive in a folder.
 
 use std::fs;
 use std::io::{ErrorKind, Write};
@@ -26,24 +26,24 @@ use crate::progress::Progress;
 
 /// Distance of the two cameras.
 pub(crate) const BASELINE_M: f64 = 0.5;
-/// A scan a second shows everything beside the way.
+/// Every tenth revolution of the scanner, one per second, covers the street.
 const SCAN_EVERY_TURNS: usize = 10;
-/// Images at once, for each thread; each takes some 25 bytes a pixel.
-const AT_ONCE: usize = 3;
-/// A street is laid out as a whole before anything is rendered; this one has hundreds of thousands
-/// of houses.
+/// Images in memory per thread; each takes some 25 bytes per pixel.
+const IMAGES_PER_THREAD: usize = 3;
+/// The whole street is laid out before rendering; at this length it has hundreds of thousands of
+/// houses.
 const MAX_LENGTH_M: f64 = 100_000.0;
-/// What the files were made from.
+/// File with the options of the drive in a folder.
 const RECORD: &str = "synth.json";
 
-/// What was written.
+/// A drive on disk.
 #[derive(Debug, Serialize)]
 pub(crate) struct Rendered {
     folder: PathBuf,
     /// The true model, for `evaluate poses --truth colmap:`.
     pub(crate) truth: PathBuf,
     pub(crate) cameras: Vec<RenderedCamera>,
-    /// Way of the first camera from its first image to its last.
+    /// Length of the first camera's trajectory.
     pub(crate) driven_m: f64,
 }
 
@@ -56,7 +56,7 @@ pub(crate) struct RenderedCamera {
     focal_px: f64,
 }
 
-/// Made from the same, files are the same.
+/// Content of [`RECORD`]. Equal records give equal files.
 #[derive(Serialize)]
 struct Record {
     program: &'static str,
@@ -76,10 +76,10 @@ pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
     output.result(&rendered, || rendered.describe())
 }
 
-/// A drive, and where it is to lie.
+/// Options of a drive to render, and its output folder.
 pub(crate) struct Plan {
     pub(crate) folder: PathBuf,
-    /// At most so many images of each camera.
+    /// Maximum number of images per camera.
     pub(crate) frames: Option<NonZeroUsize>,
     pub(crate) options: DriveOptions,
 }
@@ -100,12 +100,12 @@ impl Plan {
         Self { folder: args.output.clone(), frames: args.frames, options }
     }
 
-    /// The drive that this means.
+    /// The drive with these options.
     pub(crate) fn drive(&self) -> Result<Drive, Failure> {
         let length_m = self.options.length_m;
         if length_m > MAX_LENGTH_M {
             return Err(Failure::Usage(format!(
-                "--length {length_m} is more than anybody can drive here: at most {MAX_LENGTH_M} m"
+                "--length {length_m} is too long: give at most {MAX_LENGTH_M} m"
             )));
         }
         let mut drive = Drive::new(&self.options).map_err(|error| match error {
@@ -118,12 +118,12 @@ impl Plan {
         Ok(drive)
     }
 
-    /// Where the true model lies.
+    /// Folder of the true model.
     pub(crate) fn truth(&self) -> PathBuf {
         self.folder.join("truth/model")
     }
 
-    /// What the files are made from, in words.
+    /// Text of [`RECORD`].
     pub(crate) fn record(&self) -> String {
         let record = Record {
             program: concat!("tiepoint ", env!("CARGO_PKG_VERSION")),
@@ -134,7 +134,7 @@ impl Plan {
     }
 }
 
-/// What a laser scanner on the roof sees, the whole drive long.
+/// The point cloud of a laser scanner on the roof over the whole drive, in metres.
 pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
     Ok(reference_cloud(
         drive,
@@ -142,7 +142,7 @@ pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
     )?)
 }
 
-/// Renders a drive to disk; images that are there are not rendered again.
+/// Renders a drive to disk; existing images are not rendered again.
 pub(crate) fn render(
     plan: &Plan,
     drive: &Drive,
@@ -157,8 +157,9 @@ pub(crate) fn render(
     let mut done = 0;
     for (index, camera) in drive.cameras().iter().enumerate() {
         let renderer = drive.renderer(index);
-        // Several at a time: files are encoded by one thread each, while others render.
-        for exposures in camera.exposures.chunks(AT_ONCE * rayon::current_num_threads()) {
+        // Several images at a time: one thread encodes a file while others render.
+        let chunk = IMAGES_PER_THREAD * rayon::current_num_threads();
+        for exposures in camera.exposures.chunks(chunk) {
             for exposure in exposures {
                 if progress.rendering(&exposure.name, done, total).is_break() {
                     return Err(Failure::Cancelled);
@@ -175,6 +176,7 @@ pub(crate) fn render(
     Ok(Rendered::new(plan, drive))
 }
 
+/// Length of the first camera's trajectory.
 pub(crate) fn driven_m(drive: &Drive) -> f64 {
     let exposures = drive.cameras()[0].exposures.iter();
     let centres: Vec<_> =
@@ -182,9 +184,14 @@ pub(crate) fn driven_m(drive: &Drive) -> f64 {
     centres.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
 }
 
-/// Makes the folder ours, if it is new or empty; it may be already, if its `record` has the same
-/// text.
-pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Result<(), Failure> {
+/// Claims a new or empty folder by writing the file `record` with this text; a folder whose
+/// `record` already has this text is accepted. `contents` names the contents in error messages.
+pub(crate) fn claim(
+    folder: &Path,
+    record: &str,
+    text: &str,
+    contents: &str,
+) -> Result<(), Failure> {
     let path = folder.join(record);
     let cannot = |path: &Path, doing: &str, cause: std::io::Error| {
         Failure::CouldNot(format!("cannot {doing} {}: {cause}", path.display()))
@@ -194,8 +201,8 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
         Ok(_) => {
             let folder = folder.display();
             return Err(Failure::CouldNot(format!(
-                "{folder} holds {what} with other options, or of another version: choose another \
-                folder with -o, or remove it"
+                "{folder} holds {contents} with other options, or of another version: choose \
+                another folder with -o, or remove it"
             )));
         }
         Err(cause) if cause.kind() == ErrorKind::NotFound => {}
@@ -206,8 +213,8 @@ pub(crate) fn claim(folder: &Path, record: &str, text: &str, what: &str) -> Resu
     if entries.next().is_some() {
         let folder = folder.display();
         return Err(Failure::CouldNot(format!(
-            "{folder} is not empty, and what is there is not {what} of this program: choose \
-            another folder with -o"
+            "{folder} is not empty and does not hold {contents} of this program: choose another \
+            folder with -o"
         )));
     }
     Ok(AtomicFile::write_with(&path, |file| file.write_all(text.as_bytes()))?)
@@ -236,7 +243,7 @@ impl Rendered {
         let cameras: String = self.cameras.iter().map(line).collect();
         let truth = self.truth.display();
         format!(
-            "{cameras}driven    {:.1} m\ntruth     colmap:{truth}\nin {}\n",
+            "{cameras}length    {:.1} m\ntruth     colmap:{truth}\nin {}\n",
             self.driven_m,
             self.folder.display()
         )

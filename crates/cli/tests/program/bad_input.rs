@@ -1,4 +1,4 @@
-//! What is wrong is said in one sentence: what, where, what to do.
+//! Error messages for invalid input: one sentence with the problem, the file and the remedy.
 
 use std::fs;
 use std::path::Path;
@@ -43,7 +43,7 @@ fn photos_without_overlap() {
 }
 
 #[test]
-fn a_truncated_photo_and_a_file_that_is_none_are_left_out() {
+fn truncated_photos_and_other_files_are_skipped() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     photos::write(&folder, 4, 0);
@@ -71,7 +71,7 @@ fn a_truncated_photo_and_a_file_that_is_none_are_left_out() {
 }
 
 #[test]
-fn nothing_but_broken_photos() {
+fn only_damaged_photos() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     fs::create_dir(&folder).unwrap();
@@ -105,7 +105,7 @@ fn an_output_that_cannot_be_written() {
 }
 
 #[test]
-fn a_colmap_project_of_somebody_else_is_left_alone() {
+fn foreign_colmap_project_is_not_changed() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);
     fs::create_dir(dir.path().join("ws")).unwrap();
@@ -160,14 +160,15 @@ fn help_and_version_are_no_errors() {
 #[test]
 fn stages_out_of_order() {
     let dir = tempfile::tempdir().unwrap();
-    tiepoint_in(dir.path(), "match {}/ws").failed(1, &["ws is no workspace", "tiepoint features"]);
+    tiepoint_in(dir.path(), "match {}/ws")
+        .failed(1, &["ws is not a workspace", "tiepoint features"]);
     photos::write(&dir.path().join("photos"), 2, 0);
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws").done();
     tiepoint_in(dir.path(), "map {}/ws").failed(1, &["no matches yet", "tiepoint match"]);
 }
 
 #[test]
-fn hostile_problems_of_bundle_adjustment() {
+fn damaged_bal_problems() {
     let dir = tempfile::tempdir().unwrap();
     let numbers = "0 0 0 0 0 0 500 0 0\n".repeat(2) + "0 0 -5\n1 1 -6\n";
     let seen = "2 2 4\n0 0 1 2\n0 1 3 4\n1 0 5 6\n1 1 7 8\n";
@@ -207,7 +208,7 @@ fn hostile_problems_of_bundle_adjustment() {
 }
 
 #[test]
-fn models_that_are_none() {
+fn missing_and_damaged_models() {
     let dir = tempfile::tempdir().unwrap();
     tiepoint_in(dir.path(), "adjust {}").failed(1, &["holds no COLMAP model"]);
     tiepoint_in(dir.path(), "adjust {}/none.txt").failed(1, &["none.txt", "No such file"]);
@@ -219,7 +220,7 @@ fn models_that_are_none() {
 }
 
 #[test]
-fn an_error_is_json_too() {
+fn errors_are_json_with_json_output() {
     let dir = tempfile::tempdir().unwrap();
     for (line, code) in [("match {}/ws --json", 1), ("match {}/ws --json --no-such-flag", 2)] {
         let run = tiepoint_in(dir.path(), line);
@@ -231,7 +232,7 @@ fn an_error_is_json_too() {
 }
 
 #[test]
-fn a_rolling_shutter_that_makes_no_sense() {
+fn invalid_rolling_shutter() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 4, 0);
     let with = |readout: &str| {

@@ -1,4 +1,4 @@
-//! Drives that the program renders itself: on disk as cameras would leave them, and reconstructed.
+//! Rendered drives: their files, and their reconstruction.
 
 use std::fs;
 use std::path::Path;
@@ -8,27 +8,27 @@ use tiepoint_pipeline::io::colmap::read_model;
 
 use crate::tiepoint_in;
 
-/// As far as the second corner of the block, so that the demo's two runs stay short here.
+/// Up to the second corner of the block, so that the demo stays short here.
 const FRAMES: usize = 24;
-/// Ideal pinholes, 0.6 image widths.
+/// The true focal length: 0.6 image widths.
 const FOCAL_PX: f64 = 0.6 * 320.0;
-/// Half a loop in images of a quarter of the demo's pixels, two metres from one to the next: 0.12 m
-/// were measured. A focal length or a start that is wrong costs metres.
+/// Limit of the ATE over half a loop with a quarter of the demo's pixels and 2 m between images;
+/// 0.12 m were measured. A wrong focal length or initial pair costs metres.
 const MAX_ATE_M: f64 = 0.3;
-/// Of the median distance of the cameras at images of one moment, as a share of what it truly is.
-/// Without a term and with `auto`, seeds 2 to 5 and 7 end within 0.016; the paper's term takes
-/// images of one moment for images of one instant, and ends within 0.049.
+/// Limit of the relative error of the median baseline over all frames. With `off` and `auto`, seeds
+/// 2 to 5 and 7 end within 0.016. The paper's constraint assumes that the images of a frame are
+/// synchronous, and ends within 0.049.
 const MAX_BASELINE_ERROR: f64 = 0.05;
 const MAX_BASELINE_ERROR_PAPER: f64 = 0.1;
-/// Median distance of points to the surface that their pixels show, over that of points of exactly
-/// known cameras: at this size the keypoints alone leave decimetres, and cameras known to
-/// centimetres add little.
+/// Limit of the median surface distance over its error floor: at this image size keypoint errors
+/// cause decimetres, and pose errors of centimetres add little.
 const MAX_OVER_FLOOR: f64 = 4.0;
-/// Of the focal length, which is set 1.2 / 0.6 times too long at first: 0.3 % were measured.
+/// Limit of the relative error of the focal length, whose initial value is 1.2 / 0.6 times too
+/// long; 0.3 % were measured.
 const MAX_FOCAL_ERROR: f64 = 0.03;
 
 #[test]
-fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
+fn drive_has_images_times_and_ground_truth() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     let line = "synth -o {}/deep/drive --frames 3 --size 64x48 --mounting right --effects \
@@ -52,12 +52,12 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
         let trajectory = fs::read_to_string(drive.join(format!("truth/{name}.tum"))).unwrap();
         assert_eq!(trajectory.lines().count(), 3);
     }
-    // The scan lies on itself and is of the size of the street: 200 m around the block.
+    // The scan has no distance to itself, and has the size of a street of 200 m.
     let scan = "evaluate cloud {}/deep/drive/truth/scan.ply {}/deep/drive/truth/scan.ply --align \
     none --json";
     let scan = tiepoint_in(dir, scan).done().json();
     assert!(scan["points"].as_u64().unwrap() > 100_000 && scan["distance"]["max"] == 0.0, "{scan}");
-    // The truth is true of itself.
+    // The true model has no error against itself.
     let truth = rendered["truth"].as_str().unwrap();
     let evaluation =
         tiepoint_in(dir, &format!("evaluate poses {truth} --truth colmap:{truth} --json"));
@@ -69,7 +69,7 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
 
     let image = || fs::read(drive.join("left/000001.jpg")).unwrap();
     let before = image();
-    // What is missing is rendered again, and nothing else.
+    // Only missing images are rendered again.
     fs::remove_file(drive.join("left/000001.jpg")).unwrap();
     fs::write(drive.join("left/000002.jpg"), "of another's").unwrap();
     tiepoint_in(dir, line).done();
@@ -81,7 +81,7 @@ fn a_drive_is_as_cameras_leave_it_and_its_truth_is_read_by_evaluate() {
 }
 
 #[test]
-fn folders_of_others_are_left_alone() {
+fn foreign_folders_are_not_changed() {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("drive")).unwrap();
     fs::write(dir.path().join("drive/mine.txt"), "mine").unwrap();
@@ -92,7 +92,7 @@ fn folders_of_others_are_left_alone() {
 }
 
 #[test]
-fn drives_that_cannot_be() {
+fn invalid_drive_options() {
     let dir = tempfile::tempdir().unwrap();
     for (options, parts) in [
         ("--size 64", ["--size", "640x480"]),
@@ -107,8 +107,8 @@ fn drives_that_cannot_be() {
     assert!(!dir.path().join("drive").exists(), "nothing was begun");
 }
 
-/// How far apart the cameras were at images of one moment, which is not one instant: the clocks
-/// disagree by a part of an interval, in which the vehicle drives on.
+/// Median true distance of the two cameras over all frames. It is not the baseline of the rig,
+/// because the clocks have an offset of a part of a frame interval, in which the vehicle moves.
 fn true_baseline_m(drive: &Path) -> f64 {
     let mut truth = read_model(&drive.join("truth/model")).unwrap();
     let stamps = fs::read_to_string(drive.join("timestamps.csv")).unwrap();
@@ -126,7 +126,7 @@ fn the_demo_reconstructs_what_it_rendered() {
     let dir = dir.path();
     let line = format!("demo -o {{}}/demo --frames {FRAMES} --size 320x240");
     let text = tiepoint_in(dir, &line).done().stdout();
-    // Again, it renders the same and keeps the rest.
+    // A second run keeps all stages.
     let again = tiepoint_in(dir, &format!("{line} --json")).done();
     assert_eq!(again.events().iter().filter(|event| event["event"] == "stage_kept").count(), 9);
     let outcome = again.json();
@@ -144,7 +144,7 @@ fn the_demo_reconstructs_what_it_rendered() {
         let model = &run["report"]["models"][0];
         assert_eq!(model["registered"], 2 * FRAMES, "{model}");
         assert_eq!(model["rig"]["mode"], run["rig"]);
-        // The clocks disagree by less than an image.
+        // The clock offset is less than a frame interval.
         assert!(
             model["rig"]["cameras"][0]["pairs"].as_u64().unwrap() >= FRAMES as u64 - 1,
             "{model}"
@@ -168,13 +168,13 @@ fn the_demo_reconstructs_what_it_rendered() {
         );
     }
 
-    // The table says what the numbers are.
+    // The table has the same numbers.
     let registered = format!("{0} of {0}", 2 * FRAMES);
     let ate = format!("{:.4} m", evaluation["centre_error"]["rmse"].as_f64().unwrap());
     for part in [registered.as_str(), &ate, "--rig paper", "surface distance", "demo/paper"] {
         assert!(text.contains(part), "no {part} in {text}");
     }
-    // The commands that it names are the same work.
+    // The printed commands give the same results.
     let synth = text.lines().find_map(|line| line.trim().strip_prefix("tiepoint synth")).unwrap();
     tiepoint_in(dir, &format!("synth{synth}")).done();
     let evaluate =

@@ -1,4 +1,4 @@
-//! How the program ends: results that cannot be written, and signals.
+//! Exit of the program: unwritable results, and signals.
 
 #![cfg(unix)]
 
@@ -13,11 +13,11 @@ use std::time::{Duration, Instant};
 
 use crate::{Run, photos, tiepoint, tiepoint_in};
 
-/// Whoever sends a signal waits no longer than this.
+/// Time limit for the exit after a signal.
 const LIMIT: Duration = Duration::from_secs(2);
-/// From one look at a file to the next.
+/// Polling interval.
 const NAP: Duration = Duration::from_millis(10);
-/// Images of a drive: more than a machine renders before the signal comes.
+/// Number of images: more than a machine renders before the signal.
 const MANY: usize = 500;
 
 fn program(dir: &Path, line: &str) -> Command {
@@ -49,7 +49,7 @@ fn a_result_that_cannot_be_written_is_an_error() {
 }
 
 #[test]
-fn a_reader_that_has_read_enough_is_no_error() {
+fn closed_stdout_is_no_error() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("bal.txt"), "0 0 0\n").unwrap();
     for line in ["adjust bal.txt", "adjust bal.txt --json", "--help"] {
@@ -73,7 +73,7 @@ fn wait_until(child: &mut Child, what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
-/// Sends a signal by its name and takes what the program leaves, in time.
+/// Sends a signal and waits for the exit within the time limit.
 fn stop(child: Child, signal: &str) -> Run {
     let sent = Instant::now();
     let kill = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
@@ -88,10 +88,10 @@ fn spawn(dir: &Path, line: &str) -> Child {
     program(dir, line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-const SAYS: &str = "what is complete was kept; give the same command again to go on";
+const SAYS: &str = "completed work was kept; give the same command again to resume";
 
 #[test]
-fn a_signal_ends_a_drive_and_the_same_command_goes_on() {
+fn signal_stops_rendering_and_the_same_command_resumes() {
     let dir = tempfile::tempdir().unwrap();
     let line = |frames| format!("synth -o drive --size 64x48 --frames {frames} --length 1000");
     let images = || fs::read_dir(dir.path().join("drive/left")).map_or(0, Iterator::count);
@@ -107,7 +107,7 @@ fn a_signal_ends_a_drive_and_the_same_command_goes_on() {
     assert_eq!(fs::metadata(&kept).unwrap().modified().unwrap(), before, "what is there stays");
 }
 
-/// The lines of a stream, from a thread of its own so that the program never waits for the reader.
+/// Reads the lines of a stream in a thread of its own, so that the program never blocks.
 fn drained(
     stream: impl Read + Send + 'static,
 ) -> (std::sync::mpsc::Receiver<String>, thread::JoinHandle<()>) {
@@ -130,11 +130,11 @@ fn a_signal_ends_each_stage_cleanly() {
         (first, "pair_done", SAYS),
         (first, "image_registered", SAYS),
         ("reconstruct photos -o ws --json --redo map --threads 1", "image_registered", SAYS),
-        ("match ws --json --redo match --threads 1", "pair_done", "again without --redo to go on"),
+        ("match ws --json --redo match --threads 1", "pair_done", "again without --redo to resume"),
         (
             "reconstruct photos -o ws --json --redo features --threads 1",
             "image_done",
-            "again without --redo to go on",
+            "again without --redo to resume",
         ),
     ] {
         let mut child = spawn(dir.path(), line);
@@ -157,13 +157,13 @@ fn a_signal_ends_each_stage_cleanly() {
 }
 
 #[test]
-fn a_signal_ends_work_that_tells_nothing() {
+fn signal_stops_work_without_events() {
     let dir = tempfile::tempdir().unwrap();
-    // Houses beside a hundred kilometres are laid out before the first event.
+    // A street of a hundred kilometres is laid out before the first event.
     let line = "synth -o drive --length 100000 --frames 2 --size 64x48 --scan";
     for (signal, code) in [("INT", 130), ("TERM", 143)] {
         let child = spawn(dir.path(), line);
-        // Signals are listened to from the first moments on.
+        // The signal handlers are installed by now.
         thread::sleep(Duration::from_millis(500));
         let run = stop(child, signal).failed(code, &[&format!("stopped by SIG{signal}: {SAYS}")]);
         assert_eq!(run.stderr().matches("stopped by").count(), 1, "{}", run.stderr());
@@ -171,7 +171,7 @@ fn a_signal_ends_work_that_tells_nothing() {
 }
 
 #[test]
-fn a_signal_ends_a_run_whose_reader_sleeps() {
+fn signal_stops_a_run_that_is_blocked_on_stderr() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);
     let (mut stderr, reader) = UnixStream::pair().unwrap();
@@ -186,9 +186,9 @@ fn a_signal_ends_a_run_whose_reader_sleeps() {
     drop(reader);
 }
 
-/// The first event is that the features are kept. Nobody reads it until the signal is there.
+/// The run blocks on its first event, that the features are kept, until after the signal.
 #[test]
-fn a_stage_that_was_to_be_redone_and_has_not_begun_is_still_to_be_redone() {
+fn message_keeps_redo_if_the_stage_has_not_begun() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 3, 0);
     tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
@@ -205,10 +205,14 @@ fn a_stage_that_was_to_be_redone_and_has_not_begun_is_still_to_be_redone() {
     assert!(
         Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success()
     );
-    let mut told = String::new();
-    reader.read_to_string(&mut told).unwrap();
+    let mut stderr_text = String::new();
+    reader.read_to_string(&mut stderr_text).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(told.contains(SAYS) && !told.contains("without --redo"), "{}", told.trim_start());
+    assert!(
+        stderr_text.contains(SAYS) && !stderr_text.contains("without --redo"),
+        "{}",
+        stderr_text.trim_start()
+    );
     assert!(
         fs::read(dir.path().join("ws/database.db")).unwrap() == database,
         "nothing was cleared"

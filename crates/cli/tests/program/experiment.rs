@@ -1,4 +1,4 @@
-//! The paper's experiments, on a few small frames.
+//! The experiments of the paper on a few small images.
 
 use std::fs;
 use std::ops::RangeInclusive;
@@ -6,13 +6,12 @@ use std::time::SystemTime;
 
 use crate::tiepoint_in;
 
-/// Small enough for seconds: six moments less than a metre apart, so that neighbours share most of
-/// what they see.
+/// Six frames less than a metre apart, so that neighbours overlap well; the run takes seconds.
 const SMALL: &str = "--frames 6 --rate 10 --size 160x120 --effects clocks --rig off,soft";
-/// Thirty runs (seeds 2 to 16, with and without the term) end at 0.003 to 0.076 m, half of them
-/// below 0.01 m. A wrong pose costs decimetres.
+/// Thirty runs (seeds 2 to 16, with and without the constraint) end at 0.003 to 0.076 m, half of
+/// them below 0.01 m. A wrong pose costs decimetres.
 const MAX_ATE_M: f64 = 0.1;
-/// Moments four times as far apart: neighbours share too little for one or two of the 12 images.
+/// Frames four times as far apart: one or two of the 12 images overlap too little to be registered.
 const SPARSE: &str = "--frames 6 --size 160x120 --effects clocks --rig off";
 const REGISTERED_OF_SPARSE: RangeInclusive<u64> = 10..=11;
 
@@ -46,7 +45,7 @@ fn two_cameras_with_and_without_a_constraint() {
     let files = ["e/baseline/drive/right/000000.png", "e/baseline/soft/sparse/0/images.bin"];
     let before = files.map(written);
 
-    // Again nothing is rendered or reconstructed, and the text has the same numbers in the paper's
+    // A second run renders and reconstructs nothing, and prints the same numbers in the paper's
     // layout.
     let text = tiepoint_in(dir, &line).done().stdout();
     assert_eq!(files.map(written), before);
@@ -55,17 +54,16 @@ fn two_cameras_with_and_without_a_constraint() {
         assert!(text.contains(part), "no {part} in {text}");
     }
     assert!(fs::read_to_string(dir.join("e/baseline/tables.md")).unwrap().contains("|---|"));
-    // A further method uses what is there; what contradicts it is refused.
+    // A missing evaluation uses the existing models; other options are rejected.
     fs::remove_file(dir.join("e/baseline/soft/judged.json")).unwrap();
     let events = tiepoint_in(dir, &format!("{line} --json")).done().events();
     assert!(events.iter().all(|event| event["event"] == "stage_kept"), "{events:?}");
     tiepoint_in(dir, &line.replace("--frames 6", "--frames 7")).failed(1, &["other options", "-o"]);
 }
 
-/// Of images that are left over a second model begins and falls apart, which is not the end of the
-/// first.
+/// The unregistered images start a second model that fails; the first one stays valid.
 #[test]
-fn images_that_are_left_over_end_no_experiment() {
+fn unregistered_images_do_not_abort_an_experiment() {
     let dir = tempfile::tempdir().unwrap();
     let outcome =
         tiepoint_in(dir.path(), &format!("experiment baseline -o {{}}/e {SPARSE} --json"))
@@ -80,11 +78,11 @@ fn images_that_are_left_over_end_no_experiment() {
 }
 
 #[test]
-fn experiments_that_cannot_be() {
+fn invalid_experiment_options() {
     let dir = tempfile::tempdir().unwrap();
     for (which, options, parts) in [
         ("mounting", "--frames 0", ["--frames", "0"]),
-        ("mounting", "--frames 2", ["--frames 2", "from 3 frames on"]),
+        ("mounting", "--frames 2", ["--frames 2", "needs 3 frames"]),
         ("mounting", "--rig off", ["--rig", "unexpected"]),
         ("baseline", "--rig off,none", ["none", "paper"]),
         ("baseline", "--length 1e12", ["--length", "at most"]),

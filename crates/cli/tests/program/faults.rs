@@ -1,7 +1,7 @@
-//! Kills, full disks and failing writes at chosen changes of the file system: nothing of the user
-//! is lost, what a workspace says of itself is true, and the same command goes on to the same
-//! result. With `TIEPOINT_ALL_FAULTS` every change is taken; `bench/durability.py` does that, and
-//! kills the program from outside.
+//! Fault injection at chosen file system operations: kills, full disks and failing writes. Files of
+//! the user are not changed, the records of the workspace are true, and the same command resumes to
+//! the same result. With `TIEPOINT_ALL_FAULTS` every operation is tested; `bench/durability.py`
+//! does that, and also kills the program from outside.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -27,30 +27,31 @@ use crate::photos;
 const COUNT: usize = 4;
 /// Small enough for a run in a tenth of a second, large enough for a model.
 const SIZE: (u32, u32) = (144, 108);
-/// Writes of each of the ten commands that are drawn.
+/// Number of writes that are drawn per command.
 const DRAWN_WRITES: usize = 2;
-/// Renames, commits and syncs of each command that are drawn.
+/// Number of renames, commits and syncs that are drawn per command: all of a small export, a tenth
+/// of those of the longest run.
 const DRAWN_DECISIVE: usize = 12;
-/// With this variable in the environment, every change is taken.
+/// With this environment variable every operation is tested.
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";
 const MAX_TRIES: usize = 100;
 const BETWEEN_TRIES: Duration = Duration::from_millis(20);
-/// The folder of new results before and after the rename that decides
+/// The folder of new results before and after the rename that commits them
 /// (`pipeline/output_folder.rs`).
 const STAGED: &str = ".tiepoint-new";
 const COMMITTED: &str = ".tiepoint-commit";
-/// Of the draws.
+/// Seed of the draws.
 const SEED: u64 = 20_261_123;
 
-/// A command, as a person gives it.
+/// A command of the program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Command {
     Reconstruct,
-    /// Another camera model.
+    /// With another camera model.
     RedoFeatures,
-    /// Other pairs.
+    /// With other image pairs.
     RedoMatch,
-    /// Another seed.
+    /// With another seed.
     RedoMap,
     Export(ExportFormat, &'static str),
     Adjust,
@@ -101,13 +102,13 @@ impl Command {
         }
     }
 
-    /// Whether it begins with a workspace that is complete.
+    /// Whether it needs a complete workspace.
     fn has_workspace(self) -> bool {
         self != Self::Reconstruct
     }
 }
 
-/// Files below a folder with their content; those of the user, or those that results are in.
+/// Names and contents of the wanted files below a folder.
 fn files(dir: &Path, is_wanted: &dyn Fn(&str) -> bool) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![dir.to_owned()];
@@ -130,7 +131,7 @@ fn of_user(dir: &Path) -> BTreeMap<String, Vec<u8>> {
     files(dir, &|name| name.starts_with("photos/") || name.ends_with("mine.txt"))
 }
 
-/// What must be the same bytes however a run came about.
+/// Contents of the result files, which must be the same after every fault.
 fn results(dir: &Path) -> BTreeMap<String, Vec<u8>> {
     let is_result = |name: &str| {
         name.starts_with("ws/sparse/")
@@ -163,7 +164,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// What the record says must be what the data are.
+/// Checks that the records agree with the data.
 fn check_record(dir: &Path, case: &str) {
     let ws = dir.join("ws");
     if let Ok(database) = Database::open(&ws.join("database.db")) {
@@ -190,19 +191,19 @@ fn check_record(dir: &Path, case: &str) {
             }
         }
     }
-    // A model is whole or none, never of two.
+    // A model is complete or absent, and never a mix of two.
     if ws.join("sparse/0/images.bin").is_file() {
         read_model(&ws.join("sparse/0")).unwrap_or_else(|error| panic!("{case}: {error}"));
     }
 }
 
-/// In memory where that can be: a sync costs nothing there.
+/// A temporary folder, in memory if possible, where a sync costs nothing.
 fn folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
-/// One fault, and the way on from it.
-fn strike(
+/// Injects one fault, resumes, and checks the results.
+fn test_fault(
     command: Command,
     base: &Path,
     expected: &BTreeMap<String, Vec<u8>>,
@@ -226,13 +227,12 @@ fn strike(
         assert!(hit && error.to_string().lines().count() == 1, "{case}: {error}");
     }
     check_record(&dir, &case);
-    // On: the same command without --redo; where the stage was not begun yet, as the sentence says.
+    // Resumes without --redo, or with it if the stage had not begun, as the message says.
     let again = |redo| {
         let mut tries = 0;
         loop {
             match command.run(&dir, redo) {
-                // Programs that other tests start hold this process's locks for the moment until
-                // they are programs.
+                // Processes that other tests start inherit the locks of this process until exec.
                 Err(Error::InUse { .. }) if tries < MAX_TRIES => tries += 1,
                 ended => return ended,
             }
@@ -314,14 +314,15 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
         cases.extend(decisive.iter().flat_map(|at| [(*at, Kind::Stop), (*at, Kind::Fail)]));
         let stops = cases.iter().filter(|(_, kind)| *kind == Kind::Stop).count();
         println!("{command:?}: {} changes, {stops} stops, {} faults", log.len(), cases.len());
-        cases.par_iter().for_each(|&(at, kind)| strike(command, &base, &expected, at, kind));
+        cases.par_iter().for_each(|&(at, kind)| test_fault(command, &base, &expected, at, kind));
     }
 }
 
-/// Stands for the loss of power: what takes a name is on the disk before, and the name after.
+/// Checks the order of operations that survives a power loss: files are synchronised before they
+/// are renamed, and their folder afterwards.
 ///
-/// Images are written by several threads, so that the file of one may be open when another's gets
-/// its name. A rename waits for what it names: a file's own part, or all files of a folder.
+/// Several threads write images, so that other files may be open during a rename. A rename needs
+/// only its own temporary file to be synchronised, or all files of a renamed folder.
 fn check_order(log: &[(Operation, PathBuf)], case: &str) {
     let mut unsynced: Vec<&PathBuf> = Vec::new();
     let mut renames_checked = 0;

@@ -1,4 +1,4 @@
-//! Input that would take all memory, all time or the terminal.
+//! Malicious input that would exhaust memory or time, or control the terminal.
 
 use std::fs;
 use std::path::Path;
@@ -67,7 +67,7 @@ fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small").done();
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small --max-megapixels 289")
         .failed(1, &["--max-megapixels none and not 289", "--redo features"]);
-    // Where nothing else is left, the sentence says why.
+    // If no usable photo is left, the message has the reason.
     for index in 0..4 {
         fs::remove_file(dir.path().join(format!("photos/{index}.png"))).unwrap();
     }
@@ -93,7 +93,7 @@ fn threads_beyond_reason() {
 }
 
 #[test]
-fn focal_lengths_that_no_camera_has_are_named_and_not_believed() {
+fn impossible_focal_lengths_are_reported_and_ignored() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     fs::create_dir(&folder).unwrap();
@@ -103,17 +103,17 @@ fn focal_lengths_that_no_camera_has_are_named_and_not_believed() {
     }
     let run = tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
     let said = run.stderr();
-    assert!(said.contains("0.jpg: its EXIF data tell a focal length of 6.0"), "{said}");
+    assert!(said.contains("0.jpg: its EXIF focal length of 6.0"), "{said}");
     assert!(said.contains("--focal-prior") && said.lines().count() == 1, "{said}");
     assert!(run.stdout().contains("4 of 4 images"), "{}", run.stdout());
 }
 
 #[test]
-fn where_exif_tells_a_focal_length_more_overlap_is_not_the_only_advice() {
+fn message_on_missing_overlap_mentions_the_focal_length_of_exif() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     fs::create_dir(&folder).unwrap();
-    // The same wall twice, and another room: a lens of 2000 mm is none that can be ruled out.
+    // Photos of two rooms. A focal length of 2000 mm is possible.
     let other = {
         let mut bytes = Vec::new();
         JpegEncoder::new(&mut bytes).encode_image(&photos::photo(1, 77)).unwrap();
@@ -138,7 +138,7 @@ fn a_line_of_ten_megabytes_is_not_repeated() {
 
 #[test]
 #[cfg(unix)]
-fn names_command_no_terminal_on_stdout_either() {
+fn control_characters_of_names_are_escaped_on_stdout() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);
     let photos = dir.path().join("photos");

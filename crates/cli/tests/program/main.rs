@@ -1,4 +1,4 @@
-//! Drives the program as a user does.
+//! Tests that run the program as a user does.
 
 #![allow(clippy::unwrap_used)]
 
@@ -38,7 +38,7 @@ fn tiepoint_in(dir: &Path, line: &str) -> Run {
     tiepoint(line.split_whitespace().map(|word| word.replace("{}", dir)))
 }
 
-/// What a run left.
+/// The exit code and the output of a run.
 struct Run(Output);
 
 impl Run {
@@ -54,7 +54,7 @@ impl Run {
         self.0.status.code().expect("no signal")
     }
 
-    /// It did what it was asked.
+    /// Asserts success.
     fn done(self) -> Self {
         assert_eq!(self.code(), 0, "{}", self.stderr());
         self
@@ -73,8 +73,8 @@ impl Run {
             .collect()
     }
 
-    /// It failed with this code, and the last line on stderr, one sentence, has these parts;
-    /// nothing is on stdout.
+    /// Asserts that the run failed with this code, that the last line on stderr has these parts,
+    /// and that stdout is empty.
     fn failed(self, code: i32, parts: &[&str]) -> Self {
         let stderr = self.stderr();
         assert_eq!(self.code(), code, "{stderr}");

@@ -1,4 +1,4 @@
-//! Files that are none, and names that a model cannot hold.
+//! Special files, and file names that a COLMAP model cannot have.
 
 #![cfg(unix)]
 
@@ -17,7 +17,7 @@ fn named_pipe(path: &Path) {
 }
 
 #[test]
-fn files_that_are_none_and_names_that_no_model_holds_are_skipped() {
+fn special_files_and_invalid_names_are_skipped() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("photos");
     photos::write(&folder, 4, 0);
@@ -31,7 +31,7 @@ fn files_that_are_none_and_names_that_no_model_holds_are_skipped() {
     {
         fs::write(folder.join(name), &photo).unwrap();
     }
-    // Folders of one camera may lie deeper, so that this is no folder beside images.
+    // A sub-folder of images beside images.
     fs::create_dir(folder.join("tab\there")).unwrap();
     fs::write(folder.join("tab\there/1.png"), &photo).unwrap();
     fs::write(folder.join("tab\there/2.png"), &photo).unwrap();
@@ -77,7 +77,7 @@ fn files_that_are_none_and_names_that_no_model_holds_are_skipped() {
 }
 
 #[test]
-fn nothing_but_files_that_are_none() {
+fn only_special_files() {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("photos")).unwrap();
     named_pipe(&dir.path().join("photos/a\n.jpg"));
@@ -122,7 +122,7 @@ fn names_with_commas_and_spaces_have_times() {
 }
 
 #[test]
-fn an_input_whose_name_cannot_begin_the_names_of_images() {
+fn input_folder_with_an_invalid_name() {
     let dir = tempfile::tempdir().unwrap();
     for folder in ["left", "ri\nght"] {
         photos::write(&dir.path().join(folder), 2, 0);
@@ -134,6 +134,6 @@ fn an_input_whose_name_cannot_begin_the_names_of_images() {
     };
     features(&["left", "ri\nght"])
         .failed(1, &[r"ri\nght: its name has control characters", "rename the folder"]);
-    // Alone, it begins no name.
+    // The name of a single input folder is not part of image names.
     features(&["ri\nght"]).done();
 }

@@ -1,4 +1,4 @@
-//! Files of the user are as they were, whatever the program is asked to write and wherever.
+//! Files of the user are never changed, wherever the program writes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -41,14 +41,14 @@ fn photos_stay_where_an_export_would_put_its_images() {
     };
     assert!(photos(files(&dir.join("proj"))) == before);
     assert!(dir.join("proj/transforms.json").is_file());
-    // The same command once more replaces what it wrote, and takes nothing of that for a photo.
+    // The same command again replaces its own results, and does not use them as photos.
     tiepoint_in(dir, "export {}/ws --to nerfstudio -o {}/proj").done();
     tiepoint_in(dir, "export {}/ws --to openmvs -o {}/proj")
         .failed(1, &["images/0.png", "another place"]);
     assert!(photos(files(&dir.join("proj"))) == before);
     assert!(!dir.join("proj/scene.mvs").exists());
 
-    // Hard and symbolic links lead to the photos too.
+    // Hard and symbolic links to the photos are recognised.
     fs::create_dir_all(dir.join("linked/images")).unwrap();
     fs::hard_link(dir.join("proj/images/0.png"), dir.join("linked/images/0.png")).unwrap();
     #[cfg(unix)]
@@ -126,7 +126,7 @@ fn files_of_others_in_a_workspace_are_refused_by_name() {
     refused("features {}/photos -o {}/ws --redo features", "timestamps.csv");
     refused("map {}/ws --redo map", "timestamps.csv");
     fs::write(dir.join("ws/timestamps.csv"), times).unwrap();
-    // What has another name stays without a word.
+    // Files with other names stay.
     put("sparse/0/notes.txt");
     fs::create_dir(dir.join("ws/sparse/aligned")).unwrap();
     put("sparse/aligned/images.bin");
@@ -169,7 +169,7 @@ fn the_workspace_may_lie_anywhere_beside_the_photos() {
             let now = files(dir);
             assert!(before.iter().all(|(path, bytes)| now.get(path) == Some(bytes)), "{line}");
         }
-        // What the exports wrote is no photo of the next run.
+        // The next run does not use exported images as photos.
         tiepoint_in(dir, &format!("reconstruct {{}}/{photos} -o {{}}/{workspace}")).done();
     }
 }
@@ -200,7 +200,7 @@ fn an_input_is_never_an_output() {
 }
 
 #[test]
-fn a_result_that_somebody_made_is_refused_and_ones_own_replaced() {
+fn foreign_results_are_kept_and_own_ones_replaced() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     reconstructed(dir, "photos");
@@ -251,7 +251,7 @@ fn devices_links_and_modes_stay_what_they_are() {
 }
 
 #[test]
-fn a_folder_called_like_an_address_is_a_folder() {
+fn folder_name_like_a_url_is_a_folder() {
     let dir = tempfile::tempdir().unwrap();
     photos::write(&dir.path().join("photos"), 2, 0);
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_tiepoint"))

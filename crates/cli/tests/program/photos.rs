@@ -1,5 +1,4 @@
-//! Photos of a corner of a room, made on the fly: three textured planes, ray by ray, with true
-//! poses.
+//! Rendered photos of a corner of a room: three textured planes, with true poses.
 
 use std::fs;
 use std::path::Path;
@@ -10,10 +9,10 @@ use tiepoint_pipeline::sfm::geometry::nalgebra::{Matrix3, Rotation3, UnitQuatern
 
 pub(crate) const WIDTH: u32 = 320;
 pub(crate) const HEIGHT: u32 = 240;
-/// A pinhole without distortion, in pixels; what the program guesses is 1.2 × 320 = 384.
+/// Focal length of a pinhole camera, in pixels; the program's default is 1.2 × 320 = 384.
 pub(crate) const FOCAL_PX: f64 = 330.0;
 
-/// The walls meet here, in metres: x at 1.5, y (down) at 1, z at 5.
+/// Planes of the walls, in metres: x = 1.5, y (down) = 1, z = 5.
 const WALLS_M: [f64; 3] = [1.5, 1.0, 5.0];
 /// Cells of the finest texture, per metre: about three pixels at the distance of the corner.
 const FINEST_PER_M: f64 = 24.0;
@@ -30,7 +29,7 @@ pub(crate) fn cam_from_world(index: usize) -> Rigid3 {
     Rigid3::new(UnitQuaternion::from_rotation_matrix(&world_from_cam), centre).inverse()
 }
 
-/// What camera `index` sees; `room` chooses the wallpaper.
+/// The image of camera `index`; `room` is the seed of the texture.
 pub(crate) fn photo(index: usize, room: u64) -> GrayImage {
     let world_from_cam = cam_from_world(index).inverse();
     GrayImage::from_fn(WIDTH, HEIGHT, |x, y| {
@@ -53,7 +52,7 @@ pub(crate) fn photo(index: usize, room: u64) -> GrayImage {
     })
 }
 
-/// Three octaves of smooth noise, 0 to 1.
+/// Three octaves of value noise, from 0 to 1.
 fn texture(seed: u64, u: f64, v: f64) -> f64 {
     let octave = |level: u64, weight: f64| {
         let per_m = FINEST_PER_M / (1 << level) as f64;
@@ -62,7 +61,7 @@ fn texture(seed: u64, u: f64, v: f64) -> f64 {
     octave(0, 0.4) + octave(1, 0.35) + octave(2, 0.25)
 }
 
-/// Random values at the corners of unit cells, blended.
+/// Value noise: random values at integer coordinates, interpolated smoothly.
 fn noise(seed: u64, u: f64, v: f64) -> f64 {
     let corner = |i: f64, j: f64| {
         let mut z = (i as i64 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)

@@ -1,4 +1,4 @@
-//! What a workspace says it was made from is what it was made from.
+//! The records of a workspace agree with its data.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -19,8 +19,8 @@ fn pairs(dir: &Path) -> usize {
     Database::open(&dir.join("ws/database.db")).unwrap().matched_pairs().unwrap().len()
 }
 
-/// The state that a kill leaves after the database has begun anew and before `stages.json` is
-/// written.
+/// Changes the database only: the state of a run that was killed after it had changed the database
+/// and before it wrote `stages.json`.
 fn with_earlier_record(dir: &Path, begin: impl FnOnce(&mut Database)) {
     let mut database = Database::open(&dir.join("ws/database.db")).unwrap();
     begin(&mut database);
@@ -28,7 +28,7 @@ fn with_earlier_record(dir: &Path, begin: impl FnOnce(&mut Database)) {
 }
 
 #[test]
-fn where_record_and_database_differ_the_database_is_right() {
+fn records_of_the_database_take_precedence() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     photos::write(&dir.join("photos"), COUNT, 0);
@@ -41,7 +41,7 @@ fn where_record_and_database_differ_the_database_is_right() {
         row.recipe = row.recipe.replace("exhaustive", "sequential:1");
         database.clear_matches_for(&rows).unwrap();
     });
-    // Models of the matches that are gone are not served as if they were of these.
+    // Models of replaced matches are rejected.
     for line in [
         "export {}/ws --to ply -o {}/a.ply",
         "view {}/ws",
@@ -65,7 +65,7 @@ fn where_record_and_database_differ_the_database_is_right() {
 }
 
 #[test]
-fn a_damaged_record_is_mended_and_a_damaged_database_named() {
+fn damaged_record_is_restored_and_damaged_database_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     photos::write(&dir.join("photos"), COUNT, 0);
@@ -73,13 +73,13 @@ fn a_damaged_record_is_mended_and_a_damaged_database_named() {
     fs::write(dir.join("ws/stages.json"), "{\"version\"").unwrap();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws").done();
     assert_eq!(stages(dir)["stages"]["map"]["is_complete"], true);
-    // A database that is none, as an earlier version left it when it was killed.
+    // A truncated database, as an earlier version left it when it was killed.
     fs::write(dir.join("ws/database.db"), "SQLite format 3\0").unwrap();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo match").failed(1, &["database.db"]);
     tiepoint_in(dir, "features {}/photos -o {}/ws").done();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo features").done();
     assert_eq!(pairs(dir), COUNT * (COUNT - 1) / 2);
-    // A database of somebody else in its place.
+    // A foreign database in its place.
     let theirs = dir.join("theirs.db");
     Database::create(&theirs).unwrap().finish().unwrap();
     fs::copy(&theirs, dir.join("ws/database.db")).unwrap();
@@ -161,7 +161,7 @@ fn legacy_recipes(photos: &str) -> Vec<(&'static str, Value)> {
 /// Version 1 kept no list of its files and no record in the database; version 2 kept options as
 /// texts of Rust's structs there.
 #[test]
-fn a_workspace_of_a_version_before_goes_on() {
+fn workspace_of_an_earlier_version_stays_valid() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     photos::write(&dir.join("photos"), COUNT, 0);
@@ -194,7 +194,7 @@ fn a_workspace_of_a_version_before_goes_on() {
     };
     for version in [2, 1] {
         make_legacy(version);
-        // What reads and does not write takes it for what it is.
+        // Commands that only read accept it.
         tiepoint_in(dir, "export {}/ws --to ply -o {}/a.ply").done();
         for (line, expected) in [
             ("match {}/ws --pairs sequential:1", "--pairs exhaustive and not sequential:1"),
@@ -205,7 +205,7 @@ fn a_workspace_of_a_version_before_goes_on() {
             tiepoint_in(dir, line).failed(1, &[expected, "--redo"]);
         }
         make_legacy(version);
-        // The second time the record is of this version.
+        // In the second round the record has the current version.
         for _ in 0..2 {
             let kept = tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --json").done().events();
             assert!(kept.iter().all(|event| event["event"] == "stage_kept"), "{version}: {kept:?}");

@@ -1,4 +1,4 @@
-//! What comes out is right, and the same whoever computes it.
+//! Results are correct, and the same on any number of threads.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -80,11 +80,10 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     let again = tiepoint_in(dir, line).done();
     assert_eq!(count(&again.events(), "stage_kept"), 3);
     assert_eq!(again.json(), report);
-    // Touching a photo changes nothing, since its bytes count.
+    // Touching a photo changes nothing, because the fingerprint depends on its bytes.
     photos::photo(0, 0).save(dir.join("photos/0.png")).unwrap();
     assert_eq!(count(&tiepoint_in(dir, line).done().events(), "stage_kept"), 3);
-    // Another option is not mixed in, but named; and the stage is made anew on request, with the
-    // same result.
+    // Another option is an error; with --redo the stage is computed again, with the same result.
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --pairs sequential:4")
         .failed(1, &["matches", "pairs exhaustive and not sequential:4", "--redo match"]);
     photos::photo(0, 7).save(dir.join("photos/9.png")).unwrap();
@@ -108,7 +107,7 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
             assert_eq!(size, image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap());
         }
         tiepoint_in(dir, &format!("export {{}}/ws/sparse/0 --to {format} -o {{}}/{format}"))
-            .failed(1, &["no workspace", "needs the photos"]);
+            .failed(1, &["not a workspace", "needs the photos"]);
     }
     let shown = tiepoint_in(dir, "view {}/ws --json").done().json();
     let page = fs::read_to_string(shown["report"].as_str().unwrap()).unwrap();
@@ -118,11 +117,11 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         .failed(1, &["no two cameras", "leave out --rigid"]);
     let unscaled = tiepoint_in(dir, "map {}/ws --baseline 1m --redo map").done().stdout();
     assert!(
-        unscaled.contains("scale     nothing was scaled, since there is only one camera"),
+        unscaled.contains("scale     the model was not scaled, because there is only one camera"),
         "{unscaled}"
     );
     tiepoint_in(dir, "map {}/ws --redo map").done();
-    // A cloud lies on itself, wherever it was put; its cameras say so too.
+    // A cloud has no distance to itself with any alignment.
     let cloud = |options: &str| {
         tiepoint_in(dir, &format!("evaluate cloud {{}}/ws {{}}/a.ply {options} --json"))
             .done()
@@ -154,10 +153,10 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     assert!(dir.join("adjusted/images.bin").is_file());
 }
 
-/// Of a workspace with three moments of two cameras.
-fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
-    // A moment's two images stand 0.7 m apart; what 240 lines resolve of it is a few millimetres.
-    const APART_M: f64 = 0.7;
+/// Checks --baseline and --rigid in a workspace with three frames of two cameras.
+fn baseline_sets_the_scale_and_rigid_export_has_frames(dir: &Path) {
+    // The cameras are 0.7 m apart; the accuracy at 240 lines is a few millimetres.
+    const BASELINE_M: f64 = 0.7;
     const MAX_ERROR_M: f64 = 0.02;
     let line = "map {}/ws --rig RIG --baseline 70cm --redo map --json";
     for rig in ["off", "soft"] {
@@ -166,14 +165,19 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         let why = scale["why"].as_str().unwrap();
         assert!(scale["factor"].as_f64().is_some() && why.ends_with("0.7 m long"), "{run}");
         let measured = run["models"][0]["rig"]["cameras"][0]["median_baseline"].as_f64().unwrap();
-        assert!((measured - APART_M).abs() < MAX_ERROR_M, "{run}");
+        assert!((measured - BASELINE_M).abs() < MAX_ERROR_M, "{run}");
     }
     let said = tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.7m").done().stdout();
-    assert!(said.contains("scale     the mounting of right beside left is 0.7 m long"), "{said}");
+    assert!(
+        said.contains(
+            "scale     the baseline from left to right in the rig extrinsics is 0.7 m long"
+        ),
+        "{said}"
+    );
     tiepoint_in(dir, "map {}/ws --rig soft --baseline 0.8m")
         .failed(1, &["--baseline 0.7m and not 0.8m", "--redo map"]);
     tiepoint_in(dir, "map {}/ws --baseline 7ft").failed(2, &["--baseline", "m, cm or mm"]);
-    // Soft results have no frames on disk, rigid ones have nothing else.
+    // Models of soft constraints have no frames; in rigid ones all images are in frames.
     let rigid =
         tiepoint_in(dir, "export {}/ws --to colmap --rigid -o {}/rigid --json").done().json();
     assert_eq!(
@@ -181,7 +185,7 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
         (&3.into(), &6.into()),
         "{rigid}"
     );
-    // The path bends a little: two positions on it are no rig, and what that costs is said.
+    // The two positions on a bent path are not a rig, so that exact extrinsics increase the error.
     let error = |which: &str| rigid["rigid"][which].as_f64().unwrap();
     assert!(
         (error("error_before_px")..MAX_REPROJECTION_ERROR_PX).contains(&error("error_after_px")),
@@ -191,7 +195,7 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
     let model = read_model(&dir.join("rigid")).unwrap();
     assert_eq!((model.frames.len(), model.rigs[0].sensors.len()), (3, 2));
     let right = model.rigs[0].sensors[1].cam_from_rig.unwrap();
-    assert!((right.translation.norm() - APART_M).abs() < 1e-9, "{right:?}");
+    assert!((right.translation.norm() - BASELINE_M).abs() < 1e-9, "{right:?}");
     for frame in &model.frames {
         let pose = |k: usize| *model.image(frame.images[k]).cam_from_world().unwrap();
         let given = right * frame.rig_from_world;
@@ -200,8 +204,7 @@ fn a_baseline_gives_the_size_and_an_export_is_rigid(dir: &Path) {
             given.rotation.angle_to(&pose(1).rotation) < 1e-9 && frame.rig_from_world == pose(0)
         );
     }
-    // Adjusted it stays rigid, and is not refused by its own writer; lenses stay where that is
-    // asked for.
+    // After adjustment the model is still rigid and valid; --fix-intrinsics keeps the intrinsics.
     for (options, are_fixed) in [("", false), ("--fix-intrinsics", true)] {
         let adjusted = format!("adjusted{options}");
         tiepoint_in(dir, &format!("adjust {{}}/rigid -o {{}}/{adjusted} {options}")).done();
@@ -228,7 +231,7 @@ fn the_same_bytes_stage_by_stage_and_on_any_number_of_threads() {
     tiepoint_in(dir, "match {}/three --threads 3").done();
     tiepoint_in(dir, "map {}/three --threads 3").done();
     assert!(models(&dir.join("one")) == models(&dir.join("three")));
-    // Known intrinsics stay as they were given, also when the stages run one by one.
+    // Known intrinsics stay fixed, also when the stages run one by one.
     let report: Value =
         serde_json::from_slice(&fs::read(dir.join("three/report.json")).unwrap()).unwrap();
     let camera = &report["models"][0]["cameras"][0];
@@ -330,7 +333,7 @@ fn folders_are_cameras_and_times_and_masks_are_read() {
     let evaluation =
         tiepoint_in(dir, "evaluate poses {}/ws --truth tum:{}/t.txt --json").done().json();
     assert!(evaluation["centre_error"]["max"].as_f64().unwrap() < 1e-9, "{evaluation}");
-    a_baseline_gives_the_size_and_an_export_is_rigid(dir);
+    baseline_sets_the_scale_and_rigid_export_has_frames(dir);
     fs::write(dir.join("times.csv"), "image,seconds\nother.png,3\n").unwrap();
     tiepoint_in(dir, "features {}/photos -o {}/ws2 --timestamps {}/times.csv")
         .failed(1, &["none of the photos", "left/0.png"]);

@@ -1,4 +1,4 @@
-//! Videos as input. What needs the program ffmpeg says so where it is not there.
+//! Videos as input. Tests that need ffmpeg are skipped without it.
 
 use std::fs;
 use std::path::Path;
@@ -13,8 +13,7 @@ const RATE_HZ: usize = 10;
 /// A time base of milliseconds is the coarsest in use.
 const TIME_TOLERANCE_S: f64 = 1e-3;
 
-/// Whether the program ffmpeg is installed; without it, the test that asks is one that was left
-/// out.
+/// Whether ffmpeg is installed; without it, reports the calling test as skipped.
 fn has_ffmpeg() -> bool {
     let there = Command::new("ffmpeg").arg("-version").output().is_ok();
     if !there {
@@ -23,8 +22,8 @@ fn has_ffmpeg() -> bool {
     there
 }
 
-/// The corner of a room as a video, the camera standing still on the last photo for as long as it
-/// moved before.
+/// Writes a video of the corner of a room. After moving over all photos, the camera stands still
+/// for the same time.
 fn film(dir: &Path, name: &str, photos: usize) {
     let frames = dir.join("frames-of-film");
     fs::create_dir(&frames).unwrap();
@@ -70,7 +69,7 @@ fn a_video_is_a_camera_whose_frames_have_times() {
         let expected = CREATED_S + index as f64 / RATE_HZ as f64;
         assert!((seconds - expected).abs() < TIME_TOLERANCE_S, "{seconds} {expected}");
     }
-    // Nothing is read again, and nothing of another choice taken for this one.
+    // A second run keeps the frames; another --every is an error.
     let events = run().done().events();
     assert!(events.iter().all(|event| event["event"] == "stage_kept"), "{events:?}");
     tiepoint_in(dir.path(), "reconstruct {}/front.mov -o {}/ws --every 2")
@@ -82,7 +81,7 @@ fn a_video_is_a_camera_whose_frames_have_times() {
 }
 
 #[test]
-fn pixels_that_are_not_square_are_made_so() {
+fn non_square_pixels_are_resampled() {
     if !has_ffmpeg() {
         return;
     }
@@ -110,7 +109,7 @@ fn pixels_that_are_not_square_are_made_so() {
     }
 }
 
-/// Eight seconds of knocks at uneven times, from some time on, as a WAV of one channel.
+/// Writes eight seconds of knocks at irregular times, starting at `from_s`, as a mono WAV file.
 fn knocks(path: &Path, from_s: f64) {
     const RATE: u32 = 8000;
     const SECONDS: u32 = 8;
@@ -120,7 +119,7 @@ fn knocks(path: &Path, from_s: f64) {
         let since = at_s.iter().map(|at_s| time_s - at_s).filter(|since_s| *since_s >= 0.0);
         let knock: f64 =
             since.map(|since_s| (-since_s / 0.02).exp() * (3000.0 * since_s).sin()).sum();
-        // Hiss of its own.
+        // Independent noise.
         let hiss = f64::from(k.wrapping_mul(0x9E37_79B9) ^ (from_s * 1e3) as u32)
             / f64::from(u32::MAX)
             - 0.5;
@@ -138,7 +137,8 @@ fn knocks(path: &Path, from_s: f64) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A film of that name, the last picture of which goes on for as long as the knocks.
+/// Writes a video with a soundtrack of knocks; its last frame is repeated to the length of the
+/// soundtrack.
 fn with_sound(dir: &Path, name: &str, from_s: f64) {
     film(dir, "silent.mov", 5);
     knocks(&dir.join("knocks.wav"), from_s);
@@ -164,8 +164,8 @@ fn with_sound(dir: &Path, name: &str, from_s: f64) {
 }
 
 #[test]
-fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
-    // Sound travels 1.7 m meanwhile.
+fn audio_offset_synchronises_frames() {
+    // Sound travels 1.7 m in this time.
     const SOUND_TOLERANCE_S: f64 = 0.005;
     const LATER_S: f64 = 0.23;
     if !has_ffmpeg() {
@@ -186,7 +186,7 @@ fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
     };
     let (left, right) = (of("left"), of("right"));
     assert_eq!(left.len(), 5, "{times:?}");
-    // Of 0.2, 0.3 and 0.4 s; the left one's earlier frames have none.
+    // At 0.2, 0.3 and 0.4 s; the right camera had not started at the earlier left frames.
     for (index, time_s) in right.iter().take(3).enumerate() {
         let partner_s = left[index + 2];
         assert!((time_s - partner_s).abs() <= 0.5 / RATE_HZ as f64, "{times:?}");
@@ -194,7 +194,7 @@ fn sound_tells_when_a_camera_began_and_its_frames_are_partners() {
 }
 
 #[test]
-fn chapters_follow_each_other() {
+fn chapters_are_concatenated() {
     if !has_ffmpeg() {
         return;
     }
@@ -202,7 +202,7 @@ fn chapters_follow_each_other() {
     film(dir.path(), "GX010042.mov", 4);
     fs::copy(dir.path().join("GX010042.mov"), dir.path().join("GX020042.mov")).unwrap();
     let report = tiepoint_in(dir.path(), "features {} -o {}/ws --every 1 --json").done().json();
-    // The second chapter begins with a jump back to the first photo: all of its four are new.
+    // The second chapter starts at the first photo again, so that all of its four frames differ.
     assert_eq!(report["stages"]["features"]["images"], 8, "{report}");
     let times = times(&dir.path().join("ws"));
     assert_eq!(times[4].0, "GX010042/000008.jpg");
@@ -210,7 +210,7 @@ fn chapters_follow_each_other() {
 }
 
 #[test]
-fn a_name_is_neither_a_protocol_nor_an_option() {
+fn file_names_are_not_interpreted_by_ffmpeg() {
     if !has_ffmpeg() {
         return;
     }
@@ -245,7 +245,7 @@ fn a_name_is_neither_a_protocol_nor_an_option() {
 
 #[test]
 #[cfg(unix)]
-fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
+fn interrupted_video_is_not_complete() {
     use std::os::unix::process::CommandExt;
     use std::process::Stdio;
     use std::time::Duration;
@@ -271,7 +271,7 @@ fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
     command.args(["features", "a.mov", "-o", "ws"]).current_dir(dir.path());
     command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
-    // They get their places when all are there.
+    // Frames are staged until all are extracted.
     let frames =
         || fs::read_dir(dir.path().join("ws/frames/.tiepoint-new/a")).map_or(0, Iterator::count);
     while frames() < 2 {
@@ -286,7 +286,7 @@ fn ctrl_c_does_not_make_a_part_of_a_video_the_whole() {
 }
 
 #[test]
-fn what_is_no_video_is_told() {
+fn invalid_videos_are_errors() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("words.mp4"), "these are words").unwrap();
     let reason = if has_ffmpeg() { "no video could be read" } else { "needs the program ffmpeg" };
@@ -306,7 +306,7 @@ fn photos_beside_a_video_are_refused() {
 }
 
 #[test]
-fn without_ffmpeg_it_is_named() {
+fn missing_ffmpeg_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("a.mp4"), "x").unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_tiepoint"));

@@ -1,8 +1,10 @@
-//! Distances to true surfaces, and rigs over time, where the answer is known.
+//! Surface errors and relative-pose series with known results.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
-use tiepoint_eval::{PosePair, Sighting, points_of_true_cameras, rig_over_time, surface_errors};
+use tiepoint_eval::{
+    PosePair, TrueObservation, relative_pose_series, surface_errors, triangulate_true_observations,
+};
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::{Rigid3, Rng};
 
@@ -13,18 +15,18 @@ fn vector(rng: &mut Rng, scale: f64) -> Vector3<f64> {
     Vector3::new(rng.normal(), rng.normal(), rng.normal()) * scale
 }
 
-fn sighting(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> Sighting {
-    Sighting { camera_in_world: camera, surface_in_world: surface }
+fn true_observation(camera: Vector3<f64>, surface: Option<Vector3<f64>>) -> TrueObservation {
+    TrueObservation { camera_in_world: camera, surface_in_world: surface }
 }
 
 #[test]
-fn an_error_is_the_median_over_what_stands_still() {
+fn surface_error_is_the_median_over_static_observations() {
     let eye = Vector3::zeros();
-    let wall = |x: f64| sighting(eye, Some(Vector3::new(x, 0.0, 10.0)));
-    let sky = sighting(eye, None);
+    let wall = |x: f64| true_observation(eye, Some(Vector3::new(x, 0.0, 10.0)));
+    let sky = true_observation(eye, None);
     let point = Vector3::new(0.0, 0.0, 10.0);
-    for (sightings, expected) in [
-        // Three agree, and a fourth looked past an edge.
+    for (true_observations, expected) in [
+        // Three agree; the fourth is behind an edge.
         (vec![wall(0.1), wall(0.2), wall(0.3), wall(50.0)], Some(0.2)),
         (vec![wall(0.1), wall(9.0)], Some(0.1)),
         (vec![wall(0.1), sky], Some(0.1)),
@@ -32,13 +34,15 @@ fn an_error_is_the_median_over_what_stands_still() {
         (vec![sky, sky], None),
         (vec![], None),
     ] {
-        let error = surface_errors(&[point], std::slice::from_ref(&sightings))[0];
+        let error = surface_errors(&[point], std::slice::from_ref(&true_observations))[0];
         match (error, expected) {
             (Some(error), Some(expected)) => {
-                assert!((error.distance - expected).abs() < TOLERANCE, "{sightings:?}");
-                assert!((error.range - 10.0).abs() < 0.01, "{sightings:?}");
+                assert!((error.distance - expected).abs() < TOLERANCE, "{true_observations:?}");
+                assert!((error.range - 10.0).abs() < 0.01, "{true_observations:?}");
             }
-            (error, expected) => assert_eq!(error.is_some(), expected.is_some(), "{sightings:?}"),
+            (error, expected) => {
+                assert_eq!(error.is_some(), expected.is_some(), "{true_observations:?}")
+            }
         }
     }
 }
@@ -50,33 +54,34 @@ proptest! {
         ..Default::default()
     })]
 
-    /// Rays that meet do so at their common point, whatever lies behind it; and no point near by is
-    /// nearer to rays that miss.
+    /// Intersecting rays give their common point. For other rays no point nearby has a smaller sum
+    /// of squared angles.
     #[test]
-    fn true_rays_meet_at_the_least_angle(
+    fn triangulation_minimises_squared_angles(
         seed: u64,
         count in 2..6usize,
         noise in prop::sample::select(vec![0.0, 0.05]),
     ) {
         let mut rng = Rng::stream(seed, &[]);
         let point = vector(&mut rng, 5.0);
-        let sightings: Vec<Sighting> = (0..count)
+        let true_observations: Vec<TrueObservation> = (0..count)
             .map(|_| {
                 let camera = vector(&mut rng, 10.0);
                 let seen = point + vector(&mut rng, noise);
                 // The surface lies at the point or behind it: only the direction counts.
-                sighting(camera, Some(seen + (seen - camera) * noise))
+                true_observation(camera, Some(seen + (seen - camera) * noise))
             })
             .collect();
         let cost = |at: &Vector3<f64>| -> f64 {
-            let square = |s: &Sighting| {
+            let square = |s: &TrueObservation| {
                 let ray = s.surface_in_world.unwrap() - s.camera_in_world;
                 let across = ray.cross(&(at - s.camera_in_world)).norm() / ray.norm();
                 (across / ray.norm()).powi(2)
             };
-            sightings.iter().map(square).sum()
+            true_observations.iter().map(square).sum()
         };
-        let Some(found) = points_of_true_cameras(std::slice::from_ref(&sightings))[0] else {
+        let tracks = std::slice::from_ref(&true_observations);
+        let Some(found) = triangulate_true_observations(tracks)[0] else {
             return Err(TestCaseError::reject("parallel rays"));
         };
         if noise == 0.0 {
@@ -89,9 +94,9 @@ proptest! {
         }
     }
 
-    /// A rigid rig has no spread and no drift, wherever it goes.
+    /// The relative poses of a rigid rig have no variation and no drift.
     #[test]
-    fn a_rigid_rig_is_constant(seed: u64, count in 2..20usize) {
+    fn rigid_rig_has_no_variation(seed: u64, count in 2..20usize) {
         let mut rng = Rng::stream(seed, &[]);
         let rig = Rigid3::from_axis_angle(vector(&mut rng, 1.0), vector(&mut rng, 1.0));
         let pairs: Vec<PosePair> = (0..count)
@@ -100,7 +105,7 @@ proptest! {
                 PosePair { time_s: k as f64, left_from_world: left, right_from_world: rig * left }
             })
             .collect();
-        let found = rig_over_time(&pairs).unwrap();
+        let found = relative_pose_series(&pairs).unwrap();
         prop_assert!((found.right_from_left.translation - rig.translation).norm() < TOLERANCE);
         prop_assert!(found.right_from_left.rotation.angle_to(&rig.rotation) < 1e-7);
         prop_assert!((found.baseline.mean - rig.translation.norm()).abs() < TOLERANCE);
@@ -115,7 +120,7 @@ proptest! {
 }
 
 #[test]
-fn drift_is_what_a_straight_line_changes_by() {
+fn drift_is_the_change_of_a_linear_fit() {
     const COUNT: usize = 11;
     // The baseline grows from 1 to 2, and the right camera turns from −0.1 to 0.1 rad; times are
     // uneven.
@@ -129,7 +134,7 @@ fn drift_is_what_a_straight_line_changes_by() {
             right_from_world: left_from_right.inverse(),
         }
     };
-    let found = rig_over_time(&(0..COUNT).map(pair).collect::<Vec<_>>()).unwrap();
+    let found = relative_pose_series(&(0..COUNT).map(pair).collect::<Vec<_>>()).unwrap();
     assert!((found.baseline_drift - 1.0 / 1.5).abs() < TOLERANCE, "{found:?}");
     assert!((found.translation_drift - 1.0).abs() < TOLERANCE);
     assert!((found.rotation_drift_rad - 0.2).abs() < TOLERANCE);
@@ -137,5 +142,5 @@ fn drift_is_what_a_straight_line_changes_by() {
     let expected = (120.0f64 / 12.0).sqrt() / 10.0;
     assert!((found.translation_rms - expected).abs() < TOLERANCE);
     assert!((found.rotation_rms_rad - 0.2 * expected).abs() < TOLERANCE);
-    assert!(rig_over_time(&[pair(0)]).is_none());
+    assert!(relative_pose_series(&[pair(0)]).is_none());
 }

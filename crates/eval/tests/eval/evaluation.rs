@@ -1,4 +1,4 @@
-//! Measures against slow twins, laws, and the numbers of evo.
+//! Measures against brute-force versions, invariants, and results of evo.
 #![allow(clippy::unwrap_used)]
 
 use std::path::PathBuf;
@@ -39,9 +39,9 @@ proptest! {
         ..Default::default()
     })]
 
-    /// A model moved by any similarity is as good as before; its own transform is found.
+    /// A Sim(3) alignment recovers a similarity; a rigid alignment leaves the error of the scale.
     #[test]
-    fn alignment_takes_out_just_its_freedom(seed: u64, count in 4..12usize) {
+    fn alignment_removes_only_its_degrees_of_freedom(seed: u64, count in 4..12usize) {
         let mut rng = Rng::stream(seed, &[]);
         let truth: Vec<Rigid3> = (0..count).map(|_| pose(&mut rng)).collect();
         let moved = similarity(&mut rng);
@@ -68,7 +68,7 @@ proptest! {
         }
     }
 
-    /// Relative poses do not see a similarity either.
+    /// Relative-pose errors are invariant to similarities.
     #[test]
     fn relative_errors_need_no_alignment(seed: u64, count in 2..8usize) {
         let mut rng = Rng::stream(seed, &[]);
@@ -78,8 +78,7 @@ proptest! {
         let errors = relative_pose_errors_rad(&model, &truth, 0.0);
         prop_assert_eq!(errors.len(), count * (count - 1));
         prop_assert!(errors.iter().all(|error| *error < ANGLE_TOLERANCE_RAD));
-        // A camera turned on the spot spoils the pairs that it is in, by its angle at most (twice,
-        // through the direction).
+        // A rotated camera causes an error of its angle in its pairs.
         let mut model = model;
         let turn = Rigid3::from_axis_angle(Vector3::new(0.0, 0.0, 0.1), Vector3::zeros());
         model[0] = model[0].map(|pose| turn * pose);
@@ -88,7 +87,7 @@ proptest! {
         }
     }
 
-    /// Against adding up thin slices under the curve.
+    /// Against numerical integration.
     #[test]
     fn area_under_the_curve(
         errors in prop::collection::vec(0.0..10.0, 1..20),
@@ -113,7 +112,7 @@ proptest! {
         prop_assert!((auc(&errors, threshold) - area).abs() < 1e-3);
     }
 
-    /// The tree against looking at all points.
+    /// The tree against brute force.
     #[test]
     fn distances_are_those_of_brute_force(seed: u64, count in 1..400usize, flat: bool) {
         let mut rng = Rng::stream(seed, &[]);
@@ -173,7 +172,7 @@ fn statistics_by_hand() {
 }
 
 #[test]
-fn what_is_not_determined_is_none() {
+fn undetermined_results_are_none() {
     let line: Vec<Rigid3> = (0..5)
         .map(|k| Rigid3::new(UnitQuaternion::identity(), Vector3::x() * f64::from(k)))
         .collect();
@@ -227,7 +226,7 @@ fn focal_error_is_relative() {
     assert!((focal_error(&camera(505.0), &camera(500.0)) - 0.01).abs() < 1e-12);
 }
 
-/// A bumpy surface, seen by a cloud that was moved a little: the way back is found.
+/// A curved surface and a slightly moved cloud of it.
 #[test]
 fn icp_finds_a_small_motion() {
     let mut rng = Rng::stream(5, &[]);
@@ -238,7 +237,7 @@ fn icp_finds_a_small_motion() {
     let reference: Vec<_> = (0..20_000).map(|_| surface(&mut rng)).collect();
     let cloud_from_reference =
         Rigid3::from_axis_angle(Vector3::new(0.02, -0.03, 0.04), Vector3::new(0.05, -0.05, 0.03));
-    // 2000 points of the surface at half the size, and 200 of something that the reference lacks.
+    // 2000 points of the surface at half the scale, and 200 outliers.
     let mut cloud: Vec<_> =
         reference.iter().step_by(10).map(|p| (cloud_from_reference * *p) * 0.5).collect();
     cloud.extend((0..200).map(|_| surface(&mut rng) * 0.5 + Vector3::new(0.0, 0.0, 5.0)));
@@ -253,7 +252,7 @@ fn icp_finds_a_small_motion() {
     let before =
         cloud.iter().zip(reference.iter().step_by(10)).map(|(p, q)| (initial * *p - q).norm());
     assert!(before.fold(0.0, f64::max) > 0.1);
-    // Point to point closes in slowly; the spacing of the reference is 0.03.
+    // Point-to-point ICP converges slowly; the spacing of the reference is 0.03.
     assert!(Statistics::of(&distances).unwrap().max < 0.01, "{found:?}");
 }
 

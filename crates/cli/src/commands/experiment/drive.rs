@@ -1,4 +1,4 @@
-//! The images of a drive, and what is known of its cameras.
+//! The rendered images of a drive, and the prior calibration of its cameras.
 
 use std::fs;
 use std::io::Write;
@@ -14,11 +14,15 @@ use crate::commands::synth::{Plan, render};
 use crate::failure::Failure;
 use crate::progress::Progress;
 
-/// There once all images of a drive are.
+/// File that marks a completely rendered drive.
 const RENDERED: &str = "truth/rendered";
 
-/// Renders the images of a task, unless they are all there.
-pub(super) fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> Result<(), Failure> {
+/// Renders the images of a drive, unless all of them exist.
+pub(super) fn render_once(
+    plan: &Plan,
+    drive: &Drive,
+    progress: &mut Progress,
+) -> Result<(), Failure> {
     let mark = plan.folder.join(RENDERED);
     if fs::read_to_string(&mark).is_ok_and(|text| text == plan.record()) {
         return Ok(());
@@ -27,8 +31,8 @@ pub(super) fn rendered(plan: &Plan, drive: &Drive, progress: &mut Progress) -> R
     write(&mark, &plan.record())
 }
 
-/// What photos say about their cameras: the kind of lens, and the focal length on its axis. It is
-/// refined like everything else.
+/// The calibration that the mapper starts from: the camera model, and the mean paraxial focal
+/// length of the cameras. Intrinsics are refined.
 pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     let has_action_lens = scenery.effects.has_action_lens;
     let model = if has_action_lens {
@@ -43,7 +47,7 @@ pub(super) fn calibration(scenery: &Scenery, drive: &Drive) -> Calibration {
     }
 }
 
-/// Writes a file, whole or not at all.
+/// Writes a file atomically.
 pub(super) fn write(path: &Path, text: &str) -> Result<(), Failure> {
     Ok(AtomicFile::write_with(path, |file| file.write_all(text.as_bytes()))?)
 }

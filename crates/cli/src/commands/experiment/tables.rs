@@ -1,55 +1,55 @@
-//! The tables: first as the paper has them, its rows, columns and units, then what else is known
-//! here.
+//! The tables: first with rows, columns and units of the paper, then with errors that need ground
+//! truth.
 
 use tiepoint_pipeline::sfm::RigTerm;
 use tiepoint_pipeline::{Table, TableRow};
 
-use super::cell::{Cell, Measured};
+use super::run::{Measurements, Run};
 use crate::args::rig_name;
 use crate::commands::synth::BASELINE_M;
 
 /// Experiment I.
-pub(super) fn of_mountings(cells: &[Cell]) -> Vec<Table> {
+pub(super) fn of_mountings(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 3 in the rendered world: accuracy for different mounting configurations \
     of monocular cameras (Experiment I)";
-    let first = as_in_the_paper(caption, "Camera configuration", cells);
-    let second = with_truth("Camera configuration", cells, &[]);
+    let first = paper_table(caption, "Camera configuration", runs);
+    let second = ground_truth_table("Camera configuration", runs, &[]);
     vec![first, second]
 }
 
 /// Experiment II.
-pub(super) fn of_constraints(cells: &[Cell]) -> Vec<Table> {
+pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
     let caption = "Table 4 in the rendered world: accuracy for two uncalibrated cameras that \
     overlap (Experiment II)";
-    let traditional = cells
+    let traditional = runs
         .iter()
-        .find(|cell| cell.rig == rig_name(RigTerm::Off))
-        .and_then(|cell| cell.result.as_ref());
-    let change = |of: fn(&Measured) -> Option<f64>| {
-        move |cell: &Cell| {
-            let (before, after) = (of(traditional?)?, of(cell.result.as_ref()?)?);
+        .find(|run| run.rig == rig_name(RigTerm::Off))
+        .and_then(|run| run.result.as_ref());
+    let change = |of: fn(&Measurements) -> Option<f64>| {
+        move |run: &Run| {
+            let (before, after) = (of(traditional?)?, of(run.result.as_ref()?)?);
             Some(format!("{:+.2} %", 100.0 * (after / before - 1.0)))
         }
     };
     let in_distance = change(|measured| Some(measured.cloud?.mean_m));
     let in_ate = change(|measured| Some(measured.ate_m));
-    let mounting = format!("Mounting (true {BASELINE_M:.3}) [m]");
-    let (mounted, mean) =
+    let extrinsics_heading = format!("Baseline of extrinsics (true {BASELINE_M:.3}) [m]");
+    let (extrinsics, mean) =
         (ours(|measured| measured.mounting_m), ours(|measured| measured.baseline_m));
-    let (largest, spread) =
+    let (largest, rms) =
         (ours(|measured| measured.largest_baseline_m), ours(|measured| measured.baseline_spread_m));
     let more: [Column; 6] = [
-        (&mounting, &mounted),
-        ("Pairs by stamps: distance, mean [m]", &mean),
-        ("largest", &largest),
-        ("spread", &spread),
+        (&extrinsics_heading, &extrinsics),
+        ("Baseline of frames, mean [m]", &mean),
+        ("max", &largest),
+        ("RMS deviation", &rms),
         ("Distance, change", &in_distance),
         ("ATE, change", &in_ate),
     ];
-    vec![as_in_the_paper(caption, "BA", cells), with_truth("BA", cells, &more)]
+    vec![paper_table(caption, "BA", runs), ground_truth_table("BA", runs, &more)]
 }
 
-/// How the paper calls it, and what it is here.
+/// Heading of a row: the paper's name of the method, and the value of --rig.
 pub(super) fn row_of(rig: RigTerm) -> String {
     match rig {
         RigTerm::Off => format!("Traditional ({})", rig_name(rig)),
@@ -57,21 +57,22 @@ pub(super) fn row_of(rig: RigTerm) -> String {
     }
 }
 
-/// A heading, and its value.
-type Column<'a> = (&'a str, &'a dyn Fn(&Cell) -> Option<String>);
+/// A heading, and the values below it.
+type Column<'a> = (&'a str, &'a dyn Fn(&Run) -> Option<String>);
 
-/// A number of ours, in metres.
-fn ours(of: fn(&Measured) -> Option<f64>) -> impl Fn(&Cell) -> Option<String> {
-    move |cell| Some(format!("{:.3}", of(cell.result.as_ref()?)?))
+/// A column of our model, in metres.
+fn ours(of: fn(&Measurements) -> Option<f64>) -> impl Fn(&Run) -> Option<String> {
+    move |run| Some(format!("{:.3}", of(run.result.as_ref()?)?))
 }
 
-/// A number of COLMAP's.
-fn colmap(of: fn(&Measured) -> Option<f64>) -> impl Fn(&Cell) -> Option<String> {
-    move |cell| Some(format!("{:.3}", of(cell.colmap.as_ref()?)?))
+/// A column of COLMAP's model, in metres.
+fn colmap(of: fn(&Measurements) -> Option<f64>) -> impl Fn(&Run) -> Option<String> {
+    move |run| Some(format!("{:.3}", of(run.colmap.as_ref()?)?))
 }
 
-/// COLMAP's columns are there where it has a model.
-fn as_in_the_paper(caption: &str, what: &str, cells: &[Cell]) -> Table {
+/// A table with the columns of the paper, and with COLMAP's if any run has a model of COLMAP.
+/// `row_heading`: heading of the first column.
+fn paper_table(caption: &str, row_heading: &str, runs: &[Run]) -> Table {
     let (mean, std) = (
         ours(|measured| Some(measured.cloud?.mean_m)),
         ours(|measured| Some(measured.cloud?.std_m)),
@@ -85,35 +86,36 @@ fn as_in_the_paper(caption: &str, what: &str, cells: &[Cell]) -> Table {
     let columns: [Column; 6] = [
         ("Ours", &mean),
         ("COLMAP", &their_mean),
-        ("Exact cameras", &exact_mean),
+        ("True cameras", &exact_mean),
         ("Ours", &std),
         ("COLMAP", &their_std),
-        ("Exact cameras", &exact_std),
+        ("True cameras", &exact_std),
     ];
-    let has_colmap = has_colmap(cells);
+    let has_colmap = has_colmap(runs);
     let columns: Vec<Column> =
         columns.into_iter().filter(|(name, _)| has_colmap || *name != "COLMAP").collect();
-    let mut table = table(caption, "", cells, &columns);
+    let mut table = table(caption, "", runs, &columns);
     let mut above = vec![String::new(); columns.len() + 1];
-    above[0] = what.to_owned();
+    above[0] = row_heading.to_owned();
     above[1] = "Mean absolute distance [m]".to_owned();
     above[1 + columns.len() / 2] = "Std deviation [m]".to_owned();
     table.head.insert(0, above);
     table
 }
 
-fn has_colmap(cells: &[Cell]) -> bool {
-    cells.iter().any(|cell| cell.colmap.is_some())
+fn has_colmap(runs: &[Run]) -> bool {
+    runs.iter().any(|run| run.colmap.is_some())
 }
 
-fn with_truth(what: &str, cells: &[Cell], more: &[Column]) -> Table {
+/// A table of errors that need ground truth, with additional columns `more`.
+fn ground_truth_table(row_heading: &str, runs: &[Run], more: &[Column]) -> Table {
     let ate = ours(|measured| Some(measured.ate_m));
     let (horizontal, vertical) =
         (ours(|measured| Some(measured.horizontal_m)), ours(|measured| Some(measured.vertical_m)));
     let (theirs, surface) =
         (colmap(|measured| Some(measured.ate_m)), ours(|measured| measured.surface_m));
     let registered =
-        |cell: &Cell| Some(format!("{} of {}", cell.colmap.as_ref()?.registered, cell.images));
+        |run: &Run| Some(format!("{} of {}", run.colmap.as_ref()?.registered, run.images));
     let mut columns: Vec<Column> = vec![
         ("ATE [m]", &ate),
         ("horizontal", &horizontal),
@@ -121,91 +123,91 @@ fn with_truth(what: &str, cells: &[Cell], more: &[Column]) -> Table {
         ("Surface, median [m]", &surface),
     ];
     columns.extend(more);
-    if has_colmap(cells) {
+    if has_colmap(runs) {
         let colmap: [Column; 2] = [("COLMAP: ATE [m]", &theirs), ("images", &registered)];
         columns.extend(colmap);
     }
     let last: [Column; 3] = [
-        ("Points", &|cell| Some(cell.result.as_ref()?.points.to_string())),
-        ("Models", &|cell| Some(cell.result.as_ref()?.models.to_string())),
-        ("Time [s]", &|cell| Some(format!("{:.0}", cell.result.as_ref()?.seconds))),
+        ("Points", &|run| Some(run.result.as_ref()?.points.to_string())),
+        ("Models", &|run| Some(run.result.as_ref()?.models.to_string())),
+        ("Time [s]", &|run| Some(format!("{:.0}", run.result.as_ref()?.seconds))),
     ];
     columns.extend(last);
-    let mut table = table("Against the truth", what, cells, &columns);
-    table.head[0].splice(1..1, ["Images".to_owned(), "Way [m]".to_owned()]);
-    for ((_, values), cell) in table.rows.iter_mut().zip(cells) {
-        let registered = cell.result.as_ref().map_or(0, |measured| measured.registered);
+    let mut table = table("Errors against ground truth", row_heading, runs, &columns);
+    table.head[0].splice(1..1, ["Images".to_owned(), "Length [m]".to_owned()]);
+    for ((_, values), run) in table.rows.iter_mut().zip(runs) {
+        let registered = run.result.as_ref().map_or(0, |measured| measured.registered);
         values.splice(
             0..0,
-            [format!("{registered} of {}", cell.images), format!("{:.0}", cell.driven_m)],
+            [format!("{registered} of {}", run.images), format!("{:.0}", run.driven_m)],
         );
     }
-    for cell in cells {
-        if let Some(failure) = &cell.failure {
-            table.caption += &format!(". {}: {failure}", cell.name);
+    for run in runs {
+        if let Some(failure) = &run.failure {
+            table.caption += &format!(". {}: {failure}", run.name);
         }
     }
     table
 }
 
-fn table(caption: &str, what: &str, cells: &[Cell], columns: &[Column]) -> Table {
-    let row = |cell: &Cell| -> TableRow {
-        let value = |column: &Column| column.1(cell).unwrap_or_else(|| "-".to_owned());
-        (cell.name.clone(), columns.iter().map(value).collect())
+fn table(caption: &str, row_heading: &str, runs: &[Run], columns: &[Column]) -> Table {
+    let row = |run: &Run| -> TableRow {
+        let value = |column: &Column| column.1(run).unwrap_or_else(|| "-".to_owned());
+        (run.name.clone(), columns.iter().map(value).collect())
     };
     let names: Vec<String> = columns.iter().map(|(name, _)| (*name).to_owned()).collect();
-    let mut table = Table::of_columns(&names, cells.iter().map(row).collect());
+    let mut table = Table::of_columns(&names, runs.iter().map(row).collect());
     table.caption = caption.to_owned();
-    table.head[0][0] = what.to_owned();
+    table.head[0][0] = row_heading.to_owned();
     table
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::cell::Distance;
+    use super::super::run::Distance;
     use super::*;
 
-    fn cell(name: &str, rig: RigTerm, mean_m: f64, std_m: f64) -> Cell {
-        let result = Measured {
+    fn run(name: &str, rig: RigTerm, mean_m: f64, std_m: f64) -> Run {
+        let result = Measurements {
             registered: 9,
             cloud: Some(Distance { mean_m, std_m }),
             exact_cloud: Some(Distance { mean_m: 0.01, std_m: 0.02 }),
             ate_m: mean_m / 10.0,
             baseline_m: Some(0.5),
-            ..Measured::default()
+            ..Measurements::default()
         };
         let rig = rig_name(rig).to_owned();
-        Cell {
+        Run {
             name: name.to_owned(),
             rig,
             images: 10,
             driven_m: 99.6,
             result: Some(result),
-            ..Cell::default()
+            ..Run::default()
         }
     }
 
     /// The numbers are the paper's own.
     #[test]
-    fn experiment_one_is_laid_out_as_table_3() {
-        let mut cells = vec![
-            cell("Front", RigTerm::Off, 1.253, 2.049),
-            cell("Right", RigTerm::Off, 2.451, 4.285),
-            cell("Rear", RigTerm::Off, 1.252, 2.052),
+    fn experiment_one_has_the_layout_of_table_3() {
+        let mut runs = vec![
+            run("Front", RigTerm::Off, 1.253, 2.049),
+            run("Right", RigTerm::Off, 2.451, 4.285),
+            run("Rear", RigTerm::Off, 1.252, 2.052),
         ];
         let failure = Some("nothing overlaps".to_owned());
-        cells.push(Cell {
+        runs.push(Run {
             name: "Left".to_owned(),
             images: 10,
             failure,
             result: None,
-            ..cells[0].clone()
+            ..runs[0].clone()
         });
-        let [table, truth] = &of_mountings(&cells)[..] else { panic!("two tables") };
+        let [table, truth] = &of_mountings(&runs)[..] else { panic!("two tables") };
         let expected = "\
 | Camera configuration | Mean absolute distance [m] |  | Std deviation [m] |  |
 |---|---|---|---|---|
-|  | Ours | Exact cameras | Ours | Exact cameras |
+|  | Ours | True cameras | Ours | True cameras |
 | Front | 1.253 | 0.010 | 2.049 | 0.020 |
 | Right | 2.451 | 0.010 | 4.285 | 0.020 |
 | Rear | 1.252 | 0.010 | 2.052 | 0.020 |
@@ -221,23 +223,23 @@ mod tests {
     }
 
     #[test]
-    fn experiment_two_is_laid_out_as_table_4_and_has_the_papers_improvement() {
-        let cells: Vec<Cell> = [(RigTerm::Off, 2.028, 2.965), (RigTerm::Paper, 1.432, 2.105)]
-            .map(|(rig, mean_m, std_m)| cell(&row_of(rig), rig, mean_m, std_m))
+    fn experiment_two_has_the_layout_of_table_4_and_the_improvement_of_the_paper() {
+        let runs: Vec<Run> = [(RigTerm::Off, 2.028, 2.965), (RigTerm::Paper, 1.432, 2.105)]
+            .map(|(rig, mean_m, std_m)| run(&row_of(rig), rig, mean_m, std_m))
             .to_vec();
-        let [table, truth] = &of_constraints(&cells)[..] else { panic!("two tables") };
+        let [table, truth] = &of_constraints(&runs)[..] else { panic!("two tables") };
         let expected = "\
 | BA | Mean absolute distance [m] |  | Std deviation [m] |  |
 |---|---|---|---|---|
-|  | Ours | Exact cameras | Ours | Exact cameras |
+|  | Ours | True cameras | Ours | True cameras |
 | Traditional (off) | 2.028 | 0.010 | 2.965 | 0.020 |
 | Constrained (paper) | 1.432 | 0.010 | 2.105 | 0.020 |
 ";
         assert!(table.to_markdown().ends_with(expected), "{}", table.to_markdown());
         assert_eq!(truth.head[0].len(), truth.rows[0].1.len() + 1);
-        // With COLMAP's models, as the paper has them.
-        let mut both = cells.clone();
-        both[0].colmap = cell("", RigTerm::Off, 2.976, 3.690).result;
+        // With COLMAP's results in the paper.
+        let mut both = runs.clone();
+        both[0].colmap = run("", RigTerm::Off, 2.976, 3.690).result;
         let [table, with_colmap] = &of_constraints(&both)[..] else { panic!("two tables") };
         let text = table.to_markdown();
         assert!(
@@ -253,7 +255,7 @@ mod tests {
             "{text}"
         );
         assert_eq!(with_colmap.head[0].len(), truth.head[0].len() + 2);
-        // Section 4.3: an improvement of 29.38 %; the paper's own rounding gives the last digit.
+        // Section 4.3 of the paper has an improvement of 29.38 %, computed from unrounded numbers.
         assert!(truth.rows[1].1.contains(&"-29.39 %".to_owned()), "{truth:?}");
     }
 }

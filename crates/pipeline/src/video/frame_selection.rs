@@ -1,54 +1,56 @@
-//! Which frames of a video are worth having.
+//! Selection of the frames of a video.
 //!
-//! Of every so many frames the sharpest is taken (the one of the most energy in its gradients: they
-//! show the same things), and left out where the picture has hardly moved since the last one that
-//! was kept, so that a stop is not a thousand equal photos. Movement is the median over blocks of a
-//! small copy of how far its slopes would have to move to change it so; cars that pass do not move
-//! a median. Of a camera whose clock is known beside another one's, the frames nearest in time to
-//! those of the other are taken.
+//! The sharpest of every N frames is selected, the one with the largest gradient energy. It is left
+//! out if there is hardly any image motion since the last selected frame, as at a stop. Image
+//! motion is estimated on a thumbnail, as the ratio of temporal to spatial brightness changes of a
+//! block; its median over the blocks is insensitive to passing cars. If the frames of another
+//! camera with a synchronised clock are given, the frames nearest to them in time are selected
+//! instead.
 
 use std::num::NonZeroUsize;
 
 use tiepoint_io::Rgb;
 use tiepoint_sfm::geometry::numeric::median;
 
-/// Width of the small copy on which frames are compared, about.
-const SMALL_WIDTH: u32 = 320;
-/// Side of a block, and the least eigenvalue, per pixel, of the gradients' second moments that
-/// gives it texture.
+/// Approximate width of thumbnails.
+const THUMBNAIL_WIDTH: u32 = 320;
+/// Side of a block, in pixels of the thumbnail.
 const BLOCK: usize = 16;
+/// Minimum smaller eigenvalue of the structure tensor of a textured block, per pixel.
 const MIN_TEXTURE: f64 = 4.0;
-/// Fewer textured blocks tell no movement.
+/// Minimum number of textured blocks for an estimate of image motion.
 const MIN_BLOCKS: usize = 8;
-/// A frame that moved by less than this share of its width (0.8 pixels of the small copy) since the
-/// last one shows nothing new.
+/// Minimum image motion since the last selected frame, as a fraction of the image width (0.8 pixels
+/// of the thumbnail).
 const MIN_MOVEMENT: f64 = 0.0025;
 
-/// A frame, and what is compared of it.
+/// A frame with its sharpness and its thumbnail.
 pub(super) struct Candidate {
     pub(super) index: usize,
     pub(super) time_s: f64,
     pub(super) image: Rgb,
-    small: Small,
+    small: Thumbnail,
     sharpness: f64,
 }
 
 impl Candidate {
     pub(super) fn new(index: usize, time_s: f64, image: Rgb) -> Self {
-        let small = Small::new(&image);
+        let small = Thumbnail::new(&image);
         Self { index, time_s, sharpness: sharpness(&image), image, small }
     }
 }
 
-/// Takes the sharpest of each so many frames, unless it shows what the last one showed.
-struct Sharpest {
+/// Selects the sharpest of every N frames, unless there is no image motion since the last one.
+struct SharpestOfN {
     every: NonZeroUsize,
+    /// Number of frames since the last selection.
     seen: usize,
     best: Option<Candidate>,
-    last: Option<Small>,
+    /// Thumbnail of the last selected frame.
+    last: Option<Thumbnail>,
 }
 
-impl Sharpest {
+impl SharpestOfN {
     fn new(every: NonZeroUsize) -> Self {
         Self { every, seen: 0, best: None, last: None }
     }
@@ -61,16 +63,16 @@ impl Sharpest {
         if self.seen == self.every.get() { self.end() } else { None }
     }
 
-    /// What is left when no more frames come.
+    /// The selection among the frames so far.
     fn end(&mut self) -> Option<Candidate> {
         self.seen = 0;
         let best = self.best.take()?;
-        let stands = self
+        let is_static = self
             .last
             .as_ref()
             .and_then(|last| best.small.movement_px(last))
             .is_some_and(|movement| movement < MIN_MOVEMENT * best.small.width as f64);
-        if stands {
+        if is_static {
             return None;
         }
         self.last = Some(best.small.clone());
@@ -78,50 +80,58 @@ impl Sharpest {
     }
 }
 
-/// Takes the frame nearest to each of some moments; before them and after them, or where there are
-/// none, the sharpest.
-pub(super) struct Chooser {
-    /// In order.
-    moments_s: Vec<f64>,
+/// Selects the frame nearest to each target time. Before the first target time and after the last,
+/// or without any, selects the sharpest of every N frames.
+pub(super) struct FrameSelector {
+    /// Sorted.
+    target_times_s: Vec<f64>,
+    /// Index of the next target time.
     next: usize,
+    /// The frame nearest to the next target time so far.
     nearest: Option<Candidate>,
-    others: Sharpest,
+    /// Selects frames outside the range of the target times.
+    others: SharpestOfN,
 }
 
-impl Chooser {
-    pub(super) fn new(every: NonZeroUsize, moments_s: Vec<f64>) -> Self {
-        Self { moments_s, next: 0, nearest: None, others: Sharpest::new(every) }
+impl FrameSelector {
+    pub(super) fn new(every: NonZeroUsize, target_times_s: Vec<f64>) -> Self {
+        Self { target_times_s, next: 0, nearest: None, others: SharpestOfN::new(every) }
     }
 
+    /// Adds the next frame; returns a frame if one is selected now.
     pub(super) fn add(&mut self, frame: Candidate) -> Option<Candidate> {
-        let Some(moment_s) = self.moments_s.get(self.next) else { return self.others.add(frame) };
-        let interval_s = self.moments_s.get(1).map_or(0.0, |second_s| second_s - self.moments_s[0]);
-        if self.next == 0 && frame.time_s < moment_s - 0.5 * interval_s {
+        let Some(target_time_s) = self.target_times_s.get(self.next) else {
+            return self.others.add(frame);
+        };
+        let interval_s =
+            self.target_times_s.get(1).map_or(0.0, |second_s| second_s - self.target_times_s[0]);
+        if self.next == 0 && frame.time_s < target_time_s - 0.5 * interval_s {
             return self.others.add(frame);
         }
-        let is_past = |moment_s: &f64, last: &Candidate| {
-            (last.time_s - moment_s).abs() <= (frame.time_s - moment_s).abs()
+        let is_past = |target_time_s: &f64, last: &Candidate| {
+            (last.time_s - target_time_s).abs() <= (frame.time_s - target_time_s).abs()
         };
-        let nearest = self.nearest.take().filter(|last| is_past(moment_s, last));
+        let nearest = self.nearest.take().filter(|last| is_past(target_time_s, last));
         if let Some(nearest) = &nearest {
-            // Where frames are missing, one may be the nearest to several moments.
-            self.next += self.moments_s[self.next..]
+            // With missing frames, one may be the nearest to several target times.
+            self.next += self.target_times_s[self.next..]
                 .iter()
-                .take_while(|moment_s| is_past(moment_s, nearest))
+                .take_while(|target_time_s| is_past(target_time_s, nearest))
                 .count();
         }
-        if self.next < self.moments_s.len() {
+        if self.next < self.target_times_s.len() {
             self.nearest = Some(frame);
         }
         nearest
     }
 
+    /// The last selection, after the last frame.
     pub(super) fn end(&mut self) -> Option<Candidate> {
         self.nearest.take().or_else(|| self.others.end())
     }
 }
 
-/// Mean square of the differences of neighbouring greens: what blur takes away.
+/// Mean squared difference of horizontally neighbouring green values, which blur reduces.
 fn sharpness(image: &Rgb) -> f64 {
     let width = image.width as usize;
     let rows = image.data.chunks_exact(3 * width.max(1));
@@ -133,17 +143,17 @@ fn sharpness(image: &Rgb) -> f64 {
     total as f64 / image.data.len().max(1) as f64
 }
 
-/// A grey copy, each pixel the mean of a square of the picture.
+/// A downscaled grey image; each pixel is the mean of a square of the green channel.
 #[derive(Clone)]
-struct Small {
+struct Thumbnail {
     width: usize,
     height: usize,
     pixels: Vec<f32>,
 }
 
-impl Small {
+impl Thumbnail {
     fn new(image: &Rgb) -> Self {
-        let side = (image.width / SMALL_WIDTH).max(1) as usize;
+        let side = (image.width / THUMBNAIL_WIDTH).max(1) as usize;
         let (width, height) = (image.width as usize / side, image.height as usize / side);
         let mut pixels = vec![0.0; width * height];
         for (y, row) in
@@ -158,8 +168,8 @@ impl Small {
         Self { width, height, pixels }
     }
 
-    /// How far the picture has moved since `other`, in pixels, where that is little; something
-    /// large, where it is not; `None` where nothing can be told.
+    /// Image motion since `other`, in pixels: accurate if small, a large number otherwise. `None`
+    /// if the sizes differ or there is too little texture.
     fn movement_px(&self, other: &Self) -> Option<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             return None;
@@ -173,8 +183,8 @@ impl Small {
         if movements.len() < MIN_BLOCKS { None } else { median(&mut movements) }
     }
 
-    /// Root mean square change of brightness over root mean square slope, where there are slopes in
-    /// all directions. Exposure may differ.
+    /// Root mean square brightness change over root mean square gradient of a block, if it has
+    /// texture in all directions. A constant brightness change is ignored.
     fn block_movement_px(&self, other: &Self, left: usize, top: usize) -> Option<f64> {
         let (mut xx, mut xy, mut yy, mut change, mut change2) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for y in top..top + BLOCK {
@@ -201,8 +211,7 @@ mod tests {
 
     const SIZE: (u32, u32) = (640, 480);
 
-    /// A picture with texture everywhere, moved to the right by so many pixels, and smeared over so
-    /// many.
+    /// A textured image, moved to the right by `moved` pixels and blurred over `smear` pixels.
     fn picture(moved: f64, smear: usize) -> Rgb {
         let value = |x: f64, y: f64| {
             127.0 + 50.0 * ((0.11 * x).sin() * (0.13 * y).cos() + (0.31 * x + 0.17 * y).sin())
@@ -219,7 +228,7 @@ mod tests {
     }
 
     fn kept(every: usize, frames: &[(f64, usize)]) -> Vec<usize> {
-        let mut chooser = Sharpest::new(NonZeroUsize::new(every).unwrap());
+        let mut chooser = SharpestOfN::new(NonZeroUsize::new(every).unwrap());
         let mut kept: Vec<usize> = frames
             .iter()
             .enumerate()
@@ -234,15 +243,15 @@ mod tests {
     }
 
     #[test]
-    fn the_sharpest_of_so_many_frames_is_kept() {
+    fn sharpest_of_n_frames_is_selected() {
         let frames = [(0.0, 9), (8.0, 1), (16.0, 9), (24.0, 9), (32.0, 9), (40.0, 1), (48.0, 1)];
         assert_eq!(kept(3, &frames), [1, 5, 6]);
         assert_eq!(kept(1, &frames[..3]), [0, 1, 2]);
     }
 
     #[test]
-    fn a_stop_is_one_frame() {
-        // 0.0025 of 640 pixels are 1.6; creeping adds up.
+    fn static_frames_are_left_out() {
+        // The threshold is 0.0025 of 640 pixels, 1.6. Slow motion adds up.
         assert_eq!(
             kept(1, &[(0.0, 1), (0.0, 1), (0.5, 1), (1.2, 1), (2.4, 1), (2.4, 1), (60.0, 1)]),
             [0, 4, 6]
@@ -250,20 +259,21 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_without_texture_is_kept() {
+    fn frames_without_texture_are_selected() {
         let grey = |level: u8| Rgb { width: 64, height: 48, data: vec![level; 64 * 48 * 3] };
-        let mut chooser = Sharpest::new(NonZeroUsize::MIN);
+        let mut chooser = SharpestOfN::new(NonZeroUsize::MIN);
         for index in 0..3 {
             assert!(chooser.add(Candidate::new(index, 0.0, grey(9))).is_some());
         }
     }
 
     #[test]
-    fn partners_are_nearest_in_time() {
-        let kept = |moments_s: &[f64], times_s: &[f64]| -> Vec<usize> {
-            let mut chooser = Chooser::new(NonZeroUsize::new(2).unwrap(), moments_s.to_vec());
+    fn frames_nearest_to_target_times_are_selected() {
+        let kept = |target_times_s: &[f64], times_s: &[f64]| -> Vec<usize> {
+            let mut chooser =
+                FrameSelector::new(NonZeroUsize::new(2).unwrap(), target_times_s.to_vec());
             let frame = |(index, &time_s): (usize, &f64)| {
-                // Every other one is blurred.
+                // Every second frame is blurred.
                 Candidate::new(index, time_s, picture(13.0 * index as f64, 1 + 8 * (index % 2)))
             };
             let mut kept: Vec<usize> = Vec::new();
@@ -274,11 +284,11 @@ mod tests {
             kept
         };
         let times_s: Vec<f64> = (0..12).map(|k| 0.04 + 0.1 * f64::from(k)).collect();
-        // One of the two before, 0.34 s for 0.31, 0.64 s for 0.61, and one of every two of the
-        // rest.
+        // One of the two frames before, 0.34 s for 0.31, 0.64 s for 0.61, and one of every two
+        // frames after.
         assert_eq!(kept(&[0.31, 0.61], &times_s), [0, 3, 6, 8, 10]);
         assert_eq!(kept(&[0.04, 0.36, 0.66], &times_s[..7]), [0, 3, 6]);
-        // A stop of the first camera, and a gap of the second.
+        // A stop of the first camera; then missing frames of the second.
         assert_eq!(kept(&[0.04, 0.94], &times_s[..10]), [0, 9]);
         assert_eq!(kept(&[0.04, 0.14, 0.24, 0.34, 0.44], &[0.04, 0.14, 0.45]), [0, 1, 2]);
     }

@@ -1,15 +1,15 @@
-//! Relative poses of all pairs of cameras: a measure that needs no alignment, and that one bad
-//! camera spoils only for its own pairs. As in COLMAP's benchmark and the Image Matching Challenge
-//! (Jin et al. 2021, "Image matching across wide baselines").
+//! Relative-pose errors of all pairs of images, and their AUC, as in COLMAP's benchmark and the
+//! Image Matching Challenge (Jin et al. 2021, "Image matching across wide baselines"). The measure
+//! needs no alignment, and a wrong pose affects only its own pairs.
 
 use tiepoint_geometry::Rigid3;
 
-/// For each ordered pair of cameras the angular error of the relative pose: the larger of the angle
-/// between the rotations and the angle between the directions of translation; infinite where the
-/// model lacks one of them.
+/// Angular error of the relative pose of each ordered pair of images: the larger of the angle
+/// between the rotations and the angle between the directions of translation, in radians. Infinite
+/// if the model lacks one of the poses.
 ///
-/// Of cameras closer together than `min_baseline` (units of the truth) the direction means nothing,
-/// and the rotation alone counts. Poses are `cam_from_world`.
+/// Poses are `cam_from_world`. For true centres closer than `min_baseline` (units of the ground
+/// truth) only the rotation counts, because the direction is undefined.
 pub fn relative_pose_errors_rad(
     model: &[Option<Rigid3>],
     truth: &[Rigid3],
@@ -27,8 +27,7 @@ pub fn relative_pose_errors_rad(
             let true_ = truth[b] * truth[a].inverse();
             let rotation = found.rotation.angle_to(&true_.rotation);
             let has_direction = true_.translation.norm() > min_baseline;
-            // A model that puts both cameras at one place has no direction either: as wrong as can
-            // be.
+            // Coincident estimated centres have no direction: the largest error.
             let direction = match (has_direction, found.translation.norm() > 0.0) {
                 (false, _) => 0.0,
                 (true, true) => found.translation.angle(&true_.translation),
@@ -40,9 +39,9 @@ pub fn relative_pose_errors_rad(
     errors
 }
 
-/// Area under the curve of recall over error, from 0 to `threshold`, as a part of the threshold: 1
-/// when all errors are zero, 0 when all are above. Errors and threshold have one unit. The curve is
-/// linear between errors and level from the last one to the threshold.
+/// Area under the recall curve from 0 to `threshold`, over the threshold: 1 if all errors are zero,
+/// 0 if all exceed the threshold. Errors and threshold have the same unit. The curve is linear
+/// between errors and constant from the last error to the threshold.
 pub fn auc(errors: &[f64], threshold: f64) -> f64 {
     let mut sorted: Vec<f64> = errors.iter().copied().filter(|error| *error <= threshold).collect();
     sorted.sort_by(f64::total_cmp);

@@ -1,36 +1,38 @@
-//! How much later one recording began than another, from what both have heard.
+//! Time offset between two recordings from their soundtracks.
 //!
-//! Two microphones a metre apart on a vehicle hear different wind but the same doors, voices, horns
-//! and engine. What they share is when it becomes loud: the logarithm of the energy of a
-//! millisecond, less its mean over half a second, compared at every offset at which the recordings
-//! overlap. The offset counts if its correlation stands far above what other offsets reach by
-//! chance, and no other comes near it, as it would for a sound that repeats.
+//! Microphones a metre apart on a vehicle record different wind noise, but the same doors, voices,
+//! horns and engine. The signal that is correlated is the log energy per millisecond minus its mean
+//! over half a second. It is correlated at every lag at which the recordings overlap. The peak is
+//! accepted if it is far above the noise of the correlation, and if no other lag comes near it, as
+//! it does for a periodic sound.
 
 use rayon::prelude::*;
 use tiepoint_sfm::geometry::numeric::median;
 
-/// Samples a second that are asked for; voices have little above half of it.
+/// Sample rate of the soundtracks; voices have little energy above half of it.
 pub(super) const RATE_HZ: u32 = 8000;
-/// Loudness is taken so often, and compared so often at first.
+/// Rate of the log energy.
 const FINE_HZ: usize = 1000;
+/// Rate of the log energy for the coarse search.
 const COARSE_HZ: usize = 100;
-/// Loudness is relative to its mean over this time.
+/// Window of the mean that is subtracted from the log energy.
 const MEAN_OVER_S: f64 = 0.5;
-/// Recordings that overlap by less, in seconds, are not compared.
+/// Minimum overlap of two recordings.
 const MIN_OVERLAP_S: f64 = 5.0;
-/// A correlation counts from so many standard deviations of what chance gives, and if others, this
-/// far away in seconds, stay below this share of it.
+/// Minimum peak, in standard deviations of the correlation over all lags.
 const MIN_DEVIATIONS: f64 = 10.0;
+/// Lags at least this far from the peak must stay below `MAX_OTHERS` times the peak.
 const OTHERS_FROM_S: f64 = 0.5;
 const MAX_OTHERS: f64 = 0.7;
 /// Median of the absolute value of a normal variable of standard deviation 1.
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
 
-/// By how many seconds `b` began after `a`, where their sound tells it: mono, [`RATE_HZ`].
-pub(super) fn began_after_s(a: &[i16], b: &[i16]) -> Option<f64> {
+/// Start of `b` minus start of `a`, in seconds; `None` if the correlation has no clear peak. `a`
+/// and `b` are mono samples at [`RATE_HZ`].
+pub(super) fn start_offset_s(a: &[i16], b: &[i16]) -> Option<f64> {
     let [fine_a, fine_b] = [a, b].map(loudness);
     let [coarse_a, coarse_b] = [&fine_a, &fine_b].map(|fine| coarse(fine));
-    let (coarse_a, coarse_b) = (Sound::new(coarse_a), Sound::new(coarse_b));
+    let (coarse_a, coarse_b) = (LevelSignal::new(coarse_a), LevelSignal::new(coarse_b));
     let least = (MIN_OVERLAP_S * COARSE_HZ as f64) as i64;
     let lags = least - coarse_b.len()..coarse_a.len() - least + 1;
     let scores: Vec<f64> =
@@ -48,14 +50,14 @@ pub(super) fn began_after_s(a: &[i16], b: &[i16]) -> Option<f64> {
     }
     let step = (FINE_HZ / COARSE_HZ) as i64;
     let about = (lags.start + peak as i64) * step;
-    let (fine_a, fine_b) = (Sound::new(fine_a), Sound::new(fine_b));
+    let (fine_a, fine_b) = (LevelSignal::new(fine_a), LevelSignal::new(fine_b));
     let near: Vec<f64> =
         (about - 2 * step..=about + 2 * step).map(|lag| fine_a.score(&fine_b, lag)).collect();
     let (peak, _) = near.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
     Some((about - 2 * step + peak as i64) as f64 / FINE_HZ as f64)
 }
 
-/// Logarithms of the energy of each millisecond's slopes, less their mean nearby.
+/// Log energy of the sample differences in each millisecond, minus its moving average.
 fn loudness(samples: &[i16]) -> Vec<f32> {
     let energy = |samples: &[i16]| {
         let slopes =
@@ -72,6 +74,7 @@ fn loudness(samples: &[i16]) -> Vec<f32> {
     levels.iter().enumerate().map(relative).collect()
 }
 
+/// Log energy at [`COARSE_HZ`].
 fn coarse(fine: &[f32]) -> Vec<f32> {
     let step = FINE_HZ / COARSE_HZ;
     fine.chunks_exact(step).map(|levels| levels.iter().sum::<f32>() / step as f32).collect()
@@ -85,13 +88,13 @@ fn prefix_sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
     std::iter::once(0.0).chain(sums).collect()
 }
 
-/// Loudness over time, and the sums of its squares.
-struct Sound {
+/// A log energy signal with the prefix sums of its squares.
+struct LevelSignal {
     levels: Vec<f32>,
     squares: Vec<f64>,
 }
 
-impl Sound {
+impl LevelSignal {
     fn new(levels: Vec<f32>) -> Self {
         let squares = prefix_sums(levels.iter().map(|level| f64::from(*level).powi(2)));
         Self { levels, squares }
@@ -101,8 +104,8 @@ impl Sound {
         self.levels.len() as i64
     }
 
-    /// Correlation with `other` moved by `lag` to later times, times the root of how much of them
-    /// overlaps: about 1 by chance, if neighbouring levels were independent.
+    /// Normalised correlation with `other` delayed by `lag`, times the square root of the number of
+    /// overlapping levels: this has standard deviation 1 for independent white noise.
     fn score(&self, other: &Self, lag: i64) -> f64 {
         let (from, to) = (lag.max(0), (lag + other.len()).min(self.len()));
         if to <= from {
@@ -122,7 +125,7 @@ impl Sound {
     }
 }
 
-/// In lanes, so that it becomes vectors.
+/// Dot product in lanes that the compiler vectorises.
 fn dot(a: &[f32], b: &[f32]) -> f64 {
     const LANES: usize = 16;
     let mut sums = [0.0f32; LANES];
@@ -142,12 +145,12 @@ mod tests {
     use tiepoint_sfm::geometry::Rng;
 
     const SECOND: usize = RATE_HZ as usize;
-    /// Sound travels 1.7 m meanwhile: more than microphones are apart.
+    /// Sound travels 1.7 m in this time, more than the distance of the microphones.
     const TOLERANCE_S: f64 = 0.005;
 
-    /// Knocks at random times, each fading within a twentieth of a second, as heard over noise of
-    /// one's own.
-    fn heard(from_s: f64, seconds: f64, gain: f64, noise: f64, seed: u64) -> Vec<i16> {
+    /// A recording of knocks at random times, each with a decay time of 0.05 s, with independent
+    /// noise.
+    fn recording(from_s: f64, seconds: f64, gain: f64, noise: f64, seed: u64) -> Vec<i16> {
         let mut world = Rng::stream(1, &[]);
         let knocks: Vec<(f64, f64)> =
             (0..60).map(|_| (120.0 * world.uniform(), 0.3 + world.uniform())).collect();
@@ -168,30 +171,34 @@ mod tests {
     }
 
     #[test]
-    fn what_both_heard_tells_the_offset() {
-        let left = heard(3.0, 60.0, 1.0, 0.05, 2);
+    fn common_sounds_give_the_offset() {
+        let left = recording(3.0, 60.0, 1.0, 0.05, 2);
         for (from_s, seconds) in [(10.345, 50.0), (3.0, 30.0), (0.5, 20.0), (45.25, 60.0)] {
-            let right = heard(from_s, seconds, 0.4, 0.1, 3);
-            let found = began_after_s(&left, &right).unwrap();
+            let right = recording(from_s, seconds, 0.4, 0.1, 3);
+            let found = start_offset_s(&left, &right).unwrap();
             assert!(
                 (found - (from_s - 3.0)).abs() < TOLERANCE_S,
                 "{found} instead of {}",
                 from_s - 3.0
             );
-            let back = began_after_s(&right, &left).unwrap();
+            let back = start_offset_s(&right, &left).unwrap();
             assert!((found + back).abs() < TOLERANCE_S);
         }
     }
 
     #[test]
-    fn what_tells_nothing_gives_nothing() {
-        let left = heard(0.0, 40.0, 1.0, 0.05, 2);
-        assert_eq!(began_after_s(&left, &heard(80.0, 40.0, 1.0, 0.05, 3)), None, "another place");
-        assert_eq!(began_after_s(&left, &heard(0.0, 40.0, 0.0, 0.3, 3)), None, "wind alone");
-        assert_eq!(began_after_s(&left, &vec![0; 30 * SECOND]), None, "silence");
-        assert_eq!(began_after_s(&left, &left[..2 * SECOND]), None, "too short");
-        assert_eq!(began_after_s(&[], &left), None);
-        // An engine that beats three times a second fits at every beat.
+    fn uncorrelated_and_periodic_sounds_give_no_offset() {
+        let left = recording(0.0, 40.0, 1.0, 0.05, 2);
+        assert_eq!(
+            start_offset_s(&left, &recording(80.0, 40.0, 1.0, 0.05, 3)),
+            None,
+            "another place"
+        );
+        assert_eq!(start_offset_s(&left, &recording(0.0, 40.0, 0.0, 0.3, 3)), None, "wind alone");
+        assert_eq!(start_offset_s(&left, &vec![0; 30 * SECOND]), None, "silence");
+        assert_eq!(start_offset_s(&left, &left[..2 * SECOND]), None, "too short");
+        assert_eq!(start_offset_s(&[], &left), None);
+        // A periodic sound correlates at every period.
         let beats = |seed: u64| -> Vec<i16> {
             let mut rng = Rng::stream(seed, &[]);
             let beat = |k: usize| 4000.0 * (-(((k % (SECOND / 3)) as f64) / 300.0)).exp();
@@ -201,6 +208,6 @@ mod tests {
                 })
                 .collect()
         };
-        assert_eq!(began_after_s(&beats(1), &beats(2)), None);
+        assert_eq!(start_offset_s(&beats(1), &beats(2)), None);
     }
 }

@@ -1,52 +1,54 @@
-//! The relative pose of two cameras over time: of a rig it is constant, so its spread and its drift
-//! measure a reconstruction without any truth.
+//! The relative pose of two cameras over time. On a rig it is constant, so that its variation and
+//! its drift measure errors of a reconstruction without ground truth.
 
 use tiepoint_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, so3};
 
 use crate::Statistics;
 
-/// Rounds of averaging rotations on the manifold; each squares the (small) error.
-const AVERAGING_ROUNDS: usize = 10;
+/// Iterations of rotation averaging; each squares the (small) error.
+const AVERAGING_ITERATIONS: usize = 10;
 
-/// Two cameras at one moment.
+/// The poses of two cameras in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
-    /// When, in seconds.
+    /// Time of the frame, in seconds.
     pub time_s: f64,
-    /// The first camera's pose.
+    /// Pose of the first camera.
     pub left_from_world: Rigid3,
-    /// The second camera's pose.
+    /// Pose of the second camera.
     pub right_from_world: Rigid3,
 }
 
-/// How the relative pose of two cameras deviates from its mean; lengths in units of the model.
+/// Statistics of the relative pose of two cameras over all frames. Lengths are in units of the
+/// model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RigOverTime {
-    /// The mean, over all pairs.
+pub struct RelativePoseSeries {
+    /// Mean relative pose.
     pub right_from_left: Rigid3,
-    /// For each pair the right camera's centre in the left camera's frame.
+    /// Centre of the right camera in the frame of the left one, per frame.
     pub centres: Vec<Vector3<f64>>,
-    /// For each pair the rotation vector of its relative rotation from the mean one, in radians.
-    pub turns_rad: Vec<Vector3<f64>>,
+    /// Rotation vector of the deviation of the relative rotation from its mean, per frame, in
+    /// radians.
+    pub rotations_rad: Vec<Vector3<f64>>,
     /// Distances of the two cameras.
     pub baseline: Statistics,
-    /// Root mean square distance of the right camera's centre from its mean, in the left camera's
-    /// frame.
+    /// Root mean square distance of `centres` from their mean.
     pub translation_rms: f64,
-    /// Root mean square angle of the relative rotation from its mean.
+    /// Root mean square angle of the relative rotation from its mean, in radians.
     pub rotation_rms_rad: f64,
-    /// What the scale does: the baseline's change from the first moment to the last by a straight
-    /// line through all, as a part of its mean.
+    /// Scale drift: change of the baseline from the first to the last frame, from a linear fit over
+    /// time, as a fraction of its mean.
     pub baseline_drift: f64,
-    /// The same of the centre, as a distance.
+    /// Length of the change of the centre, from a linear fit.
     pub translation_drift: f64,
-    /// The same of the rotation, as an angle.
+    /// Angle of the change of the rotation, from a linear fit, in radians.
     pub rotation_drift_rad: f64,
 }
 
-/// Measures the relative poses of pairs; `None` for fewer than two.
-pub fn rig_over_time(pairs: &[PosePair]) -> Option<RigOverTime> {
+/// Computes the relative poses of the frames and their statistics; `None` for fewer than two
+/// frames.
+pub fn relative_pose_series(pairs: &[PosePair]) -> Option<RelativePoseSeries> {
     if pairs.len() < 2 {
         return None;
     }
@@ -59,32 +61,32 @@ pub fn rig_over_time(pairs: &[PosePair]) -> Option<RigOverTime> {
     let relative: Vec<Rigid3> = pairs.iter().map(relative).collect();
     let centres: Vec<Vector3<f64>> = relative.iter().map(Rigid3::origin_in_a).collect();
     let rotation = mean_rotation(&relative);
-    let turns_rad: Vec<Vector3<f64>> =
+    let rotations_rad: Vec<Vector3<f64>> =
         relative.iter().map(|pose| so3::log(&(pose.rotation * rotation.inverse()))).collect();
     let centre = mean(&centres);
     let times: Vec<f64> = pairs.iter().map(|pair| pair.time_s).collect();
     let lengths: Vec<Vector3<f64>> = centres.iter().map(|c| Vector3::x() * c.norm()).collect();
     let baselines: Vec<f64> = lengths.iter().map(|length| length.x).collect();
     let baseline = Statistics::of(&baselines)?;
-    Some(RigOverTime {
+    Some(RelativePoseSeries {
         right_from_left: Rigid3::new(rotation, -(rotation * centre)),
         translation_rms: rms_from(&centres, centre),
-        rotation_rms_rad: rms_from(&turns_rad, Vector3::zeros()),
-        baseline_drift: change(&times, &lengths).x / baseline.mean,
-        translation_drift: change(&times, &centres).norm(),
-        rotation_drift_rad: change(&times, &turns_rad).norm(),
+        rotation_rms_rad: rms_from(&rotations_rad, Vector3::zeros()),
+        baseline_drift: linear_drift(&times, &lengths).x / baseline.mean,
+        translation_drift: linear_drift(&times, &centres).norm(),
+        rotation_drift_rad: linear_drift(&times, &rotations_rad).norm(),
         baseline,
         centres,
-        turns_rad,
+        rotations_rad,
     })
 }
 
-/// The rotation from which the others deviate by rotation vectors that add up to nothing (Hartley
-/// et al. 2013).
+/// Geodesic L2 mean of the rotations (Hartley et al. 2013, "Rotation Averaging"): the rotation
+/// vectors of the deviations from it sum to zero.
 fn mean_rotation(poses: &[Rigid3]) -> UnitQuaternion<f64> {
-    // One of those in the middle of the drive is as good a start as any.
+    // Any of the rotations is a good start.
     let mut mean = poses[poses.len() / 2].rotation;
-    for _ in 0..AVERAGING_ROUNDS {
+    for _ in 0..AVERAGING_ITERATIONS {
         let sum: Vector3<f64> =
             poses.iter().map(|pose| so3::log(&(pose.rotation * mean.inverse()))).sum();
         mean = so3::exp(&(sum / poses.len() as f64)) * mean;
@@ -92,9 +94,9 @@ fn mean_rotation(poses: &[Rigid3]) -> UnitQuaternion<f64> {
     mean
 }
 
-/// What a straight line through values changes by, from the first time to the last (least squares).
-/// Nothing where all times are one.
-fn change(times: &[f64], values: &[Vector3<f64>]) -> Vector3<f64> {
+/// Change from the first to the last time of a least-squares line through the values; zero if all
+/// times are equal.
+fn linear_drift(times: &[f64], values: &[Vector3<f64>]) -> Vector3<f64> {
     let count = times.len() as f64;
     let middle = times.iter().sum::<f64>() / count;
     let mean = values.iter().sum::<Vector3<f64>>() / count;

@@ -1,4 +1,4 @@
-//! Where a model lies in a workspace, and the files beside it that tell more of it.
+//! The workspace of a model, and the files in it that belong to the model.
 
 use std::path::{Path, PathBuf};
 
@@ -7,39 +7,41 @@ use crate::records::Records;
 use crate::workspace::{DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace};
 use crate::{Stage, option_keys};
 
-/// The workspace that a model's folder lies in, if it does, and its number there.
-pub(crate) struct ModelPlace {
+/// Workspace and index of a model in `WORKSPACE/sparse/INDEX`.
+pub(crate) struct ModelLocation {
     root: PathBuf,
     index: usize,
 }
 
-impl ModelPlace {
-    /// Of `WORKSPACE/sparse/0`, or of a copy that lies as deep.
+impl ModelLocation {
+    /// Location of a model's folder `ROOT/…/INDEX`. A folder without an index counts as 0.
     pub(crate) fn of(folder: &Path) -> Self {
         let numbered = |path: PathBuf| -> Option<Self> {
             let index = path.file_name()?.to_str()?.parse().ok()?;
             Some(Self { root: path.parent()?.parent()?.to_owned(), index })
         };
-        // A folder of models may be a link to elsewhere; and a link may lead into a workspace.
+        // The folder of a model may be a symbolic link to another place, or the path may contain
+        // links that lead into a workspace.
         let as_given = std::path::absolute(folder).ok().and_then(numbered);
-        let as_given = as_given.filter(|place| place.root.join(model_path(place.index)).is_dir());
-        let at_the_end = || folder.canonicalize().ok().and_then(numbered);
-        let elsewhere = || Self { root: folder.join("../.."), index: 0 };
-        as_given.or_else(at_the_end).unwrap_or_else(elsewhere)
+        let as_given =
+            as_given.filter(|location| location.root.join(model_path(location.index)).is_dir());
+        let resolved = || folder.canonicalize().ok().and_then(numbered);
+        let outside = || Self { root: folder.join("../.."), index: 0 };
+        as_given.or_else(resolved).unwrap_or_else(outside)
     }
 
-    /// When images were taken.
+    /// File of the capture times.
     pub(crate) fn timestamps(&self) -> PathBuf {
         self.root.join(TIMESTAMPS)
     }
 
-    /// How the model's cameras are held to each other.
+    /// File of the model's rig extrinsics.
     pub(crate) fn rig(&self) -> PathBuf {
         self.root.join(rig_name(self.index))
     }
 
-    /// Whether the workspace was given the intrinsics of its cameras, which stay then. Where its
-    /// database is gone, its record tells.
+    /// Whether the workspace was given known intrinsics, which stay fixed. Without a database, its
+    /// `stages.json` decides.
     pub(crate) fn has_known_intrinsics(&self) -> bool {
         if !is_workspace(&self.root) {
             return false;
@@ -52,7 +54,7 @@ impl ModelPlace {
             || !has_database && recorded().is_some_and(|records| is_given(&records))
     }
 
-    /// What is said of the models, the largest first; and which of them this one is.
+    /// The report of the workspace, and the index of this model in it.
     pub(crate) fn report(&self) -> (PathBuf, usize) {
         (self.root.join(REPORT), self.index)
     }
@@ -66,7 +68,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_model_is_found_by_links_and_behind_them() {
+    fn location_is_found_through_symbolic_links() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().canonicalize().unwrap();
         for folder in ["ws/sparse/0", "ws/sparse/1", "disk/far/model", "copies/5"] {
@@ -81,7 +83,7 @@ mod tests {
             ("current", "ws/rig-1.json"),
             ("ws/sparse/2", "ws/rig-2.json"),
         ] {
-            let rig = ModelPlace::of(&root.join(folder)).rig();
+            let rig = ModelLocation::of(&root.join(folder)).rig();
             let found =
                 rig.parent().unwrap().canonicalize().unwrap().join(rig.file_name().unwrap());
             assert_eq!(found, root.join(name), "{folder}");

@@ -1,4 +1,4 @@
-//! One reconstruction of an experiment against the truth: made once, kept as numbers.
+//! One reconstruction of an experiment with its errors, which are cached beside the workspace.
 
 use std::cell::OnceCell;
 use std::fs;
@@ -15,24 +15,24 @@ use tiepoint_pipeline::{
 };
 use tiepoint_synth::Drive;
 
-use super::drive::{calibration, rendered, write};
+use super::drive::{calibration, render_once, write};
 use super::side::Side;
 use crate::args::{Scenery, rig_name};
-use crate::commands::judge::{Judged, judge};
+use crate::commands::drive_evaluation::{DriveEvaluation, evaluate_drive};
 use crate::commands::synth::{Plan, driven_m, scan};
 use crate::failure::Failure;
 use crate::progress::Progress;
 
-/// A trajectory is aligned to the truth by three places or more.
+/// A similarity needs three camera centres or more.
 pub(super) const MIN_FRAMES: usize = 3;
-/// Kept beside the workspace's own files.
-const JUDGED: &str = "judged.json";
-/// Where COLMAP's model may lie in a workspace, as `sparse/0`.
+/// File of the errors in the workspace.
+const EVALUATION_FILE: &str = "judged.json";
+/// Folder in a workspace whose `sparse/0` may hold a model of COLMAP.
 const COLMAP: &str = "colmap";
 
 /// A reconstruction to make.
 pub(super) struct Task<'a> {
-    /// The name of its row.
+    /// Heading of its table row.
     pub(super) name: &'a str,
     pub(super) rig: RigTerm,
     pub(super) workspace: PathBuf,
@@ -41,56 +41,60 @@ pub(super) struct Task<'a> {
     pub(super) drive: &'a Drive,
 }
 
-/// What came out. Lengths are in metres.
+/// A reconstruction with its errors, a row of the tables.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Cell {
-    /// The name of its row.
+pub(super) struct Run {
+    /// Heading of its table row.
     pub(super) name: String,
     pub(super) rig: String,
     pub(super) workspace: PathBuf,
-    /// Images rendered, and how far the first camera drove from its first to its last.
+    /// Number of rendered images.
     pub(super) images: usize,
+    /// Length of the first camera's trajectory.
     pub(super) driven_m: f64,
     /// Why there is no result, in one sentence.
     pub(super) failure: Option<String>,
-    pub(super) result: Option<Measured>,
-    /// COLMAP's model of the same matches, where somebody put one into the folder `colmap` of the
-    /// workspace.
-    pub(super) colmap: Option<Measured>,
+    pub(super) result: Option<Measurements>,
+    /// COLMAP's model in the folder `colmap` of the workspace, if the user put one there.
+    pub(super) colmap: Option<Measurements>,
 }
 
-/// A model against the truth.
+/// Errors of a model. Lengths are in metres.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measured {
+pub(super) struct Measurements {
     /// Images with a pose in the largest model.
     pub(super) registered: usize,
-    /// Models that the images fell apart into.
+    /// Number of models.
     pub(super) models: usize,
     pub(super) points: usize,
-    /// Distance of the cloud to the scan: the paper's numbers.
+    /// Distances of the cloud to the scan, as in the paper.
     pub(super) cloud: Option<Distance>,
-    /// The same of the same tracks, had the cameras been exactly known.
+    /// The same distances for the same tracks, triangulated with the true cameras.
     pub(super) exact_cloud: Option<Distance>,
-    /// Median distance of points seen from up to 30 m to the surface that their pixels show.
+    /// Median distance of points seen from at most 30 m to the true surface at their pixels.
     pub(super) surface_m: Option<f64>,
-    /// Root mean square error of the camera centres, whole, and its parts.
+    /// Root mean square error of the camera centres.
     pub(super) ate_m: f64,
+    /// Root mean square of the horizontal component of this error.
     pub(super) horizontal_m: f64,
+    /// Root mean square of the vertical component of this error.
     pub(super) vertical_m: f64,
-    /// Distance of two cameras over all moments: mean, largest, and the root mean square deviation
-    /// of the second camera's place.
+    /// Mean distance of the two cameras over all frames.
     pub(super) baseline_m: Option<f64>,
+    /// Largest distance of the two cameras.
     pub(super) largest_baseline_m: Option<f64>,
+    /// Root mean square deviation of the second camera's centre from its mean, in the frame of the
+    /// first camera.
     pub(super) baseline_spread_m: Option<f64>,
-    /// Length of the mounting that was found.
+    /// Baseline of the estimated rig extrinsics.
     pub(super) mounting_m: Option<f64>,
-    /// Of the stages, whenever they ran.
+    /// Wall time of all stages.
     pub(super) seconds: f64,
-    /// Scale, rotation (w first) and translation of the model in the world.
+    /// Scale, rotation quaternion (w first) and translation.
     pub(super) world_from_model: [f64; 8],
 }
 
-/// Mean absolute distance and standard deviation.
+/// Mean and standard deviation of point distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Distance {
     pub(super) mean_m: f64,
@@ -103,8 +107,7 @@ impl From<CloudEvaluation> for Distance {
     }
 }
 
-/// What a laser scanner sees of the street: the same for all cells, and made for the first that
-/// needs it.
+/// The laser scan of the street, computed when it is first needed.
 pub(super) struct Scan(OnceCell<Vec<Vector3<f64>>>);
 
 impl Scan {
@@ -112,54 +115,61 @@ impl Scan {
         Self(OnceCell::new())
     }
 
-    fn beside(&self, drive: &Drive, side: &Side) -> Result<Vec<Vector3<f64>>, Failure> {
-        let whole = match self.0.get() {
-            Some(whole) => whole,
+    /// The points of the scan on one side of the street.
+    fn on_side(&self, drive: &Drive, side: &Side) -> Result<Vec<Vector3<f64>>, Failure> {
+        let points = match self.0.get() {
+            Some(points) => points,
             None => {
-                let made = scan(drive)?;
-                self.0.get_or_init(|| made)
+                let computed = scan(drive)?;
+                self.0.get_or_init(|| computed)
             }
         };
-        Ok(whole.par_iter().filter(|point| side.has(point)).copied().collect())
+        Ok(points.par_iter().filter(|point| side.contains(point)).copied().collect())
     }
 }
 
 impl Task<'_> {
-    /// The result of an earlier run, or a new one, of what is on one side of the way.
+    /// Reconstructs and evaluates on one side of the street, or reads the cached errors. A model of
+    /// COLMAP is evaluated if there is one.
     pub(super) fn run(
         &self,
         side: &Side,
         scan: &Scan,
         progress: &mut Progress,
-    ) -> Result<Cell, Failure> {
-        let cell = self.own(side, scan, progress)?;
+    ) -> Result<Run, Failure> {
+        let run = self.reconstruct_and_evaluate(side, scan, progress)?;
         let folder = self.workspace.join(COLMAP);
         if !folder.join("sparse/0").is_dir() {
-            return Ok(cell);
+            return Ok(run);
         }
-        let path = folder.join(JUDGED);
+        let path = folder.join(EVALUATION_FILE);
         let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
         let measured = match kept {
             Some(kept) => kept,
             None => {
-                let measured = Measured::new(None, self.judge(&folder, side, scan)??);
+                let measured = Measurements::new(None, self.evaluate_drive(&folder, side, scan)??);
                 write(&path, &json(&measured))?;
                 measured
             }
         };
-        Ok(Cell { colmap: Some(measured), ..cell })
+        Ok(Run { colmap: Some(measured), ..run })
     }
 
-    fn own(&self, side: &Side, scan: &Scan, progress: &mut Progress) -> Result<Cell, Failure> {
-        let path = self.workspace.join(JUDGED);
-        // The folder is of one set of options, so what is there is of these.
-        let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<Cell>(&text).ok());
+    fn reconstruct_and_evaluate(
+        &self,
+        side: &Side,
+        scan: &Scan,
+        progress: &mut Progress,
+    ) -> Result<Run, Failure> {
+        let path = self.workspace.join(EVALUATION_FILE);
+        // A folder has one set of options, so that cached errors are valid.
+        let kept = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<Run>(&text).ok());
         if let Some(kept) = kept {
-            return Ok(Cell { workspace: self.workspace.clone(), colmap: None, ..kept });
+            return Ok(Run { workspace: self.workspace.clone(), colmap: None, ..kept });
         }
-        rendered(self.plan, self.drive, progress)?;
+        render_once(self.plan, self.drive, progress)?;
         let images = self.drive.cameras().iter().map(|camera| camera.exposures.len()).sum();
-        let cell = Cell {
+        let run = Run {
             name: self.name.to_owned(),
             rig: rig_name(self.rig).to_owned(),
             workspace: self.workspace.clone(),
@@ -170,42 +180,42 @@ impl Task<'_> {
             colmap: None,
         };
         let report = self.reconstruct(progress);
-        let cell = match report
-            .and_then(|report| Ok((report, self.judge(&self.workspace, side, scan)?)))
+        let run = match report
+            .and_then(|report| Ok((report, self.evaluate_drive(&self.workspace, side, scan)?)))
         {
             Ok((report, judged)) => {
-                Cell { result: Some(Measured::new(Some(&report), judged?)), ..cell }
+                Run { result: Some(Measurements::new(Some(&report), judged?)), ..run }
             }
-            // Too few common views, or none that tell a scale, are a result too.
+            // These errors are results of the experiment: the images do not suffice.
             Err(
                 error @ (Error::NoOverlap { .. }
                 | Error::Evaluation { .. }
-                | Error::NoMoments { .. }),
-            ) => Cell { failure: Some(error.to_string()), ..cell },
+                | Error::NoSynchronousImages { .. }),
+            ) => Run { failure: Some(error.to_string()), ..run },
             Err(error) => return Err(error.into()),
         };
-        write(&path, &json(&cell))?;
-        Ok(cell)
+        write(&path, &json(&run))?;
+        Ok(run)
     }
 
-    /// The outer error may be an outcome, the inner one is none.
-    fn judge(
+    /// The outer error may be a result of the experiment; the inner one aborts it.
+    fn evaluate_drive(
         &self,
         model: &Path,
         side: &Side,
         scan: &Scan,
-    ) -> Result<Result<Judged, Failure>, Error> {
-        let reference = match scan.beside(self.drive, side) {
+    ) -> Result<Result<DriveEvaluation, Failure>, Error> {
+        let reference = match scan.on_side(self.drive, side) {
             Ok(reference) => reference,
             Err(failure) => return Ok(Err(failure)),
         };
         let truth = self.plan.truth();
-        judge(model, self.drive, &truth, &reference, |point| side.has(point)).map(Ok)
+        evaluate_drive(model, self.drive, &truth, &reference, |point| side.contains(point)).map(Ok)
     }
 
     fn reconstruct(&self, progress: &mut Progress) -> Result<Report, Error> {
         let Scenery { pairs, seed, effects, .. } = self.scenery;
-        // That a sensor is read row by row is known of a camera, and how fast is not.
+        // As with real cameras, the kind of shutter is known and the readout time is not.
         let readout = (effects.readout_s > 0.0).then_some(Readout::Estimated);
         let options = Options {
             features: FeatureOptions {
@@ -234,14 +244,22 @@ fn json(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).expect("our own types are JSON: string keys")
 }
 
-impl Measured {
-    fn new(report: Option<&Report>, judged: Judged) -> Self {
-        let Judged { poses, model, whereabouts, baseline, surface, cloud, exact_cloud, .. } =
-            judged;
+impl Measurements {
+    fn new(report: Option<&Report>, judged: DriveEvaluation) -> Self {
+        let DriveEvaluation {
+            poses,
+            model,
+            camera_errors,
+            baseline,
+            surface,
+            cloud,
+            exact_cloud,
+            ..
+        } = judged;
         let rms = |squares: &dyn Fn(&Vector3<f64>) -> f64| {
             let sum: f64 =
-                whereabouts.iter().map(|place| squares(&(place.found - place.truth))).sum();
-            (sum / whereabouts.len().max(1) as f64).sqrt()
+                camera_errors.iter().map(|e| squares(&(e.estimated_centre - e.true_centre))).sum();
+            (sum / camera_errors.len().max(1) as f64).sqrt()
         };
         let seconds = report.map(|Report { stages, .. }| {
             [
@@ -251,9 +269,9 @@ impl Measured {
             ]
         });
         let Sim3 { scale, rotation: r, translation: t } = poses.truth_from_model;
-        let mounting = report
-            .and_then(|report| report.models.first())
-            .and_then(|model| model.rig.as_ref()?.mounting.as_ref()?.rig.as_ref()?.cameras.first());
+        let extrinsics = report.and_then(|report| report.models.first()).and_then(|model| {
+            model.rig.as_ref()?.extrinsics.as_ref()?.rig.as_ref()?.cameras.first()
+        });
         let length = |camera: &RigCamera| scale * Vector3::from(camera.translation).norm();
         Self {
             registered: poses.registered,
@@ -268,14 +286,15 @@ impl Measured {
             baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.mean),
             largest_baseline_m: baseline.as_ref().map(|baseline| baseline.baseline.max),
             baseline_spread_m: baseline.as_ref().map(|baseline| baseline.translation_rms),
-            mounting_m: mounting.map(length),
+            mounting_m: extrinsics.map(length),
             seconds: seconds.iter().flatten().flatten().sum(),
             world_from_model: [scale, r.w, r.i, r.j, r.k, t.x, t.y, t.z],
         }
     }
 }
 
-impl Cell {
+impl Run {
+    /// The alignment of our model to the ground truth.
     pub(super) fn world_from_model(&self) -> Option<Sim3> {
         let [scale, w, x, y, z, tx, ty, tz] = self.result.as_ref()?.world_from_model;
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));

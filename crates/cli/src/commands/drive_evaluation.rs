@@ -1,0 +1,114 @@
+//! Evaluation of a workspace of rendered images against their ground truth.
+
+use std::path::Path;
+
+use tiepoint_pipeline::eval::geometry::Sim3;
+use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_pipeline::eval::{Alignment, TrueObservation};
+use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::sfm::scene::{Image, ImageId, Reconstruction};
+use tiepoint_pipeline::{
+    CameraError, CloudEvaluation, Error, PoseEvaluation, RigEvaluation, SurfaceEvaluation, Truth,
+    TruthFormat, evaluate_cloud, evaluate_poses, evaluate_rig, evaluate_surface, model_folder,
+};
+use tiepoint_synth::Drive;
+
+/// Points farther than this from every camera centre are not compared with the laser scan.
+const MAX_CLOUD_RANGE_M: f64 = 30.0;
+
+/// The errors of a model. Lengths are in metres.
+pub(crate) struct DriveEvaluation {
+    pub(crate) poses: PoseEvaluation,
+    /// The largest model, with the capture times of its images.
+    pub(crate) model: Reconstruction,
+    pub(crate) camera_errors: Vec<CameraError>,
+    pub(crate) baseline: Option<RigEvaluation>,
+    pub(crate) surface: Option<SurfaceEvaluation>,
+    /// Distances to the scan after Sim(3) alignment of the cameras and rigid ICP.
+    pub(crate) cloud: Option<CloudEvaluation>,
+    /// Distances to the scan of the same tracks, triangulated with the true cameras.
+    pub(crate) exact_cloud: Option<CloudEvaluation>,
+}
+
+/// Compares a workspace with its drive. `truth` is the folder of the true model, `scan` the points
+/// of the laser scan in metres; `is_compared` selects the points of the cloud (in the world frame)
+/// that are compared with it.
+///
+/// # Errors
+///
+/// The models cannot be read, or too few images have a pose to align them.
+pub(crate) fn evaluate_drive(
+    workspace: &Path,
+    drive: &Drive,
+    truth: &Path,
+    scan: &[Vector3<f64>],
+    is_compared: impl Fn(&Vector3<f64>) -> bool,
+) -> Result<DriveEvaluation, Error> {
+    let truth = Truth { format: TruthFormat::Colmap, path: truth.to_owned() };
+    let poses = evaluate_poses(workspace, &truth, None)?;
+    let model = read_drive_model(workspace, drive)?;
+    let world_from_model = poses.truth_from_model;
+    let surface = evaluate_surface(&model, &world_from_model, |image, pixel| {
+        true_observation(drive, image, pixel)
+    });
+    let camera_errors = camera_errors(&model, drive, &world_from_model);
+    let is_near = |centre: &dyn Fn(&CameraError) -> Vector3<f64>, point: &Vector3<f64>| {
+        camera_errors.iter().any(|error| (centre(error) - point).norm() < MAX_CLOUD_RANGE_M)
+            && is_compared(point)
+    };
+    let points = model.tracks().map(|(_, track)| world_from_model * track.xyz);
+    let points: Vec<Vector3<f64>> =
+        points.filter(|point| is_near(&|error| error.estimated_centre, point)).collect();
+    let cloud = evaluate_cloud(&points, scan, &Sim3::identity(), Alignment::Rigid);
+    let exact = surface.iter().flat_map(|surface| &surface.exact_points).copied();
+    let exact: Vec<Vector3<f64>> =
+        exact.filter(|point| is_near(&|error| error.true_centre, point)).collect();
+    let exact_cloud = evaluate_cloud(&exact, scan, &Sim3::identity(), Alignment::None);
+    let baseline = evaluate_rig(&model, poses.scale).into_iter().next();
+    Ok(DriveEvaluation { poses, model, camera_errors, baseline, surface, cloud, exact_cloud })
+}
+
+/// The largest model of a workspace, with the time stamps of its images on their cameras' clocks.
+///
+/// # Errors
+///
+/// The model cannot be read.
+pub(crate) fn read_drive_model(workspace: &Path, drive: &Drive) -> Result<Reconstruction, Error> {
+    let mut model = read_model(&model_folder(workspace)?)?;
+    let times: Vec<(ImageId, f64)> = model
+        .images()
+        .filter_map(|(id, image)| Some((id, drive.find(&image.name)?.1.stamp_s)))
+        .collect();
+    times.into_iter().for_each(|(id, stamp_s)| model.set_time(id, Some(stamp_s)));
+    Ok(model)
+}
+
+/// Estimated and true centre of each registered image, in the order of the images.
+pub(crate) fn camera_errors(
+    model: &Reconstruction,
+    drive: &Drive,
+    world_from_model: &Sim3,
+) -> Vec<CameraError> {
+    let error = |image: &Image| {
+        let (camera, exposure) = drive.find(&image.name)?;
+        Some(CameraError {
+            camera,
+            estimated_centre: *world_from_model * image.cam_from_world()?.origin_in_a(),
+            true_centre: drive.cam_from_world(camera, exposure.time_s).origin_in_a(),
+        })
+    };
+    model.registered().filter_map(|(_, image, _)| error(image)).collect()
+}
+
+/// The true camera centre and surface point of a pixel, with the true lens, shutter and clock.
+fn true_observation(drive: &Drive, image: &Image, pixel: &Vector2<f64>) -> TrueObservation {
+    let (camera, exposure) = drive.find(&image.name).expect("the images are those of the drive");
+    let camera_in_world =
+        drive.row_pose(camera, exposure.time_s, pixel.y).world_from_cam.translation;
+    let surface =
+        drive.surface_at(camera, exposure.time_s, pixel).filter(|surface| !surface.is_moving);
+    TrueObservation {
+        camera_in_world,
+        surface_in_world: surface.map(|surface| surface.point_in_world),
+    }
+}
