@@ -1,73 +1,78 @@
-//! Orientations and descriptors of extrema, from the levels that were kept.
+//! Orientations and descriptors of the extrema of an octave.
 
-use crate::descriptor::{Frame, describe, radius_of};
+use crate::descriptor::{Frame, compute_descriptor, window_radius as descriptor_radius};
 use crate::extrema::Extremum;
 use crate::gradient::Level;
-use crate::octave::Plan;
+use crate::octave::OctavePlan;
 use crate::options::Orientation;
-use crate::orientation::{Directions, MAX_PEAKS, directions};
+use crate::orientation::{DominantOrientations, MAX_PEAKS, dominant_orientations};
 use crate::simd::{Isa, Simd, Task, dispatch};
 use crate::{Descriptor, Options};
 use rayon::prelude::*;
 use std::num::NonZeroUsize;
 
-/// Extrema that are measured as one task.
-const CHUNK: usize = 64;
+/// Number of extrema per parallel task.
+const TASK_SIZE: usize = 64;
 
-/// What is measured at an extremum: a descriptor for each of its directions.
+/// The dominant orientations of an extremum and a descriptor for each of them.
 #[derive(Clone, Copy)]
-pub(crate) struct Measured {
-    /// Dominant directions.
-    pub(crate) directions: Directions,
-    /// One for each of them, and unused ones.
+pub(crate) struct Description {
+    /// Dominant orientations.
+    pub(crate) orientations: DominantOrientations,
+    /// Descriptors: entry `i` is for orientation `i`; the others are unused.
     pub(crate) descriptors: [Descriptor; MAX_PEAKS],
 }
 
-impl Default for Measured {
+impl Default for Description {
     fn default() -> Self {
-        Measured { directions: Directions::default(), descriptors: [[0; 128]; MAX_PEAKS] }
+        Description {
+            orientations: DominantOrientations::default(),
+            descriptors: [[0; 128]; MAX_PEAKS],
+        }
     }
 }
 
-/// Rows above and below an extremum that its measurement reads.
-pub(crate) fn window_reach(extrema: &[Extremum], options: &Options) -> usize {
+/// Number of rows above and below an extremum from which its description is computed.
+pub(crate) fn window_radius(extrema: &[Extremum], options: &Options) -> usize {
     let sigma = extrema.iter().fold(0.0f32, |a, e| a.max(e.sigma));
-    // Samples have neighbours, and the nearest sample is half a sample away.
-    radius_of(sigma * options.largest_size().max(1.0)) as usize + 2
+    // One row for the gradients, and one because the extremum is between samples.
+    descriptor_radius(sigma * options.largest_size().max(1.0)) as usize + 2
 }
 
-/// Measures extrema of an octave from the rows of its levels from `first_row` on.
-pub(crate) fn measure(
+/// Describes extrema of an octave. `levels` holds rows of levels 1 … S from `first_row` on.
+pub(crate) fn describe_extrema(
     extrema: &[Extremum],
-    plan: &Plan,
+    plan: &OctavePlan,
     levels: &[&[f32]],
     first_row: usize,
     options: &Options,
     isa: Isa,
     threads: NonZeroUsize,
-) -> Vec<Measured> {
-    let work = |extrema| dispatch(isa, Measure { extrema, plan, levels, first_row, options });
+) -> Vec<Description> {
+    let describe =
+        |extrema| dispatch(isa, DescribeTask { extrema, plan, levels, first_row, options });
     if threads.get() == 1 {
-        return work(extrema);
+        return describe(extrema);
     }
-    let parts: Vec<Vec<Measured>> = extrema.par_chunks(CHUNK).map(work).collect();
+    let parts: Vec<Vec<Description>> = extrema.par_chunks(TASK_SIZE).map(describe).collect();
     parts.concat()
 }
 
-struct Measure<'a> {
+/// The description of some extrema on one thread.
+struct DescribeTask<'a> {
     extrema: &'a [Extremum],
-    plan: &'a Plan,
+    plan: &'a OctavePlan,
     levels: &'a [&'a [f32]],
     first_row: usize,
     options: &'a Options,
 }
 
-impl Task for Measure<'_> {
-    type Output = Vec<Measured>;
+impl Task for DescribeTask<'_> {
+    type Output = Vec<Description>;
 
     #[inline(always)]
-    fn run<S: Simd>(self) -> Vec<Measured> {
-        let Plan { width, height, .. } = *self.plan;
+    fn run<S: Simd>(self) -> Vec<Description> {
+        let OctavePlan { width, height, .. } = *self.plan;
         let mut all = Vec::with_capacity(self.extrema.len());
         for e in self.extrema {
             let data = self.levels[e.level - 1];
@@ -78,22 +83,22 @@ impl Task for Measure<'_> {
                 height,
                 first_row: self.first_row,
             };
-            let mut measured = Measured {
-                directions: match self.options.orientation {
-                    Orientation::Upright => Directions::upright(),
+            let mut description = Description {
+                orientations: match self.options.orientation {
+                    Orientation::Upright => DominantOrientations::upright(),
                     Orientation::Dominant => {
-                        directions::<S>(&level, e, self.options.max_orientations)
+                        dominant_orientations::<S>(&level, e, self.options.max_orientations)
                     }
                 },
-                ..Measured::default()
+                ..Description::default()
             };
             for (&angle, out) in
-                measured.directions.as_slice().iter().zip(&mut measured.descriptors)
+                description.orientations.as_slice().iter().zip(&mut description.descriptors)
             {
                 let frame = Frame { x: e.x, y: e.y, sigma: e.sigma, angle };
-                *out = describe::<S>(&level, frame, self.options);
+                *out = compute_descriptor::<S>(&level, frame, self.options);
             }
-            all.push(measured);
+            all.push(description);
         }
         all
     }

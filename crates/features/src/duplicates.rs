@@ -1,51 +1,55 @@
-//! Extrema that are one and the same.
+//! Removal of duplicate extrema.
 //!
-//! A blob is often found twice: on neighbouring levels, or at the end of an octave and the
-//! beginning of the next one, refined to nearly the same place and scale. Each copy takes the
-//! other's matches away, for the second-best distance is then as small as the best.
+//! A blob is often detected twice, on adjacent levels or in adjacent octaves, and refined to nearly
+//! the same position and scale. Duplicates lose their matches in the ratio test, because the
+//! distance to the second-best match is then as small as the distance to the best.
 
 use crate::extrema::Extremum;
 
-/// Extrema that are nearer to each other than this share of the smaller one's σ are the same,
-const NEAR: f32 = 0.5;
-/// if their σ differ by a smaller factor. On graf 1-3 as many matches are right from 0.35 octaves
-/// on, up to a whole one.
-const ALIKE: f32 = std::f32::consts::SQRT_2;
+/// Maximum distance of duplicates, in units of the smaller σ.
+const MAX_DISTANCE: f32 = 0.5;
+/// Maximum ratio of the σ of duplicates. On graf 1-3, ratios between 0.35 octaves and one octave
+/// give the same number of correct matches.
+const MAX_SCALE_RATIO: f32 = std::f32::consts::SQRT_2;
 
-/// What is kept of a row of pixels, as a list from the last one back.
-struct Kept {
+/// A kept extremum, in pixels of the image. The kept extrema of a row of pixels are a linked list.
+struct KeptExtremum {
     x: f32,
     y: f32,
     sigma: f32,
-    before: u32,
+    /// Index of the previous kept extremum of the row, or [`NONE`].
+    previous: u32,
 }
 
 const NONE: u32 = u32::MAX;
 
-/// Keeps of extrema that are the same the first one. `height` is that of the image in pixels.
-pub(crate) fn distinct(extrema: &mut Vec<Extremum>, height: usize) {
+/// Removes extrema that are duplicates of an earlier extremum. `height` is the height of the image
+/// in pixels.
+pub(crate) fn remove_duplicates(extrema: &mut Vec<Extremum>, height: usize) {
     let rows = height.max(1);
     let mut last_of_row = vec![NONE; rows];
-    let mut kept: Vec<Kept> = Vec::with_capacity(extrema.len());
+    let mut kept: Vec<KeptExtremum> = Vec::with_capacity(extrema.len());
     extrema.retain(|extremum| {
         let pixels = 2f32.powi(extremum.octave);
         let [x, y, sigma] = [extremum.x, extremum.y, extremum.sigma].map(|length| length * pixels);
-        // Negative ones become row 0.
+        // The cast saturates: negative values become row 0.
         let row = |y: f32| (y as usize).min(rows - 1);
-        let reach = NEAR * sigma;
+        let reach = MAX_DISTANCE * sigma;
         for &last in &last_of_row[row(y - reach)..=row(y + reach)] {
             let mut at = last;
             while let Some(other) = kept.get(at as usize) {
-                let small = sigma.min(other.sigma);
-                let square = (x - other.x).powi(2) + (y - other.y).powi(2);
-                if square < (NEAR * small).powi(2) && sigma.max(other.sigma) < ALIKE * small {
+                let min_sigma = sigma.min(other.sigma);
+                let squared_distance = (x - other.x).powi(2) + (y - other.y).powi(2);
+                if squared_distance < (MAX_DISTANCE * min_sigma).powi(2)
+                    && sigma.max(other.sigma) < MAX_SCALE_RATIO * min_sigma
+                {
                     return false;
                 }
-                at = other.before;
+                at = other.previous;
             }
         }
         let last = &mut last_of_row[row(y)];
-        kept.push(Kept { x, y, sigma, before: *last });
+        kept.push(KeptExtremum { x, y, sigma, previous: *last });
         *last = kept.len() as u32 - 1;
         true
     });
@@ -60,22 +64,22 @@ mod tests {
     }
 
     #[test]
-    fn the_first_of_two_that_are_the_same_is_kept() {
+    fn keeps_the_first_of_two_duplicates() {
         let octave_2 = at(2, 10.0, 20.0, 1.7);
-        let same_in_octave_1 = at(1, 20.6, 40.5, 3.2);
+        let duplicate_in_octave_1 = at(1, 20.6, 40.5, 3.2);
         let elsewhere = at(1, 20.0, 43.0, 3.2);
-        let blob_within = at(1, 20.0, 40.0, 2.2);
-        let mut extrema = vec![octave_2, same_in_octave_1, elsewhere, blob_within];
-        distinct(&mut extrema, 100);
-        assert_eq!(extrema, [octave_2, elsewhere, blob_within]);
-        let mut reversed = vec![same_in_octave_1, octave_2];
-        distinct(&mut reversed, 100);
-        assert_eq!(reversed, [same_in_octave_1]);
+        let smaller_blob = at(1, 20.0, 40.0, 2.2);
+        let mut extrema = vec![octave_2, duplicate_in_octave_1, elsewhere, smaller_blob];
+        remove_duplicates(&mut extrema, 100);
+        assert_eq!(extrema, [octave_2, elsewhere, smaller_blob]);
+        let mut reversed = vec![duplicate_in_octave_1, octave_2];
+        remove_duplicates(&mut reversed, 100);
+        assert_eq!(reversed, [duplicate_in_octave_1]);
     }
 
-    /// The slow twin: every one with every one that was kept.
+    /// The reference implementation compares each extremum with all kept extrema.
     #[test]
-    fn rows_hide_nothing() {
+    fn agrees_with_exhaustive_comparison() {
         let mut state = 1u32;
         let mut random = |below: f32| {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -89,17 +93,17 @@ mod tests {
             let pixels =
                 |e: &Extremum| [e.x, e.y, e.sigma].map(|length| length * 2f32.powi(e.octave));
             let [x, y, sigma] = pixels(&e);
-            let is_same = |other: &Extremum| {
+            let is_duplicate = |other: &Extremum| {
                 let [u, v, other] = pixels(other);
-                (x - u).hypot(y - v) < NEAR * sigma.min(other)
-                    && (sigma / other).log2().abs() < ALIKE.log2()
+                (x - u).hypot(y - v) < MAX_DISTANCE * sigma.min(other)
+                    && (sigma / other).log2().abs() < MAX_SCALE_RATIO.log2()
             };
-            if !expected.iter().any(is_same) {
+            if !expected.iter().any(is_duplicate) {
                 expected.push(e);
             }
         }
-        // Rows of the coarsest octave lie beyond the image's end.
-        distinct(&mut extrema, 100);
+        // Some extrema of the coarsest octave are below the image.
+        remove_duplicates(&mut extrema, 100);
         assert!(
             expected.len() < 3900 && extrema == expected,
             "{} {}",
