@@ -61,7 +61,8 @@ fn every_instruction_set_gives_the_same_bits() {
     // The same keypoints in the same order, without duplicates.
     let mut all = portable.keypoints.iter().zip(&portable.descriptors);
     let sift_descriptor = |keypoint| all.find(|sift| sift.0 == keypoint).unwrap().1;
-    let sift: Vec<&crate::Descriptor> = portable_pooled.keypoints.iter().map(sift_descriptor).collect();
+    let sift: Vec<&crate::Descriptor> =
+        portable_pooled.keypoints.iter().map(sift_descriptor).collect();
     assert!(
         sift.len() > portable.keypoints.len() * 9 / 10 && sift.len() < portable.keypoints.len()
     );
@@ -274,7 +275,10 @@ fn orientations_and_descriptors_match_the_reference() {
             for ((&angle, descriptor), reference) in
                 angles.iter().zip(&description.descriptors).zip(&directions)
             {
-                assert!((f64::from(angle) - reference.0).abs() < ANGLE_TOLERANCE, "{angle} {reference:?}");
+                assert!(
+                    (f64::from(angle) - reference.0).abs() < ANGLE_TOLERANCE,
+                    "{angle} {reference:?}"
+                );
                 let expected = reference_descriptor(plane, at, sigma, f64::from(angle), sizes);
                 for (&byte, expected) in descriptor.iter().zip(expected) {
                     assert!(
