@@ -1,6 +1,6 @@
 //! Orientations and descriptors of the extrema of an octave.
 
-use crate::descriptor::{Frame, compute_descriptor, window_radius as descriptor_radius};
+use crate::descriptor::{Frame, compute_descriptor, window_radius};
 use crate::extrema::Extremum;
 use crate::gradient::Level;
 use crate::octave::OctavePlan;
@@ -33,10 +33,10 @@ impl Default for Description {
 }
 
 /// Number of rows above and below an extremum from which its description is computed.
-pub(crate) fn window_radius(extrema: &[Extremum], options: &Options) -> usize {
+pub(crate) fn window_rows(extrema: &[Extremum], options: &Options) -> usize {
     let sigma = extrema.iter().fold(0.0f32, |a, e| a.max(e.sigma));
     // One row for the gradients, and one because the extremum is between samples.
-    descriptor_radius(sigma * options.largest_size().max(1.0)) as usize + 2
+    window_radius(sigma * options.largest_size().max(1.0)) as usize + 2
 }
 
 /// Describes extrema of an octave. `levels` holds rows of levels 1 … S from `first_row` on.

@@ -140,6 +140,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; PADDED_LEN] {
                 window(frame.x, u_low.max(v_low), u_high.min(v_high), level.width);
             let (u_row, v_row) = (S::splat(sin * dy), S::splat(cos * dy));
             for x in (x_first..x_end).step_by(LANES) {
+                // (u, v) is the position in cells from the keypoint, rotated to its orientation.
                 let dx = S::add(S::splat(x as f32 - frame.x), lanes);
                 let u = S::mul_add(S::splat(cos), dx, u_row);
                 let v = S::mul_add(S::splat(-sin), dx, v_row);
@@ -192,6 +193,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; PADDED_LEN] {
                             contributions.bin_below[i + j] as usize,
                         );
                         debug_assert!(index + PADDED * BINS + LANES <= PADDED_LEN && bin <= BINS);
+                        // Linear interpolation between the directions `bin` and `bin + 1`.
                         let [direction, change] = ONE_HOT.0.get_unchecked(bin);
                         let fraction = S::splat(contributions.bin_fraction[i + j]);
                         let values = S::mul_add(
@@ -203,6 +205,7 @@ fn histogram<S: Simd>(level: &Level<'_>, frame: Frame) -> [f32; PADDED_LEN] {
                             values,
                             S::halves(contributions.left[i + j], contributions.right[i + j]),
                         );
+                        // `above` and `below` are the parts of the upper and lower row of cells.
                         let below = S::mul(values, S::splat(contributions.v_fraction[i + j]));
                         let above = S::sub(values, below);
                         let at = histogram.as_mut_ptr().add(index);

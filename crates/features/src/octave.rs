@@ -56,6 +56,7 @@ impl OctavePlan {
         if let Some(first_octave) = first_octave {
             stages.insert(0, kernel_from_image(octave, first_octave));
         }
+        // The halo of a stage is the radius of the refinement plus the radii of the later blurs.
         let mut halos = vec![REFINEMENT_RADIUS];
         for kernel in stages.iter().rev() {
             halos.push(halos[halos.len() - 1] + kernel.len() - 1);

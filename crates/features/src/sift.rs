@@ -2,7 +2,7 @@
 
 use crate::bands::{OctaveJob, compute_octave};
 use crate::buffer::AlignedBuf;
-use crate::describe::{Description, describe_extrema, window_radius};
+use crate::describe::{Description, describe_extrema, window_rows};
 use crate::duplicates::remove_duplicates;
 use crate::extrema::{Extremum, Thresholds};
 use crate::octave::{OctavePlan, Scratch};
@@ -99,6 +99,7 @@ impl Sift {
         self.extract_with(image, mask, threads)
     }
 
+    /// Extracts features on a number of threads.
     fn extract_with(
         &mut self,
         image: &GrayView<'_>,
@@ -243,7 +244,7 @@ impl Sift {
                     let end =
                         first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
                     let (group, others) = rest.split_at(rest.partition_point(|e| e.iy < end));
-                    let reach = window_radius(group, &self.options);
+                    let reach = window_rows(group, &self.options);
                     let rows =
                         first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
                     compute_octave(OctaveJob {

@@ -41,13 +41,13 @@ pub(crate) fn match_pruned(
     let acceptance = Acceptance::new(options);
     let bound = a.compressed.bound(&b.compressed);
     let mut decisions = Vec::with_capacity(a.len());
-    // For each column, the two smallest computed distances.
-    let mut known_to_columns = vec![Nearest::NONE; b.len()];
-    let columns = compare(isa, &a.compressed.packed, &b.compressed.packed, |row, lanes| {
+    // For each column, the nearest neighbours among the computed exact distances.
+    let mut column_neighbours = vec![Nearest::NONE; b.len()];
+    let column_bounds = compare(isa, &a.compressed.packed, &b.compressed.packed, |row, lanes| {
         let distance_to = |column: u32| {
             let distance =
                 isa.squared_distance(&a.descriptors[row], &b.descriptors[column as usize]);
-            known_to_columns[column as usize].update(row as u32, distance);
+            column_neighbours[column as usize].update(row as u32, distance);
             distance
         };
         decisions.push(decide_row(&lanes, bound, &acceptance, distance_to));
@@ -63,10 +63,10 @@ pub(crate) fn match_pruned(
     }
     for (&row, nearest) in undecided.iter().zip(nearest_of(isa, a, &undecided, b)) {
         decisions[row as usize] = if acceptance.accepts(&nearest) {
-            let known = &mut known_to_columns[nearest.index as usize];
+            let computed = &mut column_neighbours[nearest.index as usize];
             // If the distance was computed before, it must not become the second distance too.
-            if known.index != row {
-                known.update(row, nearest.distance);
+            if computed.index != row {
+                computed.update(row, nearest.distance);
             }
             RowDecision::Accepted(nearest.index, nearest.distance)
         } else {
@@ -79,9 +79,10 @@ pub(crate) fn match_pruned(
     let mut undecided = Vec::new();
     for (row, decision) in (0..).zip(&decisions) {
         let &RowDecision::Accepted(column, distance) = decision else { continue };
-        let (known, bounded) = (&known_to_columns[column as usize], &columns[column as usize]);
+        let (computed, bounded) =
+            (&column_neighbours[column as usize], &column_bounds[column as usize]);
         let with_second = |second| acceptance.accepts(&Nearest { index: row, distance, second });
-        if known.index != row || !with_second(known.second) {
+        if computed.index != row || !with_second(computed.second) {
             continue;
         }
         let others = bound.of(if bounded.index == row { bounded.second } else { bounded.distance });
@@ -120,7 +121,7 @@ fn decide_row(
         *candidate = (lane.distance, lane.index);
         rest = rest.min(lane.second);
     }
-    let mut known = Nearest::NONE;
+    let mut computed = Nearest::NONE;
     for at in 0..MAX_LANES {
         // Moves the smallest remaining candidate to the front.
         let nearest = (at..MAX_LANES).min_by_key(|&i| candidates[i]).unwrap_or(at);
@@ -130,22 +131,22 @@ fn decide_row(
         let others = bound.of(compressed.min(rest));
         if at > 0 {
             let best_case = Nearest {
-                index: known.index,
-                distance: known.distance.min(others),
-                second: known.second,
+                index: computed.index,
+                distance: computed.distance.min(others),
+                second: computed.second,
             };
             if !acceptance.accepts(&best_case) {
                 return RowDecision::Rejected;
             }
-            let second = known.second.min(others);
-            if others > known.distance && acceptance.accepts(&Nearest { second, ..known }) {
-                return RowDecision::Accepted(known.index, known.distance);
+            let second = computed.second.min(others);
+            if others > computed.distance && acceptance.accepts(&Nearest { second, ..computed }) {
+                return RowDecision::Accepted(computed.index, computed.distance);
             }
         }
         if compressed == u32::MAX {
             break;
         }
-        known.update(index, distance_to(index));
+        computed.update(index, distance_to(index));
     }
     RowDecision::Undecided
 }

@@ -43,7 +43,7 @@ fn distort(params: &Params, w: &Vector2<f64>) -> Vector2<f64> {
     )
 }
 
-/// The derivative of [`distort`].
+/// The Jacobian of [`distort`] with respect to w.
 fn d_distort(params: &Params, w: &Vector2<f64>) -> Matrix2<f64> {
     let [k1, k2, p1, p2, k3, k4, s1, s2] = std::array::from_fn(|i| params[4 + i]);
     let (u, v) = (w.x, w.y);

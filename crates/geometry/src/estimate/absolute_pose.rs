@@ -38,6 +38,7 @@ pub fn refine_absolute_pose(
     minimize(&problem, initial, loss, MAX_LM_ITERATIONS)
 }
 
+/// The RANSAC problem of the absolute pose.
 pub(super) struct AbsolutePose<'a> {
     pub(super) pixels: &'a [Vector2<f64>],
     pub(super) points_in_world: &'a [Vector3<f64>],

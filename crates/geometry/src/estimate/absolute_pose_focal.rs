@@ -40,6 +40,7 @@ pub fn absolute_pose_focal(
     Some(report.map(|(pose, log_factor)| (pose, with_focal_factor(intrinsics, log_factor.exp()))))
 }
 
+/// The intrinsics with all focal lengths multiplied by a factor.
 fn with_focal_factor(intrinsics: &Intrinsics, factor: f64) -> Intrinsics {
     let mut scaled = *intrinsics;
     for &index in intrinsics.kind().focal_indices() {
@@ -55,6 +56,7 @@ struct FocalCandidate {
     rays: Vec<Vector3<f64>>,
 }
 
+/// The RANSAC problem of the absolute pose with unknown focal length.
 struct AbsolutePoseFocal<'a> {
     data: AbsolutePose<'a>,
     candidates: Vec<FocalCandidate>,

@@ -42,6 +42,7 @@ fn with_scale(normalisation: &Matrix3<f64>, scale: f64) -> Matrix3<f64> {
     scaled
 }
 
+/// The RANSAC problem of the fundamental matrix, in normalised coordinates.
 struct Fundamental {
     pairs: Correspondences,
     px_per_unit: f64,
@@ -84,6 +85,7 @@ struct OrthonormalFundamental {
 }
 
 impl OrthonormalFundamental {
+    /// The representation of the rank-two matrix nearest to `f`, up to scale.
     fn of(f: &Matrix3<f64>) -> Option<Self> {
         let svd = f.try_svd(true, true, f64::EPSILON, 0)?;
         let (u, v_t) = (svd.u?, svd.v_t?);
@@ -103,6 +105,7 @@ impl OrthonormalFundamental {
         })
     }
 
+    /// The fundamental matrix F.
     fn matrix(&self) -> Matrix3<f64> {
         let diagonal = Matrix3::from_diagonal(&Vector3::new(1.0, self.sigma, 0.0));
         self.u.to_rotation_matrix().matrix()

@@ -36,6 +36,7 @@ pub fn homography(
     Some(report.map(|h| (px_from_unit2 * h * to_unit1).normalize()))
 }
 
+/// The RANSAC problem of the homography, in normalised coordinates.
 struct Homography {
     /// x and y in the first image, then in the second.
     pairs: Vec<[f64; 4]>,

@@ -55,6 +55,7 @@ pub fn essential(
     Some(report.map(|pose| essential_from_pose(&pose)))
 }
 
+/// The RANSAC problem of the relative pose.
 struct RelativePose {
     pairs: Correspondences,
     /// Squared sine of the angle of the error threshold. For rays that are parallel to within this

@@ -18,6 +18,7 @@ pub fn similarity(
     ransac(&Similarity { from, to, with_scale }, options)
 }
 
+/// The RANSAC problem of the similarity transform.
 struct Similarity<'a> {
     from: &'a [Vector3<f64>],
     to: &'a [Vector3<f64>],
@@ -25,6 +26,7 @@ struct Similarity<'a> {
 }
 
 impl Similarity<'_> {
+    /// The least-squares similarity of the data with these indices.
     fn fit(&self, indices: &[usize]) -> Option<Sim3> {
         let pick = |points: &[Vector3<f64>]| indices.iter().map(|&i| points[i]).collect::<Vec<_>>();
         solvers::umeyama(&pick(self.from), &pick(self.to), self.with_scale)

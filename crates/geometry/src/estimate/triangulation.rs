@@ -66,6 +66,7 @@ pub fn triangulation(
     estimator.has_min_angle(&report.model, &inliers).then_some(report)
 }
 
+/// The RANSAC problem of triangulation.
 struct Triangulation<'a> {
     observations: &'a [Observation<'a>],
     centres: Vec<Vector3<f64>>,

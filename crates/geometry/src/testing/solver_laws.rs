@@ -25,6 +25,8 @@ pub struct SolverProblem {
 }
 
 impl SolverProblem {
+    /// A problem from the call of its solver, the residual of a solution, and the distance of a
+    /// solution to the true solution.
     fn new<T, S: AsRef<[T]>>(
         solve: impl Fn() -> S + Copy + 'static,
         residual: impl Fn(&T) -> f64 + 'static,

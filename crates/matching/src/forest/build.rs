@@ -12,8 +12,8 @@ use super::options::ForestOptions;
 use super::tree::{Forest, LEAF_MARK, Node, Row};
 use crate::random::SplitMix64;
 
-/// Number of points from which mean and variance are estimated: FLANN's SAMPLE_MEAN plus one, as in
-/// FLANN's loop.
+/// Number of points from which mean and variance are estimated: FLANN's SAMPLE_MEAN + 1, as
+/// FLANN counts.
 const SAMPLE_SIZE: usize = 101;
 /// Maximum number of points in a leaf. FLANN has one. The descent to a leaf costs several times as
 /// much as the comparison with a point: with eight points, a check takes a quarter longer, and the

@@ -52,6 +52,7 @@ impl Forest {
     }
 }
 
+/// Searches all queries on an instruction set.
 fn search(
     forest: &Forest,
     isa: Isa,
@@ -91,6 +92,7 @@ fn search_avx2(
     search_all(forest, queries, checks)
 }
 
+/// Searches all queries.
 #[inline(always)]
 fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
     let checks = match checks {
@@ -110,6 +112,7 @@ fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Check
     found
 }
 
+/// Searches one query: first the nearest leaf of every tree, then the best branches.
 #[inline(always)]
 fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) -> Nearest {
     let mut nearest = Nearest::NONE;
@@ -120,14 +123,15 @@ fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) 
         visit_leaves(forest, query, &mut nearest, scratch);
     }
     let mut checked = forest.roots.len() as u64;
+    // Continues beyond `checks` until two neighbours are found.
     while checked < checks || nearest.second == u32::MAX {
         for _ in 0..(checks.saturating_sub(checked)).clamp(1, LEAVES_PER_ROUND as u64) {
             let Some(Reverse(branch)) = scratch.queue.pop() else { break };
-            let bound = (branch >> 32) as u32;
-            if bound > nearest.second {
+            let estimate = (branch >> 32) as u32;
+            if estimate > nearest.second {
                 break;
             }
-            descend(forest, query, bound, branch as u32, nearest.second, scratch);
+            descend(forest, query, estimate, branch as u32, nearest.second, scratch);
             checked += 1;
         }
         if scratch.leaves.is_empty() {
@@ -148,9 +152,9 @@ fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) 
 fn descend(
     forest: &Forest,
     query: &Row,
-    bound: u32,
+    estimate: u32,
     mut at: u32,
-    worst: u32,
+    max_estimate: u32,
     scratch: &mut Scratch,
 ) {
     loop {
@@ -163,9 +167,9 @@ fn descend(
                 } else {
                     (right, at + 1, x + 1 - split)
                 };
-                let far_bound = bound.saturating_add(gap * gap);
-                if far_bound <= worst {
-                    scratch.queue.push(Reverse(u64::from(far_bound) << 32 | u64::from(far)));
+                let far_estimate = estimate.saturating_add(gap * gap);
+                if far_estimate <= max_estimate {
+                    scratch.queue.push(Reverse(u64::from(far_estimate) << 32 | u64::from(far)));
                 }
                 at = near;
             }

@@ -41,8 +41,8 @@ pub(super) struct ImageSimilarities {
 /// Median and standard deviation of values. The standard deviation is estimated from the lower
 /// half.
 pub(super) fn median_and_sigma(values: &mut [f32]) -> Option<[f32; 2]> {
-    let at = |share: f64| (share * values.len() as f64) as usize;
-    let (middle, low) = (at(0.5), at(LOWER_QUANTILE));
+    let index = |quantile: f64| (quantile * values.len() as f64) as usize;
+    let (middle, low) = (index(0.5), index(LOWER_QUANTILE));
     if values.is_empty() {
         return None;
     }
@@ -63,34 +63,39 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    pub(super) fn new(rows: &[ImageSimilarities]) -> Self {
-        let median = |which: usize| {
-            let mut all: Vec<f32> =
-                rows.iter().filter_map(|row| row.median_and_sigma).map(|s| s[which]).collect();
+    /// The graph of the edges above the minimum similarity. Entry `i` of `images` is image `i`.
+    pub(super) fn new(images: &[ImageSimilarities]) -> Self {
+        let median_of = |which: usize| {
+            let mut all: Vec<f32> = images
+                .iter()
+                .filter_map(|image| image.median_and_sigma)
+                .map(|s| s[which])
+                .collect();
             median_and_sigma(&mut all).map_or(0.0, |[median, _]| median)
         };
-        let level = median(0) + EDGE_SIGMAS * median(1);
+        let min_similarity = median_of(0) + EDGE_SIGMAS * median_of(1);
         let mut edges = Vec::new();
-        for (a, row) in (0..).zip(rows) {
-            for edge in row.edges.iter().filter(|edge| edge.similarity > level) {
-                let weight = edge.similarity - level;
+        for (a, image) in (0..).zip(images) {
+            for edge in image.edges.iter().filter(|edge| edge.similarity > min_similarity) {
+                let weight = edge.similarity - min_similarity;
                 edges.extend([(a, edge.image, weight), (edge.image, a, weight)]);
             }
         }
         edges.sort_unstable_by_key(|&(a, b, _)| (a, b));
         edges.dedup_by_key(|&mut (a, b, _)| (a, b));
-        let mut starts = vec![0; rows.len() + 1];
-        let mut roots = vec![0f32; rows.len()];
+        let mut starts = vec![0; images.len() + 1];
+        let mut inverse_sqrt_sums = vec![0f32; images.len()];
         for &(a, _, weight) in &edges {
             starts[a as usize + 1] += 1;
-            roots[a as usize] += weight;
+            inverse_sqrt_sums[a as usize] += weight;
         }
-        for i in 0..rows.len() {
+        for i in 0..images.len() {
             starts[i + 1] += starts[i];
-            roots[i] = 1.0 / roots[i].sqrt();
+            inverse_sqrt_sums[i] = 1.0 / inverse_sqrt_sums[i].sqrt();
         }
-        let edge =
-            |(a, b, weight): (u32, u32, f32)| (b, weight * (roots[a as usize] * roots[b as usize]));
+        let edge = |(a, b, weight): (u32, u32, f32)| {
+            (b, weight * (inverse_sqrt_sums[a as usize] * inverse_sqrt_sums[b as usize]))
+        };
         Graph { starts, edges: edges.into_iter().map(edge).collect() }
     }
 
@@ -102,58 +107,60 @@ impl Graph {
 
     /// The diffusion scores of all reachable images for at most [`QUERIES`] query images. Returns
     /// the reachable images in ascending order, with one score per query.
-    pub(super) fn diffuse(&self, from: &[u32]) -> Vec<(u32, [f32; QUERIES])> {
-        let images = self.reachable(from);
-        let mut at = vec![u32::MAX; self.starts.len() - 1];
-        (0..).zip(&images).for_each(|(place, &image)| at[image as usize] = place);
-        let mut start = vec![[0.0; QUERIES]; images.len()];
-        for (lane, &image) in from.iter().enumerate() {
-            start[at[image as usize] as usize][lane] = INITIAL_SCORE;
+    pub(super) fn diffuse(&self, queries: &[u32]) -> Vec<(u32, [f32; QUERIES])> {
+        let images = self.reachable(queries);
+        let mut positions = vec![u32::MAX; self.starts.len() - 1];
+        (0..).zip(&images).for_each(|(position, &image)| positions[image as usize] = position);
+        let mut initial = vec![[0.0; QUERIES]; images.len()];
+        for (lane, &image) in queries.iter().enumerate() {
+            initial[positions[image as usize] as usize][lane] = INITIAL_SCORE;
         }
         // The subgraph of the reachable images.
         let mut ends = Vec::with_capacity(images.len());
         let mut edges = Vec::new();
         for &image in &images {
-            let placed =
-                self.edges_of(image).iter().map(|&(other, p)| (at[other as usize], ALPHA * p));
-            edges.extend(placed.filter(|&(place, _)| place != u32::MAX));
+            let subgraph_edges = self
+                .edges_of(image)
+                .iter()
+                .map(|&(other, p)| (positions[other as usize], ALPHA * p));
+            edges.extend(subgraph_edges.filter(|&(position, _)| position != u32::MAX));
             ends.push(edges.len());
         }
-        let mut here = start.clone();
-        let mut next = start.clone();
+        let mut scores = initial.clone();
+        let mut next_scores = initial.clone();
         for _ in 0..MAX_STEPS {
             let mut first = 0;
-            for ((next, start), &end) in next.iter_mut().zip(&start).zip(&ends) {
-                *next = *start;
+            for ((next, initial), &end) in next_scores.iter_mut().zip(&initial).zip(&ends) {
+                *next = *initial;
                 for &(other, p) in &edges[first..end] {
-                    for (sum, x) in next.iter_mut().zip(here[other as usize]) {
+                    for (sum, x) in next.iter_mut().zip(scores[other as usize]) {
                         *sum += p * x;
                     }
                 }
                 first = end;
             }
-            std::mem::swap(&mut here, &mut next);
+            std::mem::swap(&mut scores, &mut next_scores);
         }
-        images.into_iter().zip(here).collect()
+        images.into_iter().zip(scores).collect()
     }
 
     /// The images within [`MAX_STEPS`] steps of the query images, in ascending order.
-    fn reachable(&self, from: &[u32]) -> Vec<u32> {
+    fn reachable(&self, queries: &[u32]) -> Vec<u32> {
         let mut is_reached = vec![false; self.starts.len() - 1];
         let mut reached: Vec<u32> = Vec::new();
-        let mut front = from.to_vec();
-        front.iter().for_each(|&image| is_reached[image as usize] = true);
+        let mut frontier = queries.to_vec();
+        frontier.iter().for_each(|&image| is_reached[image as usize] = true);
         for _ in 0..=MAX_STEPS {
             let mut next = Vec::new();
-            for &image in &front {
+            for &image in &frontier {
                 for &(other, _) in self.edges_of(image) {
                     if !std::mem::replace(&mut is_reached[other as usize], true) {
                         next.push(other);
                     }
                 }
             }
-            reached.append(&mut front);
-            front = next;
+            reached.append(&mut frontier);
+            frontier = next;
         }
         reached.sort_unstable();
         reached
