@@ -74,7 +74,7 @@ fn is_preempted(a: &Prepared, b: &Prepared, options: &Options) -> bool {
 /// neighbours. Matches are in ascending order of `a`.
 pub fn select(nearest: &NearestBothWays, options: &Options) -> Vec<Match> {
     let acceptance = Acceptance::new(options);
-    let is_match = |(i, forward): (usize, &crate::Nearest)| {
+    let accepted_match = |(i, forward): (usize, &crate::Nearest)| {
         let back = nearest.of_b.get(forward.index as usize)?;
         if options.mutual && (back.index as usize != i || !acceptance.accepts(back)) {
             return None;
@@ -85,5 +85,5 @@ pub fn select(nearest: &NearestBothWays, options: &Options) -> Vec<Match> {
             distance: forward.distance,
         })
     };
-    nearest.of_a.iter().enumerate().filter_map(is_match).collect()
+    nearest.of_a.iter().enumerate().filter_map(accepted_match).collect()
 }

@@ -140,6 +140,7 @@ impl Problem<7> for SampsonFundamental {
         let f = value.matrix();
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| so3::hat(&axis));
         let d_sigma = (value.u * Vector3::y()) * (value.v * Vector3::y()).transpose();
+        // Derivatives of F with respect to the tangent components.
         let directions: [Matrix3<f64>; 7] = [
             axes[0] * f,
             axes[1] * f,

@@ -121,6 +121,7 @@ impl Problem<5> for SampsonPose {
         let t_hat = so3::hat(&value.translation);
         let essential = t_hat * rotation;
         let [a, b] = tangents(&value.translation);
+        // Derivatives of E with respect to the tangent components.
         let directions: [Matrix3<f64>; 5] = [
             t_hat * so3::hat(&Vector3::x()) * rotation,
             t_hat * so3::hat(&Vector3::y()) * rotation,
