@@ -41,8 +41,8 @@ impl Options {
     /// # Errors
     /// [`Error::Option`] with the first option that is out of its range.
     pub fn validate(&self) -> Result<(), Error> {
-        check("max_ratio", self.max_ratio, 1.0, "above 0 and at max 1")?;
-        check("max_angle_rad", self.max_angle_rad, std::f64::consts::PI, "above 0 and at max pi")
+        check("max_ratio", self.max_ratio, 1.0, "above 0 and at most 1")?;
+        check("max_angle_rad", self.max_angle_rad, std::f64::consts::PI, "above 0 and at most pi")
     }
 }
 
