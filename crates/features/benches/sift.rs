@@ -1,11 +1,11 @@
-//! Time of a whole extraction, by size and by what is computed.
+//! Time of feature extraction for several image sizes and options.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Duration;
 use tiepoint_features::{GrayView, Options, Sift};
 
-/// Waves of many lengths, so that every octave has as many extrema as in a photo with much detail.
+/// Waves of six wavelengths, so that every octave has as many extrema as in a detailed photo.
 fn texture(width: usize, height: usize) -> Vec<u8> {
     let value = |i: usize| {
         let (x, y) = ((i % width) as f32, (i / width) as f32);

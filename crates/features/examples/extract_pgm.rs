@@ -1,14 +1,16 @@
-//! Extracts features from binary PGM files, images in parallel, and writes them beside each as
-//! NAME.features: the number of features (u32), then x, y, scale, orientation of each (f32), then
-//! the descriptors; little-endian. Prints the seconds per image. It is what `bench/sift.py`
-//! compares with other programs, without decoding.
+//! Extracts features from binary PGM files and prints the seconds per image, without reading the
+//! files. `bench/sift.py` compares it with other programs.
+//!
+//! For each image it writes NAME.features, little-endian: the number of features (u32), then x, y,
+//! scale, orientation of each (f32), then the descriptors. `--within` runs one image at a time on
+//! all threads instead of one image per thread.
 //!
 //! ```text
 //! cargo run --release -p tiepoint-features --example extract_pgm -- [--threads N] [--repeat N]
 //!     [--max N] [--octave N] [--exact] [--dsp] [--within] FILE...
 //! ```
 
-#![allow(clippy::print_stdout)] // What a program is for.
+#![allow(clippy::print_stdout)] // A program.
 
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};

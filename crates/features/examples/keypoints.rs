@@ -1,13 +1,14 @@
-//! Draws the keypoints of a photo: circles of their scale, with a radius along their orientation.
+//! Draws the keypoints of a photo as circles proportional to the scale, with a radius along the
+//! orientation.
 //!
 //! `cargo run --release -p tiepoint-features --example keypoints -- photo.jpg keypoints.png`
 
-#![allow(clippy::print_stdout)] // What a program is for.
+#![allow(clippy::print_stdout)] // A program.
 
 use image::{Rgb, RgbImage};
 use tiepoint_features::{GrayView, Keypoint, Options, extract};
 
-/// Circles are drawn at this many times the scale: the window of a descriptor's inner cells.
+/// Radius of the circles over the scale: the side of a descriptor cell.
 const RADIUS_IN_SCALES: f32 = 3.0;
 
 fn dot(canvas: &mut RgbImage, x: f32, y: f32, colour: Rgb<u8>) {

@@ -1,8 +1,8 @@
-//! The two halves of a separable Gaussian blur, on rows.
+//! Separable Gaussian blur: convolution along columns and along rows.
 //!
-//! Columns: a block of output rows shares the input rows that it loads, so that each is read once
-//! per block. Rows: the kernel is folded at its centre. Both are a few multiply-adds per loaded
-//! vector; the order of the sums is that of the kernel, whatever the vector width.
+//! The convolution along columns computes a block of output rows at a time, and loads each input
+//! row once per block. The convolution along rows uses the symmetry of the kernel. Sums are in the
+//! order of the kernel, so the result does not depend on the vector width.
 
 use crate::simd::{LANES, Simd};
 
@@ -10,7 +10,7 @@ use crate::simd::{LANES, Simd};
 pub(crate) const BLOCK: usize = 4;
 
 /// Blurs along columns: `out[j][x] = Σ_t kernel[|t − radius|] · rows[j + t][x]` for `x` in
-/// `from..to`.
+/// `from..to` and t = 0 … 2 · radius.
 ///
 /// # Safety
 /// `rows` has `2 · radius + ROWS` entries. Rows are readable and `out` is writable from `from` to
@@ -22,18 +22,22 @@ pub(crate) unsafe fn blur_columns<S: Simd, const ROWS: usize>(
     out: [*mut f32; ROWS],
     (from, to): (usize, usize),
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
-        if S::BESIDE == 2 {
-            blur_columns_beside::<S, ROWS, 2>(rows, kernel, out, (from, to));
+        if S::UNROLL == 2 {
+            blur_columns_unrolled::<S, ROWS, 2>(rows, kernel, out, (from, to));
         } else {
-            blur_columns_beside::<S, ROWS, 1>(rows, kernel, out, (from, to));
+            blur_columns_unrolled::<S, ROWS, 1>(rows, kernel, out, (from, to));
         }
     }
 }
 
+/// [`blur_columns`] with `UNROLL` vectors per iteration.
+///
+/// # Safety
+/// As [`blur_columns`].
 #[inline(always)]
-unsafe fn blur_columns_beside<S: Simd, const ROWS: usize, const BESIDE: usize>(
+unsafe fn blur_columns_unrolled<S: Simd, const ROWS: usize, const UNROLL: usize>(
     rows: &[*const f32],
     kernel: &[f32],
     out: [*mut f32; ROWS],
@@ -43,29 +47,29 @@ unsafe fn blur_columns_beside<S: Simd, const ROWS: usize, const BESIDE: usize>(
     debug_assert!(rows.len() == 2 * radius + ROWS && 2 * radius >= ROWS);
     let mut x = from;
     while x < to {
-        let mut sums = [[S::splat(0.0); BESIDE]; ROWS];
-        // SAFETY: the caller's promise; taps below stay within `rows` and `kernel`.
+        let mut sums = [[S::splat(0.0); UNROLL]; ROWS];
+        // SAFETY: guaranteed by the caller; taps below are within `rows` and `kernel`.
         unsafe {
             let tap = |t: usize, j: usize| *kernel.get_unchecked((t - j).abs_diff(radius));
             for t in 0..ROWS - 1 {
                 let row = rows.get_unchecked(t).add(x);
                 for (j, sums) in sums.iter_mut().enumerate() {
                     if j <= t {
-                        multiply_add::<S, BESIDE>(sums, row, tap(t, j));
+                        multiply_add::<S, UNROLL>(sums, row, tap(t, j));
                     }
                 }
             }
             for t in ROWS - 1..=2 * radius {
                 let row = rows.get_unchecked(t).add(x);
                 for (j, sums) in sums.iter_mut().enumerate() {
-                    multiply_add::<S, BESIDE>(sums, row, tap(t, j));
+                    multiply_add::<S, UNROLL>(sums, row, tap(t, j));
                 }
             }
-            for late in 1..ROWS {
-                let row = rows.get_unchecked(2 * radius + late).add(x);
+            for last in 1..ROWS {
+                let row = rows.get_unchecked(2 * radius + last).add(x);
                 for (j, sums) in sums.iter_mut().enumerate() {
-                    if j >= late {
-                        multiply_add::<S, BESIDE>(sums, row, tap(2 * radius + late, j));
+                    if j >= last {
+                        multiply_add::<S, UNROLL>(sums, row, tap(2 * radius + last, j));
                     }
                 }
             }
@@ -75,35 +79,37 @@ unsafe fn blur_columns_beside<S: Simd, const ROWS: usize, const BESIDE: usize>(
                 }
             }
         }
-        x += BESIDE * LANES;
+        x += UNROLL * LANES;
     }
 }
 
+/// Adds a row times a weight to `UNROLL` vectors of sums.
+///
 /// # Safety
-/// `row` is readable for `BESIDE` vectors.
+/// `row` is readable for `UNROLL` vectors.
 #[inline(always)]
-unsafe fn multiply_add<S: Simd, const BESIDE: usize>(
-    sums: &mut [S::F; BESIDE],
+unsafe fn multiply_add<S: Simd, const UNROLL: usize>(
+    sums: &mut [S::F; UNROLL],
     row: *const f32,
     weight: f32,
 ) {
     let weight = S::splat(weight);
     for (b, sum) in sums.iter_mut().enumerate() {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         *sum = unsafe { S::mul_add(S::load(row.add(b * LANES)), weight, *sum) };
     }
 }
 
-/// Vectors that [`blur_row`] computes beside each other.
-const ROW_BESIDE: usize = 4;
+/// Number of vectors that [`blur_row`] computes per iteration.
+const ROW_UNROLL: usize = 4;
 
-/// Blurs along a row, `out[x] = Σ_t kernel[|t|] · row[x + t]` for `x` in `from..to`, and writes the
-/// difference to `below` as well: `difference[x] = out[x] − below[x]`.
+/// Blurs along a row: `out[x] = Σ_t kernel[|t|] · row[x + t]` for `x` in `columns`. If `difference`
+/// is `(below, difference)`, also writes `difference[x] = out[x] − below[x]`.
 ///
 /// # Safety
-/// `from` is a multiple of `LANES`. `row` is readable from `from − radius` rounded down to, and up
-/// to `to + radius` rounded up by, less than `4 · LANES` and a vector; the others are accessible
-/// from `from` up to `to` rounded up.
+/// `columns` is `from..to`, and `from` is a multiple of `LANES`. With m = max(radius, `LANES`),
+/// `row` is readable from `from − m` to `to + m + 4 · LANES`. The other pointers are accessible
+/// from `from` to `to + 4 · LANES`.
 #[inline(always)]
 pub(crate) unsafe fn blur_row<S: Simd>(
     row: *const f32,
@@ -112,38 +118,38 @@ pub(crate) unsafe fn blur_row<S: Simd>(
     difference: Option<(*const f32, *mut f32)>,
     columns: (usize, usize),
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
-        // The radii of three levels per octave; others need not be as fast.
+        // Specialised for the radii of three levels per octave, the default.
         match kernel.len() - 1 {
-            5 => blur_row_by::<S, 5>(row, kernel, out, difference, columns),
-            7 => blur_row_by::<S, 7>(row, kernel, out, difference, columns),
-            8 => blur_row_by::<S, 8>(row, kernel, out, difference, columns),
-            10 => blur_row_by::<S, 10>(row, kernel, out, difference, columns),
-            13 => blur_row_by::<S, 13>(row, kernel, out, difference, columns),
-            _ => blur_row_by::<S, ANY>(row, kernel, out, difference, columns),
+            5 => blur_row_with_radius::<S, 5>(row, kernel, out, difference, columns),
+            7 => blur_row_with_radius::<S, 7>(row, kernel, out, difference, columns),
+            8 => blur_row_with_radius::<S, 8>(row, kernel, out, difference, columns),
+            10 => blur_row_with_radius::<S, 10>(row, kernel, out, difference, columns),
+            13 => blur_row_with_radius::<S, 13>(row, kernel, out, difference, columns),
+            _ => blur_row_with_radius::<S, ANY>(row, kernel, out, difference, columns),
         }
     }
 }
 
-/// Instead of a radius: that of the kernel.
+/// Value of `RADIUS` for kernels of any radius.
 const ANY: usize = 0;
 
-/// Adds the taps `RIGHT` values to the right and as many to the left, `16 − LEFT`, of vectors whose
-/// values and their neighbours are in registers.
+/// Adds the two taps at distance `RIGHT = 16 − LEFT`. The vectors and their neighbours are in
+/// registers.
 ///
 /// # Safety
-/// As [`blur_row`]; `near` are the vectors from the one before `row` on.
+/// As [`blur_row`]; `near` holds the vectors from one vector before `row` on.
 #[inline(always)]
 unsafe fn add_taps<S: Simd, const LEFT: i32, const RIGHT: i32>(
     row: *const f32,
-    near: &[S::F; ROW_BESIDE + 2],
+    near: &[S::F; ROW_UNROLL + 2],
     weight: f32,
-    sums: &mut [S::F; ROW_BESIDE],
+    sums: &mut [S::F; ROW_UNROLL],
 ) {
     let weight = S::splat(weight);
     for (b, sum) in sums.iter_mut().enumerate() {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let at = row.add(b * LANES);
             let left = S::load_between::<LEFT>(at.sub(RIGHT as usize), near[b], near[b + 1]);
@@ -153,10 +159,12 @@ unsafe fn add_taps<S: Simd, const LEFT: i32, const RIGHT: i32>(
     }
 }
 
+/// [`blur_row`] with a constant radius.
+///
 /// # Safety
 /// As [`blur_row`], and `RADIUS` is that of the kernel, or [`ANY`].
 #[inline(always)]
-unsafe fn blur_row_by<S: Simd, const RADIUS: usize>(
+unsafe fn blur_row_with_radius<S: Simd, const RADIUS: usize>(
     row: *const f32,
     kernel: &[f32],
     out: *mut f32,
@@ -165,13 +173,13 @@ unsafe fn blur_row_by<S: Simd, const RADIUS: usize>(
 ) {
     let mut x = from;
     while x < to {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
-            let mut near = [S::splat(0.0); ROW_BESIDE + 2];
+            let mut near = [S::splat(0.0); ROW_UNROLL + 2];
             for (b, near) in near.iter_mut().enumerate() {
                 *near = S::load(row.add(x + b * LANES).sub(LANES));
             }
-            let mut sums = [S::splat(*kernel.get_unchecked(0)); ROW_BESIDE];
+            let mut sums = [S::splat(*kernel.get_unchecked(0)); ROW_UNROLL];
             for (b, sum) in sums.iter_mut().enumerate() {
                 *sum = S::mul(near[b + 1], *sum);
             }
@@ -237,6 +245,6 @@ unsafe fn blur_row_by<S: Simd, const RADIUS: usize>(
                 }
             }
         }
-        x += ROW_BESIDE * LANES;
+        x += ROW_UNROLL * LANES;
     }
 }

@@ -1,21 +1,21 @@
-//! Memory that the kernels work in: aligned for vectors, and rings of rows.
+//! Aligned buffers and ring buffers of rows.
 
-/// Values in a cache line; rows start at multiples of it.
+/// Number of `f32` values in a cache line. Rows start at multiples of it.
 pub(crate) const LINE: usize = 16;
 
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
-/// A slice of `f32` that starts on a cache line. Grows, never shrinks, so that it can serve image
-/// after image without new pages from the operating system.
+/// A buffer of `f32` that is aligned to cache lines. It never shrinks, so that it is allocated once
+/// for images of the same size.
 #[derive(Default)]
 pub(crate) struct AlignedBuf {
     lines: Vec<CacheLine>,
 }
 
 impl AlignedBuf {
-    /// At least `len` values with arbitrary contents.
+    /// The first `len` values, allocated if necessary, with arbitrary contents.
     pub(crate) fn reserve(&mut self, len: usize) -> &mut [f32] {
         let lines = len.div_ceil(LINE);
         if self.lines.len() < lines {
@@ -27,7 +27,7 @@ impl AlignedBuf {
 
     /// All values.
     pub(crate) fn as_slice(&self) -> &[f32] {
-        // SAFETY: a `CacheLine` is sixteen `f32` without padding.
+        // SAFETY: a `CacheLine` has the layout of sixteen `f32`.
         unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.lines.len() * LINE) }
     }
 
@@ -39,18 +39,19 @@ impl AlignedBuf {
     }
 }
 
-/// The latest rows of an image that is produced from top to bottom.
+/// A ring buffer of the latest rows of an image that is computed from top to bottom.
 #[derive(Default)]
 pub(crate) struct Ring {
     buf: AlignedBuf,
     stride: usize,
     capacity: usize,
-    /// The row that is produced next.
+    /// Index of the next row.
     pub(crate) next: usize,
 }
 
 impl Ring {
-    /// Forgets all rows; from now on holds the latest `capacity` ones, of `stride` values each.
+    /// Clears the ring buffer. It then holds the latest `capacity` rows of `stride` values, from
+    /// row `first` on.
     pub(crate) fn reset(&mut self, capacity: usize, stride: usize, first: usize) {
         self.buf.reserve(capacity * stride);
         self.capacity = capacity;
@@ -58,33 +59,32 @@ impl Ring {
         self.next = first;
     }
 
-    /// The start of a row that is still held. What lies behind it in memory may be read through the
-    /// pointer.
+    /// Pointer to a stored row. Reads through it may extend to the end of the buffer.
     #[inline(always)]
     pub(crate) fn row(&self, y: usize) -> *const f32 {
         self.from(y).as_ptr()
     }
 
-    /// The values of a row that is still held.
+    /// The values of a stored row.
     #[inline(always)]
     pub(crate) fn values(&self, y: usize) -> &[f32] {
         &self.from(y)[..self.stride]
     }
 
-    /// A row that is still held, and the memory behind it.
+    /// A stored row and the rest of the buffer after it.
     #[inline(always)]
     fn from(&self, y: usize) -> &[f32] {
         debug_assert!(y < self.next && y + self.capacity >= self.next, "row {y} of {}", self.next);
         &self.buf.as_slice()[y % self.capacity * self.stride..]
     }
 
-    /// The start of the row that is produced next, in place of the oldest one.
+    /// Pointer to the next row, which replaces the oldest row.
     #[inline(always)]
     pub(crate) fn next_row(&mut self) -> *mut f32 {
         let at = self.next % self.capacity * self.stride;
         self.next += 1;
-        // The pointer is that of the slice and not of its first value, since whole rows are written
-        // through it.
+        // A pointer to the slice and not to its first value, because whole rows are written through
+        // it.
         self.buf.as_mut_slice()[at..].as_mut_ptr()
     }
 }
@@ -93,10 +93,10 @@ impl Ring {
 mod tests {
     use super::{LINE, Ring};
 
-    /// Whole rows are written and read through the pointers: under Miri, they have to be those of
-    /// rows and not of single values.
+    /// Rows are written and read through the pointers. Miri checks that the pointers are valid for
+    /// whole rows.
     #[test]
-    fn rows_lie_behind_their_pointers() {
+    fn pointers_are_valid_for_whole_rows() {
         const STRIDE: usize = 2 * LINE;
         let mut ring = Ring::default();
         ring.reset(3, STRIDE, 5);
@@ -114,8 +114,9 @@ mod tests {
             let read: Vec<f32> = (0..STRIDE).map(|x| unsafe { *ring.row(y).add(x) }).collect();
             assert_eq!(read, expected);
         }
-        // Of the first row in memory, the others may be read through the pointer too: kernels load
-        // beyond the end. SAFETY: row 9 is the first in memory and row 7 the second.
+        // Kernels load beyond the end of a row: the pointer to a row is valid for the next row in
+        // memory.
+        // SAFETY: row 9 is the first in memory and row 7 the second.
         assert_eq!(unsafe { *ring.row(9).add(STRIDE) }, 700.0);
     }
 }

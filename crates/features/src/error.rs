@@ -1,13 +1,13 @@
-//! What can be wrong with the input.
+//! The error type.
 
-/// Why features could not be extracted.
+/// Errors of feature extraction.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The slice does not hold the pixels that the sizes promise.
+    /// The slice is too short for width, height and stride.
     #[error(
-        "a view of {width}x{height} pixels with rows {stride} apart needs {needed} bytes, the \
-        slice has {len}"
+        "an image view of {width}x{height} pixels with a stride of {stride} needs {needed} bytes, \
+        but the slice has {len}"
     )]
     ViewTooShort {
         /// Columns.
@@ -16,23 +16,25 @@ pub enum Error {
         height: usize,
         /// Distance between rows, in pixels.
         stride: usize,
-        /// Bytes that such a view spans.
+        /// Number of bytes that the view needs.
         needed: usize,
-        /// Bytes that the slice has.
+        /// Number of bytes of the slice.
         len: usize,
     },
-    /// Rows overlap.
-    #[error("rows of {width} pixels cannot lie {stride} pixels apart")]
+    /// The stride is smaller than the width.
+    #[error(
+        "the stride of an image view, {stride} pixels, is smaller than its width, {width} pixels"
+    )]
     StrideTooSmall {
         /// Columns.
         width: usize,
         /// Distance between rows, in pixels.
         stride: usize,
     },
-    /// The mask is not as large as the image.
+    /// The mask and the image have different sizes.
     #[error(
-        "the mask is {mask_width}x{mask_height} pixels, the image {width}x{height}: they must be \
-        of one size"
+        "the mask has {mask_width}x{mask_height} pixels and the image {width}x{height}: they must \
+        have the same size"
     )]
     MaskSize {
         /// Columns of the image.
@@ -47,11 +49,11 @@ pub enum Error {
     /// An option is outside its range.
     #[error("option {name} is {value}, it must be {range}")]
     Option {
-        /// The option.
+        /// Name of the option.
         name: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its range.
         range: &'static str,
     },
 }

@@ -1,97 +1,97 @@
-//! Extrema of the difference of Gaussians over space and scale, refined to a fraction of a sample.
+//! Detection and sub-sample refinement of extrema of the difference of Gaussians in scale space.
 //!
-//! Lowe 2004, section 4, with the choices of VLFeat: a sample that is strictly above (below) its 26
-//! neighbours and at least 0.8 of the peak threshold; up to five Newton steps, each of which may
-//! move by one sample in x and y; then the interpolated value must pass the peak threshold and the
-//! principal curvatures the edge threshold (section 4.1).
+//! Lowe 2004, section 4, with the constants of VLFeat. A candidate is strictly above or strictly
+//! below its 26 neighbours, with an absolute value of at least 0.8 of the peak threshold.
+//! Refinement fits a quadratic up to five times and moves by at most one sample in x and y between
+//! the fits. The interpolated value must pass the peak threshold, and the principal curvatures the
+//! edge threshold (section 4.1).
 
 use crate::buffer::Ring;
 use crate::scale_space::sigma_at;
 use crate::simd::{LANES, Simd};
 
-/// Newton steps. All but the first may have moved by one sample.
-const STEPS: usize = 5;
-/// How far a refinement reads from where it began.
-pub(crate) const REACH: usize = STEPS;
-/// Share of the peak threshold that a sample must reach before refinement.
-const UNREFINED_SHARE: f32 = 0.8;
-/// A larger offset moves to the next sample.
-const MOVE_ABOVE: f64 = 0.6;
-/// A larger offset after the last step is no extremum near this sample.
+/// Maximum number of quadratic fits. Refinement moves by at most one sample between two fits.
+const MAX_FITS: usize = 5;
+/// Radius, in samples, of the neighbourhood that a refinement reads.
+pub(crate) const REFINEMENT_RADIUS: usize = MAX_FITS;
+/// Minimum value of a candidate before refinement, relative to the peak threshold.
+const CANDIDATE_RATIO: f32 = 0.8;
+/// Refinement moves to the next sample if the offset exceeds this.
+const MOVE_OFFSET: f64 = 0.6;
+/// Maximum offset of a refined extremum from its sample.
 const MAX_OFFSET: f64 = 1.5;
-/// A smaller pivot makes the Hessian singular: the sample itself is taken.
+/// The Hessian counts as singular if a pivot is smaller. The offset is then zero.
 const MIN_PIVOT: f64 = 1e-10;
 
-/// What an extremum must pass.
+/// Thresholds of the refined extrema.
 #[derive(Clone, Copy)]
 pub(crate) struct Thresholds {
-    /// Smallest absolute value.
+    /// Minimum absolute value of the difference of Gaussians.
     pub(crate) peak: f32,
-    /// Largest ratio of principal curvatures.
+    /// Maximum ratio of the principal curvatures.
     pub(crate) edge: f32,
 }
 
-/// A point of interest without orientation; lengths in samples of its octave, sample (0, 0) being
-/// the origin.
+/// A refined extremum. Coordinates and lengths are in samples of its octave; the origin is the
+/// centre of the first sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Extremum {
-    /// log2 of the sample distance in pixels.
+    /// Index of the octave: log2 of the sample distance in pixels.
     pub(crate) octave: i32,
-    /// Level whose gradients describe it, 1 … S.
+    /// Level of detection, 1 … S, whose gradients give the descriptor.
     pub(crate) level: usize,
-    /// Nearest sample.
+    /// Column of the sample.
     pub(crate) ix: usize,
-    /// Nearest sample.
+    /// Row of the sample.
     pub(crate) iy: usize,
     /// Refined column.
     pub(crate) x: f32,
     /// Refined row.
     pub(crate) y: f32,
-    /// Refined scale.
+    /// Refined scale σ.
     pub(crate) sigma: f32,
     /// Absolute value of the interpolated difference of Gaussians.
     pub(crate) response: f32,
 }
 
-/// The differences of a tile, row by row.
-pub(crate) struct Search<'a> {
-    /// D_0 … D_{S+1}.
+/// Detects extrema in a tile, row by row.
+pub(crate) struct Detector<'a> {
+    /// The differences of Gaussians D_0 … D_{S+1}.
     pub(crate) differences: &'a [Ring],
     /// Position of the first column of the tile in a row.
     pub(crate) origin: usize,
     /// Columns of the tile.
     pub(crate) columns: (usize, usize),
-    /// Size of the octave.
+    /// Width and height of the octave.
     pub(crate) size: (usize, usize),
-    /// The octave.
+    /// Index of the octave.
     pub(crate) octave: i32,
-    /// Scales at which extrema are looked for.
+    /// Number S of levels in which extrema are detected.
     pub(crate) levels: usize,
-    /// What they must pass.
+    /// Thresholds of the refined extrema.
     pub(crate) thresholds: Thresholds,
 }
 
-impl Search<'_> {
-    /// Appends the refined extrema that were found in row `y`, level by level and from left to
-    /// right.
+impl Detector<'_> {
+    /// Appends the refined extrema of row `y`, ordered by level and column.
     #[inline(always)]
-    pub(crate) fn row<S: Simd>(&self, y: usize, found: &mut Vec<Extremum>) {
+    pub(crate) fn detect_row<S: Simd>(&self, y: usize, found: &mut Vec<Extremum>) {
         let (width, height) = self.size;
         if y == 0 || y + 1 >= height {
             return;
         }
         let (first, end) = (self.columns.0.max(1), self.columns.1.min(width - 1));
-        let least = self.thresholds.peak * UNREFINED_SHARE;
+        let min_value = self.thresholds.peak * CANDIDATE_RATIO;
         for level in 1..=self.levels {
             let ring = &self.differences[level];
             let (above, row, below) = (ring.row(y - 1), ring.row(y), ring.row(y + 1));
             let mut block = self.columns.0;
             while block < end {
                 let at = block - self.columns.0 + self.origin;
-                // SAFETY: a row holds the columns of the tile, its neighbours, and vectors that
-                // reach beyond it.
+                // SAFETY: a row holds the columns of the tile, their neighbours and the slack for
+                // vector loads.
                 let mut mask = unsafe {
-                    peaks_in_plane::<S>(above.add(at), row.add(at), below.add(at), least)
+                    peaks_in_plane::<S>(above.add(at), row.add(at), below.add(at), min_value)
                 };
                 while mask != 0 {
                     let x = block + mask.trailing_zeros() as usize;
@@ -106,13 +106,13 @@ impl Search<'_> {
         }
     }
 
-    /// A difference at a sample of this tile or near it.
+    /// D_i at a sample of the tile or its halo.
     #[inline(always)]
     fn at(&self, x: usize, y: usize, i: usize) -> f32 {
         self.differences[i].values(y)[x + self.origin - self.columns.0]
     }
 
-    /// Whether a sample is strictly above or strictly below all its neighbours.
+    /// Whether a sample is strictly above or strictly below its 26 neighbours.
     #[inline(always)]
     fn is_extremum(&self, x: usize, y: usize, level: usize) -> bool {
         let value = self.at(x, y, level);
@@ -135,17 +135,17 @@ impl Search<'_> {
         true
     }
 
-    /// Fits a quadratic around a sample (Brown & Lowe 2002), moving along until its extremum is
-    /// near.
+    /// Refines a candidate by quadratic fits (Brown & Lowe 2002), moving to the next sample while
+    /// the offset is large. `None` if the result does not pass the thresholds.
     #[inline(always)]
     fn refine(&self, mut x: usize, mut y: usize, level: usize) -> Option<Extremum> {
         let (width, height) = self.size;
         let mut fit = self.fit(x, y, level);
-        for _ in 1..STEPS {
+        for _ in 1..MAX_FITS {
             let [dx, dy, _] = fit.offset;
             let (from_x, from_y) = (x, y);
-            x = moved(x, dx, width);
-            y = moved(y, dy, height);
+            x = next_sample(x, dx, width);
+            y = next_sample(y, dy, height);
             if (x, y) == (from_x, from_y) {
                 break;
             }
@@ -173,7 +173,7 @@ impl Search<'_> {
         })
     }
 
-    /// The quadratic through the neighbourhood of a sample.
+    /// Fits a quadratic to the neighbourhood of a sample by finite differences.
     #[inline(always)]
     fn fit(&self, x: usize, y: usize, s: usize) -> Fit {
         let at = |dx: isize, dy: isize, ds: isize| {
@@ -199,46 +199,46 @@ impl Search<'_> {
     }
 }
 
-/// A quadratic around a sample.
+/// A quadratic fit around a sample.
 struct Fit {
-    /// Where its extremum is: columns, rows, levels.
+    /// Offset of the extremum from the sample: columns, rows, levels.
     offset: [f64; 3],
-    /// Its value there.
+    /// Value at the extremum.
     value: f64,
-    /// Trace of its Hessian in the plane.
+    /// Trace of the Hessian in x and y.
     trace: f64,
-    /// Determinant of its Hessian in the plane.
+    /// Determinant of the Hessian in x and y.
     determinant: f64,
 }
 
-/// The next sample if the offset points to it, unless that would touch the border.
+/// The neighbouring sample in the direction of a large offset, except at the border.
 #[inline(always)]
-fn moved(x: usize, offset: f64, size: usize) -> usize {
-    if offset > MOVE_ABOVE && x + 2 < size {
+fn next_sample(x: usize, offset: f64, size: usize) -> usize {
+    if offset > MOVE_OFFSET && x + 2 < size {
         x + 1
-    } else if offset < -MOVE_ABOVE && x > 1 {
+    } else if offset < -MOVE_OFFSET && x > 1 {
         x - 1
     } else {
         x
     }
 }
 
-/// Lanes that pass the threshold and are above or below their four neighbours in the same
-/// difference.
+/// Bit mask of the lanes that pass the threshold and are above or below their four neighbours in
+/// the same difference of Gaussians.
 ///
 /// # Safety
-/// All three rows are readable from one value before to one vector and a value after the pointer.
+/// All three rows are readable from one value before the pointer to one value after the vector.
 #[inline(always)]
 unsafe fn peaks_in_plane<S: Simd>(
     above: *const f32,
     row: *const f32,
     below: *const f32,
-    least: f32,
+    min_value: f32,
 ) -> u32 {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let value = S::load(row);
-        let strong = !S::mask_lt(S::abs(value), S::splat(least)) & ((1 << LANES) - 1);
+        let strong = !S::mask_lt(S::abs(value), S::splat(min_value)) & ((1 << LANES) - 1);
         if strong == 0 {
             return 0;
         }
@@ -250,7 +250,7 @@ unsafe fn peaks_in_plane<S: Simd>(
     }
 }
 
-/// Solves a symmetric system by elimination with pivoting; nothing if it is singular.
+/// Solves a 3×3 system by Gaussian elimination with pivoting; `None` if it is singular.
 #[inline(always)]
 fn solve(mut a: [[f64; 3]; 3], mut b: [f64; 3]) -> Option<[f64; 3]> {
     for j in 0..3 {

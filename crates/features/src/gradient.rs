@@ -1,4 +1,4 @@
-//! Gradients of a level, where they are needed: sixteen samples at a time, in polar form.
+//! Gradients of a level in polar form, sixteen samples at a time.
 
 use crate::simd::{LANES, Simd};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -6,42 +6,41 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 /// A stored level of an octave.
 #[derive(Clone, Copy)]
 pub(crate) struct Level<'a> {
-    /// Samples, and at least two vectors more; rows as far as anything here is measured.
+    /// The stored rows, followed by at least two vectors of slack.
     pub(crate) data: &'a [f32],
-    /// Distance between rows.
+    /// Distance between rows, in samples.
     pub(crate) stride: usize,
-    /// Columns.
+    /// Number of columns.
     pub(crate) width: usize,
-    /// Rows.
+    /// Number of rows of the level.
     pub(crate) height: usize,
-    /// The first row in `data`.
+    /// Index of the first stored row.
     pub(crate) first_row: usize,
 }
 
-/// Gradients at neighbouring samples of a row.
+/// Gradients at sixteen successive samples of a row.
 pub(crate) struct Gradient<S: Simd> {
-    /// Length, in grey values per sample.
+    /// Magnitude, in grey values per sample.
     pub(crate) magnitude: S::F,
     /// Direction from +x towards +y, in radians, from 0 up to 2π.
     pub(crate) angle: S::F,
 }
 
-/// Rows ahead that are asked for while a row is measured: the processor does not foresee steps of a
-/// whole row.
+/// Prefetch distance in rows: the hardware prefetcher does not follow strides of a whole row.
 const ROWS_AHEAD: usize = 8;
 
 impl Level<'_> {
-    /// Asks for the samples that are measured some rows later.
+    /// Prefetches the samples [`ROWS_AHEAD`] rows below (x, y).
     #[inline(always)]
     pub(crate) fn prefetch<S: Simd>(&self, x: usize, y: usize) {
         let at = (y + ROWS_AHEAD - self.first_row) * self.stride + x;
         S::prefetch(self.data.as_ptr().wrapping_add(at));
     }
 
-    /// Checks that gradients of rows `first..end` can be taken.
+    /// Checks that the gradients of rows `first..end` can be computed.
     ///
     /// # Panics
-    /// Where one of these rows, or the one above or below it, is not stored.
+    /// If one of these rows, or the row above or below it, is not stored.
     #[inline(always)]
     pub(crate) fn check_rows(&self, first: usize, end: usize) {
         if first < end {
@@ -53,18 +52,17 @@ impl Level<'_> {
         }
     }
 
-    /// Central differences at the samples from (x, y) on.
+    /// Gradients at the samples from (x, y) on, by central differences.
     ///
     /// # Safety
-    /// (x, y) is neither in the first nor in the last column, and [`check_rows`](Self::check_rows)
-    /// has found row y.
+    /// (x, y) is not in the first or last column, and [`check_rows`](Self::check_rows) succeeded
+    /// for row y.
     #[inline(always)]
     pub(crate) unsafe fn gradient<S: Simd>(&self, x: usize, y: usize) -> Gradient<S> {
         let at = (y - self.first_row) * self.stride + x;
         debug_assert!(x > 0 && y > self.first_row && x + 1 < self.width && y + 1 < self.height);
         debug_assert!(at + self.stride + LANES <= self.data.len());
-        // SAFETY: rows above and below exist, and beyond the last one there is room for two
-        // vectors.
+        // SAFETY: the rows above and below are stored, and two vectors of slack follow the rows.
         let (left, right, up, down) = unsafe {
             let p = self.data.as_ptr().add(at);
             (
@@ -83,7 +81,7 @@ impl Level<'_> {
     }
 }
 
-/// Minimax polynomial of atan(√s)/√s on [0, 1]; it is within 2.5e-7 of atan.
+/// Minimax polynomial of atan(√s)/√s on [0, 1]. The error of atan is at most 2.5e-7.
 const ATAN: [f32; 7] = [
     0.999_996_1,
     -0.333_173_7,
@@ -105,14 +103,15 @@ fn angle<S: Simd>(y: S::F, x: S::F) -> S::F {
     for &c in ATAN[..ATAN.len() - 1].iter().rev() {
         p = S::mul_add(p, s, S::splat(c));
     }
-    let eighth = S::mul(p, a);
+    let octant_angle = S::mul(p, a);
     let zero = S::splat(0.0);
-    let quarter = S::select_lt(ax, ay, S::sub(S::splat(FRAC_PI_2), eighth), eighth);
-    let half = S::select_lt(x, zero, S::sub(S::splat(PI), quarter), quarter);
+    let quadrant_angle =
+        S::select_lt(ax, ay, S::sub(S::splat(FRAC_PI_2), octant_angle), octant_angle);
+    let half = S::select_lt(x, zero, S::sub(S::splat(PI), quadrant_angle), quadrant_angle);
     S::select_lt(y, zero, S::sub(S::splat(TAU), half), half)
 }
 
-/// Minimax polynomial of exp(−u) on [0, 0.7], within 6e-8.
+/// Minimax polynomial of exp(−u) on [0, 0.7]. The error is at most 6e-8.
 const EXP: [f32; 6] =
     [0.999_999_94, -0.999_994_1, 0.499_899_66, -0.166_040_5, 0.039_879_1, -0.005_906_740_7];
 

@@ -3,12 +3,12 @@
 mod bands;
 mod blur;
 mod buffer;
+mod describe;
 mod descriptor;
-mod distinct;
+mod duplicates;
 mod error;
 mod extrema;
 mod gradient;
-mod measure;
 mod octave;
 mod options;
 mod orientation;

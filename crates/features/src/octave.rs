@@ -1,51 +1,51 @@
-//! One octave, from its source to refined extrema, in one sweep.
+//! Computation of an octave: Gaussian levels, their differences and refined extrema, in one pass.
 //!
-//! The Gaussians of an octave are far larger than the caches, and reading and writing them one
-//! after the other would take longer than computing them. So they are produced together, row by
-//! row: each level is blurred from a ring of the latest rows of the level below as soon as these
-//! suffice (columns first, into a temporary row, then along the row), the differences go to rings
-//! as well, and extrema are found and refined in these. Only levels 1 … S, in whose gradients
-//! orientations and descriptors are measured later, are written to memory.
+//! The levels of an octave are far larger than the caches, and one pass over memory per level would
+//! take longer than the arithmetic. All levels are therefore computed together, row by row. Each
+//! level has a ring buffer of its latest rows. The next row of a level is blurred from the ring
+//! buffer of the level below, first along columns into a temporary row, then along the row. The
+//! differences of Gaussians have ring buffers too, in which extrema are detected and refined. Only
+//! levels 1 … S, from which orientations and descriptors are computed later, are written to memory.
 //!
-//! Bands of rows are independent of each other, and within a band tiles of columns, narrow enough
-//! that the rings stay in the cache. Both are extended by what the blurs reach, so that each sample
-//! is computed from the same numbers in the same order wherever the borders lie: the result does
-//! not depend on the division.
+//! An octave is divided into bands of rows, and a band into tiles of columns, so narrow that the
+//! ring buffers fit into the cache. Bands and tiles overlap by the radii of the blurs. Each sample
+//! is computed from the same values in the same order in any division, so the result does not
+//! depend on the division.
 
 use crate::blur::{BLOCK, blur_columns, blur_row};
 use crate::buffer::{AlignedBuf, LINE, Ring};
-use crate::extrema::{self, Extremum, REACH, Thresholds};
+use crate::extrema::{self, Extremum, REFINEMENT_RADIUS, Thresholds};
 use crate::scale_space::{Kernel, kernel_from_image, kernels_between_levels};
 use crate::simd::{LANES, Simd, Task};
 use crate::source::Source;
 use std::ops::Range;
 
-/// Columns of a tile: narrow enough for rings that stay in a cache of 1 MiB, wide enough for little
-/// overlap.
-const TILE: usize = 1024;
+/// Maximum width of a tile: ring buffers fit into a cache of 1 MiB, and the overlap is small.
+const MAX_TILE_WIDTH: usize = 1024;
 
-/// Values beyond the end of a row that a kernel may touch.
+/// Number of values beyond the end of a row that vector loads and stores may access.
 const SLACK: usize = 8 * LANES;
 
-/// What is computed for an octave.
-pub(crate) struct Plan {
-    /// log2 of the sample distance in pixels.
+/// The geometry and the blurs of an octave.
+pub(crate) struct OctavePlan {
+    /// Index of the octave: log2 of the sample distance in pixels.
     pub(crate) octave: i32,
-    /// Columns.
+    /// Number of columns.
     pub(crate) width: usize,
-    /// Rows.
+    /// Number of rows.
     pub(crate) height: usize,
-    /// Scales at which extrema are looked for.
+    /// Number S of levels in which extrema are detected.
     pub(crate) levels: usize,
-    /// The blurs, in the order in which they are applied: one more than between the levels if the
-    /// source is blurred.
+    /// The blurs in order: first that of the source, if it is the image, then those between the
+    /// levels.
     stages: Vec<Kernel>,
-    /// How far beyond a tile the input of each stage, and the output of the last one, is needed.
+    /// Halo of a tile, in samples, for the input of each stage and the output of the last stage.
     halos: Vec<usize>,
 }
 
-impl Plan {
-    /// An octave that is made from the image, or from the octave before it.
+impl OctavePlan {
+    /// The plan of an octave that is computed from the image, if `first_octave` is given, or from
+    /// the previous octave.
     pub(crate) fn new(
         octave: i32,
         size: (usize, usize),
@@ -56,80 +56,81 @@ impl Plan {
         if let Some(first_octave) = first_octave {
             stages.insert(0, kernel_from_image(octave, first_octave));
         }
-        let mut halos = vec![REACH];
+        // The halo of a stage is the radius of the refinement plus the radii of the later blurs.
+        let mut halos = vec![REFINEMENT_RADIUS];
         for kernel in stages.iter().rev() {
             halos.push(halos[halos.len() - 1] + kernel.len() - 1);
         }
         halos.reverse();
-        Plan { octave, width: size.0, height: size.1, levels, stages, halos }
+        OctavePlan { octave, width: size.0, height: size.1, levels, stages, halos }
     }
 
-    /// Distance between the rows of a stored level.
+    /// Stride of a stored level, in samples.
     pub(crate) fn stride(&self) -> usize {
         self.width.next_multiple_of(LINE)
     }
 
-    /// Values of so many rows of a stored level, with what kernels may read beyond their end.
+    /// Length of the buffer of `rows` rows of a stored level, including slack for vector accesses.
     pub(crate) fn level_len(&self, rows: usize) -> usize {
         self.stride() * rows + SLACK
     }
 
-    /// Distance between the rows of the next octave's level 0.
+    /// Stride of level 0 of the next octave, in samples.
     pub(crate) fn next_stride(&self) -> usize {
         (self.width / 2).next_multiple_of(LINE)
     }
 
-    /// The stage whose output is level 0, or none if the source is.
+    /// Number of stages before level 0: one if the source is blurred, otherwise zero.
     fn stages_before_level_0(&self) -> usize {
         self.stages.len() - (self.levels + 2)
     }
 }
 
-/// Memory for a sweep.
+/// Working memory for a band.
 #[derive(Default)]
 pub(crate) struct Scratch {
-    /// The input of each stage, and the output of the last one.
+    /// The input of each stage, and the output of the last stage.
     rings: Vec<Ring>,
-    /// Differences of levels.
+    /// Differences of Gaussians.
     differences: Vec<Ring>,
-    /// Rows that are blurred along columns only.
+    /// Rows that are blurred along columns.
     rows: AlignedBuf,
-    /// For the source.
+    /// Temporary row of the source.
     source: AlignedBuf,
 }
 
-/// One band of rows of an octave.
-pub(crate) struct Sweep<'a, 'b> {
-    /// What to compute.
-    pub(crate) plan: &'a Plan,
-    /// From what.
+/// The computation of a band of rows of an octave.
+pub(crate) struct Band<'a, 'b> {
+    /// Geometry and blurs.
+    pub(crate) plan: &'a OctavePlan,
+    /// Source of the octave.
     pub(crate) source: Source<'a>,
-    /// The band; it begins at an even row.
+    /// Rows of the band; the first row is even.
     pub(crate) rows: Range<usize>,
-    /// These rows of levels 1 … S, or nothing if they are not wanted.
+    /// Output: the rows of levels 1 … S; empty if they are not stored.
     pub(crate) levels: Vec<&'b mut [f32]>,
-    /// These rows of the next octave's level 0, if that is wanted.
+    /// Output: the rows of level 0 of the next octave.
     pub(crate) next_octave: Option<&'b mut [f32]>,
-    /// Which extrema count; without it, none are looked for.
+    /// Thresholds of the extrema; `None` for no detection.
     pub(crate) thresholds: Option<Thresholds>,
-    /// Memory.
+    /// Working memory.
     pub(crate) scratch: &'b mut Scratch,
 }
 
-impl Task for Sweep<'_, '_> {
-    /// Refined extrema.
+impl Task for Band<'_, '_> {
+    /// The refined extrema.
     type Output = Vec<Extremum>;
 
     #[inline(always)]
     fn run<S: Simd>(mut self) -> Vec<Extremum> {
         let mut found = Vec::new();
         let width = self.plan.width;
-        let tiles = width.div_ceil(TILE);
+        let tiles = width.div_ceil(MAX_TILE_WIDTH);
         let tile = width.div_ceil(tiles).next_multiple_of(LINE);
         let mut x0 = 0;
         while x0 < width {
             let x1 = (x0 + tile).min(width);
-            self.sweep_tile::<S>((x0, x1), tile, &mut found);
+            self.compute_tile::<S>((x0, x1), tile, &mut found);
             x0 = x1;
         }
         S::fence();
@@ -137,9 +138,9 @@ impl Task for Sweep<'_, '_> {
     }
 }
 
-/// Where the columns of a tile lie in the rows of its rings.
+/// The columns of a tile and their positions in the rows of the ring buffers.
 #[derive(Clone, Copy)]
-struct Columns {
+struct TileColumns {
     x0: usize,
     x1: usize,
     width: usize,
@@ -147,40 +148,41 @@ struct Columns {
     origin: usize,
 }
 
-impl Columns {
-    /// Positions of the columns of the image that are at most `halo` away from the tile.
+impl TileColumns {
+    /// Position range of the columns of the tile and its halo, clipped to the octave.
     #[inline(always)]
     fn extended(&self, halo: usize) -> (usize, usize) {
         let (first, last) = (self.x0.saturating_sub(halo), (self.x1 + halo).min(self.width));
         (self.position(first), self.position(last))
     }
 
-    /// Position of a column.
+    /// Position of column `x` in a row.
     #[inline(always)]
     fn position(&self, x: usize) -> usize {
         x + self.origin - self.x0
     }
 }
 
-impl Sweep<'_, '_> {
+impl Band<'_, '_> {
+    /// Computes a tile of the band and appends its refined extrema to `found`.
     #[inline(always)]
-    fn sweep_tile<S: Simd>(
+    fn compute_tile<S: Simd>(
         &mut self,
         (x0, x1): (usize, usize),
         tile: usize,
         found: &mut Vec<Extremum>,
     ) {
-        let Plan { width, height, levels, ref stages, ref halos, .. } = *self.plan;
+        let OctavePlan { width, height, levels, ref stages, ref halos, .. } = *self.plan;
         let level_0 = self.plan.stages_before_level_0();
-        // Without a search, level S is the last one that is needed, and nothing beyond the tile.
+        // Without detection, level S is the last required level, without a halo.
         let (last, reach) = match self.thresholds {
-            Some(_) => (stages.len(), REACH),
+            Some(_) => (stages.len(), REFINEMENT_RADIUS),
             None => (level_0 + levels, 0),
         };
         let halo = |stage: usize| halos[stage] - halos[last] + reach;
         let margin = (halo(0) + LINE).next_multiple_of(LINE);
         let stride = tile + 2 * margin + SLACK;
-        let columns = Columns { x0, x1, width, origin: margin };
+        let columns = TileColumns { x0, x1, width, origin: margin };
         let band = self.rows.clone();
         let first_row = |stage: usize| band.start.saturating_sub(halo(stage));
         let end_row = |stage: usize| (band.end + halo(stage)).min(height);
@@ -196,20 +198,20 @@ impl Sweep<'_, '_> {
             for (i, ring) in scratch.differences.iter_mut().enumerate() {
                 let stage = level_0 + i + 1;
                 let ahead = halo(stage) - halo(last) + BLOCK * (last - stage + 2);
-                ring.reset(2 * REACH + 1 + ahead, stride, first_row(stage));
+                ring.reset(2 * REFINEMENT_RADIUS + 1 + ahead, stride, first_row(stage));
             }
         }
         scratch.rows.reserve(BLOCK * stride);
         scratch.source.reserve(stride);
-        let mut next_searched = band.start;
+        let mut next_detected = band.start;
 
-        while scratch.rings[last].next < end_row(last) || next_searched < band.end {
+        while scratch.rings[last].next < end_row(last) || next_detected < band.end {
             for _ in 0..BLOCK.min(end_row(0) - scratch.rings[0].next) {
                 let y = scratch.rings[0].next;
                 let (from, to) = columns.extended(halo(0));
                 let image_columns = (from + x0 - margin, to + x0 - margin);
                 let out = scratch.rings[0].next_row();
-                // SAFETY: rows of rings and of `source` have `stride` values.
+                // SAFETY: rows of ring buffers and of `source` have `stride` values.
                 unsafe {
                     let temp = scratch.source.reserve(stride);
                     self.source.fill_row::<S>(y, image_columns, out.add(from), temp);
@@ -224,14 +226,14 @@ impl Sweep<'_, '_> {
                 } else {
                     input.next.saturating_sub(radius)
                 };
-                // One block at a time: further ones would overwrite rows of the ring that are still
-                // needed.
+                // One block at a time: more would overwrite rows of the ring buffer that later
+                // stages need.
                 let y = scratch.rings[stage + 1].next;
                 let rows = BLOCK.min(end - y);
                 if y + rows > ready {
                     continue;
                 }
-                let job = Stage {
+                let job = BlurStage {
                     kernel,
                     stage,
                     height,
@@ -242,7 +244,7 @@ impl Sweep<'_, '_> {
                     at_left: x0 <= halo(stage),
                     at_right: x1 + halo(stage) >= width,
                 };
-                // SAFETY: the rings hold the rows, and the columns are inside of them.
+                // SAFETY: the ring buffers hold the rows and columns.
                 unsafe {
                     if rows == BLOCK {
                         job.blur_rows::<S, BLOCK>(scratch, y);
@@ -258,7 +260,7 @@ impl Sweep<'_, '_> {
                     continue;
                 }
                 for y in (y..y + rows).filter(|y| band.contains(y)) {
-                    // SAFETY: a row of a ring holds the columns of the tile.
+                    // SAFETY: a row of a ring buffer holds the columns of the tile.
                     let row = unsafe {
                         std::slice::from_raw_parts(
                             scratch.rings[stage + 1].row(y).add(margin),
@@ -267,8 +269,8 @@ impl Sweep<'_, '_> {
                     };
                     if let Some(rows) = self.levels.get_mut(level - 1) {
                         let at = (y - band.start) * self.plan.stride() + x0;
-                        // SAFETY: rows of levels and of rings begin on cache lines, and so do
-                        // tiles.
+                        // SAFETY: rows of levels, rows of ring buffers and tiles are aligned to
+                        // cache lines.
                         unsafe { stream_row::<S>(row, &mut rows[at..at + x1 - x0]) };
                     }
                     if let Some(rows) =
@@ -282,12 +284,13 @@ impl Sweep<'_, '_> {
                 }
             }
             let Some(thresholds) = self.thresholds else {
-                next_searched = band.end;
+                next_detected = band.end;
                 continue;
             };
             let next = scratch.rings[last].next;
-            let ready = if next == height { height } else { next.saturating_sub(REACH) };
-            let search = extrema::Search {
+            let ready =
+                if next == height { height } else { next.saturating_sub(REFINEMENT_RADIUS) };
+            let detector = extrema::Detector {
                 differences: &scratch.differences,
                 origin: margin,
                 columns: (x0, x1),
@@ -296,50 +299,49 @@ impl Sweep<'_, '_> {
                 levels,
                 thresholds,
             };
-            while next_searched < ready.min(band.end) {
-                search.row::<S>(next_searched, found);
-                next_searched += 1;
+            while next_detected < ready.min(band.end) {
+                detector.detect_row::<S>(next_detected, found);
+                next_detected += 1;
             }
         }
     }
 }
 
-/// Copies a row to memory that is not read soon.
+/// Copies a row with non-temporal stores.
 ///
 /// # Safety
-/// Both are equally long and begin on cache lines.
+/// Both slices have the same length and are aligned to cache lines.
 #[inline(always)]
 unsafe fn stream_row<S: Simd>(row: &[f32], out: &mut [f32]) {
     let whole = row.len() / LANES * LANES;
     for x in (0..whole).step_by(LANES) {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { S::stream(out.as_mut_ptr().add(x), S::load(row.as_ptr().add(x))) };
     }
     out[whole..].copy_from_slice(&row[whole..]);
 }
 
 /// One blur of a tile.
-struct Stage<'a> {
+struct BlurStage<'a> {
     kernel: &'a Kernel,
     stage: usize,
     height: usize,
     stride: usize,
-    /// The difference that its output completes.
+    /// Index of the difference of Gaussians that is computed from the output.
     difference: Option<usize>,
     input_columns: (usize, usize),
     output_columns: (usize, usize),
-    /// Whether the input begins at the border of the image.
+    /// Whether the input starts at the left border of the octave.
     at_left: bool,
-    /// Whether it ends there.
+    /// Whether the input ends at the right border of the octave.
     at_right: bool,
 }
 
-impl Stage<'_> {
-    /// Computes `ROWS` rows from row `y` on.
+impl BlurStage<'_> {
+    /// Computes `ROWS` output rows from row `y` on.
     ///
     /// # Safety
-    /// The ring of the input holds the rows that the kernel reaches, columns are inside of the rows
-    /// of the rings.
+    /// The ring buffer of the input holds the rows of the kernel, and its rows hold the columns.
     #[inline(always)]
     unsafe fn blur_rows<S: Simd, const ROWS: usize>(&self, scratch: &mut Scratch, y: usize) {
         let radius = self.kernel.len() - 1;
@@ -353,7 +355,7 @@ impl Stage<'_> {
         let all = scratch.rows.reserve(BLOCK * self.stride).as_mut_ptr();
         let (first, end) = self.input_columns;
         let (out_first, out_end) = self.output_columns;
-        // SAFETY: `scratch.rows` has room for a block; the rest is the caller's promise.
+        // SAFETY: `scratch.rows` holds a block; the rest is guaranteed by the caller.
         unsafe {
             let blurred: [*mut f32; ROWS] = std::array::from_fn(|j| all.add(j * self.stride));
             blur_columns::<S, ROWS>(rows, self.kernel, blurred, (first / LINE * LINE, end));
@@ -385,6 +387,5 @@ impl Stage<'_> {
     }
 }
 
-/// Input rows of the widest kernel for a block: with one level per octave, the last blur has σ =
-/// 11.1.
+/// Maximum number of input rows of a block: with one level per octave, the last blur has σ = 11.1.
 const MAX_TAPS: usize = 2 * 45 + BLOCK;

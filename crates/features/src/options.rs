@@ -1,45 +1,46 @@
-//! What can be chosen.
+//! Options of feature extraction.
 
 use crate::Error;
 
-/// How histograms become the 128 numbers of a descriptor.
+/// Normalisation of the 128 histogram values of a descriptor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Normalization {
-    /// RootSIFT (Arandjelović & Zisserman 2012): divided by the sum, then the square root.
-    /// Euclidean distance then compares histograms by the Hellinger kernel, which matches better.
+    /// RootSIFT (Arandjelović & Zisserman 2012): the square root of the L1-normalised histogram.
+    /// The Euclidean distance of descriptors then corresponds to the Hellinger kernel of
+    /// histograms, which gives better matches.
     #[default]
     RootL1,
-    /// Lowe 2004: divided by the Euclidean norm.
+    /// Lowe 2004: the L2-normalised histogram.
     L2,
 }
 
-/// How [`Options::max_features`] is meant. Either way the coarsest features are kept: those with
-/// the strongest response at any scale were measured to be worth much less (see
-/// `bench/sift_sfm.py`). Fine octaves that cannot contribute are not even computed.
+/// How [`Options::max_features`] limits the features. Both limits keep the features of the coarsest
+/// scales. The features of the strongest response over all scales gave much worse results (measured
+/// by `bench/sift_sfm.py`). The doubled octave is not computed if it cannot contribute.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Limit {
-    /// As COLMAP does: levels of the scale space are taken from the coarsest down, and the one in
-    /// which the number of keypoints exceeds the limit is the last one. Gives up to half as many
-    /// features more than the limit says, because that level is complete and a keypoint with two
-    /// orientations counts once.
+    /// As in COLMAP: levels of the scale space are added from coarse to fine until the number of
+    /// keypoints exceeds the limit. The number of features can exceed the limit by up to a half,
+    /// because the last level is complete and a keypoint with two orientations counts once.
     #[default]
     WholeLevels,
-    /// That many features and no more; within the last level those with the strongest response.
+    /// At most `max_features` features. In the last level, those of the strongest response.
     Exact,
 }
 
-/// DSP-SIFT (Dong & Soatto, "Domain-size pooling in local descriptors", CVPR 2015): a descriptor is
-/// the mean of several, measured in windows of different size around the same keypoint. It matches
-/// better where scale is uncertain, and takes some twenty times as long as a plain one. Keypoints
-/// that are copies of others are left out. The defaults are COLMAP's.
+/// Window sizes of DSP-SIFT (Dong & Soatto, "Domain-size pooling in local descriptors", CVPR 2015).
+///
+/// A descriptor is the mean of the descriptors of several window sizes around the keypoint. It
+/// matches better if the scale is uncertain, and takes about twenty times as long. Duplicate
+/// keypoints are removed. The defaults are those of COLMAP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DomainSizes {
-    /// Smallest window, relative to that of a plain descriptor. Above 0.
+    /// Smallest window size, relative to the window of a SIFT descriptor. Above 0.
     pub min: f32,
-    /// End of the sizes, which is not one of them, relative to a plain descriptor. Above `min`, at
-    /// most 8.
+    /// Exclusive upper end of the window sizes, relative to the window of a SIFT descriptor. Above
+    /// `min`, at most 8.
     pub max: f32,
-    /// Number of sizes, evenly spread. 1 to 64.
+    /// Number of equally spaced sizes. 1 to 64.
     pub count: usize,
 }
 
@@ -50,49 +51,50 @@ impl Default for DomainSizes {
 }
 
 impl DomainSizes {
-    /// The sizes, ascending.
+    /// The window sizes in ascending order.
     pub(crate) fn sizes(self) -> impl Iterator<Item = f32> {
         let step = (self.max - self.min) / self.count as f32;
         (0..self.count).map(move |i| self.min + i as f32 * step)
     }
 }
 
-/// What to extract. The defaults are COLMAP's.
+/// Options of feature extraction. The defaults are those of COLMAP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Octave of the finest scale: −1 doubles the image, 0 starts at its own resolution, 1 at half
-    /// of it. −1 to 8.
+    /// First octave: −1 is the image at double resolution, 0 at its own, 1 at half resolution.
+    /// −1 to 8.
     pub first_octave: i32,
-    /// Number of octaves, from `first_octave` on; fewer where the image becomes too small. 1 to 16.
+    /// Number of octaves from `first_octave` on, fewer for small images. 1 to 16.
     pub octaves: usize,
-    /// Scales per octave at which extrema are looked for. 1 to 8.
+    /// Number of levels per octave in which extrema are detected. 1 to 8.
     pub levels: usize,
-    /// Smallest absolute difference of Gaussians at an extremum, where black is 0 and white is 1.
+    /// Minimum absolute value of the difference of Gaussians at an extremum, with black = 0 and
+    /// white = 1.
     pub peak_threshold: f32,
-    /// Largest ratio of the principal curvatures at an extremum: above it, it lies on an edge. At
-    /// least 1.
+    /// Maximum ratio of the principal curvatures at an extremum. Extrema of larger ratios are on
+    /// edges. At least 1.
     pub edge_threshold: f32,
-    /// Number of features, as `limit` counts them.
+    /// Limit on the number of features, applied as `limit` says.
     pub max_features: usize,
-    /// How `max_features` is meant.
+    /// How `max_features` limits the features.
     pub limit: Limit,
-    /// Number of dominant orientations per keypoint, at most; each gives a feature. 1 to 4.
+    /// Maximum number of dominant orientations per keypoint; each gives a feature. 1 to 4.
     pub max_orientations: usize,
-    /// Whether the orientation is measured, or zero for every keypoint.
+    /// How keypoint orientations are assigned.
     pub orientation: Orientation,
-    /// How descriptors are normalised.
+    /// Normalisation of the descriptors.
     pub normalization: Normalization,
-    /// Over which window sizes descriptors are pooled; none for plain SIFT.
+    /// Window sizes of DSP-SIFT; `None` for SIFT.
     pub domain_sizes: Option<DomainSizes>,
 }
 
-/// Whether descriptors turn with the image.
+/// Orientation assignment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Orientation {
-    /// Along the dominant gradient directions: descriptors do not change when the image is rotated.
+    /// The dominant gradient directions: descriptors are invariant to image rotation.
     #[default]
     Dominant,
-    /// Along +x for every keypoint: more distinctive and faster, for cameras that stay upright.
+    /// Zero for all keypoints, for cameras that stay upright: more distinctive and faster.
     Upright,
 }
 
@@ -115,12 +117,15 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The largest window of a descriptor, relative to that of a plain one.
+    /// The largest window size of a descriptor, relative to the window of a SIFT descriptor.
     pub(crate) fn largest_size(&self) -> f32 {
         self.domain_sizes.map_or(1.0, |sizes| sizes.max)
     }
 
-    /// Whether every option is inside of its range.
+    /// Checks that every option is in its range.
+    ///
+    /// # Errors
+    /// [`Error::Option`] with the first option that is out of its range.
     pub fn validate(&self) -> Result<(), Error> {
         let check = |name, value: f64, ok: bool, range| {
             if ok { Ok(()) } else { Err(Error::Option { name, value, range }) }

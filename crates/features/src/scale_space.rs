@@ -1,24 +1,24 @@
-//! The scale space of Lowe 2004, section 3: which Gaussians are computed, and from what.
+//! The scale space of Lowe 2004, section 3: the Gaussian levels of the octaves.
 //!
-//! Octave `o` is sampled every 2^o pixels of the image. Within it, level `i` has σ_i = 1.6 ·
-//! 2^(i/S) samples, i = 0 … S + 2; the differences D_i = L_{i+1} − L_i are searched at i = 1 … S.
-//! Each level is blurred from the one below it by √(σ_{i+1}² − σ_i²).
+//! Octave `o` is sampled every 2^o pixels of the image. Its level `i` has σ_i = 1.6 · 2^(i/S)
+//! samples, i = 0 … S + 2. Extrema of the differences D_i = L_{i+1} − L_i are detected at
+//! i = 1 … S. Level i + 1 is level i blurred by √(σ_{i+1}² − σ_i²).
 //!
-//! The image itself is taken to have σ = 0.5. Octave −1 starts from the image doubled by linear
-//! interpolation. Octave 0 starts from the image, not from octave −1: then octave −1 needs not be
-//! computed when coarser octaves give enough features. So that the chain is nevertheless the same
-//! as when every octave is halved from the one before it (as Lowe, VLFeat and COLMAP do), its blur
-//! includes that of the interpolation, whose variance is 1/8 pixel² (the mean of that of the
-//! kernels {1} and {½, ½} on the doubled grid: (0 + ¼) / 2). Later octaves are every second sample
-//! of level S, whose σ is twice that of level 0.
+//! The image is assumed to have σ = 0.5 pixels. Octave −1 is computed from the image doubled by
+//! linear interpolation. Octave 0 is computed from the image and not from octave −1, so that
+//! octave −1 need not be computed if coarser octaves give enough features. Lowe, VLFeat and COLMAP
+//! compute every octave from the previous one. To give the same levels, the blur of octave 0
+//! includes the blur of the interpolation, whose variance is 1/8 pixel²: the mean of the variances
+//! of the kernels {1} and {½, ½} on the doubled grid, (0 + ¼) / 2. Level 0 of a later octave is
+//! every second sample of level S of the previous octave, whose σ is twice that of its level 0.
 
 /// σ of level 0, in samples of its octave.
 pub(crate) const BASE_SIGMA: f64 = 1.6;
-/// σ that the image is taken to have, in its pixels.
+/// Assumed σ of the image, in pixels.
 const IMAGE_SIGMA: f64 = 0.5;
 /// Variance of linear interpolation at twice the resolution, in pixels² of the image.
 const DOUBLING_VARIANCE: f64 = 0.125;
-/// Kernels end at this many σ (as in VLFeat), where a Gaussian has fallen to 0.03 % of its peak.
+/// Radius of the kernels in σ, as in VLFeat. The Gaussian there is 0.03 % of its maximum.
 const KERNEL_RADIUS_IN_SIGMA: f64 = 4.0;
 
 /// The right half of a normalised Gaussian kernel: `[0]` is the centre.
@@ -32,7 +32,7 @@ fn gaussian(sigma: f64) -> Kernel {
     half.iter().map(|w| (w / sum) as f32).collect()
 }
 
-/// The blur with which an octave starts, if it is made from the image.
+/// The blur from the image, or the doubled image, to level 0 of an octave.
 pub(crate) fn kernel_from_image(octave: i32, first_octave: i32) -> Kernel {
     let scale = 2f64.powi(-octave);
     let mut variance = (IMAGE_SIGMA * scale).powi(2);
@@ -42,7 +42,7 @@ pub(crate) fn kernel_from_image(octave: i32, first_octave: i32) -> Kernel {
     gaussian((BASE_SIGMA.powi(2) - variance).sqrt())
 }
 
-/// The blurs that lead from level 0 to levels 1 … S + 2.
+/// The blurs between successive levels, from level 0 to level S + 2.
 pub(crate) fn kernels_between_levels(levels: usize) -> Vec<Kernel> {
     let sigma = |i: usize| BASE_SIGMA * 2f64.powf(i as f64 / levels as f64);
     (0..levels + 2).map(|i| gaussian((sigma(i + 1).powi(2) - sigma(i).powi(2)).sqrt())).collect()
@@ -58,8 +58,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kernels_have_unit_sum_and_the_variance_asked_for() {
-        // A kernel cut at 4 σ lacks 0.1 % of its variance; f32 weights and sampling add less.
+    fn kernels_have_unit_sum_and_the_given_variance() {
+        // Truncation at 4 σ removes 0.1 % of the variance. f32 weights and sampling change it by
+        // less.
         const TOLERANCE: f64 = 2e-3;
         for sigma in [1.0, 1.226, 1.5604, 3.09, 5.0] {
             let k = gaussian(sigma);

@@ -1,11 +1,11 @@
-//! The whole of it: octaves, choice of extrema, orientations and descriptors.
+//! SIFT: detection in octaves, selection of extrema, orientations and descriptors.
 
-use crate::bands::{SweepAll, sweep_all};
+use crate::bands::{OctaveJob, compute_octave};
 use crate::buffer::AlignedBuf;
-use crate::distinct::distinct;
+use crate::describe::{Description, describe_extrema, window_rows};
+use crate::duplicates::remove_duplicates;
 use crate::extrema::{Extremum, Thresholds};
-use crate::measure::{Measured, measure, window_reach};
-use crate::octave::{Plan, Scratch};
+use crate::octave::{OctavePlan, Scratch};
 use crate::options::Limit;
 use crate::simd::Isa;
 use crate::source::Source;
@@ -13,25 +13,27 @@ use crate::{Error, Features, GrayView, Keypoint, Options};
 use std::f32::consts::{PI, TAU};
 use std::num::NonZeroUsize;
 
-/// An octave with fewer columns or rows is not looked at: its extrema would all lie at its border.
+/// Minimum width and height of an octave: all extrema of a smaller octave are at its border.
 const MIN_SIDE: usize = 8;
-/// Levels of an octave that take more memory than this are not kept, but computed once more, a part
-/// at a time, where orientations and descriptors need them: the doubled octave of images beyond 11
-/// megapixels.
+/// Maximum memory of the stored levels of an octave. Larger octaves (the doubled octave of images
+/// above 11 megapixels) are computed a second time, in parts, for orientations and descriptors.
 const MAX_LEVEL_BYTES: usize = 512 << 20;
-/// Such a part takes the limit divided by this.
+/// The memory of such a part is the maximum divided by this.
 const PARTS_PER_LIMIT: usize = 4;
-/// Where the centre of the first pixel is in pixel coordinates.
+/// Pixel coordinate of the centre of the first pixel.
 const PIXEL_CENTRE: f32 = 0.5;
 
-/// Extracts the features of an image on the calling thread. For many images, [`Sift`] keeps its
-/// memory from one to the next.
+/// Extracts the features of an image on the calling thread. For several images, [`Sift`] reuses
+/// memory.
+///
+/// # Errors
+/// An option is out of its range, or the view does not fit its slice.
 pub fn extract(image: &GrayView<'_>, options: &Options) -> Result<Features, Error> {
     Sift::new(*options)?.extract(image, None)
 }
 
-/// Extracts features, image after image, in memory that it keeps: 12 bytes for each pixel of the
-/// finest octave that was computed, at most 512 MiB for an octave. Have one per thread.
+/// A SIFT extractor that reuses memory between images: 12 bytes per pixel of the finest computed
+/// octave, at most 512 MiB per octave. Use one extractor per thread.
 pub struct Sift {
     options: Options,
     pub(crate) isa: Isa,
@@ -40,34 +42,41 @@ pub struct Sift {
     scratches: Vec<Scratch>,
 }
 
-/// What is kept of an octave.
+/// The stored data of an octave.
 #[derive(Default)]
 struct Octave {
-    /// Levels 1 … S, unless they are too large.
+    /// Levels 1 … S; empty if they exceed the maximum memory.
     levels: Vec<AlignedBuf>,
-    /// Level 0 of the next one.
+    /// Level 0 of the next octave.
     next: AlignedBuf,
 }
 
-/// An octave of the image at hand.
-struct Swept<'a> {
-    plan: Plan,
-    /// What it is made from; nothing if it is the octave before.
+/// An octave of the current image in which extrema were detected.
+struct DetectedOctave<'a> {
+    plan: OctavePlan,
+    /// The image that the octave is computed from; `None` if it is computed from the previous
+    /// octave.
     image: Option<Source<'a>>,
-    /// Whether its levels were kept.
-    is_kept: bool,
+    /// Whether its levels are stored.
+    is_stored: bool,
 }
 
 impl Sift {
-    /// Checks the options.
+    /// An extractor with these options.
+    ///
+    /// # Errors
+    /// [`Error::Option`] if an option is out of its range.
     pub fn new(options: Options) -> Result<Self, Error> {
         options.validate()?;
         let (octaves, scratches) = Default::default();
         Ok(Sift { options, isa: Isa::best(), max_level_bytes: MAX_LEVEL_BYTES, octaves, scratches })
     }
 
-    /// Extracts the features of an image on the calling thread: the way for many images, each on
-    /// its own thread. Where the mask is zero, no keypoint is kept.
+    /// Extracts the features of an image on the calling thread. For many images, run one extractor
+    /// per thread. Keypoints at pixels where the mask is zero are removed.
+    ///
+    /// # Errors
+    /// The image or the mask does not fit its slice, or their sizes differ.
     pub fn extract(
         &mut self,
         image: &GrayView<'_>,
@@ -76,8 +85,11 @@ impl Sift {
         self.extract_with(image, mask, NonZeroUsize::MIN)
     }
 
-    /// As [`extract`](Self::extract), and with the same result, on all threads of rayon's current
-    /// pool: the way for a single large image.
+    /// Extracts the features of one large image on all threads of rayon's current pool. The result
+    /// is the same as that of [`extract`](Self::extract).
+    ///
+    /// # Errors
+    /// As [`extract`](Self::extract).
     pub fn extract_parallel(
         &mut self,
         image: &GrayView<'_>,
@@ -87,6 +99,7 @@ impl Sift {
         self.extract_with(image, mask, threads)
     }
 
+    /// Extracts features on a number of threads.
     fn extract_with(
         &mut self,
         image: &GrayView<'_>,
@@ -102,16 +115,16 @@ impl Sift {
                 return Err(Error::MaskSize { width, height, mask_width, mask_height });
             }
         }
-        let (extrema, swept) = self.detect(image, mask, threads);
-        let measured = self.measure(&extrema, &swept, threads);
-        let most = match self.options.limit {
+        let (extrema, octaves) = self.detect(image, mask, threads);
+        let descriptions = self.describe(&extrema, &octaves, threads);
+        let max_features = match self.options.limit {
             Limit::WholeLevels => usize::MAX,
             Limit::Exact => self.options.max_features,
         };
         let mut features = Features::default();
-        for (extremum, measured) in extrema.iter().zip(&measured) {
-            let each = measured.directions.as_slice().iter().zip(&measured.descriptors);
-            for (&angle, &descriptor) in each.take(most - features.keypoints.len()) {
+        for (extremum, description) in extrema.iter().zip(&descriptions) {
+            let oriented = description.orientations.as_slice().iter().zip(&description.descriptors);
+            for (&angle, &descriptor) in oriented.take(max_features - features.keypoints.len()) {
                 features.keypoints.push(keypoint(extremum, angle));
                 features.descriptors.push(descriptor);
             }
@@ -119,26 +132,26 @@ impl Sift {
         Ok(features)
     }
 
-    /// The extrema that are to be described, the most wanted first, and the octaves for it, the
-    /// doubled one last.
+    /// Detects and selects extrema. Returns them from coarse to fine, and the computed octaves, of
+    /// which the doubled octave is the last.
     fn detect<'a>(
         &mut self,
         image: &GrayView<'a>,
         mask: Option<&GrayView<'_>>,
         threads: NonZeroUsize,
-    ) -> (Vec<Extremum>, Vec<Swept<'a>>) {
+    ) -> (Vec<Extremum>, Vec<DetectedOctave<'a>>) {
         let Options { first_octave, octaves, levels, max_features, limit, domain_sizes, .. } =
             self.options;
-        let mut swept: Vec<Swept<'a>> = Vec::new();
+        let mut detected: Vec<DetectedOctave<'a>> = Vec::new();
         let mut extrema = Vec::new();
         let end = first_octave + octaves as i32;
-        // The octave of the image itself and those above it, then the doubled one, if it can still
-        // contribute.
+        // Octave 0 and coarser octaves come first, then the doubled octave unless the limit is
+        // reached.
         for octave in (0..end).chain((first_octave == -1).then_some(-1)) {
             if octave == -1 {
-                sort(&mut extrema);
+                sort_coarse_to_fine(&mut extrema);
                 if domain_sizes.is_some() {
-                    distinct(&mut extrema, image.height);
+                    remove_duplicates(&mut extrema, image.height);
                 }
                 if is_reached(limit, max_features, extrema.len()) {
                     break;
@@ -156,17 +169,18 @@ impl Sift {
                 0 => Some(Source::Image(*image)),
                 _ => None,
             };
-            let plan = Plan::new(octave, size, levels, source.is_some().then_some(first_octave));
-            let is_kept = 4 * levels * plan.level_len(size.1) <= self.max_level_bytes
+            let plan =
+                OctavePlan::new(octave, size, levels, source.is_some().then_some(first_octave));
+            let is_stored = 4 * levels * plan.level_len(size.1) <= self.max_level_bytes
                 && octave >= first_octave;
-            self.octaves.resize_with(self.octaves.len().max(swept.len() + 1), Octave::default);
-            let (before, here) = self.octaves.split_at_mut(swept.len());
+            self.octaves.resize_with(self.octaves.len().max(detected.len() + 1), Octave::default);
+            let (before, here) = self.octaves.split_at_mut(detected.len());
             let Octave { levels: kept, next } = &mut here[0];
-            let mut found = sweep_all(SweepAll {
+            let mut found = compute_octave(OctaveJob {
                 plan: &plan,
                 source: source.unwrap_or_else(|| halved(&plan, &before[before.len() - 1])),
                 rows: 0..size.1,
-                levels: is_kept.then_some(kept),
+                levels: is_stored.then_some(kept),
                 next_octave: (0..end - 1).contains(&octave).then_some(next),
                 thresholds: Some(Thresholds {
                     peak: self.options.peak_threshold,
@@ -176,20 +190,20 @@ impl Sift {
                 isa: self.isa,
                 threads,
             });
-            swept.push(Swept { plan, image: source, is_kept });
+            detected.push(DetectedOctave { plan, image: source, is_stored });
             if octave >= first_octave {
                 if let Some(mask) = mask {
                     found.retain(|e| is_unmasked(mask, e));
                 }
-                sort(&mut found);
-                // Two that were refined to the same sample are the same.
+                sort_coarse_to_fine(&mut found);
+                // Extrema that were refined to the same sample are duplicates.
                 found.dedup_by_key(|e| (e.level, e.iy, e.ix));
                 extrema.append(&mut found);
             }
         }
-        sort(&mut extrema);
+        sort_coarse_to_fine(&mut extrema);
         if domain_sizes.is_some() {
-            distinct(&mut extrema, image.height);
+            remove_duplicates(&mut extrema, image.height);
         }
         let level = |e: &Extremum| (e.octave, e.level);
         let kept = match extrema.get(max_features) {
@@ -199,28 +213,29 @@ impl Sift {
             _ => max_features.min(extrema.len()),
         };
         extrema.truncate(kept);
-        (extrema, swept)
+        (extrema, detected)
     }
 
-    /// Orientations and descriptors, in the order of the extrema.
-    fn measure(
+    /// Computes orientations and descriptors, in the order of the extrema.
+    fn describe(
         &mut self,
         extrema: &[Extremum],
-        swept: &[Swept<'_>],
+        detected: &[DetectedOctave<'_>],
         threads: NonZeroUsize,
-    ) -> Vec<Measured> {
-        let mut all = vec![Measured::default(); extrema.len()];
-        for (slot, Swept { plan, image, is_kept }) in swept.iter().enumerate() {
-            // From top to bottom, so that windows that overlap are in the cache.
+    ) -> Vec<Description> {
+        let mut all = vec![Description::default(); extrema.len()];
+        for (slot, DetectedOctave { plan, image, is_stored }) in detected.iter().enumerate() {
+            // From top to bottom, so that overlapping windows are in the cache.
             let mut order: Vec<usize> =
                 (0..extrema.len()).filter(|&i| extrema[i].octave == plan.octave).collect();
             order.sort_unstable_by_key(|&i| (extrema[i].iy, extrema[i].level, extrema[i].ix));
             let here: Vec<Extremum> = order.iter().map(|&i| extrema[i]).collect();
-            let mut measured = Vec::with_capacity(here.len());
-            if *is_kept {
+            let mut described = Vec::with_capacity(here.len());
+            if *is_stored {
                 let levels: Vec<&[f32]> =
                     self.octaves[slot].levels.iter().map(AlignedBuf::as_slice).collect();
-                measured = measure(&here, plan, &levels, 0, &self.options, self.isa, threads);
+                described =
+                    describe_extrema(&here, plan, &levels, 0, &self.options, self.isa, threads);
             } else {
                 let row_bytes = 4 * plan.levels * plan.stride();
                 let mut part = Vec::new();
@@ -229,10 +244,10 @@ impl Sift {
                     let end =
                         first.iy + (self.max_level_bytes / PARTS_PER_LIMIT / row_bytes).max(1);
                     let (group, others) = rest.split_at(rest.partition_point(|e| e.iy < end));
-                    let reach = window_reach(group, &self.options);
+                    let reach = window_rows(group, &self.options);
                     let rows =
                         first.iy.saturating_sub(reach) / 2 * 2..(end + reach).min(plan.height);
-                    sweep_all(SweepAll {
+                    compute_octave(OctaveJob {
                         plan,
                         source: image.unwrap_or_else(|| halved(plan, &self.octaves[slot - 1])),
                         rows: rows.clone(),
@@ -244,7 +259,7 @@ impl Sift {
                         threads,
                     });
                     let levels: Vec<&[f32]> = part.iter().map(AlignedBuf::as_slice).collect();
-                    measured.extend(measure(
+                    described.extend(describe_extrema(
                         group,
                         plan,
                         &levels,
@@ -256,21 +271,21 @@ impl Sift {
                     rest = others;
                 }
             }
-            for (i, measured) in order.into_iter().zip(measured) {
-                all[i] = measured;
+            for (i, description) in order.into_iter().zip(described) {
+                all[i] = description;
             }
         }
         all
     }
 }
 
-/// Level 0 of an octave that is made from the one before it.
-fn halved<'a>(plan: &Plan, before: &'a Octave) -> Source<'a> {
+/// The source of an octave that is computed from the previous octave.
+fn halved<'a>(plan: &OctavePlan, before: &'a Octave) -> Source<'a> {
     Source::Halved { data: before.next.as_slice(), stride: plan.stride() }
 }
 
-/// Sorts extrema by how much they are wanted: coarse levels first, and the strongest first in each.
-fn sort(extrema: &mut [Extremum]) {
+/// Sorts extrema from coarse to fine levels, and by descending response within a level.
+fn sort_coarse_to_fine(extrema: &mut [Extremum]) {
     extrema.sort_unstable_by(|a, b| {
         let coarsest = (b.octave, b.level).cmp(&(a.octave, a.level));
         coarsest
@@ -279,7 +294,7 @@ fn sort(extrema: &mut [Extremum]) {
     });
 }
 
-/// Whether finer levels can add nothing more to so many keypoints.
+/// Whether the limit is reached, so that finer levels cannot contribute keypoints.
 fn is_reached(limit: Limit, max_features: usize, keypoints: usize) -> bool {
     match limit {
         Limit::WholeLevels => keypoints > max_features,
@@ -287,14 +302,14 @@ fn is_reached(limit: Limit, max_features: usize, keypoints: usize) -> bool {
     }
 }
 
-/// Whether the mask keeps the pixel in which an extremum lies.
+/// Whether the mask is non-zero at the pixel of an extremum.
 fn is_unmasked(mask: &GrayView<'_>, extremum: &Extremum) -> bool {
     let Keypoint { x, y, .. } = keypoint(extremum, 0.0);
     let (column, row) = ((x as usize).min(mask.width - 1), (y as usize).min(mask.height - 1));
     mask.row(row)[column] != 0
 }
 
-/// From samples of an octave to pixels.
+/// The keypoint of an extremum: converts samples of an octave to pixels of the image.
 fn keypoint(extremum: &Extremum, angle: f32) -> Keypoint {
     let pixels = 2f32.powi(extremum.octave);
     Keypoint {

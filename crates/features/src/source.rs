@@ -1,35 +1,35 @@
-//! What an octave is made from, row by row.
+//! The source of an octave: rows of the image, the doubled image or the previous octave.
 
 use crate::GrayView;
 use crate::simd::{LANES, Simd};
 
-/// White in an image of 8 bits.
+/// The value of white in an 8-bit image.
 const WHITE: f32 = 255.0;
 
-/// What an octave is made from.
+/// The source of an octave.
 #[derive(Clone, Copy)]
 pub(crate) enum Source<'a> {
     /// The image.
     Image(GrayView<'a>),
-    /// The image at twice its resolution: pixels interleaved with the means of neighbours, the last
-    /// ones repeated.
+    /// The image at double resolution by linear interpolation: pixels alternate with the means of
+    /// neighbours. Border pixels are repeated.
     Doubled(GrayView<'a>),
-    /// Every second sample of a level of the octave before, which is level 0 itself.
+    /// Every second sample of level S of the previous octave, which is level 0 without a blur.
     Halved {
         /// The samples.
         data: &'a [f32],
-        /// Distance between their rows.
+        /// Distance between rows, in samples.
         stride: usize,
     },
 }
 
 impl Source<'_> {
-    /// Writes columns `from..to` of row `y` to `out`, which points to where column `from` belongs;
-    /// black is 0, white 1.
+    /// Writes columns `from..to` of row `y` to `out`, which points to column `from`. Black is 0 and
+    /// white is 1.
     ///
     /// # Safety
-    /// Row and columns are inside of the octave; `out` is writable for `to − from` values, and from
-    /// one value before it to `LANES` values after them. `temp` is as long as half a row and
+    /// The row and the columns are in the octave. `out` is writable from one value before column
+    /// `from` to `LANES` values after column `to`. `temp` has the length of half a row plus
     /// `2 · LANES`.
     #[inline(always)]
     pub(crate) unsafe fn fill_row<S: Simd>(
@@ -39,7 +39,7 @@ impl Source<'_> {
         out: *mut f32,
         temp: &mut [f32],
     ) {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             match *self {
                 Source::Image(view) => {
@@ -65,47 +65,53 @@ impl Source<'_> {
     }
 }
 
+/// Converts bytes to values from 0 to 1.
+///
 /// # Safety
-/// `out` is writable for as many values as `row` has, rounded up to `LANES`.
+/// `out` is writable for the length of `row`, rounded up to `LANES`.
 #[inline(always)]
 unsafe fn convert<S: Simd>(row: &[u8], out: *mut f32) {
     let scale = S::splat(1.0 / WHITE);
-    let whole = row.len() / LANES * LANES;
-    for x in (0..whole).step_by(LANES) {
-        // SAFETY: `x + LANES <= whole`.
+    let vector_end = row.len() / LANES * LANES;
+    for x in (0..vector_end).step_by(LANES) {
+        // SAFETY: `x + LANES <= vector_end`.
         unsafe { S::store(out.add(x), S::mul(S::load_u8(row.as_ptr().add(x)), scale)) };
     }
-    for (x, &v) in row.iter().enumerate().skip(whole) {
-        // SAFETY: the caller's promise.
+    for (x, &v) in row.iter().enumerate().skip(vector_end) {
+        // SAFETY: guaranteed by the caller.
         unsafe { *out.add(x) = f32::from(v) * (1.0 / WHITE) };
     }
 }
 
+/// The mean of two rows, from 0 to 1.
+///
 /// # Safety
-/// `out` is writable for as many values as the rows have, which are equally long.
+/// Both rows have the same length, and `out` is writable for it.
 #[inline(always)]
 unsafe fn mean<S: Simd>(upper: &[u8], lower: &[u8], out: *mut f32) {
     const HALF: f32 = 0.5 / WHITE;
     let scale = S::splat(HALF);
-    let whole = upper.len() / LANES * LANES;
-    for x in (0..whole).step_by(LANES) {
-        // SAFETY: `x + LANES <= whole`, which is at most the length of either row.
+    let vector_end = upper.len() / LANES * LANES;
+    for x in (0..vector_end).step_by(LANES) {
+        // SAFETY: `x + LANES <= vector_end`, which is at most the length of either row.
         unsafe {
             let sum = S::add(S::load_u8(upper.as_ptr().add(x)), S::load_u8(lower.as_ptr().add(x)));
             S::store(out.add(x), S::mul(sum, scale));
         }
     }
-    for x in whole..upper.len() {
-        // SAFETY: the caller's promise.
+    for x in vector_end..upper.len() {
+        // SAFETY: guaranteed by the caller.
         unsafe { *out.add(x) = (f32::from(upper[x]) + f32::from(lower[x])) * HALF };
     }
 }
 
+/// Doubles a row by linear interpolation.
+///
 /// # Safety
-/// `out` is writable for `2 · pairs` values; `row` has `pairs + 1`.
+/// `out` is writable for `2 · pairs` values, and `row` has `pairs + 1` values.
 #[inline(always)]
 unsafe fn double(row: &[f32], out: *mut f32, pairs: usize) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let out = unsafe { std::slice::from_raw_parts_mut(out, 2 * pairs) };
     for (out, pair) in out.chunks_exact_mut(2).zip(row.windows(2)) {
         out[0] = pair[0];

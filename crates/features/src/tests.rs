@@ -1,18 +1,18 @@
-//! The fast path against a plain one, against itself on other instruction sets, and against truth.
+//! Comparison with a reference implementation, between instruction sets, and with known keypoints.
 
-use crate::bands::{SweepAll, sweep_all};
+use crate::bands::{OctaveJob, compute_octave};
 use crate::buffer::AlignedBuf;
+use crate::describe::describe_extrema;
 use crate::extrema::{Extremum, Thresholds};
-use crate::measure::measure;
-use crate::octave::Plan;
+use crate::octave::OctavePlan;
 use crate::simd::Isa;
 use crate::source::Source;
 use crate::{DomainSizes, Features, GrayView, Limit, Options, Orientation, Sift};
 use proptest::prelude::*;
 use std::num::NonZeroUsize;
 
-mod plain;
-use plain::*;
+mod reference;
+use reference::*;
 
 /// Deterministic texture: blobs of many sizes and some noise, so that every octave has extrema.
 fn texture(width: usize, height: usize, seed: u64) -> Vec<u8> {
@@ -58,24 +58,25 @@ fn every_instruction_set_gives_the_same_bits() {
     assert!(portable.keypoints.len() > 300, "{}", portable.keypoints.len());
     let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..options };
     let portable_pooled = extract_on(Isa::PORTABLE, pooled, &view);
-    // The same keypoints in the same order, but for copies.
+    // The same keypoints in the same order, without duplicates.
     let mut all = portable.keypoints.iter().zip(&portable.descriptors);
-    let of_plain = |keypoint| all.find(|plain| plain.0 == keypoint).unwrap().1;
-    let plain: Vec<&crate::Descriptor> = portable_pooled.keypoints.iter().map(of_plain).collect();
+    let sift_descriptor = |keypoint| all.find(|sift| sift.0 == keypoint).unwrap().1;
+    let sift: Vec<&crate::Descriptor> =
+        portable_pooled.keypoints.iter().map(sift_descriptor).collect();
     assert!(
-        plain.len() > portable.keypoints.len() * 9 / 10 && plain.len() < portable.keypoints.len()
+        sift.len() > portable.keypoints.len() * 9 / 10 && sift.len() < portable.keypoints.len()
     );
-    assert!(plain.iter().zip(&portable_pooled.descriptors).all(|(&plain, pooled)| plain != pooled));
+    assert!(sift.iter().zip(&portable_pooled.descriptors).all(|(&sift, pooled)| sift != pooled));
     for isa in Isa::available() {
         assert!(extract_on(isa, options, &view) == portable, "{isa:?}");
         assert!(extract_on(isa, pooled, &view) == portable_pooled, "{isa:?}");
     }
 }
 
-/// Small enough for Miri and a sanitizer: through every kernel, and on odd sizes, where vectors
-/// reach beyond the last sample.
+/// Runs every kernel on an image small enough for Miri and sanitizers, of odd size, so that vectors
+/// extend beyond the last sample.
 #[test]
-fn a_small_image_passes_through_every_kernel() {
+fn every_kernel_on_a_small_image() {
     let (width, height) = (29, 23);
     let image = texture(width, height, 9);
     let view = GrayView::new(&image, width, height);
@@ -90,7 +91,7 @@ fn a_small_image_passes_through_every_kernel() {
 }
 
 #[test]
-fn threads_and_reused_memory_do_not_change_anything() {
+fn results_do_not_depend_on_threads_and_reused_memory() {
     // Wide enough for several tiles, high enough for several bands.
     let (width, height) = (1400, 700);
     let image = texture(width, height, 5);
@@ -105,7 +106,7 @@ fn threads_and_reused_memory_do_not_change_anything() {
             "{threads} threads"
         );
     }
-    // Levels that are not kept are computed again, in parts.
+    // Levels that are not stored are computed again, in parts.
     sift.max_level_bytes = 4 << 20;
     assert!(sift.extract(&view, None).unwrap() == one);
     assert!(sift.extract_parallel(&view, None).unwrap() == one);
@@ -113,7 +114,7 @@ fn threads_and_reused_memory_do_not_change_anything() {
     let fresh = Sift::new(Options::default()).unwrap().extract(&small, None).unwrap();
     assert!(sift.extract(&small, None).unwrap() == fresh);
     assert!(!fresh.keypoints.is_empty());
-    // The largest windows of pooled descriptors reach far beyond the rows of a part.
+    // The largest windows of DSP-SIFT extend far beyond the rows of a part.
     let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..Options::default() };
     let mut sift = Sift::new(pooled).unwrap();
     let middling = GrayView { data: &image, width: 190, height: 140, stride: width };
@@ -122,8 +123,8 @@ fn threads_and_reused_memory_do_not_change_anything() {
     assert!(sift.extract_parallel(&middling, None).unwrap() == one);
 }
 
-/// Levels and extrema of an octave by the sweep.
-fn swept(
+/// Computes the levels and extrema of an octave.
+fn octave_levels_and_extrema(
     view: &GrayView<'_>,
     octave: i32,
     thresholds: Thresholds,
@@ -134,9 +135,9 @@ fn swept(
     } else {
         ((view.width, view.height), Source::Image(*view))
     };
-    let plan = Plan::new(octave, size, 3, Some(-1));
+    let plan = OctavePlan::new(octave, size, 3, Some(-1));
     let mut bufs = Vec::new();
-    let found = sweep_all(SweepAll {
+    let found = compute_octave(OctaveJob {
         plan: &plan,
         source,
         rows: 0..size.1,
@@ -159,7 +160,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
     #[test]
-    fn levels_are_those_of_direct_convolution(
+    fn levels_match_direct_convolution(
         width in 8usize..90,
         height in 8usize..70,
         doubled in any::<bool>(),
@@ -170,14 +171,15 @@ proptest! {
         let image = texture(width, height, seed);
         let view = GrayView::new(&image, width, height);
         let octave = if doubled { -1 } else { 0 };
-        let plain = plain_levels(&plain_source(&view, octave), octave, 3);
+        let reference = reference_levels(&reference_source(&view, octave), octave, 3);
         for isa in Isa::available() {
-            let (levels, _) = swept(&view, octave, Thresholds { peak: 0.01, edge: 10.0 }, isa);
-            for (level, plain) in levels.iter().zip(&plain[1..]) {
+            let thresholds = Thresholds { peak: 0.01, edge: 10.0 };
+            let (levels, _) = octave_levels_and_extrema(&view, octave, thresholds, isa);
+            for (level, reference) in levels.iter().zip(&reference[1..]) {
                 let worst = level
                     .data
                     .iter()
-                    .zip(&plain.data)
+                    .zip(&reference.data)
                     .map(|(a, b)| (a - b).abs())
                     .fold(0.0, f64::max);
                 prop_assert!(worst < TOLERANCE, "{isa:?}: {worst}");
@@ -187,7 +189,7 @@ proptest! {
 }
 
 #[test]
-fn extrema_are_those_of_the_definition() {
+fn extrema_match_the_reference() {
     const PEAK: f32 = 0.004;
     const EDGE: f32 = 10.0;
     /// Differences of levels have errors of 1e-7 in single precision, and curvatures from 1e-3.
@@ -195,31 +197,36 @@ fn extrema_are_those_of_the_definition() {
     let (width, height) = (150, 110);
     let image = texture(width, height, 11);
     let view = GrayView::new(&image, width, height);
-    let planes = plain_levels(&plain_source(&view, 0), 0, 3);
+    let planes = reference_levels(&reference_source(&view, 0), 0, 3);
     let (peak, edge) = (f64::from(PEAK), f64::from(EDGE));
-    let (_, found) = swept(&view, 0, Thresholds { peak: PEAK, edge: EDGE }, Isa::best());
-    let mut twins = 0;
-    for candidate in plain_extrema(&planes, peak * 0.8) {
-        let Some([ix, iy, x, y, value]) = plain_refined(&planes, candidate, peak, edge) else {
+    let (_, found) =
+        octave_levels_and_extrema(&view, 0, Thresholds { peak: PEAK, edge: EDGE }, Isa::best());
+    let mut num_expected = 0;
+    for candidate in reference_extrema(&planes, peak * 0.8) {
+        let Some([ix, iy, x, y, value]) = reference_refined(&planes, candidate, peak, edge) else {
             continue;
         };
-        twins += 1;
-        let twin =
+        num_expected += 1;
+        let matched =
             found.iter().find(|e| (e.level, e.ix as f64, e.iy as f64) == (candidate.0, ix, iy));
-        let twin = twin.unwrap_or_else(|| panic!("{candidate:?} is missing"));
+        let matched = matched.unwrap_or_else(|| panic!("{candidate:?} is missing"));
         assert!(
-            (f64::from(twin.x) - x).abs() < TOLERANCE && (f64::from(twin.y) - y).abs() < TOLERANCE,
-            "{twin:?}"
+            (f64::from(matched.x) - x).abs() < TOLERANCE
+                && (f64::from(matched.y) - y).abs() < TOLERANCE,
+            "{matched:?}"
         );
-        assert!((f64::from(twin.response) - value).abs() < TOLERANCE * peak, "{twin:?}");
+        assert!((f64::from(matched.response) - value).abs() < TOLERANCE * peak, "{matched:?}");
     }
-    assert!(twins > 50 && found.len() == twins, "{} found, {twins} by definition", found.len());
+    assert!(
+        num_expected > 50 && found.len() == num_expected,
+        "{} found, {num_expected} expected",
+        found.len()
+    );
 }
 
 #[test]
-fn directions_and_descriptors_are_those_of_the_definition() {
-    /// Radians: the smoothed histogram is flat around its maxima, and its sums are in single
-    /// precision.
+fn orientations_and_descriptors_match_the_reference() {
+    /// In radians. The smoothed histogram is flat at its maxima, and sums are in single precision.
     const ANGLE_TOLERANCE: f64 = 1e-3;
     /// Rounding to bytes, and single precision before the square root.
     const BYTE_TOLERANCE: f64 = 0.7;
@@ -227,8 +234,8 @@ fn directions_and_descriptors_are_those_of_the_definition() {
     let image = texture(width, height, 17);
     let view = GrayView::new(&image, width, height);
     let thresholds = Thresholds { peak: 0.004, edge: 10.0 };
-    let (planes, found) = swept(&view, 0, thresholds, Isa::best());
-    let plan = Plan::new(0, (width, height), 3, Some(-1));
+    let (planes, found) = octave_levels_and_extrema(&view, 0, thresholds, Isa::best());
+    let plan = OctavePlan::new(0, (width, height), 3, Some(-1));
     let levels: Vec<Vec<f32>> = planes
         .iter()
         .map(|plane| {
@@ -249,26 +256,30 @@ fn directions_and_descriptors_are_those_of_the_definition() {
     {
         let options = Options { max_orientations: 4, domain_sizes: sizes, ..Options::default() };
         let sizes: &[f64] = if sizes.is_some() { &[0.25, 0.75, 1.25] } else { &[1.0] };
-        let all = measure(&found, &plan, &levels, 0, &options, isa, NonZeroUsize::MIN);
-        for (e, measured) in found.iter().zip(&all) {
+        let all = describe_extrema(&found, &plan, &levels, 0, &options, isa, NonZeroUsize::MIN);
+        for (e, description) in found.iter().zip(&all) {
             let (at, sigma) = ((f64::from(e.x), f64::from(e.y)), f64::from(e.sigma));
             let plane = &planes[e.level - 1];
-            let directions = plain_directions(plane, at, sigma);
-            // Maxima at the threshold, or of equal height, may be told apart differently.
+            let directions = reference_directions(plane, at, sigma);
+            // Skips extrema with maxima at the threshold or of equal height, which rounding
+            // decides.
             let highest = directions[0].1;
             let clear = directions.iter().all(|d| (d.1 / highest - 0.8).abs() > 1e-4)
                 && directions.windows(2).all(|pair| pair[0].1 - pair[1].1 > 1e-4 * highest);
             if !clear {
                 continue;
             }
-            let angles = measured.directions.as_slice();
+            let angles = description.orientations.as_slice();
             assert_eq!(angles.len(), directions.len(), "{e:?}");
             several += usize::from(angles.len() > 1);
-            for ((&angle, descriptor), plain) in
-                angles.iter().zip(&measured.descriptors).zip(&directions)
+            for ((&angle, descriptor), reference) in
+                angles.iter().zip(&description.descriptors).zip(&directions)
             {
-                assert!((f64::from(angle) - plain.0).abs() < ANGLE_TOLERANCE, "{angle} {plain:?}");
-                let expected = plain_descriptor(plane, at, sigma, f64::from(angle), sizes);
+                assert!(
+                    (f64::from(angle) - reference.0).abs() < ANGLE_TOLERANCE,
+                    "{angle} {reference:?}"
+                );
+                let expected = reference_descriptor(plane, at, sigma, f64::from(angle), sizes);
                 for (&byte, expected) in descriptor.iter().zip(expected) {
                     assert!(
                         (f64::from(byte) - expected).abs() < BYTE_TOLERANCE,
@@ -286,7 +297,7 @@ fn directions_and_descriptors_are_those_of_the_definition() {
     );
 }
 
-/// A Gaussian blob at a known place and scale, in pixels of our convention.
+/// An image of a Gaussian blob with known centre and σ, in pixels.
 fn blob(width: usize, height: usize, centre: (f32, f32), sigma: f32) -> Vec<u8> {
     let value = |i: usize| {
         let (x, y) = ((i % width) as f32 + 0.5 - centre.0, (i / width) as f32 + 0.5 - centre.1);
@@ -296,8 +307,8 @@ fn blob(width: usize, height: usize, centre: (f32, f32), sigma: f32) -> Vec<u8> 
 }
 
 #[test]
-fn blobs_are_found_where_they_are() {
-    /// Rounding to bytes, and an interpolated extremum.
+fn detects_blobs_at_their_position_and_scale() {
+    /// Rounding of pixels to bytes, and the error of the interpolation.
     const POSITION_TOLERANCE: f32 = 0.03;
     /// The difference of Gaussians responds most at √(σ² + 0.25) / 2^(1/6): half a level below the
     /// blob's own scale.
@@ -323,17 +334,17 @@ fn blobs_are_found_where_they_are() {
     }
 }
 
-/// The image turned by a quarter, clockwise as seen: (x, y) goes to (height − y, x).
-fn turned(image: &[u8], width: usize, height: usize) -> Vec<u8> {
+/// The image rotated clockwise by 90 degrees: (x, y) maps to (height − y, x).
+fn rotated(image: &[u8], width: usize, height: usize) -> Vec<u8> {
     (0..width * height).map(|i| image[(height - 1 - i % height) * width + i / height]).collect()
 }
 
 #[test]
-fn a_quarter_turn_turns_keypoints_and_leaves_descriptors() {
+fn rotation_by_90_degrees_rotates_keypoints_and_keeps_descriptors() {
     let (width, height) = (160, 160);
     let image = texture(width, height, 21);
-    let other = turned(&image, width, height);
-    // Other octaves are not symmetric: they keep every second sample, or repeat the last one.
+    let other = rotated(&image, width, height);
+    // Only octave 0 is symmetric: others subsample or repeat the last sample.
     let options = Options { first_octave: 0, octaves: 1, ..Options::default() };
     let a = extract_on(Isa::best(), options, &GrayView::new(&image, width, height));
     let b = extract_on(Isa::best(), options, &GrayView::new(&other, height, width));
@@ -341,16 +352,17 @@ fn a_quarter_turn_turns_keypoints_and_leaves_descriptors() {
     for (k, d) in a.keypoints.iter().zip(&a.descriptors) {
         let (x, y) = (height as f32 - k.y, k.x);
         let angle = k.orientation + std::f32::consts::FRAC_PI_2;
-        let twin = b.keypoints.iter().position(|t| {
-            let turn = (t.orientation - angle).rem_euclid(std::f32::consts::TAU);
+        let matched = b.keypoints.iter().position(|t| {
+            let difference = (t.orientation - angle).rem_euclid(std::f32::consts::TAU);
             (t.x - x).hypot(t.y - y) < 0.01
                 && (t.scale / k.scale - 1.0).abs() < 1e-3
-                && !(0.01..6.27).contains(&turn)
+                && !(0.01..6.27).contains(&difference)
         });
-        if let Some(twin) = twin {
+        if let Some(matched) = matched {
             found += 1;
-            same +=
-                usize::from(d.iter().zip(&b.descriptors[twin]).all(|(&p, &q)| p.abs_diff(q) <= 3));
+            same += usize::from(
+                d.iter().zip(&b.descriptors[matched]).all(|(&p, &q)| p.abs_diff(q) <= 3),
+            );
         }
     }
     assert!(
@@ -362,7 +374,7 @@ fn a_quarter_turn_turns_keypoints_and_leaves_descriptors() {
 }
 
 #[test]
-fn masks_and_limits_hold() {
+fn masks_and_limits_select_keypoints() {
     let (width, height) = (200, 150);
     let image = texture(width, height, 8);
     let view = GrayView::new(&image, width, height);
@@ -379,7 +391,7 @@ fn masks_and_limits_hold() {
     for max_features in [0, 1, 50, 51] {
         let exact = Options { max_features, limit: Limit::Exact, ..Options::default() };
         let few = extract_on(Isa::best(), exact, &view);
-        // The coarsest, whether or not the doubled octave was computed for it.
+        // The coarsest features, whether or not the doubled octave was computed.
         assert_eq!(few.keypoints, all.keypoints[..max_features]);
         assert_eq!(few.descriptors, all.descriptors[..max_features]);
         let levels = extract_on(Isa::best(), Options { max_features, ..Options::default() }, &view);
@@ -391,7 +403,7 @@ fn masks_and_limits_hold() {
 }
 
 #[test]
-fn upright_and_other_shapes_of_the_scale_space_work() {
+fn upright_features_and_all_numbers_of_levels() {
     let (width, height) = (150, 130);
     let image = texture(width, height, 9);
     let view = GrayView::new(&image, width, height);
@@ -405,7 +417,7 @@ fn upright_and_other_shapes_of_the_scale_space_work() {
         for first_octave in [-1, 0, 1] {
             let options = Options { levels, first_octave, ..default };
             let features = extract_on(Isa::best(), options, &view);
-            // Refinement may lead from level 1 to half a level below level 0.
+            // Refinement can move the scale from level 1 to half a level below level 0.
             let finest = 1.6 * 2f32.powf(first_octave as f32 - 0.5 / levels as f32);
             assert!(!features.keypoints.is_empty(), "{levels} levels from octave {first_octave}");
             assert!(features.keypoints.iter().all(|k| k.scale > finest), "{levels} {first_octave}");
@@ -417,7 +429,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn any_image_of_any_size_gives_features_inside_of_it(
+    fn keypoints_are_inside_images_of_any_size(
         width in 1usize..70,
         height in 1usize..70,
         seed in any::<u64>(),
@@ -438,7 +450,7 @@ proptest! {
             prop_assert!(k.scale > 0.0 && k.orientation.abs() <= std::f32::consts::PI);
         }
         for d in &features.descriptors {
-            // Unit length times 512; each number is rounded by at most a half.
+            // Norm 512, with a rounding error of up to one half per value.
             let norm = d.iter().map(|&v| f32::from(v).powi(2)).sum::<f32>().sqrt();
             prop_assert!((norm - 512.0).abs() < 6.0 || norm == 0.0, "{}", norm);
         }

@@ -1,4 +1,4 @@
-//! What crosses from feature extraction to everything else.
+//! The result of feature extraction.
 
 /// A keypoint in pixels of the original image; the centre of the top-left pixel is (0.5, 0.5).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -7,22 +7,23 @@ pub struct Keypoint {
     pub x: f32,
     /// Row, in pixels.
     pub y: f32,
-    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels of the
-    /// original image.
+    /// Scale: the standard deviation σ of the Gaussian of the extremum, in pixels of the original
+    /// image.
     pub scale: f32,
     /// Dominant gradient direction in radians, from +x towards +y (clockwise as seen on the image),
     /// in (-π, π].
     pub orientation: f32,
 }
 
-/// A 128-dimensional descriptor: 4 × 4 cells of 8 orientations, row-major, the orientation fastest.
+/// A 128-dimensional descriptor: 4 × 4 cells of 8 gradient directions, cells row-major, directions
+/// of a cell contiguous.
 pub type Descriptor = [u8; 128];
 
-/// The keypoints of one image with their descriptors; both lists have the same length and order.
+/// The features of an image. `descriptors[i]` belongs to `keypoints[i]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Features {
-    /// Where.
+    /// The keypoints.
     pub keypoints: Vec<Keypoint>,
-    /// What it looks like there.
+    /// The descriptors.
     pub descriptors: Vec<Descriptor>,
 }

@@ -1,27 +1,27 @@
-//! A grey image that somebody else owns.
+//! Borrowed grey images.
 
 use crate::Error;
 
-/// A grey image of 8 bits a pixel, in a slice that somebody else owns.
+/// A borrowed grey image of 8 bits per pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct GrayView<'a> {
     /// The pixels, row after row.
     pub data: &'a [u8],
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
     /// Distance from the start of one row to the start of the next, in pixels.
     pub stride: usize,
 }
 
 impl<'a> GrayView<'a> {
-    /// A view of an image without gaps between its rows.
+    /// A view of an image whose stride is its width.
     pub fn new(data: &'a [u8], width: usize, height: usize) -> Self {
         GrayView { data, width, height, stride: width }
     }
 
-    /// Whether every pixel is inside of the slice.
+    /// Checks that the slice holds all pixels and that rows do not overlap.
     pub(crate) fn check(&self) -> Result<(), Error> {
         let GrayView { data, width, height, stride } = *self;
         if width == 0 || height == 0 {
@@ -37,7 +37,7 @@ impl<'a> GrayView<'a> {
         Ok(())
     }
 
-    /// One row.
+    /// The pixels of row `y`.
     pub(crate) fn row(&self, y: usize) -> &'a [u8] {
         &self.data[y * self.stride..][..self.width]
     }

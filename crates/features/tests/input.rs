@@ -1,4 +1,4 @@
-//! Images that nobody would take: nothing panics, and what cannot be done is said.
+//! Degenerate images and invalid arguments.
 
 use tiepoint_features::{DomainSizes, Error, GrayView, Options, Orientation, Sift, extract};
 
@@ -8,14 +8,14 @@ fn degenerate_images_have_no_features() {
     let small = sides.into_iter().flat_map(|width| sides.map(|height| (width, height)));
     let default = Options::default();
     let pooled = Options { domain_sizes: Some(DomainSizes::default()), ..default };
-    let plain = [
+    let options_list = [
         default,
         pooled,
         Options { first_octave: 0, orientation: Orientation::Upright, ..default },
     ];
     for (width, height) in small.chain([(0, 7), (1, 100_000), (100_000, 1), (64, 64), (300, 200)]) {
         for (grey, options) in
-            [0, 77, 255].into_iter().flat_map(|grey| plain.map(|options| (grey, options)))
+            [0, 77, 255].into_iter().flat_map(|grey| options_list.map(|options| (grey, options)))
         {
             let pixels = vec![grey; width * height];
             let features = extract(&GrayView::new(&pixels, width, height), &options);
@@ -25,7 +25,7 @@ fn degenerate_images_have_no_features() {
 }
 
 #[test]
-fn views_that_do_not_fit_are_errors() {
+fn invalid_views_are_errors() {
     let pixels = vec![0; 100];
     let too_short = extract(&GrayView::new(&pixels, 10, 11), &Options::default());
     assert_eq!(

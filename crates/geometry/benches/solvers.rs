@@ -1,5 +1,5 @@
-//! Time and accuracy of every row of the solver table. `cargo bench -p tiepoint-geometry`; the
-//! accuracy over a million problems is printed with `TRIALS=1000000`.
+//! Time and accuracy of every solver of the table: `cargo bench -p tiepoint-geometry`. The accuracy
+//! is over 10,000 problems, or over the number in the environment variable `TRIALS`.
 #![allow(missing_docs, clippy::print_stdout)]
 
 use std::hint::black_box;
@@ -9,7 +9,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use tiepoint_geometry::testing::{SolverProblem, solver_problem};
 use tiepoint_geometry::{Rng, solvers};
 
-/// Problems that a timing cycles through, so that branches are not learnt.
+/// Number of different problems in a timing, so that the branch predictor does not learn one.
 const PROBLEMS: usize = 1000;
 
 fn solvers(criterion: &mut Criterion) {
@@ -27,7 +27,7 @@ fn solvers(criterion: &mut Criterion) {
             });
         });
         let (mut found, mut solutions) = (0, 0);
-        for trial in problems.take(trials).map(|problem| problem.judge()) {
+        for trial in problems.take(trials).map(|problem| problem.evaluate()) {
             found += usize::from(trial.distance < 1e-6);
             solutions += trial.solutions;
         }
@@ -40,8 +40,7 @@ fn solvers(criterion: &mut Criterion) {
     }
 }
 
-/// Seconds per problem when nothing else takes the core: of short batches, each repeated, the
-/// least.
+/// Seconds per problem without interruptions: the mean over batches of the minimum time of a batch.
 fn least_time(problems: &[SolverProblem]) -> f64 {
     let batch_time = |batch: &[SolverProblem]| {
         let start = Instant::now();

@@ -1,5 +1,5 @@
-//! Robust estimation of problems read from standard input, with the time that each took;
-//! `bench/geometry.py` drives it.
+//! Robust estimation of problems from standard input, with the time of each. `bench/geometry.py`
+//! runs it.
 //!
 //! A problem is a line
 //! `KIND max_error min_iterations max_iterations seed count repetitions CAMERA...`, where KIND is
@@ -18,23 +18,23 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, RansacOptions, Report, Rigid3, estimate};
 
 fn next<T: FromStr<Err: Error + 'static>>(
-    words: &mut dyn Iterator<Item = &str>,
+    tokens: &mut dyn Iterator<Item = &str>,
 ) -> Result<T, Box<dyn Error>> {
-    Ok(words.next().ok_or("a problem ends early")?.parse()?)
+    Ok(tokens.next().ok_or("incomplete problem")?.parse()?)
 }
 
-fn camera(words: &mut dyn Iterator<Item = &str>) -> Result<Intrinsics, Box<dyn Error>> {
-    let kind = CameraModelKind::from_name(words.next().ok_or("no camera")?)?;
-    let params = (0..kind.num_params()).map(|_| next(words)).collect::<Result<Vec<f64>, _>>()?;
+fn camera(tokens: &mut dyn Iterator<Item = &str>) -> Result<Intrinsics, Box<dyn Error>> {
+    let kind = CameraModelKind::from_name(tokens.next().ok_or("missing camera model")?)?;
+    let params = (0..kind.num_params()).map(|_| next(tokens)).collect::<Result<Vec<f64>, _>>()?;
     Ok(Intrinsics::new(kind, &params)?)
 }
 
-fn of_pose(pose: Rigid3) -> Vec<f64> {
+fn pose_values(pose: Rigid3) -> Vec<f64> {
     let (q, t) = (pose.rotation, pose.translation);
     vec![q.w, q.i, q.j, q.k, t.x, t.y, t.z]
 }
 
-fn of_matrix(m: Matrix3<f64>) -> Vec<f64> {
+fn matrix_values(m: Matrix3<f64>) -> Vec<f64> {
     m.transpose().as_slice().to_vec()
 }
 
@@ -43,20 +43,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut lines = stdin().lock().lines();
     while let Some(header) = lines.next() {
         let header = header?;
-        let words = &mut header.split_whitespace();
-        let kind: String = next(words)?;
+        let tokens = &mut header.split_whitespace();
+        let kind: String = next(tokens)?;
         let options = RansacOptions {
-            max_error: next(words)?,
+            max_error: next(tokens)?,
             confidence: RansacOptions::default().confidence,
-            min_iterations: next(words)?,
-            max_iterations: next(words)?,
+            min_iterations: next(tokens)?,
+            max_iterations: next(tokens)?,
             min_inlier_share: 0.0,
-            seed: next(words)?,
+            seed: next(tokens)?,
         };
-        let (count, repetitions): (usize, usize) = (next(words)?, next(words)?);
+        let (count, repetitions): (usize, usize) = (next(tokens)?, next(tokens)?);
         let (mut first, mut second, mut points) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..count {
-            let line = lines.next().ok_or("a problem ends early")??;
+            let line = lines.next().ok_or("incomplete problem")??;
             let numbers =
                 line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
             match *numbers {
@@ -68,16 +68,16 @@ fn main() -> Result<(), Box<dyn Error>> {
                     first.push(Vector2::new(x, y));
                     points.push(Vector3::new(a, b, c));
                 }
-                _ => return Err("neither four nor five numbers".into()),
+                _ => return Err("expected four or five numbers on a line".into()),
             }
         }
-        let cameras = std::iter::from_fn(|| camera(words).ok()).collect::<Vec<_>>();
+        let cameras = std::iter::from_fn(|| camera(tokens).ok()).collect::<Vec<_>>();
         let solve = || -> Option<Report<Vec<f64>>> {
             match kind.as_str() {
                 "absolute_pose" => {
                     let report =
                         estimate::absolute_pose(&first, &points, cameras.first()?, &options);
-                    report.map(|report| report.map(of_pose))
+                    report.map(|report| report.map(pose_values))
                 }
                 "relative_pose" => {
                     let report = estimate::relative_pose(
@@ -87,12 +87,12 @@ fn main() -> Result<(), Box<dyn Error>> {
                         cameras.get(1)?,
                         &options,
                     );
-                    report.map(|report| report.map(of_pose))
+                    report.map(|report| report.map(pose_values))
                 }
                 "fundamental" => estimate::fundamental(&first, &second, &options)
-                    .map(|report| report.map(of_matrix)),
+                    .map(|report| report.map(matrix_values)),
                 _ => estimate::homography(&first, &second, &options)
-                    .map(|report| report.map(of_matrix)),
+                    .map(|report| report.map(matrix_values)),
             }
         };
         let mut seconds = f64::INFINITY;

@@ -1,5 +1,5 @@
-//! Two photos of a made-up scene: the relative pose of the cameras from matches a third of which
-//! are wrong, then the points.
+//! Relative pose of two synthetic images from matches of which a third are outliers, and
+//! triangulation of the points.
 //!
 //! `cargo run --release -p tiepoint-geometry --example relative_pose`
 
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let options = RansacOptions { max_error: 4.0 * NOISE_PX, ..RansacOptions::default() };
     let report = estimate::relative_pose(&pixels1, &pixels2, &camera, &camera, &options)
-        .ok_or("no pose that a sample of five agrees on")?;
+        .ok_or("no relative pose with enough inliers")?;
     let pose = report.model;
     println!(
         "{} of {} matches are inliers after {} samples",
@@ -50,8 +50,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         pose.translation.angle(&truth.translation).to_degrees()
     );
 
-    // The scale is free: with the true length of the baseline, one, points come out in the scene's
-    // unit.
+    // The scale of the pose is arbitrary. The true baseline has length one, so the points are in
+    // the unit of the scene.
     let mut errors = Vec::new();
     for i in (0..points.len()).filter(|&i| report.inliers[i]) {
         let (Some(ray1), Some(ray2)) =

@@ -1,17 +1,18 @@
-//! Algebra of two views: essential and fundamental matrices, calibrated homographies, and the poses
-//! inside them. Conventions: y₂ᵀ E y₁ = 0, x₂ᵀ F x₁ = 0, x₂ ~ H x₁; see CONVENTIONS.md.
+//! Two-view geometry: essential and fundamental matrices, calibrated homographies, and their
+//! decomposition into relative poses. Conventions: y₂ᵀ E y₁ = 0, x₂ᵀ F x₁ = 0, x₂ ~ H x₁; see
+//! CONVENTIONS.md.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
 use crate::{Rigid3, so3};
 
-/// E = \[t\]ₓ R.
+/// The essential matrix E = \[t\]ₓ R.
 pub fn essential_from_pose(cam2_from_cam1: &Rigid3) -> Matrix3<f64> {
     so3::hat(&cam2_from_cam1.translation) * cam2_from_cam1.rotation.to_rotation_matrix().matrix()
 }
 
-/// F = K₂⁻ᵀ E K₁⁻¹; `None` for a singular calibration matrix.
+/// The fundamental matrix F = K₂⁻ᵀ E K₁⁻¹; `None` if a calibration matrix is singular.
 pub fn fundamental_from_essential(
     essential: &Matrix3<f64>,
     k1: &Matrix3<f64>,
@@ -20,7 +21,7 @@ pub fn fundamental_from_essential(
     Some(k2.try_inverse()?.transpose() * essential * k1.try_inverse()?)
 }
 
-/// E = K₂ᵀ F K₁, not yet made to have two equal singular values.
+/// The matrix E = K₂ᵀ F K₁. Its two largest singular values are not made equal.
 pub fn essential_from_fundamental(
     fundamental: &Matrix3<f64>,
     k1: &Matrix3<f64>,
@@ -29,9 +30,9 @@ pub fn essential_from_fundamental(
     k2.transpose() * fundamental * k1
 }
 
-/// The squared Sampson error of a correspondence: to first order the squared distance, in both
-/// images together, to the nearest pair that fulfils x₂ᵀ F x₁ = 0 (Hartley and Zisserman 2004,
-/// equation 11.9).
+/// The squared Sampson error of a correspondence: to first order the sum, over both images, of the
+/// squared distances to the nearest pair with x₂ᵀ F x₁ = 0 (Hartley and Zisserman 2004,
+/// equation 11.9). Its unit is the squared unit of the points.
 pub fn squared_sampson_error(
     fundamental: &Matrix3<f64>,
     x1: &Vector2<f64>,
@@ -43,8 +44,8 @@ pub fn squared_sampson_error(
     product * product / (line1.xy().norm_squared() + line2.xy().norm_squared())
 }
 
-/// The four `cam2_from_cam1`, with translations of length one, whose essential matrix is nearest to
-/// `essential`; `None` if it is of rank one or less.
+/// The four poses `cam2_from_cam1`, with translations of length one, of the essential matrix that
+/// is nearest to `essential`; `None` if the rank of `essential` is below two.
 pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     let svd = essential.try_svd(true, true, f64::EPSILON, 0)?;
     let (u, v_t) = (svd.u?, svd.v_t?);
@@ -59,10 +60,9 @@ pub fn decompose_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     Some(poses_of_exact_essential(&(u * Matrix3::from_diagonal(&singular) * v_t)))
 }
 
-/// The same for a matrix that already is essential, of norm √2, without a singular value
-/// decomposition (Horn 1990, "Recovering baseline and orientation from essential matrix"): with E =
-/// \[t\]ₓR and |t| = 1, the cofactors of E are ttᵀR and \[t\]ₓE = (ttᵀ − I) R, so R = cof(E) −
-/// \[t\]ₓE.
+/// The four poses of an exact essential matrix of norm √2, without a singular value decomposition
+/// (Horn 1990, "Recovering baseline and orientation from essential matrix"): with E = \[t\]ₓR and
+/// |t| = 1, the cofactor matrix of E is ttᵀR and \[t\]ₓE = (ttᵀ − I) R, so R = cof(E) − \[t\]ₓE.
 pub(crate) fn poses_of_exact_essential(essential: &Matrix3<f64>) -> [Rigid3; 4] {
     let columns = [essential.column(0), essential.column(1), essential.column(2)];
     let cofactors = [
@@ -84,8 +84,8 @@ pub(crate) fn poses_of_exact_essential(essential: &Matrix3<f64>) -> [Rigid3; 4] 
     [Rigid3::new(r1, t), Rigid3::new(r1, -t), Rigid3::new(r2, t), Rigid3::new(r2, -t)]
 }
 
-/// Whether the two rays meet in front of both cameras (in the direction of the rays, where these
-/// are nearest to each other).
+/// The cheirality constraint: whether both depths are positive where the two rays are nearest to
+/// each other. `ray1` is in camera 1 and `ray2` in camera 2, both of any length.
 pub fn rays_meet_in_front(
     ray1: &Vector3<f64>,
     ray2: &Vector3<f64>,
@@ -99,40 +99,42 @@ pub fn rays_meet_in_front(
         && along2 * rotated.norm_squared() > cosine * along1
 }
 
-/// The pose inside an essential matrix that has most of the points in front of both cameras, and
-/// how many these are.
+/// The pose `cam2_from_cam1` of an essential matrix that has the most points in front of both
+/// cameras, and the number of these points. `rays1[i]` and `rays2[i]` are corresponding rays in
+/// their cameras. `None` if the rank of `essential` is below two.
 pub fn pose_from_essential(
     essential: &Matrix3<f64>,
     rays1: &[Vector3<f64>],
     rays2: &[Vector3<f64>],
 ) -> Option<(Rigid3, usize)> {
-    let votes = |pose: &Rigid3| {
+    let num_in_front = |pose: &Rigid3| {
         rays1.iter().zip(rays2).filter(|(ray1, ray2)| rays_meet_in_front(ray1, ray2, pose)).count()
     };
     let poses = decompose_essential(essential)?;
-    // The first of equals, so that the outcome is one.
+    // The first of poses with equal counts, so that the result is deterministic.
     poses
         .iter()
-        .map(|pose| (*pose, votes(pose)))
+        .map(|pose| (*pose, num_in_front(pose)))
         .reduce(|best, next| if next.1 > best.1 { next } else { best })
 }
 
-/// A motion with the plane that it was seen against.
+/// A relative pose and a plane: the decomposition of a homography.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneMotion {
-    /// The pose; its translation is in units of the distance of camera 1 from the plane.
+    /// The relative pose. Its translation is in units of the distance of camera 1 to the plane.
     pub cam2_from_cam1: Rigid3,
-    /// Unit normal of the plane, in camera 1, towards the side away from the camera: n·X = 1 for
-    /// points X of the plane.
+    /// Unit normal of the plane in camera 1, pointing away from the camera: n·X = 1 for points X of
+    /// the plane, in units of the distance to the plane.
     pub normal_in_cam1: Vector3<f64>,
 }
 
-/// Part by which singular values must differ to be different.
+/// Squared singular values that differ by less than this, relative to the middle one, count as
+/// equal.
 const EQUAL_SINGULAR_VALUES: f64 = 1e-9;
 
-/// The motions inside a calibrated homography H ~ R + t nᵀ (Ma, Soatto, Košecká, Sastry 2004, "An
-/// invitation to 3-D vision", section 5.3.3): four, of which two are behind the camera for any
-/// point; one with zero translation for a pure rotation.
+/// Decomposes a calibrated homography H ~ R + t nᵀ (Ma, Soatto, Košecká, Sastry 2004, "An
+/// invitation to 3-D vision", section 5.3.3). There are four solutions, of which two have any given
+/// point behind the camera. A pure rotation gives one solution with zero translation.
 pub fn decompose_homography(homography: &Matrix3<f64>) -> ArrayVec<PlaneMotion, 4> {
     let mut motions = ArrayVec::new();
     let determinant = homography.determinant();
@@ -141,7 +143,7 @@ pub fn decompose_homography(homography: &Matrix3<f64>) -> ArrayVec<PlaneMotion, 
     let mut order = [0, 1, 2];
     order.sort_by(|&i, &j| svd.singular_values[j].total_cmp(&svd.singular_values[i]));
     let middle = svd.singular_values[order[1]];
-    // Scaled so that the middle singular value is one and points stay in front.
+    // Scale: the middle singular value is one. Sign: depths stay positive.
     let h = homography / middle.copysign(determinant);
     if !h.iter().all(|v| v.is_finite()) {
         return motions;
@@ -154,7 +156,7 @@ pub fn decompose_homography(homography: &Matrix3<f64>) -> ArrayVec<PlaneMotion, 
         motions.push(PlaneMotion { cam2_from_cam1, normal_in_cam1: Vector3::z() });
         return motions;
     }
-    // Vectors whose length H keeps: in the plane of v₂ and u.
+    // H preserves the length of the vectors in the plane of v₂ and u.
     let (a, b) = ((1.0 - s3).max(0.0).sqrt(), (s1 - 1.0).max(0.0).sqrt());
     for u in [(v1 * a + v3 * b) / (s1 - s3).sqrt(), (v1 * a - v3 * b) / (s1 - s3).sqrt()] {
         let normal = v2.cross(&u);

@@ -1,12 +1,12 @@
-/// What can be wrong with the input of this crate.
+/// Errors of this crate.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// No camera model of that name.
+    /// No camera model has this name or COLMAP id.
     #[error("unknown camera model `{name}`: known are {known}")]
     UnknownCameraModel {
-        /// The name that was asked for.
+        /// The given name or id.
         name: String,
-        /// The names that exist.
+        /// The existing names or ids.
         known: String,
     },
     /// The parameter list of a camera has the wrong length.
@@ -14,21 +14,21 @@ pub enum Error {
     CameraParamCount {
         /// The model's name.
         model: &'static str,
-        /// How many it takes.
+        /// Number of parameters of the model.
         expected: usize,
-        /// Their names.
+        /// Names of the parameters.
         names: String,
-        /// How many were given.
+        /// Number of given parameters.
         found: usize,
     },
     /// A camera parameter is not a finite number, or a focal length is not positive.
     #[error("camera model {model}: parameter {name} = {value} is out of range")]
     CameraParamRange {
-        /// The model's name.
+        /// Name of the model.
         model: &'static str,
         /// The parameter's name.
         name: &'static str,
-        /// Its value.
+        /// The given value.
         value: f64,
     },
 }

@@ -1,11 +1,11 @@
-//! Robust losses ρ of the squared residual norm s = |r|²; the only definition, used by RANSAC and
-//! by adjustment.
+//! Robust losses ρ(s) of the squared residual norm s = |r|², for RANSAC and bundle adjustment.
 //!
-//! Every ρ has ρ(0) = 0, ρ'(0) = 1 and 0 ≤ ρ' ≤ 1: near zero it is the plain square, far out it
-//! grows more slowly. `a` is the residual norm, in the residual's unit, at which the loss departs
-//! from the square (Ceres, `loss_function.h`; Barron 2019 for Geman-McClure).
+//! Every loss has ρ(0) = 0, ρ'(0) = 1 and 0 ≤ ρ' ≤ 1: it is the squared norm near zero and grows
+//! more slowly for large residuals. The parameter `a` is the scale in the unit of the residual: the
+//! residual norm at which the loss departs from the squared norm (Ceres, `loss_function.h`;
+//! Barron 2019 for Geman-McClure).
 
-/// A robust loss.
+/// A robust loss with its scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Loss {
     /// ρ = s.
@@ -21,7 +21,7 @@ pub enum Loss {
     GemanMcClure(f64),
     /// Tukey's biweight: ρ = a²/3 (1 − (1 − s/a²)³) up to a², then a²/3.
     Tukey(f64),
-    /// ρ = min(s, a²): MSAC's score.
+    /// ρ = min(s, a²): the score of MSAC.
     Truncated(f64),
 }
 

@@ -1,5 +1,5 @@
-//! What an optimiser may move: a value with a local vector space (see CONVENTIONS.md for the side
-//! of each perturbation).
+//! Manifolds: values that an optimiser perturbs by vectors of a tangent space. CONVENTIONS.md gives
+//! the side of each perturbation.
 
 use std::fmt::Debug;
 
@@ -7,13 +7,13 @@ use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector1};
 
 use crate::so3;
 
-/// A fixed-size column-major matrix of `f64`, seen as a slice.
+/// A fixed-size column-major matrix of `f64` that can be read as a slice.
 pub trait Block: Copy + Debug + PartialEq + Send + Sync + 'static {
-    /// All zero.
+    /// The zero matrix.
     fn zeros() -> Self;
-    /// The numbers, column by column.
+    /// The entries, column by column.
     fn as_slice(&self) -> &[f64];
-    /// The numbers, column by column.
+    /// The entries, column by column.
     fn as_mut_slice(&mut self) -> &mut [f64];
 }
 
@@ -29,10 +29,10 @@ impl<const R: usize, const C: usize> Block for SMatrix<f64, R, C> {
     }
 }
 
-/// A smooth space of `DOF` dimensions.
+/// A manifold of `DOF` dimensions (Ceres: `Manifold`).
 ///
-/// Laws (checked by `testing::manifold_laws`): `x.plus(0) == x`; `y.minus(x)` is the `d` with
-/// `x.plus(d) == y`; `x.plus(d).minus(x) == d` for small `d`.
+/// Invariants, which `testing::manifold_laws` checks: `x.plus(0) == x`, `x.plus(y.minus(x)) == y`,
+/// and `x.plus(d).minus(x) == d` for small `d`.
 pub trait Manifold: Copy + Debug + PartialEq + Send + Sync + 'static {
     /// Dimension of the tangent space.
     const DOF: usize;
@@ -40,9 +40,9 @@ pub trait Manifold: Copy + Debug + PartialEq + Send + Sync + 'static {
     type Tangent: Block;
     /// The Jacobian of `R` residuals: `SMatrix<f64, R, DOF>`.
     type Jacobian<const R: usize>: Block;
-    /// Moves by a tangent vector.
+    /// The value perturbed by a tangent vector (retraction).
     fn plus(&self, delta: &Self::Tangent) -> Self;
-    /// The tangent vector at `base` that leads to `self`.
+    /// The tangent vector `d` at `base` with `base.plus(d) == self`.
     fn minus(&self, base: &Self) -> Self::Tangent;
 }
 

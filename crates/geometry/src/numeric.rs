@@ -1,6 +1,6 @@
-//! Small numerical tools that several crates need: medians, and minima along a line.
+//! Numerical functions that several crates share: median and golden-section search.
 
-/// The upper median of some numbers, which are put in order; `None` of none.
+/// The upper median of the values, or `None` if there are none. Sorts the values.
 ///
 /// ```
 /// use tiepoint_geometry::numeric::median;
@@ -14,9 +14,10 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Where a function with one minimum in [`low`, `high`] has it, by golden section (Kiefer 1953):
-/// each step leaves 0.618 of the interval, of which the middle is returned. One evaluation a step,
-/// and two before.
+/// The minimiser of a unimodal function on [`low`, `high`], by golden-section search (Kiefer 1953).
+///
+/// Each step reduces the interval to 0.618 of its length. The result is the middle of the last
+/// interval. The function is evaluated `steps + 2` times.
 ///
 /// ```
 /// use tiepoint_geometry::numeric::golden_section;
@@ -32,16 +33,16 @@ pub fn golden_section(
 ) -> f64 {
     const RATIO: f64 = 0.618_033_988_749_895;
     let (mut a, mut b) = (high - RATIO * (high - low), low + RATIO * (high - low));
-    let (mut at_a, mut at_b) = (function(a), function(b));
+    let (mut value_a, mut value_b) = (function(a), function(b));
     for _ in 0..steps {
-        if at_a <= at_b {
-            (high, b, at_b) = (b, a, at_a);
+        if value_a <= value_b {
+            (high, b, value_b) = (b, a, value_a);
             a = high - RATIO * (high - low);
-            at_a = function(a);
+            value_a = function(a);
         } else {
-            (low, a, at_a) = (a, b, at_b);
+            (low, a, value_a) = (a, b, value_b);
             b = low + RATIO * (high - low);
-            at_b = function(b);
+            value_b = function(b);
         }
     }
     0.5 * (low + high)

@@ -1,52 +1,58 @@
 //! Robust estimation: RANSAC with local optimisation (Chum, Matas, Kittler 2003) and MSAC scores
 //! (Torr, Zisserman 2000).
 //!
-//! One loop for every problem. Each minimal model that beats all minimal models before it is
-//! refined by nonlinear optimisation of the truncated loss that scores it. The best refined model
-//! is then fitted to small parts of its inliers, the inner samples of Chum et al., and refined
-//! again from there; last comes a smoother loss. Data are scored in order, in chunks, and a model
-//! is dropped as soon as its score can no longer win. Everything follows from the seed.
+//! One loop serves every problem. It has three stages:
+//!
+//! 1. Minimal models from random samples. A minimal model that scores better than all minimal
+//!    models before it is refined by nonlinear optimisation of the truncated loss.
+//! 2. Inner RANSAC (Chum et al. 2003). The best refined model is fitted to small random subsets of
+//!    its inliers, and each fit is refined again.
+//! 3. A final refinement of all inliers under the Cauchy loss.
+//!
+//! Data are scored in order, in blocks. Scoring stops as soon as the partial score is not better
+//! than the best score. The result is a function of the data, the options and the seed.
 
 use std::ops::Range;
 
 use crate::simd::LANES;
 use crate::{Loss, Rng};
 
-/// What the loop needs to know about a problem.
+/// A model-fitting problem that [`ransac`] solves.
 pub trait Estimator {
-    /// What is estimated.
+    /// The estimated quantity, for example a pose.
     type Model: Clone;
-    /// How many data determine a model.
+    /// Number of data in a minimal sample.
     const SAMPLE_SIZE: usize;
-    /// How many data there are.
+    /// Number of data.
     fn num_data(&self) -> usize;
-    /// Appends the models that fit `sample` (indices of data, `SAMPLE_SIZE` of them, distinct);
-    /// none if it is degenerate.
+    /// Appends the models that fit a minimal sample, none if it is degenerate. `sample` has
+    /// `SAMPLE_SIZE` distinct indices of data.
     fn models(&self, sample: &[usize], models: &mut Vec<Self::Model>);
-    /// Squared residuals of the data in `range`, into `squared` (of the same length); infinite
-    /// where undefined.
+    /// Writes the squared residuals of the data in `range` to `squared`, which has the length of
+    /// `range`. An undefined residual is infinite.
     fn squared_residuals(&self, model: &Self::Model, range: Range<usize>, squared: &mut [f64]);
-    /// The model of least loss over some of the data, starting from `model`.
+    /// The model that minimises the loss over the data with indices `data`, by local optimisation
+    /// that starts at `model`.
     fn refine(&self, model: &Self::Model, data: &[usize], loss: Loss) -> Option<Self::Model>;
 }
 
-/// When to stop, and what counts as an inlier.
+/// Options of [`ransac`]: inlier threshold and stopping rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacOptions {
-    /// Residual norm up to which a datum is an inlier, in the unit of the estimator's residual
-    /// (pixels unless it says otherwise).
+    /// Inlier threshold on the residual norm, in the unit of the estimator's residual (pixels
+    /// unless its documentation names another unit).
     pub max_error: f64,
-    /// Stop when, with this probability, some sample had inliers only.
+    /// Stop when at least one sample had only inliers with this probability.
     pub confidence: f64,
-    /// Fewest samples.
+    /// Minimum number of samples.
     pub min_iterations: usize,
-    /// Most samples.
+    /// Maximum number of samples.
     pub max_iterations: usize,
-    /// Models that fewer than this share of the data agree with are of no use: no more samples are
-    /// drawn than find a better one with the asked confidence, and none that is far from this share
-    /// is optimised.
+    /// Minimum inlier ratio of a model. The number of samples is limited to the number that finds
+    /// a model of this inlier ratio with the given confidence. A model is not locally optimised if
+    /// its inliers and near-inliers together are below this ratio.
     pub min_inlier_share: f64,
-    /// Where the random numbers start.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
@@ -68,50 +74,54 @@ impl Default for RansacOptions {
 pub struct Report<M> {
     /// The best model.
     pub model: M,
-    /// For each datum, whether it is an inlier.
+    /// Inlier mask, one entry per datum.
     pub inliers: Vec<bool>,
-    /// How many inliers.
+    /// Number of inliers.
     pub num_inliers: usize,
-    /// Sum over the data of the squared residual, at most `max_error`² each (MSAC); lower is
-    /// better.
+    /// MSAC score: the sum over the data of min(squared residual, `max_error`²). Lower is better.
     pub score: f64,
-    /// Samples drawn.
+    /// Number of samples drawn.
     pub iterations: usize,
 }
 
 impl<M> Report<M> {
-    /// The same report about another form of the model.
+    /// Converts the model, for example a pose to an essential matrix.
     pub fn map<N>(self, f: impl FnOnce(M) -> N) -> Report<N> {
         let Self { model, inliers, num_inliers, score, iterations } = self;
         Report { model: f(model), inliers, num_inliers, score, iterations }
     }
 }
 
-/// Data per scoring step: long enough for vector code, short enough to drop bad models early.
-const CHUNK: usize = 64;
+/// Data per scoring step: long enough for SIMD, short enough to reject bad models early.
+const BLOCK_SIZE: usize = 64;
 
-/// Data with residuals up to this multiple of the threshold take part in the local optimisation.
-const OPTIMISATION_REACH: f64 = 3.0;
+/// Local optimisation uses the data with residuals up to this multiple of the threshold.
+const NEAR_INLIER_FACTOR: f64 = 3.0;
 
-/// Most parts of the inliers that the best model is fitted to, how many may fail in a row, and
-/// below which part of the score a new one is no failure.
-const MAX_SHAKES: usize = 24;
-const MAX_FAILED_SHAKES: usize = 5;
-const SHAKE_GAIN: f64 = 0.999;
+/// Maximum number of inner samples.
+const MAX_INNER_SAMPLES: usize = 24;
 
-/// Size of these parts, in samples.
-const SHAKE_SAMPLES: usize = 3;
+/// Inner RANSAC stops after this number of successive inner samples without progress.
+const MAX_INNER_FAILURES: usize = 5;
 
-/// Final refinements; each has the spread and the inliers of the one before.
-const POLISHES: usize = 2;
+/// An inner sample is progress if its score is below this multiple of the best score.
+const INNER_PROGRESS: f64 = 0.999;
 
-/// Scale of the Cauchy loss in medians of the residual norm: one standard deviation. Least squares
-/// on clean Gaussian noise would be a little better, but wrong data within the threshold make it
-/// the worse choice (tried with `bench/geometry.py`).
+/// Size of an inner sample, in minimal sample sizes.
+const INNER_SAMPLE_FACTOR: usize = 3;
+
+/// Number of final refinements. Each takes its loss scale and its inliers from the model before.
+const FINAL_REFINEMENTS: usize = 2;
+
+/// Scale of the Cauchy loss over the median residual norm: the ratio of the standard deviation to
+/// the median of |r| for scalar Gaussian residuals. Least squares is slightly better on Gaussian
+/// noise alone, and worse with outliers within the threshold (measured by `bench/geometry.py`).
 const CAUCHY_PER_MEDIAN: f64 = 1.4826;
 
-/// The model with the best MSAC score; `None` where no sample gave a model with at least
-/// `SAMPLE_SIZE` inliers and the least share of them that the options ask for.
+/// Estimates the model of the best MSAC score.
+///
+/// Returns `None` if no model has at least `SAMPLE_SIZE` inliers and the minimum inlier ratio of
+/// the options.
 pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Report<E::Model>> {
     let num_data = estimator.num_data();
     if num_data < E::SAMPLE_SIZE {
@@ -122,9 +132,9 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
     let mut models = Vec::new();
     let mut best: Option<Scored<E::Model>> = None;
     let mut best_minimal_score = f64::INFINITY;
-    let most = needed_iterations(options.min_inlier_share, E::SAMPLE_SIZE, options)
+    let max_needed = needed_iterations(options.min_inlier_share, E::SAMPLE_SIZE, options)
         .min(options.max_iterations);
-    let mut needed = most;
+    let mut needed = max_needed;
     let mut iterations = 0;
     while iterations < needed.max(options.min_iterations).min(options.max_iterations) {
         let Some(sample) = sampler.next_sample() else { break };
@@ -137,30 +147,31 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
             let candidate = scorer.optimise(Scored { model, score });
             if best.as_ref().is_none_or(|best| candidate.score < best.score) {
                 let squared = scorer.squared_residuals(&candidate.model);
-                let num_inliers = below(&squared, options.max_error * options.max_error).len();
+                let num_inliers =
+                    indices_below(&squared, options.max_error * options.max_error).len();
                 needed = needed_iterations(
                     num_inliers as f64 / num_data as f64,
                     E::SAMPLE_SIZE,
                     options,
                 )
-                .min(most);
+                .min(max_needed);
                 best = Some(candidate);
             }
         }
     }
     let best = best?;
-    if !scorer.is_promising(scorer.near(&best.model).len()) {
+    if !scorer.is_promising(scorer.near_inliers(&best.model).len()) {
         return None;
     }
-    let model = scorer.shake(best, &mut sampler.rng);
-    let model = scorer.polish(model.model);
+    let best = scorer.inner_ransac(best, &mut sampler.rng);
+    let model = scorer.refine_inliers(best.model);
     let squared = scorer.squared_residuals(&model);
     let inliers: Vec<bool> =
         squared.iter().map(|&s| s < options.max_error * options.max_error).collect();
     let num_inliers = inliers.iter().filter(|inlier| **inlier).count();
     let score = truncated_sum(&squared, options.max_error * options.max_error);
-    let enough = (options.min_inlier_share * num_data as f64).max(E::SAMPLE_SIZE as f64);
-    (num_inliers as f64 >= enough).then_some(Report {
+    let min_inliers = (options.min_inlier_share * num_data as f64).max(E::SAMPLE_SIZE as f64);
+    (num_inliers as f64 >= min_inliers).then_some(Report {
         model,
         inliers,
         num_inliers,
@@ -169,40 +180,43 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
     })
 }
 
+/// A model with its MSAC score.
 struct Scored<M> {
     model: M,
     score: f64,
 }
 
+/// Scores and refines the models of one run.
 struct Scorer<'a, E> {
     estimator: &'a E,
     max_error: f64,
     min_inlier_share: f64,
     loss: Loss,
-    squared: [f64; CHUNK],
+    /// Squared residuals of one scoring block.
+    squared: [f64; BLOCK_SIZE],
 }
 
 impl<'a, E: Estimator> Scorer<'a, E> {
     fn new(estimator: &'a E, options: &RansacOptions) -> Self {
         let RansacOptions { max_error, min_inlier_share, .. } = *options;
         let loss = Loss::Truncated(max_error);
-        Self { estimator, max_error, min_inlier_share, loss, squared: [0.0; CHUNK] }
+        Self { estimator, max_error, min_inlier_share, loss, squared: [0.0; BLOCK_SIZE] }
     }
 
-    /// The data that are inliers of a model or not far from it.
-    fn near(&self, model: &E::Model) -> Vec<usize> {
-        below(&self.squared_residuals(model), (OPTIMISATION_REACH * self.max_error).powi(2))
+    /// Indices of the inliers and near-inliers of a model.
+    fn near_inliers(&self, model: &E::Model) -> Vec<usize> {
+        indices_below(&self.squared_residuals(model), (NEAR_INLIER_FACTOR * self.max_error).powi(2))
     }
 
-    /// Whether a model with so many data near it may come to have as many inliers as it must.
-    fn is_promising(&self, near: usize) -> bool {
-        near as f64 >= self.min_inlier_share * self.estimator.num_data() as f64
+    /// Whether a model with this number of near-inliers can reach the minimum inlier ratio.
+    fn is_promising(&self, num_near: usize) -> bool {
+        num_near as f64 >= self.min_inlier_share * self.estimator.num_data() as f64
     }
 
-    /// The MSAC score, if it is below `bound`.
+    /// The MSAC score of a model; `None` if it is not below `bound`.
     fn score(&mut self, model: &E::Model, bound: f64) -> Option<f64> {
         let mut score = 0.0;
-        for range in chunks(self.estimator.num_data()) {
+        for range in scoring_blocks(self.estimator.num_data()) {
             let squared = &mut self.squared[..range.len()];
             self.estimator.squared_residuals(model, range, squared);
             score += truncated_sum(squared, self.max_error * self.max_error);
@@ -220,35 +234,36 @@ impl<'a, E: Estimator> Scorer<'a, E> {
         squared
     }
 
-    /// Least truncated loss near a minimal model: over data a little beyond the threshold too, so
-    /// that inliers that the noise of the sample hides come in.
-    fn optimise(&mut self, minimal: Scored<E::Model>) -> Scored<E::Model> {
-        let near = self.near(&minimal.model);
+    /// Local optimisation: minimises the truncated loss, starting at `initial`. Near-inliers take
+    /// part, because the noise of a minimal sample moves true inliers beyond the threshold.
+    fn optimise(&mut self, initial: Scored<E::Model>) -> Scored<E::Model> {
+        let near = self.near_inliers(&initial.model);
         if near.len() <= E::SAMPLE_SIZE || !self.is_promising(near.len()) {
-            return minimal;
+            return initial;
         }
-        let refined = self.estimator.refine(&minimal.model, &near, self.loss);
+        let refined = self.estimator.refine(&initial.model, &near, self.loss);
         let scored = refined
-            .and_then(|model| Some(Scored { score: self.score(&model, minimal.score)?, model }));
-        scored.unwrap_or(minimal)
+            .and_then(|model| Some(Scored { score: self.score(&model, initial.score)?, model }));
+        scored.unwrap_or(initial)
     }
 
-    /// A better model from small parts of the inliers, which leave a local optimum that all of them
-    /// hold fast.
-    fn shake(&mut self, mut best: Scored<E::Model>, rng: &mut Rng) -> Scored<E::Model> {
-        let inliers = below(&self.squared_residuals(&best.model), self.max_error * self.max_error);
-        let size = (SHAKE_SAMPLES * E::SAMPLE_SIZE).min(inliers.len() / 2);
+    /// Inner RANSAC (LO-RANSAC): fits the model to small random subsets of its inliers and
+    /// optimises each fit. A subset can leave a local optimum of the full set of inliers.
+    fn inner_ransac(&mut self, mut best: Scored<E::Model>, rng: &mut Rng) -> Scored<E::Model> {
+        let inliers =
+            indices_below(&self.squared_residuals(&best.model), self.max_error * self.max_error);
+        let size = (INNER_SAMPLE_FACTOR * E::SAMPLE_SIZE).min(inliers.len() / 2);
         if size <= E::SAMPLE_SIZE {
             return best;
         }
         let mut sample = vec![0; size];
         let mut failures = 0;
-        for _ in 0..MAX_SHAKES {
-            if failures == MAX_FAILED_SHAKES {
+        for _ in 0..MAX_INNER_SAMPLES {
+            if failures == MAX_INNER_FAILURES {
                 break;
             }
             failures += 1;
-            draw(rng, inliers.len(), &mut sample);
+            sample_distinct(rng, inliers.len(), &mut sample);
             let data: Vec<usize> = sample.iter().map(|&i| inliers[i]).collect();
             let Some(model) = self.estimator.refine(&best.model, &data, Loss::Trivial) else {
                 continue;
@@ -256,7 +271,7 @@ impl<'a, E: Estimator> Scorer<'a, E> {
             let Some(score) = self.score(&model, f64::INFINITY) else { continue };
             let candidate = self.optimise(Scored { model, score });
             if candidate.score < best.score {
-                if candidate.score < SHAKE_GAIN * best.score {
+                if candidate.score < INNER_PROGRESS * best.score {
                     failures = 0;
                 }
                 best = candidate;
@@ -265,12 +280,12 @@ impl<'a, E: Estimator> Scorer<'a, E> {
         best
     }
 
-    /// The model of the inliers under a loss that weighs them down where they exceed their own
-    /// spread: within the threshold there are wrong data too.
-    fn polish(&mut self, mut model: E::Model) -> E::Model {
-        for _ in 0..POLISHES {
+    /// Refines the model over its inliers under a Cauchy loss at the scale of their residuals. The
+    /// loss reduces the weight of outliers that lie within the threshold.
+    fn refine_inliers(&mut self, mut model: E::Model) -> E::Model {
+        for _ in 0..FINAL_REFINEMENTS {
             let squared = self.squared_residuals(&model);
-            let inliers = below(&squared, self.max_error * self.max_error);
+            let inliers = indices_below(&squared, self.max_error * self.max_error);
             if inliers.len() <= E::SAMPLE_SIZE {
                 break;
             }
@@ -288,12 +303,12 @@ impl<'a, E: Estimator> Scorer<'a, E> {
 }
 
 /// The indices of the values below a bound.
-fn below(squared: &[f64], bound: f64) -> Vec<usize> {
+fn indices_below(squared: &[f64], bound: f64) -> Vec<usize> {
     (0..squared.len()).filter(|&i| squared[i] < bound).collect()
 }
 
-/// The sum of min(s, bound), which is ρ of [`Loss::Truncated`]; NaN counts as `bound`. Eight
-/// partial sums, for vectors.
+/// The sum of min(s, bound), which is ρ of [`Loss::Truncated`]. NaN counts as `bound`. The eight
+/// partial sums let the compiler vectorise the loop.
 fn truncated_sum(squared: &[f64], bound: f64) -> f64 {
     let mut sums = [0.0; LANES];
     let (blocks, rest) = squared.as_chunks::<LANES>();
@@ -308,12 +323,13 @@ fn truncated_sum(squared: &[f64], bound: f64) -> f64 {
     sums.iter().sum()
 }
 
-fn chunks(num_data: usize) -> impl Iterator<Item = Range<usize>> {
-    (0..num_data).step_by(CHUNK).map(move |first| first..(first + CHUNK).min(num_data))
+/// The ranges of data that are scored in one step.
+fn scoring_blocks(num_data: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..num_data).step_by(BLOCK_SIZE).map(move |first| first..(first + BLOCK_SIZE).min(num_data))
 }
 
-/// Distinct uniform indices below `num_data`.
-fn draw(rng: &mut Rng, num_data: usize, sample: &mut [usize]) {
+/// Fills `sample` with distinct uniform indices below `num_data`.
+fn sample_distinct(rng: &mut Rng, num_data: usize, sample: &mut [usize]) {
     for position in 0..sample.len() {
         sample[position] = loop {
             let index = rng.below(num_data);
@@ -324,16 +340,16 @@ fn draw(rng: &mut Rng, num_data: usize, sample: &mut [usize]) {
     }
 }
 
-/// Distinct indices below `num_data`: uniform, or every combination once where these are no more
-/// than the iterations that are made anyway.
+/// Draws minimal samples: at random, or every combination once if there are at most
+/// `min_iterations` combinations.
 struct Sampler {
     rng: Rng,
     num_data: usize,
     sample: Vec<usize>,
-    mode: Mode,
+    mode: SamplingMode,
 }
 
-enum Mode {
+enum SamplingMode {
     Uniform,
     FirstCombination,
     NextCombination,
@@ -344,9 +360,9 @@ impl Sampler {
         let combinations =
             (0..sample_size).fold(1.0, |c, i| c * (num_data - i) as f64 / (i + 1) as f64);
         let mode = if combinations <= options.min_iterations as f64 {
-            Mode::FirstCombination
+            SamplingMode::FirstCombination
         } else {
-            Mode::Uniform
+            SamplingMode::Uniform
         };
         Self {
             rng: Rng::stream(options.seed, &[]),
@@ -359,12 +375,12 @@ impl Sampler {
     fn next_sample(&mut self) -> Option<&[usize]> {
         let Self { rng, num_data, sample, mode } = self;
         match mode {
-            Mode::Uniform => {
-                draw(rng, *num_data, sample);
+            SamplingMode::Uniform => {
+                sample_distinct(rng, *num_data, sample);
             }
-            Mode::FirstCombination => *mode = Mode::NextCombination,
-            Mode::NextCombination => {
-                // The last position that can still move does; those after it follow directly.
+            SamplingMode::FirstCombination => *mode = SamplingMode::NextCombination,
+            SamplingMode::NextCombination => {
+                // Lexicographic order: increment the last position that is not at its maximum.
                 let size = sample.len();
                 let position = (0..size).rev().find(|&p| sample[p] < *num_data - size + p)?;
                 let first = sample[position] + 1;
@@ -377,7 +393,7 @@ impl Sampler {
     }
 }
 
-/// Samples until one without outliers was drawn with the asked confidence.
+/// Number of samples of which at least one has no outliers with the given confidence.
 fn needed_iterations(inlier_ratio: f64, sample_size: usize, options: &RansacOptions) -> usize {
     let all_inliers = inlier_ratio.powi(sample_size as i32);
     if all_inliers >= 1.0 {

@@ -1,4 +1,4 @@
-//! Rigid transforms of space.
+//! Rigid transforms of 3-D space.
 
 use std::ops::Mul;
 
@@ -11,12 +11,12 @@ use crate::{Manifold, so3};
 pub struct Rigid3 {
     /// Rotation of b from a.
     pub rotation: UnitQuaternion<f64>,
-    /// The origin of a, seen in b.
+    /// The origin of frame a in frame b.
     pub translation: Vector3<f64>,
 }
 
 impl Rigid3 {
-    /// Leaves every point where it is.
+    /// The identity transform.
     pub fn identity() -> Self {
         Self { rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
     }
@@ -37,13 +37,13 @@ impl Rigid3 {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// The origin of b, seen in a: the camera's centre where `self` is `cam_from_world`.
+    /// The origin of frame b in frame a. For `cam_from_world` it is the camera centre in the world.
     pub fn origin_in_a(&self) -> Vector3<f64> {
         -(self.rotation.inverse() * self.translation)
     }
 
-    /// How a motion of a, as a tangent, looks as one of b, to first order: (δ, τ) becomes
-    /// `(R δ, R τ + [t]ₓ R δ)`. Ad, with T Exp(ξ) = Exp(Ad ξ) T.
+    /// The adjoint matrix Ad, with T Exp(ξ) = Exp(Ad ξ) T to first order: it maps a tangent
+    /// ξ = (δ, τ) of frame a to the tangent `(R δ, R τ + [t]ₓ R δ)` of frame b.
     pub fn adjoint(&self) -> SMatrix<f64, 6, 6> {
         let rotation = self.rotation.to_rotation_matrix().into_inner();
         let mut adjoint = SMatrix::<f64, 6, 6>::zeros();
@@ -80,24 +80,24 @@ impl Mul<Vector3<f64>> for Rigid3 {
     }
 }
 
-/// Moved in its target frame, about that frame's origin (a camera about its own centre): tangent
-/// (rotation, translation); see CONVENTIONS.md.
+/// The tangent (δ, τ), rotation first, perturbs in the target frame about its origin: a camera
+/// rotates about its own centre. See CONVENTIONS.md.
 impl Manifold for Rigid3 {
     const DOF: usize = 6;
     type Tangent = SVector<f64, 6>;
     type Jacobian<const R: usize> = SMatrix<f64, R, 6>;
     fn plus(&self, delta: &Self::Tangent) -> Self {
-        let turn = so3::exp(&delta.fixed_rows::<3>(0).into_owned());
+        let d_rotation = so3::exp(&delta.fixed_rows::<3>(0).into_owned());
         Self {
-            rotation: turn * self.rotation,
-            translation: turn * self.translation + delta.fixed_rows::<3>(3),
+            rotation: d_rotation * self.rotation,
+            translation: d_rotation * self.translation + delta.fixed_rows::<3>(3),
         }
     }
     fn minus(&self, base: &Self) -> Self::Tangent {
-        let turn = self.rotation * base.rotation.inverse();
+        let d_rotation = self.rotation * base.rotation.inverse();
         let mut delta = SVector::<f64, 6>::zeros();
-        delta.fixed_rows_mut::<3>(0).copy_from(&so3::log(&turn));
-        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - turn * base.translation));
+        delta.fixed_rows_mut::<3>(0).copy_from(&so3::log(&d_rotation));
+        delta.fixed_rows_mut::<3>(3).copy_from(&(self.translation - d_rotation * base.translation));
         delta
     }
 }

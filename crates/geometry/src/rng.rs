@@ -1,15 +1,15 @@
-//! Seeded random numbers: SplitMix64 (Steele, Lea, Flood 2014). One stream per task, keyed by what
-//! the task is about and never by the thread that does it, so that results do not depend on the
-//! number of threads.
+//! Seeded random numbers: SplitMix64 (Steele, Lea, Flood 2014). Every task has its own stream. The
+//! key of a stream names the task and not the thread, so that results do not depend on the number
+//! of threads.
 
-/// A small, fast, seeded generator. Not for cryptography.
+/// A seeded random number generator. It is not cryptographically secure.
 #[derive(Clone, Debug)]
 pub struct Rng {
     state: u64,
 }
 
 impl Rng {
-    /// A stream of its own for (`seed`, `key`): the key names the task, say
+    /// The stream of (`seed`, `key`). The key names the task, for example
     /// `&[stage, image1, image2]`.
     pub fn stream(seed: u64, key: &[u64]) -> Self {
         let mut rng = Self { state: seed };
@@ -29,7 +29,7 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// Uniform in 0..n; n > 0. (Multiply-shift; the bias is below n / 2⁶⁴.)
+    /// Uniform in 0..n, for n > 0, by multiply-shift. The bias is below n / 2⁶⁴.
     pub fn below(&mut self, n: usize) -> usize {
         ((u128::from(self.next_u64()) * n as u128) >> 64) as usize
     }

@@ -1,4 +1,4 @@
-//! Similarity transforms: what is left undetermined by images alone.
+//! Similarity transforms: the gauge freedom of a reconstruction from images alone.
 
 use std::ops::Mul;
 
@@ -9,16 +9,16 @@ use crate::{Manifold, Rigid3};
 /// `point_in_b = scale * (rotation * point_in_a) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sim3 {
-    /// Length in b of a unit of a; positive.
+    /// Length in frame b of a unit length of frame a; positive.
     pub scale: f64,
     /// Rotation of b from a.
     pub rotation: UnitQuaternion<f64>,
-    /// The origin of a, seen in b.
+    /// The origin of frame a in frame b.
     pub translation: Vector3<f64>,
 }
 
 impl Sim3 {
-    /// Leaves every point where it is.
+    /// The identity transform.
     pub fn identity() -> Self {
         Self { scale: 1.0, rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
     }
@@ -29,13 +29,13 @@ impl Sim3 {
         Self { scale, rotation, translation: -(rotation * self.translation) * scale }
     }
 
-    /// Its rotation and translation.
+    /// The rigid transform of the same rotation and translation.
     pub fn without_scale(&self) -> Rigid3 {
         Rigid3 { rotation: self.rotation, translation: self.translation }
     }
 
-    /// The pose of the same camera when the world is moved by `self`, as `new_from_old`: the image
-    /// stays the same, since a camera does not see the scale.
+    /// The pose `cam_from_new` of a camera after the world was transformed by `self`, which is
+    /// `new_from_old`. Projections do not change, because they do not depend on the scale.
     pub fn transform_pose(&self, cam_from_old: &Rigid3) -> Rigid3 {
         let rotation = cam_from_old.rotation * self.rotation.inverse();
         Rigid3 {
@@ -65,7 +65,7 @@ impl Mul<Vector3<f64>> for Sim3 {
     }
 }
 
-/// Tangent that of a [`Rigid3`], then the logarithm of the scale; see CONVENTIONS.md.
+/// The tangent of a [`Rigid3`], then the logarithm of the scale. See CONVENTIONS.md.
 impl Manifold for Sim3 {
     const DOF: usize = 7;
     type Tangent = SVector<f64, 7>;

@@ -1,17 +1,18 @@
-//! Vector code by compiling plain loops again for wider instruction sets and choosing at run time.
-//! Rust neither contracts nor reassociates floating-point operations, so that every instruction set
-//! gives the same bits.
+//! SIMD by automatic vectorisation: a plain loop is compiled once per instruction set, and the
+//! function for the CPU is selected at run time. Rust neither contracts nor reassociates
+//! floating-point operations, so every instruction set gives the same bits.
 
 use std::ops::Range;
 
-/// Numbers per vector: one of AVX-512, two of AVX2.
+/// Data per block: one AVX-512 register of `f64`, or two AVX2 registers.
 pub(crate) const LANES: usize = 8;
 
-/// One number for each of eight data.
+/// One component of the eight data of a block.
 pub(crate) type Lanes = [f64; LANES];
 
-/// Defines a function that runs as compiled for the best instruction set of the machine. Only what
-/// is inlined is compiled again: no closures inside, and called functions are `#[inline(always)]`.
+/// Defines a function that is compiled for AVX-512, AVX2 and the baseline, and runs the best
+/// version for the CPU. Only inlined code is compiled for the wider instruction sets: the body has
+/// no closures, and the functions that it calls are `#[inline(always)]`.
 macro_rules! dispatch {
     (
         $(#[$meta:meta])*
@@ -33,7 +34,7 @@ macro_rules! dispatch {
                     portable$(::<$M>)?($($arg),*);
                 }
                 if is_x86_feature_detected!("avx512f") {
-                    // SAFETY: the machine has what the function is compiled for.
+                    // SAFETY: the CPU supports the instruction set of the function.
                     return unsafe { avx512$(::<$M>)?($($arg),*) };
                 }
                 if is_x86_feature_detected!("avx2") {
@@ -46,7 +47,8 @@ macro_rules! dispatch {
     };
 }
 
-/// Packs data by eights, component by component; the last block is filled up with its first datum.
+/// Packs data in blocks of eight as structure of arrays: entry `k` of a block holds component `k`
+/// of its data. The last block is padded with its first datum.
 pub(crate) fn pack<T, const N: usize>(
     data: &[T],
     components: impl Fn(&T) -> [f64; N],
@@ -64,13 +66,13 @@ pub(crate) fn pack<T, const N: usize>(
     data.chunks(LANES).map(block).collect()
 }
 
-/// The blocks that hold the data in `range`.
+/// Indices of the blocks that hold the data in `range`.
 pub(crate) fn blocks_of(range: &Range<usize>) -> Range<usize> {
     range.start / LANES..range.end.div_ceil(LANES)
 }
 
-/// Writes what block `index` gives for the data in `range` where `out`, which is for `range`, has
-/// it.
+/// Writes the results of block `index` to `out`, which has one entry per datum of `range`. Results
+/// of data outside `range` are skipped.
 #[inline(always)]
 pub(crate) fn store(lanes: &Lanes, index: usize, range: &Range<usize>, out: &mut [f64]) {
     let begin = range.start.max(index * LANES);

@@ -1,39 +1,38 @@
-//! Levenberg-Marquardt for a handful of parameters, on the stack: the local refinement inside
-//! robust estimation. (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
-//! problems", algorithm 3.16, with Nielsen's damping.) Adjustment of whole reconstructions is the
-//! business of `tiepoint-ba`.
+//! Dense Levenberg-Marquardt for a few parameters, without heap allocation: the local refinement
+//! of robust estimation (Madsen, Nielsen, Tingleff 2004, "Methods for non-linear least squares
+//! problems", algorithm 3.16, with Nielsen's damping). `tiepoint-ba` adjusts reconstructions.
 
 use nalgebra::{SMatrix, SVector};
 
 use crate::Loss;
 
-/// Most iterations of a local refinement.
+/// Maximum number of iterations of a local refinement.
 pub(crate) const MAX_LM_ITERATIONS: usize = 25;
 
 /// A least-squares problem over `N` local parameters.
 pub(crate) trait Problem<const N: usize> {
-    /// What is optimised.
+    /// The estimate.
     type Value: Clone;
-    /// Moves a value by a tangent vector.
+    /// The value perturbed by a tangent vector.
     fn plus(&self, value: &Self::Value, delta: &SVector<f64, N>) -> Self::Value;
-    /// Adds every residual with its Jacobian to the normal equations.
-    fn linearize(&self, value: &Self::Value, normal: &mut Normal<N>);
+    /// Adds every residual and its Jacobian to the normal equations.
+    fn linearize(&self, value: &Self::Value, normal: &mut NormalEquations<N>);
 }
 
-/// JᵀJ, Jᵀr and the cost, half the sum of ρ(|r|²).
-pub(crate) struct Normal<const N: usize> {
+/// Normal equations: JᵀJ (upper triangle), Jᵀr and the cost, half the sum of ρ(|r|²).
+pub(crate) struct NormalEquations<const N: usize> {
     hessian: SMatrix<f64, N, N>,
     gradient: SVector<f64, N>,
     cost: f64,
     loss: Loss,
 }
 
-impl<const N: usize> Normal<N> {
+impl<const N: usize> NormalEquations<N> {
     pub(crate) fn new(loss: Loss) -> Self {
         Self { hessian: SMatrix::zeros(), gradient: SVector::zeros(), cost: 0.0, loss }
     }
 
-    /// One residual of `R` components.
+    /// Adds one residual of `R` components.
     #[inline]
     pub(crate) fn add<const R: usize>(
         &mut self,
@@ -51,12 +50,12 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// Under which residuals count.
+    /// The loss that weights the residuals.
     pub(crate) fn loss(&self) -> Loss {
         self.loss
     }
 
-    /// JᵀJ and Jᵀr of many residuals, weighted by the loss, and half the sum of their ρ.
+    /// Adds JᵀJ and Jᵀr of many residuals, weighted by the loss, and half the sum of their ρ.
     pub(crate) fn add_sums(
         &mut self,
         hessian: &SMatrix<f64, N, N>,
@@ -79,37 +78,37 @@ impl<const N: usize> Normal<N> {
         cost.max(gradient).max(hessian)
     }
 
-    /// Whether some residual was not defined.
+    /// Whether a residual was undefined.
     #[cfg(test)]
-    pub(crate) fn is_refused(&self) -> bool {
+    pub(crate) fn is_rejected(&self) -> bool {
         self.cost == f64::INFINITY
     }
 
-    /// By how much the undamped quadratic model falls.
+    /// The model cost change of a step under the undamped quadratic model, as a decrease.
     fn predicted_decrease(&self, step: &SVector<f64, N>) -> f64 {
         let hessian =
             SMatrix::from_fn(|row, column| self.hessian[(row.min(column), row.max(column))]);
         -step.dot(&(self.gradient + hessian * step * 0.5))
     }
 
-    /// A residual that is not defined at this value: the step that led here is refused.
-    pub(crate) fn refuse(&mut self) {
+    /// Marks that a residual is undefined at this value. [`minimize`] then rejects the step.
+    pub(crate) fn reject(&mut self) {
         self.cost = f64::INFINITY;
     }
 }
 
-/// First damping, relative to the diagonal of JᵀJ: the starts are near the optimum.
+/// Initial damping, relative to the diagonal of JᵀJ. It is small because the initial values are
+/// near the optimum.
 const INITIAL_DAMPING: f64 = 1e-4;
 
-/// Stop when a step lowers the cost by less than this part of it.
+/// Convergence: the relative decrease of the cost is at most this.
 const COST_TOLERANCE: f64 = 1e-7;
 
-/// Added to the diagonal, relative to its largest entry, so that directions without influence stay
-/// put.
+/// Added to the diagonal of JᵀJ, relative to its largest entry. It keeps the matrix regular if a
+/// parameter has no influence on the residuals.
 const DIAGONAL_FLOOR: f64 = 1e-12;
 
-/// The value of least cost that is reached from `start`; `start` itself where nothing better is
-/// found.
+/// Minimises the cost from `start`. Returns `start` itself if no step reduces the cost.
 pub(crate) fn minimize<const N: usize, P: Problem<N>>(
     problem: &P,
     start: &P::Value,
@@ -117,7 +116,7 @@ pub(crate) fn minimize<const N: usize, P: Problem<N>>(
     max_iterations: usize,
 ) -> P::Value {
     let linearize = |value: &P::Value| {
-        let mut normal = Normal::new(loss);
+        let mut normal = NormalEquations::new(loss);
         problem.linearize(value, &mut normal);
         normal
     };
@@ -143,8 +142,8 @@ pub(crate) fn minimize<const N: usize, P: Problem<N>>(
                 break;
             }
         } else {
-            // At the bottom, rounding alone decides: a refused step that was predicted to gain
-            // nothing ends the search.
+            // At the minimum the cost changes by rounding only: stop if the rejected step had no
+            // predicted decrease.
             if normal.predicted_decrease(&step) <= COST_TOLERANCE * normal.cost {
                 break;
             }
@@ -155,8 +154,12 @@ pub(crate) fn minimize<const N: usize, P: Problem<N>>(
     value
 }
 
-/// The minimiser of the damped quadratic model; `None` where rounding has left it without one.
-fn damped_step<const N: usize>(normal: &Normal<N>, damping: f64) -> Option<SVector<f64, N>> {
+/// The minimiser of the damped quadratic model; `None` if its matrix is not numerically positive
+/// definite.
+fn damped_step<const N: usize>(
+    normal: &NormalEquations<N>,
+    damping: f64,
+) -> Option<SVector<f64, N>> {
     let floor = DIAGONAL_FLOOR * normal.hessian.diagonal().max();
     let mut lower = normal.hessian.transpose();
     for i in 0..N {

@@ -1,13 +1,13 @@
-//! Points from rays.
+//! Triangulation of points from rays.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{Rigid3, epipolar::essential_from_pose};
 
-/// The point, in camera 1, of two rays (of any length): the least correction of their angles that
-/// makes them meet (Lee and Civera 2019, "Closed-form optimal two-view triangulation based on
-/// angular errors", L2 cost to first order, in the iterated form of Lindstrom 2010). `None` where
-/// they are parallel or meet behind a camera.
+/// Triangulates the point, in camera 1, of two corresponding rays of any length. The rays are
+/// corrected by the smallest angles that make them intersect (Lee and Civera 2019, "Closed-form
+/// optimal two-view triangulation based on angular errors", L2 cost to first order, in the iterated
+/// form of Lindstrom 2010). `None` if the rays are parallel or intersect behind a camera.
 pub fn triangulate_two_view(
     ray1: &Vector3<f64>,
     ray2: &Vector3<f64>,
@@ -15,8 +15,8 @@ pub fn triangulate_two_view(
 ) -> Option<Vector3<f64>> {
     let essential = essential_from_pose(cam2_from_cam1);
     let (mut y1, mut y2) = (ray1.normalize(), ray2.normalize());
-    // Newton on y₂ᵀEy₁ = 0 with steps along the gradient on the two spheres; the second step is at
-    // rounding level already.
+    // Newton's method on y₂ᵀEy₁ = 0 along the gradient on the two unit spheres. The second step is
+    // already at the level of rounding.
     for _ in 0..3 {
         let (g1, g2) = (essential.tr_mul(&y2), essential * y1);
         let error = y2.dot(&g2);
@@ -36,19 +36,20 @@ pub fn triangulate_two_view(
     (depth1 > 0.0 && depth2 > 0.0 && point.iter().all(|v| v.is_finite())).then_some(point)
 }
 
-/// The world point of the rays (of any length, in their cameras) of two or more cameras: Σ over
-/// rays of the squared distance
-/// |(I − yyᵀ)(RX + t)|² divided by the squared depth of an earlier solution, so that in the
-/// end it is the angles that count.
-/// `None` where the rays are parallel, or the point is behind a camera.
+/// Triangulates the world point of the rays of two or more cameras. `rays_in_cam[i]`, of any
+/// length, is in the frame of camera `i`.
+///
+/// Minimises the sum over the rays of |(I − yyᵀ)(RX + t)|² / |RX₀ + t|², where X₀ is the solution
+/// of the previous iteration. The weights make the cost approximate the sum of squared angles.
+/// `None` if the rays are parallel or the point is behind a camera.
 pub fn triangulate(
     cams_from_world: &[Rigid3],
     rays_in_cam: &[Vector3<f64>],
 ) -> Option<Vector3<f64>> {
     let mut point = None;
-    for _ in 0..REWEIGHTINGS {
+    for _ in 0..NUM_REWEIGHTINGS {
         let mut normal = Matrix3::zeros();
-        let mut right = Vector3::zeros();
+        let mut rhs = Vector3::zeros();
         for (cam_from_world, ray) in cams_from_world.iter().zip(rays_in_cam) {
             let world_from_cam = cam_from_world.rotation.inverse();
             let ray_in_world = world_from_cam * ray.normalize();
@@ -58,9 +59,9 @@ pub fn triangulate(
             let projector =
                 (Matrix3::identity() - ray_in_world * ray_in_world.transpose()) * weight;
             normal += projector;
-            right += projector * centre;
+            rhs += projector * centre;
         }
-        let solution = normal.cholesky()?.solve(&right);
+        let solution = normal.cholesky()?.solve(&rhs);
         if !solution.iter().all(|v| v.is_finite()) {
             return None;
         }
@@ -72,10 +73,11 @@ pub fn triangulate(
     cams_from_world.iter().zip(rays_in_cam).all(in_front).then_some(point)
 }
 
-/// Solutions of [`triangulate`]: each brings the depths, which only weigh, nearer.
-const REWEIGHTINGS: usize = 3;
+/// Iterations of reweighted least squares in [`triangulate`].
+const NUM_REWEIGHTINGS: usize = 3;
 
-/// The angle, in radians, between the rays from two camera centres to a point.
+/// The angle at a point, in radians, between the rays to two camera centres. All arguments are in
+/// the same frame.
 pub fn triangulation_angle(
     centre1: &Vector3<f64>,
     centre2: &Vector3<f64>,

@@ -1,5 +1,5 @@
-//! Exact nearest neighbours, both directions, one core, on every instruction set of this machine; a
-//! forest; epipolar lines. Recall beside time, on descriptors of photos: `bench/matching.py`.
+//! Time on one core of brute force in both directions on every instruction set of the CPU, of a
+//! kd-forest and of guided matching. `bench/matching.py` measures time and recall on photos.
 
 use std::hint::black_box;
 
@@ -10,10 +10,10 @@ use tiepoint_matching::{
     match_prepared, nearest_on,
 };
 
-/// COLMAP's and our maximum of features in an image.
+/// Number of features: the default maximum of COLMAP and of `tiepoint-features`.
 const FEATURES: usize = 8192;
 
-/// Bytes without structure: brute force takes the same time whatever they are.
+/// Random bytes: the time of brute force does not depend on the values.
 fn descriptors(seed: u64) -> Vec<Descriptor> {
     let mut state = seed;
     let mut byte = || {
@@ -63,7 +63,7 @@ fn forest(criterion: &mut Criterion) {
 }
 
 fn guided(criterion: &mut Criterion) {
-    // A frame of 3000 x 2000 pixels, the camera moving sideways.
+    // Images of 3000 x 2000 pixels with a translation along x.
     let features = |seed| {
         let descriptors = descriptors(seed);
         let keypoint = |d: &Descriptor| {

@@ -1,5 +1,5 @@
-//! Draws the matches of two photos: side by side, a line from each feature to its partner, coloured
-//! by where it begins, so that neighbours which go elsewhere stand out.
+//! Draws the matches of two photos side by side. Lines are coloured by their position in the first
+//! photo, so that wrong matches are visible.
 //!
 //! `cargo run --release -p tiepoint-matching --example draw -- a.jpg b.jpg matches.png [MAX_LINES]`
 
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         features_a.keypoints.len(),
         features_b.keypoints.len()
     );
-    // The most certain ones are drawn last, on top of the others.
+    // Matches of the smallest distances are drawn last, over the others.
     matches.sort_by_key(|m| m.distance);
     matches.truncate(max);
     let mut canvas = RgbImage::new(a.width() + b.width(), a.height().max(b.height()));
@@ -52,7 +52,7 @@ fn features(image: &GrayImage) -> Result<Features, Box<dyn Error>> {
     Ok(extract(&view, &tiepoint_features::Options::default())?)
 }
 
-/// A colour for a place in the unit square; neighbours have similar ones.
+/// A colour for a position in the unit square. Near positions have similar colours.
 fn colour(x: f32, y: f32) -> Rgb<u8> {
     let wave =
         |phase: f32| (255.0 * (0.5 + 0.5 * (std::f32::consts::TAU * (y + phase)).sin())) as u8;
@@ -60,7 +60,7 @@ fn colour(x: f32, y: f32) -> Rgb<u8> {
 }
 
 fn line(canvas: &mut RgbImage, from: (f32, f32), to: (f32, f32), colour: Rgb<u8>) {
-    // So that lines are seen when the picture is shown smaller.
+    // Lines stay visible if the image is downscaled.
     let thickness = (canvas.width() / 1500).max(1);
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let steps = dx.abs().max(dy.abs()).ceil().max(1.0);

@@ -1,4 +1,4 @@
-//! Matches the descriptors of two files, or of two made-up images, and prints the matches.
+//! Matches the descriptors of two files, or of two synthetic images, and prints the matches.
 //!
 //! `cargo run --release -p tiepoint-matching --example match [A B]`, where A and B are raw files of
 //! 128 bytes per descriptor (numpy: `descriptors.astype(np.uint8).tofile(path)`).
@@ -14,7 +14,7 @@ use tiepoint_matching::{Isa, Options, match_features};
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (a, b) = match arguments.as_slice() {
-        [] => made_up(),
+        [] => synthetic_images(),
         [a, b] => (read(a)?, read(b)?),
         _ => return Err("give two files of raw descriptors, or none".into()),
     };
@@ -44,9 +44,9 @@ fn read(path: &str) -> Result<Vec<Descriptor>, Box<dyn Error>> {
     }
 }
 
-/// 1000 descriptors of random direction and length 512; every other one comes back in the second
-/// image, blurred.
-fn made_up() -> (Vec<Descriptor>, Vec<Descriptor>) {
+/// Synthetic images: 1000 random descriptors of norm 512, of which every second one is in the
+/// second image with noise.
+fn synthetic_images() -> (Vec<Descriptor>, Vec<Descriptor>) {
     let mut state = 1u64;
     let mut random = || {
         state =

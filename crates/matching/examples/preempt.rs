@@ -1,6 +1,6 @@
-//! What preemptive matching would give up: for every pair, the matches in full and how many the
-//! largest features alone give, as JSON lines. `bench/matching.py` verifies the pairs and counts
-//! the loss.
+//! Evaluation of preemptive matching. Prints one JSON line per pair: the matches of all features,
+//! and the numbers of matches of the largest features. `bench/matching.py` verifies the pairs and
+//! counts the rejected ones.
 //!
 //! `cargo run --release -p tiepoint-matching --example preempt REACH STEM...`, where `STEM.u8`
 //! holds 128 bytes per descriptor, `STEM.f32` the scale of every keypoint, and images up to REACH
@@ -17,7 +17,7 @@ use tiepoint_matching::{
     match_prepared,
 };
 
-/// Numbers of leading features to try.
+/// The evaluated numbers of leading features.
 const LEADING: [usize; 4] = [128, 256, 512, 1024];
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -32,14 +32,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         images.iter().map(|image| Prepared::from_features(image, 512)).collect();
     let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open, loops: 0 };
     let options = Options::default();
-    let hasty = Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
+    let always_preempted =
+        Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
     for (i, j) in selection.pairs(&[Sequence::new((0..images.len() as u32).collect())]) {
         let (a, b) = (i as usize, j as usize);
         let start = Instant::now();
         let matches = match_prepared(&prepared[a], &prepared[b], &options);
         let full_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
-        match_prepared(&prepared[a], &prepared[b], &hasty);
+        match_prepared(&prepared[a], &prepared[b], &always_preempted);
         let preempt_ms = 1e3 * start.elapsed().as_secs_f64();
         let counts: Vec<usize> = (0..LEADING.len())
             .map(|k| match_features(&leading[a][k], &leading[b][k], &options).len())

@@ -1,9 +1,9 @@
-//! Time and recall of every way to find nearest neighbours, as JSON lines: what `bench/matching.py`
-//! puts beside OpenCV.
+//! Time and recall of all methods of nearest-neighbour search, as JSON lines. `bench/matching.py`
+//! compares them with OpenCV.
 //!
 //! `cargo run --release -p tiepoint-matching --example search QUERIES POINTS [TRUTH_QUERIES]`,
 //! where the files hold 128 bytes per descriptor and recall is taken over the first TRUTH_QUERIES
-//! queries. One thread, the best of several runs.
+//! queries. Times are on one thread, the minimum of several runs.
 
 #![expect(clippy::print_stdout, reason = "an example is a program")]
 
@@ -15,7 +15,7 @@ use tiepoint_matching::{
     Checks, Forest, ForestOptions, Isa, Nearest, Prepared, nearest, nearest_on,
 };
 
-/// Runs of each measurement; the shortest counts.
+/// Number of runs of each measurement. The minimum time is reported.
 const RUNS: usize = 5;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let (mut queries, points) = (read(queries)?, read(points)?);
     queries.truncate(limit);
-    // One thread also where the library would use more.
+    // The library uses the threads of the current pool: one.
     rayon::ThreadPoolBuilder::new().num_threads(1).build()?.install(|| measure(&queries, &points));
     Ok(())
 }
@@ -37,7 +37,7 @@ fn measure(queries: &[Descriptor], points: &[Descriptor]) {
 
     let (packed_queries, packed_points) = (Prepared::new(queries), Prepared::new(points));
     for isa in Isa::supported() {
-        // The portable kernel is some fifty times slower than the fastest.
+        // The portable kernel is about fifty times slower than the fastest.
         let runs = if isa == Isa::best() { RUNS } else { 1 };
         let (seconds, _) = shortest(runs, || nearest_on(isa, &packed_queries, &packed_points));
         println!(
@@ -61,7 +61,7 @@ fn measure(queries: &[Descriptor], points: &[Descriptor]) {
     }
 }
 
-/// Share of the queries whose neighbour is as near as the nearest.
+/// Fraction of the queries whose neighbour has the distance of the exact nearest neighbour.
 fn recall(found: &[Nearest], truth: &[Nearest]) -> f64 {
     let right =
         found.iter().zip(truth).filter(|(found, truth)| found.distance == truth.distance).count();

@@ -1,54 +1,54 @@
-//! The ratio and the distance test, in the angular convention of COLMAP, on squared integer
-//! distances.
+//! The ratio test and the maximum angle, with the angles of COLMAP, on squared integer distances.
 //!
-//! Descriptors have length 512, so a squared distance `d` is a squared chord: with `u = d / 1024²`
-//! the angle is `θ = 2 asin √u`. The tests ask `θ₁ ≤ θ_max` and `θ₁ < r θ₂`. Both compare `d₁` with
-//! a threshold; for the ratio test
+//! Descriptors have norm 512, so a squared distance `d` is the squared length of a chord: with
+//! `u = d / 1024²` the angle is `θ = 2 asin √u`. The tests are `θ₁ ≤ θ_max` and `θ₁ < r θ₂`. Both
+//! compare `d₁` with a threshold. For the ratio test it is
 //!
 //! `d₁ / 1024² < sin²(r asin √u₂) = ½ (1 − cos(2r asin √u₂))`.
 //!
-//! `y(s) = cos(2r asin s)` solves `(1 − s²) y″ − s y′ + 4r² y = 0` with `y(0) = 1, y′(0) = 0`,
-//! hence is a power series in `u = s²`: `c₀ = 1, c_{k+2} = c_k (k² − 4r²) / ((k+1)(k+2))`. Entries
-//! of descriptors are not negative, so the angle is at most a right one, `u ≤ ½`, and each term is
-//! less than half of the one before. A polynomial instead of a call to `asin` and `sin`: no root,
-//! no library function whose last bit depends on the machine.
+//! `y(s) = cos(2r asin s)` solves `(1 − s²) y″ − s y′ + 4r² y = 0` with `y(0) = 1, y′(0) = 0`, so
+//! it is a power series in `u = s²`: `c₀ = 1, c_{k+2} = c_k (k² − 4r²) / ((k+1)(k+2))`. Entries of
+//! descriptors are not negative. The angle is therefore at most π/2 and `u ≤ ½`, and each term is
+//! less than half of the previous term. The polynomial replaces `asin` and `sin`, because the last
+//! bit of these library functions can depend on the platform.
 
 use crate::matches::{DIAMETER_SQUARED, Nearest};
 use crate::options::Options;
 
-/// Terms of the series: the next one is below 2⁻⁵³ of the sum for u ≤ ½.
+/// Number of terms of the series: the next term is below 2⁻⁵³ of the sum for u ≤ ½.
 const TERMS: usize = 48;
 
-/// The tests of an [`Options`], ready to be applied many times.
+/// The ratio test and the maximum angle of an [`Options`], with precomputed constants.
 pub(crate) struct Acceptance {
-    /// Coefficients of the threshold as a polynomial in `u` without constant term, times 1024²;
-    /// `None`: no ratio test.
+    /// Coefficients of the threshold of the ratio test, a polynomial in `u` without constant term,
+    /// times 1024²; `None` for no ratio test.
     ratio: Option<[f64; TERMS]>,
-    /// Shares of the second distance between which the threshold lies, wherever that is.
-    between: [f64; 2],
+    /// Lower and upper bound of the threshold over the second distance, for any second distance.
+    ratio_bounds: [f64; 2],
+    /// Maximum squared distance.
     max_distance: f64,
 }
 
-/// Keeps what is decided by the shares alone off the threshold by more than rounding.
-const CLEAR: f64 = 1e-9;
+/// Relative margin of the bounds, larger than the rounding error of the threshold.
+const MARGIN: f64 = 1e-9;
 
 impl Acceptance {
     pub(crate) fn new(options: &Options) -> Self {
         let ratio = options.max_ratio.map(|r| ratio_series(r.max(0.0)));
-        // sin²(r asin s) / s² grows from r² at s = 0 to its value at s² = ½ for r ≤ 1.
-        let between = match (&ratio, options.max_ratio) {
+        // sin²(r asin s) / s² increases from r² at s = 0 to its value at s² = ½ for r ≤ 1.
+        let ratio_bounds = match (&ratio, options.max_ratio) {
             (Some(series), Some(r)) if r > 0.0 && r <= 1.0 => [
-                r * r * (1.0 - CLEAR),
-                2.0 * threshold(series, 0.5) / DIAMETER_SQUARED * (1.0 + CLEAR),
+                r * r * (1.0 - MARGIN),
+                2.0 * threshold(series, 0.5) / DIAMETER_SQUARED * (1.0 + MARGIN),
             ],
             _ => [0.0, f64::INFINITY],
         };
         Acceptance {
             ratio,
-            between,
+            ratio_bounds,
             max_distance: match options.max_angle_rad {
                 Some(angle) if angle >= std::f64::consts::PI => f64::INFINITY,
-                // A negative or undefined angle is below every distance.
+                // A negative or NaN angle accepts no distance.
                 Some(angle) if angle >= 0.0 => DIAMETER_SQUARED * (0.5 * angle).sin().powi(2),
                 Some(_) => -1.0,
                 None => f64::INFINITY,
@@ -56,7 +56,7 @@ impl Acceptance {
         }
     }
 
-    /// Whether the best partner is near enough, and clearly nearer than the second best.
+    /// Whether the nearest neighbour passes the maximum angle and the ratio test.
     #[inline]
     pub(crate) fn accepts(&self, nearest: &Nearest) -> bool {
         if nearest.index == u32::MAX || f64::from(nearest.distance) > self.max_distance {
@@ -65,13 +65,14 @@ impl Acceptance {
         let Some(series) = &self.ratio else { return true };
         let u = (f64::from(nearest.second) / DIAMETER_SQUARED).min(0.5);
         let (distance, second) = (f64::from(nearest.distance), DIAMETER_SQUARED * u);
-        if distance < self.between[0] * second {
+        if distance < self.ratio_bounds[0] * second {
             return true;
         }
-        distance <= self.between[1] * second && distance < threshold(series, u)
+        distance <= self.ratio_bounds[1] * second && distance < threshold(series, u)
     }
 }
 
+/// The threshold of the ratio test for `u` of the second distance.
 fn threshold(series: &[f64; TERMS], u: f64) -> f64 {
     u * series.iter().rev().fold(0.0, |sum, c| sum * u + c)
 }
@@ -93,8 +94,8 @@ mod tests {
     use super::*;
     use crate::matches::angle_rad;
 
-    /// Distances that lie this close to the threshold, relatively, may fall on either side: a few
-    /// roundings of f64.
+    /// Relative tolerance: distances closer to the threshold may be accepted or rejected because of
+    /// rounding.
     const ROUNDING: f64 = 1e-12;
 
     fn nearest(distance: u32, second: u32) -> Nearest {
@@ -102,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn series_agrees_with_arc_sine() {
+    fn series_matches_arc_sine() {
         for ratio in [0.1, 0.5, 0.6, 0.7, 0.8, 0.85, 0.95, 1.0] {
             let tests = Acceptance::new(&Options {
                 max_ratio: Some(ratio),
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_and_senseless_numbers() {
+    fn maximum_angle_and_invalid_options() {
         let only_angle = |angle| {
             Acceptance::new(&Options {
                 max_ratio: None,
@@ -138,15 +139,15 @@ mod tests {
                 ..Options::default()
             })
         };
-        // The chord of 0.7 rad on the sphere of radius 512 is 351.12 long.
+        // The chord of 0.7 rad on the sphere of radius 512 has length 351.12.
         assert!(only_angle(0.7).accepts(&nearest(351 * 351, u32::MAX)));
         assert!(!only_angle(0.7).accepts(&nearest(352 * 352, u32::MAX)));
         assert!(only_angle(0.0).accepts(&nearest(0, 0)));
         assert!(only_angle(4.0).accepts(&nearest(8_323_200, 0)));
-        for nonsense in [f64::NAN, -1.0] {
-            assert!(!only_angle(nonsense).accepts(&nearest(0, u32::MAX)));
+        for invalid in [f64::NAN, -1.0] {
+            assert!(!only_angle(invalid).accepts(&nearest(0, u32::MAX)));
             let ratio = Acceptance::new(&Options {
-                max_ratio: Some(nonsense),
+                max_ratio: Some(invalid),
                 max_angle_rad: None,
                 ..Options::default()
             });

@@ -1,4 +1,4 @@
-//! How far apart two descriptors are.
+//! The distance of descriptors.
 
 use tiepoint_features::Descriptor;
 

@@ -1,54 +1,56 @@
-//! What can be wrong with what a caller hands in.
+//! The error type.
 
-/// Input that cannot be used, with the numbers that show why.
+/// Errors of this crate: invalid input.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// The pair selection is not one of the known words.
+    /// The text is not a pair selection.
     #[error(
         "unknown pair selection \"{0}\": use exhaustive, sequential:N, sequential:N+ends, \
         sequential:N+loops:K or similar:K, for \
          example sequential:20+loops:10"
     )]
     PairSelection(String),
-    /// A sequence carries a list of times that does not fit its list of images.
+    /// A sequence has different numbers of images and times.
     #[error(
         "a camera has {images} images but {times} times; give one time for each image, or none"
     )]
     TimeCount {
-        /// How many images the camera has.
+        /// Number of images of the camera.
         images: usize,
-        /// How many times came with them.
+        /// Number of times.
         times: usize,
     },
-    /// Times must be finite and must not go backwards.
+    /// The times of a sequence are not finite or not in ascending order.
     #[error(
         "time {index} of a camera, {time_s} s, is not a finite number at or after the time before \
         it; sort the images by time"
     )]
     TimeOrder {
-        /// Position in the camera's sequence.
+        /// Position in the sequence.
         index: usize,
-        /// The offending time in seconds.
+        /// The invalid time, in seconds.
         time_s: f64,
     },
-    /// A pair names an image that does not exist.
-    #[error("the pair {a}, {b} is outside of the {images} images")]
+    /// A pair contains an image index that is out of range.
+    #[error(
+        "the pair {a}, {b} has an image index that is not below the number of images, {images}"
+    )]
     PairRange {
         /// First image.
         a: u32,
         /// Second image.
         b: u32,
-        /// How many images there are.
+        /// Number of images.
         images: u32,
     },
-    /// An option is outside of its range.
+    /// An option is out of its range.
     #[error("{name} is {value}; it must be {range}")]
     Option {
-        /// The option's name.
+        /// Name of the option.
         name: &'static str,
-        /// What it was set to.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its range.
         range: &'static str,
     },
 }

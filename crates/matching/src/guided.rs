@@ -1,13 +1,13 @@
-//! Matching along epipolar lines.
+//! Guided matching along epipolar lines.
 //!
-//! With a fundamental matrix known, a feature's partner lies near a line, so the ratio test has far
-//! fewer rivals and repeated structures can be told apart. A pair is a candidate where each
-//! keypoint lies within `max_error_px` of the other's epipolar line:
-//! `(x_bᵀ F x_a)² ≤ e² min(|F x_a|²₁₂, |Fᵀ x_b|²₁₂)`, where `|·|₁₂` is the length of a line's
-//! normal. Close to an epipole, where lines are not defined, nothing is a candidate.
+//! With a known fundamental matrix, only keypoints near the epipolar line are candidates. The ratio
+//! test then has fewer candidates, and repeated structures can be distinguished. A pair is a
+//! candidate if each keypoint is within `max_error_px` of the epipolar line of the other: `(x_bᵀ F
+//! x_a)² ≤ e² min(|F x_a|²₁₂, |Fᵀ x_b|²₁₂)`, where `|·|₁₂` is the length of the normal of a line.
+//! There are no candidates near an epipole, where the lines are undefined.
 //!
-//! Candidates are found by strips: the second image is cut into strips across the line and each
-//! strip into cells, so that a line meets one short run of cells in every strip.
+//! The keypoints of the second image are sorted into strips across the line, and into cells along
+//! each strip. A line intersects a short range of cells in each strip.
 
 use tiepoint_features::{Features, Keypoint};
 
@@ -17,24 +17,24 @@ use crate::matcher::select;
 use crate::matches::{Match, Nearest};
 use crate::options::Options;
 
-/// How many strips the second image is cut into.
+/// Number of strips of the second image.
 const STRIPS: usize = 32;
-/// How many cells a strip is cut into.
+/// Number of cells of a strip.
 const CELLS: usize = 256;
-/// Widens the runs by more than rounding can shift their ends; the exact test follows.
-const SLACK_PX: f64 = 1e-3;
+/// Margin of the ranges of cells, larger than the rounding error. The exact test follows.
+const MARGIN_PX: f64 = 1e-3;
 
-/// Where the partners of a keypoint may be.
+/// The epipolar geometry of two images for guided matching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpipolarGuide {
-    /// `F` of `x_bᵀ F x_a = 0`, row by row, in pixels; its scale does not matter.
+    /// The fundamental matrix `F` of `x_bᵀ F x_a = 0`, row by row, in pixels, of any scale.
     pub fundamental: [[f64; 3]; 3],
-    /// Largest distance of a keypoint from its partner's epipolar line, in pixels, in both images.
+    /// Maximum distance of a keypoint to its epipolar line, in pixels, in both images.
     pub max_error_px: f64,
 }
 
-/// Matches two images whose epipolar geometry is known; ascending in `a`. `options.preempt` has no
-/// effect.
+/// Matches two images of known epipolar geometry. Matches are in ascending order of `a`.
+/// `options.method` and `options.preempt` have no effect.
 pub fn match_guided(
     a: &Features,
     b: &Features,
@@ -48,7 +48,7 @@ pub fn match_guided(
     for (i, (keypoint, descriptor)) in a.keypoints.iter().zip(&a.descriptors).enumerate() {
         let line = line_in_b(&guide.fundamental, keypoint);
         let normal_squared = line[0] * line[0] + line[1] * line[1];
-        // Strips run across the axis along which the line advances faster.
+        // Strips divide the axis along which the line is longer.
         let axis = usize::from(line[0].abs() > line[1].abs());
         strips[axis].for_each_near(line, guide.max_error_px, |candidate| {
             let product = line[0] * candidate.x + line[1] * candidate.y + line[2];
@@ -56,8 +56,8 @@ pub fn match_guided(
             if allowed > 0.0 && product * product <= allowed {
                 let j = candidate.index as usize;
                 let distance = squared_distance(descriptor, &b.descriptors[j]);
-                of_a[i].offer(candidate.index, distance);
-                of_b[j].offer(i as u32, distance);
+                of_a[i].update(candidate.index, distance);
+                of_b[j].update(i as u32, distance);
             }
         });
     }
@@ -69,41 +69,42 @@ struct Candidate {
     x: f64,
     y: f64,
     index: u32,
-    /// Squared length of the normal of its epipolar line in the first image.
+    /// Squared length of the normal of the epipolar line in the first image.
     normal_squared: f64,
 }
 
-/// Keypoints sorted into strips along one axis and cells along the other.
+/// Keypoints of the second image, sorted into strips along one axis and cells along the other.
 struct Strips {
-    /// 0: strips are columns of the image; 1: rows.
+    /// The axis of the strips: 0 for x, 1 for y.
     axis: usize,
-    strips: Steps<STRIPS>,
-    cells: Steps<CELLS>,
-    /// First candidate of every cell, strip by strip, and the end.
+    strips: Bins<STRIPS>,
+    cells: Bins<CELLS>,
+    /// Index of the first candidate of every cell, strip by strip, and the number of candidates.
     starts: Vec<usize>,
     candidates: Vec<Candidate>,
 }
 
-/// An interval in `N` equal steps.
-struct Steps<const N: usize> {
+/// A division of an interval into `N` equal bins.
+struct Bins<const N: usize> {
     origin: f64,
     width: f64,
 }
 
-impl<const N: usize> Steps<N> {
+impl<const N: usize> Bins<N> {
     fn over(values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = values
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
-        Steps { origin: low, width: ((high - low) / N as f64).max(1.0) }
+        Bins { origin: low, width: ((high - low) / N as f64).max(1.0) }
     }
 
-    /// The step that holds `x`; the first or the last where `x` lies outside.
-    fn step(&self, x: f64) -> usize {
+    /// The bin of `x`; the first or last bin if `x` is outside the interval.
+    fn bin(&self, x: f64) -> usize {
         (((x - self.origin) / self.width) as usize).min(N - 1)
     }
 }
 
 impl Candidate {
+    /// The coordinate along an axis.
     fn along(&self, axis: usize) -> f64 {
         [self.x, self.y][axis]
     }
@@ -120,26 +121,26 @@ impl Strips {
                 normal_squared: normal_squared_in_a(&guide.fundamental, keypoint),
             })
             .collect();
-        let strips = Steps::<STRIPS>::over(candidates.iter().map(|c| c.along(axis)));
-        let cells = Steps::<CELLS>::over(candidates.iter().map(|c| c.along(1 - axis)));
-        let place =
-            |c: &Candidate| strips.step(c.along(axis)) * CELLS + cells.step(c.along(1 - axis));
-        candidates.sort_by_key(place);
+        let strips = Bins::<STRIPS>::over(candidates.iter().map(|c| c.along(axis)));
+        let cells = Bins::<CELLS>::over(candidates.iter().map(|c| c.along(1 - axis)));
+        let cell_index =
+            |c: &Candidate| strips.bin(c.along(axis)) * CELLS + cells.bin(c.along(1 - axis));
+        candidates.sort_by_key(cell_index);
         let mut starts = vec![0; STRIPS * CELLS + 1];
         for candidate in &candidates {
-            starts[place(candidate) + 1] += 1;
+            starts[cell_index(candidate) + 1] += 1;
         }
-        for place in 0..STRIPS * CELLS {
-            starts[place + 1] += starts[place];
+        for cell_index in 0..STRIPS * CELLS {
+            starts[cell_index + 1] += starts[cell_index];
         }
         Strips { axis, strips, cells, starts, candidates }
     }
 
-    /// Calls `visit` for all candidates within `max_error_px` of the line, and some more.
+    /// Calls `visit` for all candidates within `max_error_px` of the line, and for some others.
     fn for_each_near(&self, line: [f64; 3], max_error_px: f64, mut visit: impl FnMut(&Candidate)) {
         let (slope, offset) =
             (-line[self.axis] / line[1 - self.axis], -line[2] / line[1 - self.axis]);
-        let margin = max_error_px * (1.0 + slope * slope).sqrt() + SLACK_PX;
+        let margin = max_error_px * (1.0 + slope * slope).sqrt() + MARGIN_PX;
         let end_of_cells = self.cells.origin + self.cells.width * CELLS as f64;
         for strip in 0..STRIPS {
             let start = self.strips.origin + self.strips.width * strip as f64;
@@ -149,7 +150,7 @@ impl Strips {
                 continue;
             }
             let cells =
-                strip * CELLS + self.cells.step(low)..strip * CELLS + self.cells.step(high) + 1;
+                strip * CELLS + self.cells.bin(low)..strip * CELLS + self.cells.bin(high) + 1;
             self.candidates[self.starts[cells.start]..self.starts[cells.end]]
                 .iter()
                 .for_each(&mut visit);
@@ -157,7 +158,7 @@ impl Strips {
     }
 }
 
-/// `F x_a`.
+/// The epipolar line `F x_a`.
 fn line_in_b(f: &[[f64; 3]; 3], keypoint: &Keypoint) -> [f64; 3] {
     let (x, y) = (f64::from(keypoint.x), f64::from(keypoint.y));
     f.map(|row| row[0] * x + row[1] * y + row[2])

@@ -2,6 +2,7 @@
 
 mod accept;
 mod brute;
+mod compressed;
 mod distance;
 mod error;
 mod forest;
@@ -12,10 +13,9 @@ mod options;
 mod packed;
 mod pairs;
 mod prepared;
+mod pruned;
 mod random;
 mod retrieval;
-mod screen;
-mod screened;
 
 pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
 pub use error::Error;

@@ -1,4 +1,4 @@
-//! From nearest neighbours to matches.
+//! Matching of image pairs.
 
 use rayon::prelude::*;
 use tiepoint_features::Descriptor;
@@ -10,10 +10,10 @@ use crate::matches::Match;
 use crate::options::{Method, Options};
 use crate::pairs::Pair;
 use crate::prepared::Prepared;
-use crate::screened::match_screened;
+use crate::pruned::match_pruned;
 
-/// Matches the descriptors of two images; ascending in `a`. For images that are matched more than
-/// once, prepare them and use [`match_prepared`].
+/// Matches the descriptors of two images. Matches are in ascending order of `a`. For images of
+/// several pairs, use [`Prepared`] and [`match_prepared`].
 pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> Vec<Match> {
     let [a, b] = [a, b].map(|descriptors| {
         let mut prepared = Prepared::new(descriptors);
@@ -25,9 +25,9 @@ pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> 
     match_prepared(&a, &b, options)
 }
 
-/// Matches two images; ascending in `a`.
+/// Matches two images. Matches are in ascending order of `a`.
 pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    if is_hopeless(a, b, options) {
+    if is_preempted(a, b, options) {
         return Vec::new();
     }
     let found = match (options.method, &a.forest, &b.forest) {
@@ -44,14 +44,17 @@ pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Matc
     select(&found, options)
 }
 
-/// By comparing all with all, or by what gives the same matches sooner.
+/// Exact matching: with pruning, which gives the same matches faster, if it applies.
 fn match_by_brute_force(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Match> {
-    let screened = if options.mutual { match_screened(Isa::best(), a, b, options) } else { None };
-    screened.unwrap_or_else(|| select(&nearest(a, b), options))
+    let pruned = if options.mutual { match_pruned(Isa::best(), a, b, options) } else { None };
+    pruned.unwrap_or_else(|| select(&nearest(a, b), options))
 }
 
-/// Matches many pairs of images, in parallel over pairs; one list for each pair, in the same order.
-/// Every index in `pairs` must be one into `images`.
+/// Matches image pairs in parallel. Returns one list of matches per pair, in the order of `pairs`,
+/// which holds indices of `images`.
+///
+/// # Panics
+/// If an index is out of range.
 pub fn match_pairs(images: &[Prepared], pairs: &[Pair], options: &Options) -> Vec<Vec<Match>> {
     pairs
         .par_iter()
@@ -59,18 +62,19 @@ pub fn match_pairs(images: &[Prepared], pairs: &[Pair], options: &Options) -> Ve
         .collect()
 }
 
-/// Whether the leading features of the two images say that they have nothing in common.
-fn is_hopeless(a: &Prepared, b: &Prepared, options: &Options) -> bool {
+/// Preemptive matching: whether the leading features have too few matches.
+fn is_preempted(a: &Prepared, b: &Prepared, options: &Options) -> bool {
     let (Some(preempt), Some(a), Some(b)) = (options.preempt, &a.leading, &b.leading) else {
         return false;
     };
     select(&nearest(a, b), options).len() < preempt.min_matches as usize
 }
 
-/// Applies the tests of `options` to nearest neighbours; ascending in `a`.
+/// Applies the ratio test, the maximum angle and the cross check of `options` to nearest
+/// neighbours. Matches are in ascending order of `a`.
 pub fn select(nearest: &NearestBothWays, options: &Options) -> Vec<Match> {
     let acceptance = Acceptance::new(options);
-    let is_match = |(i, forward): (usize, &crate::Nearest)| {
+    let accepted_match = |(i, forward): (usize, &crate::Nearest)| {
         let back = nearest.of_b.get(forward.index as usize)?;
         if options.mutual && (back.index as usize != i || !acceptance.accepts(back)) {
             return None;
@@ -81,5 +85,5 @@ pub fn select(nearest: &NearestBothWays, options: &Options) -> Vec<Match> {
             distance: forward.distance,
         })
     };
-    nearest.of_a.iter().enumerate().filter_map(is_match).collect()
+    nearest.of_a.iter().enumerate().filter_map(accepted_match).collect()
 }

@@ -1,24 +1,24 @@
-//! What a caller may choose.
+//! Options of descriptor matching.
 
 use crate::brute::Isa;
 use crate::error::Error;
 use crate::forest::Checks;
 
-/// Which neighbours become matches. The defaults are COLMAP's.
+/// Options of descriptor matching. The defaults are those of COLMAP.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Lowe's ratio test: the angle to the best partner must be less than this times the angle to
-    /// the second best. `None` leaves the test out.
+    /// Lowe's ratio test: the angle to the nearest descriptor must be below this ratio times the
+    /// angle to the second nearest. `None` disables the test.
     pub max_ratio: Option<f64>,
-    /// Largest angle between the two descriptors, in radians. `None` allows any.
+    /// Maximum angle between two descriptors, in radians. `None` disables the test.
     pub max_angle_rad: Option<f64>,
-    /// Whether both features must be each other's best partner, and pass the tests above in both
-    /// directions.
+    /// Cross check: two features must be each other's nearest neighbours, and pass the tests above
+    /// in both directions.
     pub mutual: bool,
-    /// How neighbours are found.
+    /// Method of the nearest-neighbour search.
     pub method: Method,
-    /// Give up on pairs of images whose largest features hardly match. `None` matches every pair in
-    /// full.
+    /// Preemptive matching: rejects image pairs whose largest features have too few matches. `None`
+    /// matches all features of every pair.
     pub preempt: Option<Preempt>,
 }
 
@@ -35,42 +35,46 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Checks numbers that came from a user. Matching itself accepts any: a ratio or an angle that
-    /// makes no sense lets no match through.
+    /// Checks that the options are in their ranges. Matching does not check them: with an invalid
+    /// ratio or angle it returns no matches.
+    ///
+    /// # Errors
+    /// [`Error::Option`] with the first option that is out of its range.
     pub fn validate(&self) -> Result<(), Error> {
         check("max_ratio", self.max_ratio, 1.0, "above 0 and at most 1")?;
         check("max_angle_rad", self.max_angle_rad, std::f64::consts::PI, "above 0 and at most pi")
     }
 }
 
+/// Checks that an option is above zero and at most `max`.
 fn check(
     name: &'static str,
     value: Option<f64>,
-    most: f64,
+    max: f64,
     range: &'static str,
 ) -> Result<(), Error> {
     match value {
-        Some(value) if !(value > 0.0 && value <= most) => Err(Error::Option { name, value, range }),
+        Some(value) if !(value > 0.0 && value <= max) => Err(Error::Option { name, value, range }),
         _ => Ok(()),
     }
 }
 
-/// How the nearest neighbours are found.
+/// Method of the nearest-neighbour search.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// By comparing all with all: exact, and the same on every machine.
+    /// Brute force: exact, with the same result on every CPU.
     #[default]
     BruteForce,
-    /// In the forests of the images ([`crate::Prepared::grow_forest`]); by brute force where an
-    /// image has none.
+    /// Approximate search in the kd-forests of the images ([`crate::Prepared::grow_forest`]); brute
+    /// force if an image has no forest.
     Forest(Checks),
-    /// Whichever of the two should take less time on this machine. Which neighbours the forest
-    /// misses then depends on the machine as well.
+    /// The method of the shorter estimated time on this CPU. The result can therefore depend on the
+    /// CPU.
     Cheapest(Checks),
 }
 
 impl Method {
-    /// Whether two images with so many features each are matched by forests, if they have them.
+    /// Whether two images of this number of features are matched by forests, if they have forests.
     pub fn uses_forest(self, features: usize) -> bool {
         self.is_forest_for(features, features)
     }
@@ -87,13 +91,13 @@ impl Method {
     }
 }
 
-/// Time for all nearest neighbours in both directions: a constant for each pair of features.
+/// Estimated time of brute force in both directions, in nanoseconds.
 fn brute_force_ns(isa: Isa, features_a: usize, features_b: usize) -> f64 {
     isa.pair_ns() * features_a as f64 * features_b as f64
 }
 
-/// The same by forests of eight trees: a constant for each check, and one that comes in for each
-/// doubling of the searched image, for deeper trees and caches that hold less of it.
+/// Estimated time of forests of eight trees in both directions, in nanoseconds. The time per check
+/// increases with each doubling of the number of points, because of deeper trees and cache misses.
 fn forest_ns(features_a: usize, features_b: usize, checks: Checks) -> f64 {
     let checks = match checks {
         Checks::Total(checks) => f64::from(checks),
@@ -106,22 +110,23 @@ fn forest_ns(features_a: usize, features_b: usize, checks: Checks) -> f64 {
     one_way(features_a, features_b) + one_way(features_b, features_a)
 }
 
-/// Measured on Zen 5 with 8192 points.
+/// Time per check for 8192 points, measured on Zen 5.
 const CHECK_NS: f64 = 105.0;
-/// Measured on Zen 5 from 8192 to 1,000,000 points.
+/// Increase of the time per check for each doubling of the number of points, measured on Zen 5 from
+/// 8192 to 1,000,000 points.
 const CHECK_DOUBLING_NS: f64 = 48.0;
 
 /// Preemptive matching (Wu 2013, "Towards linear-time incremental structure from motion", section
-/// 3): features of large scale are few, repeatable and found in both images if anything is. Match
-/// those first.
+/// 3): the features of the largest scales, which are few and repeatable, are matched first. Image
+/// pairs with too few of these matches are rejected.
 ///
-/// With 1024 leading features, 1/64 of the work, the default lost none of 1,278 verified pairs of
-/// five data sets; asking for 4 matches lost pairs of up to 23 inliers, with 256 leading features
-/// of up to 387 (`bench/matching.py preempt`).
+/// With 1024 leading features, 1/64 of the work, the default rejected none of 1,278 verified pairs
+/// of five data sets. A minimum of 4 matches rejected pairs with up to 23 inliers, and 256 leading
+/// features rejected pairs with up to 387 inliers (`bench/matching.py preempt`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preempt {
-    /// How many matches among the leading features let a pair go on to full matching. How many
-    /// features lead was chosen when the images were prepared ([`crate::Prepared::from_features`]).
+    /// Minimum number of matches among the leading features. [`crate::Prepared::from_features`]
+    /// sets the number of leading features.
     pub min_matches: u32,
 }
 

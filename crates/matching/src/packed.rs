@@ -1,18 +1,18 @@
-//! Vectors of bytes as the brute-force kernel wants them, sixteen to a panel.
+//! Memory layout of byte vectors for the brute-force kernel: panels of sixteen vectors.
 //!
-//! Within a panel the bytes are transposed in groups of four, so that one vector load gives the
-//! same four bytes of sixteen (or eight) descriptors: what a `u8 × i8` dot-product instruction
-//! wants.
+//! Within a panel the bytes are transposed in groups of four: one SIMD load gives the same four
+//! bytes of sixteen (or eight) vectors, the operand of a `u8 × i8` dot-product instruction.
 
-/// Descriptors in a panel.
+/// Number of vectors in a panel.
 pub(crate) const PANEL: usize = 16;
-/// Panels in the widest tile of the kernel; lists of panels are filled up to a multiple of it.
+/// Number of panels in the widest tile of the kernel. Lists of panels are padded to a multiple of
+/// it.
 pub(crate) const TILE: usize = 4;
-/// Vectors of `G` groups of four bytes, which are compared with each other.
+/// A list of vectors of `G` groups of four bytes.
 pub(crate) trait Vectors<const G: usize> {
-    /// How many.
+    /// Number of vectors.
     fn len(&self) -> usize;
-    /// Group `group` of vector `index`, four bytes as a little-endian word.
+    /// The four bytes of group `group` of vector `index`, as a little-endian word.
     fn word(&self, index: usize, group: usize) -> u32;
     /// `|x|²` of vector `index`.
     fn square(&self, index: usize) -> i32;
@@ -23,7 +23,7 @@ pub(crate) trait Vectors<const G: usize> {
 #[repr(C, align(64))]
 pub(crate) struct Panel<const G: usize>(pub(crate) [[u32; PANEL]; G]);
 
-/// Vectors packed as the columns of the kernel.
+/// Vectors in panels: the columns of the kernel.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Packed<const G: usize> {
     pub(crate) len: usize,
@@ -35,7 +35,7 @@ pub(crate) struct Packed<const G: usize> {
 }
 
 impl<const G: usize> Packed<G> {
-    /// Packs `len` vectors, whose groups of four bytes `vector` gives.
+    /// Packs `len` vectors. `vector(i)` returns the groups of four bytes of vector `i`.
     pub(crate) fn new(len: usize, mut vector: impl FnMut(usize) -> [[u8; 4]; G]) -> Self {
         let count = len.div_ceil(PANEL).next_multiple_of(TILE);
         let mut panels = vec![Panel([[0; PANEL]; G]); count];

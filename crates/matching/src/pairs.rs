@@ -1,7 +1,7 @@
-//! Which images to match with which.
+//! Selection of the image pairs to match.
 //!
-//! A pair is `(i, j)` with `i < j`, indices into the caller's list of images. Every function
-//! returns pairs sorted and without duplicates.
+//! A pair is `(i, j)` with `i < j`, indices of images. Every function returns sorted pairs without
+//! duplicates.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,34 +11,34 @@ use crate::error::Error;
 /// Two images to match, the lower index first.
 pub type Pair = (u32, u32);
 
-/// A way to select pairs, as users write it: `exhaustive`, `sequential:20`, `sequential:20+ends`,
-/// `sequential:20+loops:10`, `similar:30`.
+/// The rule of the pair selection. Its text forms are `exhaustive`, `sequential:20`,
+/// `sequential:20+ends`, `sequential:20+loops:10` and `similar:30`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
-    /// Every image with every other.
+    /// All pairs of images.
     Exhaustive,
-    /// Each image with its neighbours in time, of its own camera and of every other.
+    /// Each image with its neighbours in time, of its own camera and of all other cameras.
     Sequential {
-        /// How many neighbours before and after.
+        /// Number of neighbours before and after the image.
         reach: u32,
-        /// What else is matched.
+        /// Whether the ends of the sequence are matched with each other.
         ends: Ends,
-        /// How many images that look most alike each image is matched with beside its neighbours; 0
-        /// for none. They are found by what is in the images: [`Bank::pairs`](crate::Bank::pairs).
+        /// Number of similar images with which each image is matched too, for loop closures; 0 for
+        /// none. [`Bank::pairs`](crate::Bank::pairs) retrieves them.
         loops: u32,
     },
-    /// Each image with those that look most alike, whatever the order.
+    /// Each image with the most similar images, independent of their order.
     Similar {
-        /// How many.
+        /// Number of similar images per image.
         count: u32,
     },
 }
 
-/// Whether the images at the beginning of a sequence are matched with those at its end, for a drive
-/// that comes back to where it began.
+/// Whether the images at the beginning of a sequence are matched with those at its end, for drives
+/// that return to their start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
-    /// They are not.
+    /// They are not matched.
     Open,
     /// The first `reach` images of every camera are matched with the last `reach` of every camera.
     Closed,
@@ -49,7 +49,7 @@ impl FromStr for PairSelection {
 
     fn from_str(text: &str) -> Result<Self, Error> {
         let unknown = || Error::PairSelection(text.to_owned());
-        // Digits only: `parse` alone would take "+5".
+        // Digits only: `parse` would accept "+5".
         let count = |digits: &str| match digits.parse() {
             Ok(count) if count > 0 && digits.bytes().all(|c| c.is_ascii_digit()) => Ok(count),
             _ => Err(unknown()),
@@ -93,8 +93,8 @@ impl fmt::Display for PairSelection {
 }
 
 impl PairSelection {
-    /// How many images that look alike each is to be matched with beside the [`pairs`](Self::pairs)
-    /// that order and time alone give.
+    /// Number of similar images with which each image is matched, in addition to
+    /// [`pairs`](Self::pairs).
     pub fn similar(self) -> u32 {
         match self {
             PairSelection::Exhaustive => 0,
@@ -103,7 +103,8 @@ impl PairSelection {
         }
     }
 
-    /// The pairs among the images of these cameras, as far as order and time give them.
+    /// The pairs that follow from the order and times of the images. Pairs of similar images are
+    /// not included.
     pub fn pairs(self, cameras: &[Sequence]) -> Vec<Pair> {
         let mut pairs = Vec::new();
         match self {
@@ -133,21 +134,26 @@ impl PairSelection {
     }
 }
 
-/// Images of one camera in the order in which they were taken.
+/// The images of a camera in order of time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sequence {
     images: Vec<u32>,
-    /// As long as `images`, or empty.
+    /// Times of the images in seconds; empty if unknown.
     times_s: Vec<f64>,
 }
 
 impl Sequence {
-    /// Images whose times are not known: across cameras, equal positions belong together.
+    /// Images of unknown times. Images of different cameras at equal positions count as
+    /// simultaneous.
     pub fn new(images: Vec<u32>) -> Self {
         Sequence { images, times_s: Vec::new() }
     }
 
-    /// Images with their times in seconds, ascending, on a clock that the cameras roughly share.
+    /// Images with their times in seconds, in ascending order, on a roughly synchronised clock.
+    ///
+    /// # Errors
+    /// [`Error::TimeCount`] if the numbers of images and times differ; [`Error::TimeOrder`] if a
+    /// time is not finite or before the previous time.
     pub fn with_times(images: Vec<u32>, times_s: Vec<f64>) -> Result<Self, Error> {
         if images.len() != times_s.len() {
             return Err(Error::TimeCount { images: images.len(), times: times_s.len() });
@@ -160,7 +166,7 @@ impl Sequence {
         Ok(Sequence { images, times_s })
     }
 
-    /// Position of the image nearest in time, the earlier of two that are equally near.
+    /// Position of the image nearest in time, the earlier one of two equally near images.
     fn position_at(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&t| t < time_s);
         match (after.checked_sub(1), self.times_s.get(after)) {
@@ -171,8 +177,8 @@ impl Sequence {
     }
 }
 
-/// Pairs each image of `from` with the `reach` images of `to` before and after the one that belongs
-/// to it.
+/// Pairs each image of `from` with the simultaneous image of `to` and the `reach` images before and
+/// after it.
 fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach: usize) {
     let by_time = from.times_s.len() == from.images.len() && to.times_s.len() == to.images.len();
     let is_same_camera = std::ptr::eq(from, to);
@@ -188,8 +194,11 @@ fn push_neighbours(pairs: &mut Vec<Pair>, from: &Sequence, to: &Sequence, reach:
     }
 }
 
-/// A list of pairs that came from elsewhere, sorted, the lower index first, without duplicates and
-/// without pairs of an image with itself; an error if one names an image that does not exist.
+/// Normalises a list of pairs: sorted, the lower index first, without duplicates and without pairs
+/// of an image with itself. `images` is the number of images.
+///
+/// # Errors
+/// [`Error::PairRange`] if an index is out of range.
 pub fn listed_pairs(list: &[Pair], images: u32) -> Result<Vec<Pair>, Error> {
     match list.iter().find(|&&(a, b)| a >= images || b >= images) {
         Some(&(a, b)) => Err(Error::PairRange { a, b, images }),
@@ -197,7 +206,7 @@ pub fn listed_pairs(list: &[Pair], images: u32) -> Result<Vec<Pair>, Error> {
     }
 }
 
-/// Sorted, the lower index first, each once.
+/// Sorts pairs, with the lower index first, and removes duplicates and pairs of equal indices.
 pub(crate) fn normalise(mut pairs: Vec<Pair>) -> Vec<Pair> {
     pairs.retain(|(i, j)| i != j);
     for (i, j) in &mut pairs {

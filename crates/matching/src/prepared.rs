@@ -1,44 +1,43 @@
-//! Descriptors of one image, made ready once for all images that it is matched with.
+//! Precomputed data of the descriptors of an image for matching with several images.
 //!
-//! What is kept packed for the brute-force kernel (`packed`) is the short form of the descriptors
-//! by which most pairs are ruled out (`screen`); whole descriptors are kept as they come and packed
-//! when they are needed, which takes a hundredth of the time of comparing them.
+//! Compressed descriptors (`compressed`), which exclude most candidates, are stored packed for the
+//! brute-force kernel (`packed`). Full descriptors are packed when they are needed, which takes a
+//! hundredth of the time of comparing them.
 
 use tiepoint_features::{Descriptor, Features};
 
+use crate::compressed::CompressedDescriptors;
 use crate::forest::{Forest, ForestOptions};
 use crate::packed::{Packed, Vectors, square};
-use crate::screen::Screen;
 
-/// Groups of four bytes in a descriptor.
+/// Number of groups of four bytes in a descriptor.
 const GROUPS: usize = 32;
 
-/// The descriptors of one image, ready to be matched against those of many others.
+/// The descriptors of an image with precomputed data for matching.
 #[derive(Clone, Debug, Default)]
 pub struct Prepared {
     pub(crate) descriptors: Vec<Descriptor>,
-    /// Their short form.
-    pub(crate) screen: Screen,
-    /// The features of largest scale, for preemptive matching; in descending order of scale.
+    /// Compressed descriptors.
+    pub(crate) compressed: CompressedDescriptors,
+    /// The features of the largest scales, in descending order, for preemptive matching.
     pub(crate) leading: Option<Box<Prepared>>,
-    /// Randomized kd-trees, where wanted.
+    /// Randomized kd-trees, if grown.
     pub(crate) forest: Option<Forest>,
 }
 
 impl Prepared {
-    /// Packs descriptors. Their indices stay what they are in the slice.
+    /// Prepares descriptors. Indices of matches are indices of `descriptors`.
     pub fn new(descriptors: &[Descriptor]) -> Self {
         Prepared {
             descriptors: descriptors.to_vec(),
-            screen: Screen::new(descriptors),
+            compressed: CompressedDescriptors::new(descriptors),
             leading: None,
             forest: None,
         }
     }
 
-    /// Packs the descriptors of `features`, and those of the `leading` largest keypoints once more,
-    /// so that pairs can be tried on them first ([`crate::Preempt`], which says what 1024 of them
-    /// lose).
+    /// Prepares the descriptors of `features`, and those of the `leading` largest keypoints for
+    /// preemptive matching ([`crate::Preempt`]).
     pub fn from_features(features: &Features, leading: usize) -> Self {
         let mut order: Vec<usize> =
             (0..features.descriptors.len().min(features.keypoints.len())).collect();
@@ -53,12 +52,12 @@ impl Prepared {
         }
     }
 
-    /// Grows randomized kd-trees for [`crate::Method::Forest`].
+    /// Builds the kd-forest for [`crate::Method::Forest`].
     pub fn grow_forest(&mut self, options: &ForestOptions) {
         self.forest = Some(Forest::new(&self.descriptors, options));
     }
 
-    /// How many descriptors there are.
+    /// Number of descriptors.
     pub fn len(&self) -> usize {
         self.descriptors.len()
     }
@@ -68,17 +67,18 @@ impl Prepared {
         self.descriptors.is_empty()
     }
 
-    /// Some of the descriptors, packed whole.
+    /// The full descriptors with the given indices, packed.
     pub(crate) fn pack(&self, indices: &[u32]) -> Packed<GROUPS> {
         Packed::new(indices.len(), |i| groups(&self.descriptors[indices[i] as usize]))
     }
 
-    /// All descriptors, packed whole.
+    /// All full descriptors, packed.
     pub(crate) fn pack_all(&self) -> Packed<GROUPS> {
         Packed::new(self.len(), |i| groups(&self.descriptors[i]))
     }
 }
 
+/// The descriptor in groups of four bytes.
 fn groups(descriptor: &Descriptor) -> [[u8; 4]; GROUPS] {
     let mut groups = [[0; 4]; GROUPS];
     groups.as_flattened_mut().copy_from_slice(descriptor);
@@ -103,8 +103,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn panels_hold_every_byte() {
-        // 37 descriptors: two full panels, a part of one, and one to fill up.
+    fn packing_preserves_every_byte() {
+        // 37 descriptors: two full panels, one partial panel and one padding panel.
         let descriptors: Vec<Descriptor> =
             (0..37u32).map(|i| std::array::from_fn(|k| (i * 131 + k as u32 * 7) as u8)).collect();
         let mut prepared = Prepared::new(&descriptors);

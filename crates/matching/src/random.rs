@@ -2,11 +2,11 @@
 
 const GAMMA: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// A stream of random numbers.
+/// A seeded stream of random numbers.
 pub(crate) struct SplitMix64(u64);
 
 impl SplitMix64 {
-    /// The stream of one task: its index chooses it, not the thread that runs it.
+    /// The stream of a task. It depends on the index of the task and not on the thread.
     pub(crate) fn new(seed: u64, task: u64) -> Self {
         SplitMix64(mix(seed).wrapping_add(mix(task.wrapping_add(GAMMA))))
     }
@@ -16,12 +16,12 @@ impl SplitMix64 {
         mix(self.0)
     }
 
-    /// A number below `end`, which is not 0; its bias is below `end / 2^64`.
+    /// A uniform number below `end`, for `end` > 0. The bias is below `end / 2^64`.
     pub(crate) fn below(&mut self, end: usize) -> usize {
         ((u128::from(self.next()) * end as u128) >> 64) as usize
     }
 
-    /// Fisher and Yates.
+    /// Random permutation by the Fisher-Yates shuffle.
     pub(crate) fn shuffle(&mut self, list: &mut [u32]) {
         for end in (2..=list.len()).rev() {
             list.swap(end - 1, self.below(end));
@@ -29,6 +29,7 @@ impl SplitMix64 {
     }
 }
 
+/// The output function of SplitMix64.
 fn mix(z: u64) -> u64 {
     let z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
@@ -40,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn published_numbers() {
+    fn matches_the_reference_implementation() {
         // The first outputs of the reference implementation (Vigna, splitmix64.c) for the seed
         // 1234567.
         let mut stream = SplitMix64(1_234_567);

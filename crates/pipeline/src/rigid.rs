@@ -201,7 +201,7 @@ fn rigid_camera(
             let all: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
             let average = robust_average(&all)?;
             let is_near = |pose: &RelativePose| {
-                let (distance, angle) = pose.apart(&average);
+                let (distance, angle) = pose.distance_and_angle(&average);
                 distance <= MAX_DEVIATION.0 * average.translation.norm() && angle <= MAX_DEVIATION.1
             };
             (

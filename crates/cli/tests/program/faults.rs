@@ -29,8 +29,7 @@ const COUNT: usize = 4;
 const SIZE: (u32, u32) = (144, 108);
 /// Number of writes that are drawn per command.
 const DRAWN_WRITES: usize = 2;
-/// Number of renames, commits and syncs that are drawn per command: all of a small export, a tenth
-/// of those of the longest run.
+/// Number of renames, commits and syncs that are drawn per command.
 const DRAWN_DECISIVE: usize = 12;
 /// With this environment variable every operation is tested.
 const WHOLE: &str = "TIEPOINT_ALL_FAULTS";

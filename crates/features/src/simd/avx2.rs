@@ -3,22 +3,22 @@
 use super::lanes::{Simd, Task};
 use std::arch::x86_64::*;
 
-/// The token. [`enter`] alone makes use of it.
+/// Type parameter of [`Task::run`]. Only [`enter`] uses it.
 #[derive(Clone, Copy)]
 struct Avx2;
 
-/// Runs `task` in a function that may use AVX2.
+/// Runs `task` in a function that is compiled for AVX2.
 #[target_feature(enable = "avx2,fma")]
 pub(super) fn enter<T: Task>(task: T) -> T::Output {
     task.run::<Avx2>()
 }
 
 // SAFETY of every block below: these methods are only inlined into `enter`, whose callers have
-// checked the machine; pointers are the caller's promise, and none of the loads and stores needs
-// alignment.
+// detected the instruction set; the caller guarantees that pointers are valid, and no load or store
+// except `stream` needs alignment.
 impl Simd for Avx2 {
     type F = [__m256; 2];
-    const BESIDE: usize = 1;
+    const UNROLL: usize = 1;
 
     #[inline(always)]
     fn splat(x: f32) -> Self::F {
@@ -52,7 +52,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn stream(p: *mut f32, v: Self::F) {
-        // SAFETY: see above; aligned, as the caller promises.
+        // SAFETY: see above; the caller guarantees alignment.
         unsafe {
             _mm256_stream_ps(p, v[0]);
             _mm256_stream_ps(p.add(8), v[1]);
@@ -60,7 +60,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn fence() {
-        // SAFETY: part of every x86-64.
+        // SAFETY: SSE is part of x86-64.
         unsafe { _mm_sfence() }
     }
     #[inline(always)]
@@ -73,13 +73,13 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
-        // Across the halves of a register it would take two shuffles.
+        // A combination of registers would need two shuffles.
         // SAFETY: see above.
         unsafe { Self::load(p) }
     }
     #[inline(always)]
     fn prefetch(p: *const f32) {
-        // SAFETY: a hint, without effect on what is computed.
+        // SAFETY: a prefetch has no effect on results.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
     }
     #[inline(always)]

@@ -3,22 +3,22 @@
 use super::lanes::{Simd, Task};
 use std::arch::x86_64::*;
 
-/// The token. [`enter`] alone makes use of it.
+/// Type parameter of [`Task::run`]. Only [`enter`] uses it.
 #[derive(Clone, Copy)]
 struct Avx512;
 
-/// Runs `task` in a function that may use AVX-512.
+/// Runs `task` in a function that is compiled for AVX-512.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
 pub(super) fn enter<T: Task>(task: T) -> T::Output {
     task.run::<Avx512>()
 }
 
 // SAFETY of every block below: these methods are only inlined into `enter`, whose callers have
-// checked the machine; pointers are the caller's promise, and none of the loads and stores needs
-// alignment.
+// detected the instruction set; the caller guarantees that pointers are valid, and no load or store
+// except `stream` needs alignment.
 impl Simd for Avx512 {
     type F = __m512;
-    const BESIDE: usize = 2;
+    const UNROLL: usize = 2;
 
     #[inline(always)]
     fn splat(x: f32) -> __m512 {
@@ -42,12 +42,12 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     unsafe fn stream(p: *mut f32, v: __m512) {
-        // SAFETY: see above; aligned, as the caller promises.
+        // SAFETY: see above; the caller guarantees alignment.
         unsafe { _mm512_stream_ps(p, v) }
     }
     #[inline(always)]
     fn fence() {
-        // SAFETY: part of every x86-64.
+        // SAFETY: SSE is part of x86-64.
         unsafe { _mm_sfence() }
     }
     #[inline(always)]
@@ -57,7 +57,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     unsafe fn load_between<const OFFSET: i32>(_: *const f32, low: __m512, high: __m512) -> __m512 {
-        // A load would cross a cache line, which costs twice as much.
+        // An unaligned load would cross a cache line, at twice the cost.
         // SAFETY: see above.
         unsafe {
             let (low, high) = (_mm512_castps_si512(low), _mm512_castps_si512(high));
@@ -66,7 +66,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn prefetch(p: *const f32) {
-        // SAFETY: a hint, without effect on what is computed.
+        // SAFETY: a prefetch has no effect on results.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
     }
     #[inline(always)]

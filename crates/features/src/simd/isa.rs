@@ -1,4 +1,4 @@
-//! Which instruction set to run on.
+//! Selection of the instruction set at run time.
 
 #[cfg(target_arch = "x86_64")]
 use super::avx2;
@@ -7,11 +7,11 @@ use super::avx512;
 use super::lanes::Task;
 use super::portable;
 
-/// An instruction set that this machine has; values for others cannot be made.
+/// An instruction set that the CPU supports. Values of other sets cannot be constructed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Isa(Kind);
 
-/// An instruction set that code was written for.
+/// The implemented instruction sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// 512-bit vectors.
@@ -20,16 +20,16 @@ enum Kind {
     /// 256-bit vectors with fused multiply-add.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// Plain Rust.
+    /// Portable Rust.
     Portable,
 }
 
 impl Isa {
-    /// What every machine can run.
+    /// Supported by every CPU.
     #[cfg(test)]
     pub(crate) const PORTABLE: Isa = Isa(Kind::Portable);
 
-    /// What this machine can run, best first.
+    /// The instruction sets that the CPU supports, the best first.
     pub(crate) fn available() -> Vec<Isa> {
         let mut sets = Vec::new();
         #[cfg(target_arch = "x86_64")]
@@ -49,7 +49,7 @@ impl Isa {
         sets
     }
 
-    /// The best one.
+    /// The best instruction set of the CPU.
     pub(crate) fn best() -> Isa {
         Isa::available()[0]
     }
@@ -58,7 +58,7 @@ impl Isa {
 /// Runs `task` compiled for `isa`.
 pub(crate) fn dispatch<T: Task>(isa: Isa, task: T) -> T::Output {
     match isa.0 {
-        // SAFETY: [`Isa::available`] alone makes an `Isa` of this kind, after detection.
+        // SAFETY: only [`Isa::available`] constructs an `Isa` of this kind, after detection.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { avx512::enter(task) },
         // SAFETY: as above.

@@ -1,67 +1,68 @@
-//! What kernels ask of an instruction set.
+//! The vector operations of an instruction set.
 
-/// Lanes in a vector, on every instruction set.
+/// Number of lanes of a vector, for every instruction set.
 pub(crate) const LANES: usize = 16;
 
-/// Work that is written once for all instruction sets. `run` must be `#[inline(always)]`, and so
-/// must everything hot that it calls.
+/// A computation that is generic over the instruction set. `run` and all performance-critical
+/// functions that it calls must be `#[inline(always)]`.
 pub(crate) trait Task {
-    /// What comes out.
+    /// Result type.
     type Output;
-    /// Does it.
+    /// Runs the computation.
     fn run<S: Simd>(self) -> Self::Output;
 }
 
-/// Operations on a vector of sixteen `f32`. Methods without a pointer are safe although their
-/// instructions may not exist on the machine: each implementation is private to its file, and other
-/// code gets it from that file's `enter` alone, as the type parameter of a [`Task`].
+/// Operations on a vector of sixteen `f32`. Methods without pointers are safe although the CPU may
+/// not support their instructions: each implementation is private to its file, and only the `enter`
+/// function of the file passes it on, as the type parameter of a [`Task`].
 pub(crate) trait Simd: Copy {
     /// The vector.
     type F: Copy;
-    /// How many vectors a convolution keeps in flight beside each other: what fills the registers.
-    const BESIDE: usize;
+    /// Number of vectors per iteration of the convolution along columns, limited by the number of
+    /// registers.
+    const UNROLL: usize;
 
-    /// All lanes equal.
+    /// All lanes have the value `x`.
     fn splat(x: f32) -> Self::F;
-    /// Reads sixteen values.
+    /// Loads sixteen values.
     ///
     /// # Safety
     /// `p` must be valid for reading sixteen `f32`.
     unsafe fn load(p: *const f32) -> Self::F;
-    /// Reads sixteen bytes as numbers.
+    /// Loads sixteen bytes and converts them to `f32`.
     ///
     /// # Safety
     /// `p` must be valid for reading sixteen `u8`.
     unsafe fn load_u8(p: *const u8) -> Self::F;
-    /// Writes sixteen values.
+    /// Stores sixteen values.
     ///
     /// # Safety
     /// `p` must be valid for writing sixteen `f32`.
     unsafe fn store(p: *mut f32, v: Self::F);
-    /// Writes sixteen values past the caches where the machine can; to be followed by
-    /// [`fence`](Self::fence).
+    /// Stores sixteen values with non-temporal stores, if the CPU has them. [`fence`](Self::fence)
+    /// must follow.
     ///
     /// # Safety
     /// As [`store`](Self::store), and `p` must be a multiple of 64 bytes.
     unsafe fn stream(p: *mut f32, v: Self::F);
-    /// Orders the writes of [`stream`](Self::stream) before whatever other threads are told later.
+    /// Orders the writes of [`stream`](Self::stream) before later writes.
     fn fence();
-    /// Writes sixteen whole numbers.
+    /// Truncates to `i32` and stores sixteen values.
     ///
     /// # Safety
-    /// `p` must be valid for writing sixteen `i32`, the values within their range.
+    /// `p` must be valid for writing sixteen `i32`, and the values must be in the range of `i32`.
     unsafe fn store_int(p: *mut i32, v: Self::F);
-    /// Reads sixteen values at `p`, which lie `OFFSET` values into those of `low` and `high` one
-    /// after the other.
+    /// The sixteen values from index `OFFSET` of the concatenation of `low` and `high`. They are
+    /// also at `p`.
     ///
     /// # Safety
-    /// As [`load`](Self::load); the values at `p` are those in the registers.
+    /// As [`load`](Self::load); the values at `p` must be those of the concatenation.
     unsafe fn load_between<const OFFSET: i32>(
         p: *const f32,
         low: Self::F,
         high: Self::F,
     ) -> Self::F;
-    /// Asks for the cache line at `p`, which may be any address.
+    /// Prefetches the cache line at `p`, which may be any address.
     fn prefetch(p: *const f32);
     /// a + b
     fn add(a: Self::F, b: Self::F) -> Self::F;
@@ -73,9 +74,9 @@ pub(crate) trait Simd: Copy {
     fn div(a: Self::F, b: Self::F) -> Self::F;
     /// a · b + c, rounded once.
     fn mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F;
-    /// The smaller one.
+    /// Minimum.
     fn min(a: Self::F, b: Self::F) -> Self::F;
-    /// The larger one.
+    /// Maximum.
     fn max(a: Self::F, b: Self::F) -> Self::F;
     /// √a
     fn sqrt(a: Self::F) -> Self::F;

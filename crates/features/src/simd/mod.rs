@@ -1,11 +1,10 @@
-//! Sixteen lanes of `f32`, on whatever the machine has.
+//! SIMD vectors of sixteen `f32`.
 //!
-//! Every kernel of this crate is written once, generic over [`Simd`], and compiled once per
-//! instruction set: [`dispatch`] enters a function with the right target features, into which
-//! everything marked `#[inline(always)]` is inlined. A lane computes exactly the same IEEE
-//! operations on each instruction set (a multiply-add is fused everywhere or not written as one),
-//! and nothing is ever reduced across lanes in an order that depends on the machine, so the results
-//! have the same bits everywhere.
+//! The kernels of this crate are generic over [`Simd`] and compiled once per instruction set:
+//! [`dispatch`] calls a function with the target features of the instruction set, into which all
+//! functions marked `#[inline(always)]` are inlined. A lane computes the same IEEE operations on
+//! each instruction set, and fused multiply-adds are fused on each. Reductions across lanes have a
+//! fixed order. Results therefore have the same bits on all CPUs.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

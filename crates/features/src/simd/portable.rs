@@ -1,9 +1,9 @@
-//! Plain Rust: what runs where nothing better is there, and the twin with which the tests compare
-//! the rest.
+//! Portable Rust, for CPUs without AVX2, and the reference for the tests of the other instruction
+//! sets.
 
 use super::lanes::{LANES, Simd, Task};
 
-/// The token. [`enter`] alone makes use of it.
+/// Type parameter of [`Task::run`]. Only [`enter`] uses it.
 #[derive(Clone, Copy)]
 struct Portable;
 
@@ -19,7 +19,7 @@ fn map2(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; 
 
 impl Simd for Portable {
     type F = [f32; LANES];
-    const BESIDE: usize = 1;
+    const UNROLL: usize = 1;
 
     #[inline(always)]
     fn splat(x: f32) -> Self::F {
@@ -27,35 +27,35 @@ impl Simd for Portable {
     }
     #[inline(always)]
     unsafe fn load(p: *const f32) -> Self::F {
-        // SAFETY: the caller's promise; unaligned is allowed.
+        // SAFETY: guaranteed by the caller; unaligned is allowed.
         unsafe { p.cast::<Self::F>().read_unaligned() }
     }
     #[inline(always)]
     unsafe fn load_u8(p: *const u8) -> Self::F {
-        // SAFETY: the caller's promise; bytes have no alignment.
+        // SAFETY: guaranteed by the caller; bytes have no alignment.
         let bytes = unsafe { p.cast::<[u8; LANES]>().read() };
         bytes.map(f32::from)
     }
     #[inline(always)]
     unsafe fn store(p: *mut f32, v: Self::F) {
-        // SAFETY: the caller's promise; unaligned is allowed.
+        // SAFETY: guaranteed by the caller; unaligned is allowed.
         unsafe { p.cast::<Self::F>().write_unaligned(v) }
     }
     #[inline(always)]
     unsafe fn stream(p: *mut f32, v: Self::F) {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { Self::store(p, v) };
     }
     #[inline(always)]
     fn fence() {}
     #[inline(always)]
     unsafe fn store_int(p: *mut i32, v: Self::F) {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { p.cast::<[i32; LANES]>().write_unaligned(v.map(|v| v.to_int_unchecked())) }
     }
     #[inline(always)]
     unsafe fn load_between<const OFFSET: i32>(p: *const f32, _: Self::F, _: Self::F) -> Self::F {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { Self::load(p) }
     }
     #[inline(always)]

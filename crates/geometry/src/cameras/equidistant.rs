@@ -1,16 +1,16 @@
-//! The equidistant point w = θ (x, y)/r of the plane on which fisheye lenses distort, with θ the
-//! angle from the optical axis and r = √(x² + y²): smooth on the axis, and defined behind the
-//! camera too.
+//! The equidistant projection w = θ (x, y)/r, to which fisheye models apply distortion: θ is the
+//! angle to the optical axis and r = √(x² + y²). It is smooth on the axis and defined behind the
+//! camera.
 
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use super::model::MIN_DEPTH;
 
-/// Below this squared tangent of θ its functions are replaced by their series, which neglect terms
-/// of order tan⁴ θ ≤ 1e-16.
+/// Below this squared tangent of θ, functions of θ are replaced by their series; the neglected
+/// terms are of order tan⁴ θ ≤ 1e-16.
 const SMALL_TAN2: f64 = 1e-8;
 
-/// θ/r, so that w = (x, y) · θ/r; `None` at the centre of the camera and on the axis behind it.
+/// θ/r, with w = (x, y) · θ/r; `None` at the camera centre and on the optical axis behind it.
 pub(super) fn angle_over_radius(point_in_cam: &Vector3<f64>) -> Option<f64> {
     let (r2, z) = (point_in_cam.xy().norm_squared(), point_in_cam.z);
     if z > MIN_DEPTH && r2 < SMALL_TAN2 * z * z {
@@ -36,13 +36,13 @@ pub(super) fn d_equidistant(point_in_cam: &Vector3<f64>, angle_over_radius: f64)
     Matrix2x3::from_columns(&[d_xy.column(0).into_owned(), d_xy.column(1).into_owned(), d_z])
 }
 
-/// The unit ray of w; `None` where no angle is that large.
+/// The unit ray of w; `None` if |w| > π.
 pub(super) fn ray(w: &Vector2<f64>) -> Option<Vector3<f64>> {
     let angle = w.norm();
     if angle > std::f64::consts::PI {
         return None;
     }
-    // sin θ / θ, by its series near the axis.
+    // sin θ / θ, by its series near the optical axis.
     let sinc =
         if angle * angle < SMALL_TAN2 { 1.0 - angle * angle / 6.0 } else { angle.sin() / angle };
     Some((w * sinc).push(angle.cos()))

@@ -1,8 +1,9 @@
-//! Camera models: from a point in the camera's frame to a pixel, and back to a bearing.
+//! Camera models: projection of a point in the camera frame to a pixel, and unprojection of a pixel
+//! to a unit ray.
 //!
-//! Names, parameter orders and numbers are COLMAP's. To add a model: write `cameras/<name>.rs` with
-//! a unit struct that implements [`CameraModel`], and add one line to the `camera_models!` list
-//! below. Text names, dispatch, files and the laws in the tests follow from the list.
+//! Names, parameter orders and ids are those of COLMAP. To add a model: write `cameras/<name>.rs`
+//! with a unit struct that implements [`CameraModel`], and add one line to the `camera_models!`
+//! list below. Dispatch, file formats and tests use the list.
 
 mod equidistant;
 mod model;
@@ -26,7 +27,7 @@ pub use thin_prism_fisheye::ThinPrismFisheye;
 macro_rules! camera_models {
     // `$d` is a dollar sign, for the macro inside the macro.
     ($d:tt; $($model:ident $dof:literal),* $(,)?) => {
-        /// Which camera model.
+        /// The camera models.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
         pub enum CameraModelKind { $(
             #[doc = concat!("[`", stringify!($model), "`]")]
@@ -34,13 +35,13 @@ macro_rules! camera_models {
         )* }
 
         impl CameraModelKind {
-            /// Every model, in COLMAP's order.
+            /// All models, in the order of their COLMAP ids.
             pub const ALL: &'static [CameraModelKind] = &[$(CameraModelKind::$model),*];
-            /// COLMAP's name.
+            /// Name in COLMAP.
             pub fn name(self) -> &'static str {
                 match self { $(Self::$model => <$model as CameraModel>::NAME),* }
             }
-            /// COLMAP's number.
+            /// Model id in COLMAP.
             pub fn colmap_id(self) -> i32 {
                 match self { $(Self::$model => <$model as CameraModel>::COLMAP_ID),* }
             }
@@ -52,9 +53,10 @@ macro_rules! camera_models {
             pub fn focal_indices(self) -> &'static [usize] {
                 match self { $(Self::$model => <$model as CameraModel>::FOCAL),* }
             }
-            /// Indices of distortion that a turn of the camera does as well.
-            pub fn turn_indices(self) -> &'static [usize] {
-                match self { $(Self::$model => <$model as CameraModel>::TURN),* }
+            /// Indices of the distortion parameters that are nearly degenerate with a rotation of
+            /// the camera: see [`CameraModel::ROTATION_DEGENERATE`].
+            pub fn rotation_degenerate_indices(self) -> &'static [usize] {
+                match self { $(Self::$model => <$model as CameraModel>::ROTATION_DEGENERATE),* }
             }
             /// Indices of the principal point.
             pub fn principal_point_indices(self) -> [usize; 2] {
@@ -62,7 +64,7 @@ macro_rules! camera_models {
             }
         }
 
-        /// A camera model with its parameters.
+        /// A camera model and its parameters.
         #[derive(Clone, Copy, Debug, PartialEq)]
         pub enum Intrinsics { $(
             #[doc = concat!("[`", stringify!($model), "`]")]
@@ -70,17 +72,17 @@ macro_rules! camera_models {
         )* }
 
         impl Intrinsics {
-            /// Which model.
+            /// The model.
             pub fn kind(&self) -> CameraModelKind {
                 match self { $(Self::$model(_) => CameraModelKind::$model),* }
             }
             /// The parameters.
             pub fn params(&self) -> &[f64] { match self { $(Self::$model(p) => p.as_slice()),* } }
-            /// The parameters, to change.
+            /// The parameters, mutable.
             pub fn params_mut(&mut self) -> &mut [f64] {
                 match self { $(Self::$model(p) => p.as_mut_slice()),* }
             }
-            /// All parameters zero: to be filled through [`Intrinsics::params_mut`].
+            /// All parameters are zero, to be set through [`Intrinsics::params_mut`].
             fn zeroed(kind: CameraModelKind) -> Self {
                 match kind {
                     $(CameraModelKind::$model => {
@@ -88,11 +90,12 @@ macro_rules! camera_models {
                     })*
                 }
             }
-            /// The pixel of a point in the camera's frame; `None` where the model does not see it.
+            /// Projects a point in the camera frame to a pixel; `None` if the model does not
+            /// project it, for example a point behind a perspective camera.
             pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
                 match self { $(Self::$model(p) => <$model>::project(p, point_in_cam)),* }
             }
-            /// The unit ray, in the camera's frame, that is seen at a pixel.
+            /// The unit ray of a pixel in the camera frame; `None` if the pixel has no ray.
             pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
                 match self { $(Self::$model(p) => <$model>::unproject(p, pixel)),* }
             }
@@ -127,7 +130,10 @@ camera_models! { $;
 }
 
 impl CameraModelKind {
-    /// The model of that name (COLMAP's, in upper case).
+    /// The model of a COLMAP name, in upper case.
+    ///
+    /// # Errors
+    /// [`Error::UnknownCameraModel`] if there is no model of this name.
     pub fn from_name(name: &str) -> Result<Self, Error> {
         Self::ALL.iter().copied().find(|kind| kind.name() == name).ok_or_else(|| {
             Error::UnknownCameraModel {
@@ -137,7 +143,10 @@ impl CameraModelKind {
         })
     }
 
-    /// The model of that number (COLMAP's).
+    /// The model of a COLMAP model id.
+    ///
+    /// # Errors
+    /// [`Error::UnknownCameraModel`] if there is no model of this id.
     pub fn from_colmap_id(id: i32) -> Result<Self, Error> {
         Self::ALL.iter().copied().find(|kind| kind.colmap_id() == id).ok_or_else(|| {
             Error::UnknownCameraModel {
@@ -151,14 +160,18 @@ impl CameraModelKind {
         })
     }
 
-    /// How many parameters.
+    /// Number of parameters.
     pub fn num_params(self) -> usize {
         self.param_names().len()
     }
 }
 
 impl Intrinsics {
-    /// From a model and its parameters, checked: the right number, finite, focal lengths positive.
+    /// From a model and its parameters, in the order of [`CameraModelKind::param_names`].
+    ///
+    /// # Errors
+    /// [`Error::CameraParamCount`] if the number of parameters is wrong;
+    /// [`Error::CameraParamRange`] if one is not finite or a focal length is not positive.
     pub fn new(kind: CameraModelKind, params: &[f64]) -> Result<Self, Error> {
         let names = kind.param_names();
         if params.len() != names.len() {
@@ -179,13 +192,17 @@ impl Intrinsics {
         Ok(intrinsics)
     }
 
-    /// From COLMAP's model name and its parameters, checked as in [`Intrinsics::new`].
+    /// From a COLMAP model name and the parameters.
+    ///
+    /// # Errors
+    /// [`Error::UnknownCameraModel`] if there is no model of this name, and the errors of
+    /// [`Intrinsics::new`].
     pub fn from_name(name: &str, params: &[f64]) -> Result<Self, Error> {
         Self::new(CameraModelKind::from_name(name)?, params)
     }
 
-    /// No distortion, the principal point in the middle of a `width` × `height` image, focal length
-    /// `focal_px`.
+    /// Focal length `focal_px`, the principal point at the centre of a `width` × `height` image,
+    /// and no distortion.
     pub fn centred(kind: CameraModelKind, focal_px: f64, width: u32, height: u32) -> Self {
         let mut intrinsics = Self::zeroed(kind);
         for &index in kind.focal_indices() {
@@ -203,7 +220,7 @@ impl Intrinsics {
         indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
     }
 
-    /// K, from the focal lengths and the principal point; what a model adds to it is left out.
+    /// The calibration matrix K of the focal lengths and the principal point, without distortion.
     pub fn calibration_matrix(&self) -> Matrix3<f64> {
         let indices = self.kind().focal_indices();
         let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);

@@ -1,4 +1,4 @@
-//! What a camera model is.
+//! The trait of camera models.
 
 use std::ops::{Index, IndexMut};
 
@@ -9,7 +9,7 @@ use crate::{Block, Manifold};
 /// A projected point with its derivatives.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection<M: CameraModel> {
-    /// Where, in pixels.
+    /// The projection, in pixels.
     pub pixel: Vector2<f64>,
     /// d pixel / d point_in_cam.
     pub d_point: Matrix2x3<f64>,
@@ -17,14 +17,15 @@ pub struct Projection<M: CameraModel> {
     pub d_params: <M::Params as Manifold>::Jacobian<2>,
 }
 
-/// How one family of lenses maps rays to pixels. Implemented by unit structs; parameters are an
-/// argument.
+/// A camera model: the projection from the camera frame to pixels. Unit structs implement it; the
+/// parameters are an argument.
 pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 'static {
-    /// The parameter vector, `SVector<f64, N>`, in pixels where it is a length.
+    /// The parameter vector, `SVector<f64, N>`. Focal lengths and the principal point are in
+    /// pixels.
     type Params: Manifold + Block + Index<usize, Output = f64> + IndexMut<usize>;
-    /// COLMAP's name.
+    /// Name in COLMAP.
     const NAME: &'static str;
-    /// COLMAP's number.
+    /// Model id in COLMAP.
     const COLMAP_ID: i32;
     /// Names of the parameters, in order.
     const PARAM_NAMES: &'static [&'static str];
@@ -32,23 +33,24 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const FOCAL: &'static [usize];
     /// Indices of cx and cy.
     const PRINCIPAL_POINT: [usize; 2];
-    /// Indices of distortion that a turn of the camera does as well, together with the other
-    /// parameters: with the pose unknown, images do not tell them.
-    const TURN: &'static [usize] = &[];
+    /// Indices of the distortion parameters whose effect a rotation of the camera and the other
+    /// parameters can reproduce almost exactly. They are nearly unobservable if the pose is
+    /// unknown.
+    const ROTATION_DEGENERATE: &'static [usize] = &[];
 
-    /// The pixel of a point in the camera's frame; `None` where the model does not see it (behind a
-    /// perspective camera).
+    /// Projects a point in the camera frame to a pixel; `None` if the model does not project it,
+    /// for example a point behind a perspective camera.
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>>;
-    /// The same with derivatives.
+    /// [`CameraModel::project`] with Jacobians.
     fn project_with_jacobian(
         params: &Self::Params,
         point_in_cam: &Vector3<f64>,
     ) -> Option<Projection<Self>>;
-    /// The unit ray, in the camera's frame, that is seen at a pixel; `None` where no ray is.
+    /// The unit ray of a pixel in the camera frame; `None` if the pixel has no ray.
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>>;
 }
 
-/// Points nearer to the plane of the camera than this (in units of the scene) count as behind it.
+/// Minimum depth, in units of the scene. Points of smaller depth count as behind the camera.
 pub const MIN_DEPTH: f64 = 1e-9;
 
 /// d pixel / d point from d pixel / d(u, v), where (u, v) = (x/z, y/z).

@@ -24,7 +24,7 @@ fn distort(params: &SVector<f64, 8>, uv: &Vector2<f64>) -> Vector2<f64> {
     )
 }
 
-/// The derivative of [`distort`]; symmetric.
+/// The Jacobian of [`distort`] with respect to (u, v), which is symmetric.
 fn d_distort(params: &SVector<f64, 8>, uv: &Vector2<f64>) -> Matrix2<f64> {
     let [k1, k2, p1, p2] = [params[4], params[5], params[6], params[7]];
     let (u, v) = (uv.x, uv.y);

@@ -1,10 +1,10 @@
-//! OpenCV's fisheye camera (Kannala and Brandt 2006): with θ the angle from the optical axis and r
+//! OpenCV's fisheye camera (Kannala and Brandt 2006): with θ the angle to the optical axis and r
 //! = √(x² + y²), θ_d = θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸), pixel = (fx θ_d x/r + cx, fy θ_d y/r
 //! + cy).
 //!
-//! Written as two steps that are smooth on the axis: the equidistant point w = θ (x, y)/r, then a
-//! radial polynomial of w. Unlike OpenCV and COLMAP, points with z ≤ 0 are seen too, as far as θ_d
-//! still grows there.
+//! The projection is computed in two steps, which are smooth on the optical axis: the equidistant
+//! point w = θ (x, y)/r, then a radial polynomial of w. Unlike OpenCV and COLMAP, this model also
+//! projects points with z ≤ 0, if θ_d increases with θ there.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -12,7 +12,7 @@ use super::equidistant::{angle_over_radius, d_equidistant, ray};
 use super::model::{CameraModel, Projection};
 use super::undistort::undistort;
 
-/// Two focal lengths and a polynomial of the angle: fx, fy, cx, cy, k1, k2, k3, k4.
+/// Two focal lengths and a polynomial of θ: fx, fy, cx, cy, k1, k2, k3, k4.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpencvFisheye;
 
@@ -27,7 +27,7 @@ fn d_angle(params: &SVector<f64, 8>, angle2: f64) -> f64 {
     1.0 + angle2 * (3.0 * k1 + angle2 * (5.0 * k2 + angle2 * (7.0 * k3 + angle2 * 9.0 * k4)))
 }
 
-/// The radial polynomial of w, and its derivative.
+/// The distorted point of the equidistant plane and its derivative.
 fn distort(params: &SVector<f64, 8>, w: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
     let [k1, k2, k3, k4] = [params[4], params[5], params[6], params[7]];
     let angle2 = w.norm_squared();
@@ -36,7 +36,7 @@ fn distort(params: &SVector<f64, 8>, w: &Vector2<f64>) -> (Vector2<f64>, Matrix2
     (w * factor, Matrix2::identity() * factor + w * w.transpose() * d_factor)
 }
 
-/// The equidistant point w and θ/r, where the model sees the point.
+/// The equidistant point w and θ/r; `None` if the model does not project the point.
 fn equidistant(
     params: &SVector<f64, 8>,
     point_in_cam: &Vector3<f64>,

@@ -6,11 +6,11 @@ use nalgebra::{Matrix2, Matrix2x4, Matrix2x5, SVector, Vector2, Vector3};
 use super::model::{CameraModel, MIN_DEPTH, Projection, perspective_chain};
 use super::undistort::undistort;
 
-/// One focal length and one coefficient: f, cx, cy, k.
+/// One focal length and one distortion coefficient: f, cx, cy, k.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SimpleRadial;
 
-/// One focal length and two coefficients: f, cx, cy, k1, k2.
+/// One focal length and two distortion coefficients: f, cx, cy, k1, k2.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Radial;
 

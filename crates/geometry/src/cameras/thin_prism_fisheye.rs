@@ -1,12 +1,15 @@
-//! COLMAP's fisheye camera with decentring and a thin prism (Weng, Cohen and Herniou 1992), the
-//! richest that it has for action cameras and, since θ is small there, for any other lens: with w =
-//! (u, v) the equidistant point, ρ² = u² + v² = θ² and g = 1 + k₁ ρ² + k₂ ρ⁴ + k₃ ρ⁶ + k₄ ρ⁸, u' =
-//! g u + 2 p₁ u v + p₂ (ρ² + 2u²) + s₁ ρ², v' = g v + 2 p₂ u v + p₁ (ρ² + 2v²) + s₂ ρ², pixel = (fx
-//! u' + cx, fy v' + cy).
+//! COLMAP's fisheye camera with decentring and thin prism distortion (Weng, Cohen and Herniou
+//! 1992). With w = (u, v) the equidistant point, ρ² = u² + v² = θ² and
+//! g = 1 + k₁ ρ² + k₂ ρ⁴ + k₃ ρ⁶ + k₄ ρ⁸:
 //!
-//! Where poses are unknown, images hardly tell the prism. A turn by ε moves v by ε (1 − u²/3) and u
-//! by ε uv/3, up to the fourth order of ρ: with the lens, a shift of cy by fy ε together with p₁ =
-//! ε (1/6 + k₁) and s₂ = −ε/2. Likewise the other way.
+//! - u' = g u + 2 p₁ u v + p₂ (ρ² + 2u²) + s₁ ρ²,
+//! - v' = g v + 2 p₂ u v + p₁ (ρ² + 2v²) + s₂ ρ²,
+//! - pixel = (fx u' + cx, fy v' + cy).
+//!
+//! The prism coefficients are nearly unobservable if poses are unknown. A rotation of the camera by
+//! ε about x changes v by ε (1 − u²/3) and u by ε uv/3, up to the fourth order of ρ. The lens
+//! reproduces the change by a shift of cy by fy ε, p₁ = ε (1/6 + k₁) and s₂ = −ε/2. The same holds
+//! for a rotation about y with cx, p₂ and s₁.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
@@ -14,7 +17,7 @@ use super::equidistant::{angle_over_radius, d_equidistant, ray};
 use super::model::{CameraModel, Projection};
 use super::undistort::undistort;
 
-/// Two focal lengths, a polynomial of the angle, decentring and a thin prism: fx, fy, cx, cy, k1,
+/// Two focal lengths, a polynomial of θ, decentring and a thin prism: fx, fy, cx, cy, k1,
 /// k2, p1, p2, k3, k4, sx1, sy1.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ThinPrismFisheye;
@@ -40,7 +43,7 @@ fn distort(params: &Params, w: &Vector2<f64>) -> Vector2<f64> {
     )
 }
 
-/// The derivative of [`distort`].
+/// The Jacobian of [`distort`] with respect to w.
 fn d_distort(params: &Params, w: &Vector2<f64>) -> Matrix2<f64> {
     let [k1, k2, p1, p2, k3, k4, s1, s2] = std::array::from_fn(|i| params[4 + i]);
     let (u, v) = (w.x, w.y);
@@ -56,7 +59,7 @@ fn d_distort(params: &Params, w: &Vector2<f64>) -> Matrix2<f64> {
     )
 }
 
-/// The equidistant point w and θ/r, where the model sees the point.
+/// The equidistant point w and θ/r; `None` if the model does not project the point.
 fn equidistant(params: &Params, point_in_cam: &Vector3<f64>) -> Option<(Vector2<f64>, f64)> {
     let scale = angle_over_radius(point_in_cam)?;
     let w = point_in_cam.xy() * scale;
@@ -71,7 +74,7 @@ impl CameraModel for ThinPrismFisheye {
         &["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: [usize; 2] = [2, 3];
-    const TURN: &'static [usize] = &[10, 11];
+    const ROTATION_DEGENERATE: &'static [usize] = &[10, 11];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         let (w, _) = equidistant(params, point_in_cam)?;
@@ -123,17 +126,17 @@ mod tests {
 
     use super::*;
 
-    /// In radians: small enough that its square does not count.
-    const TURN_RAD: f64 = 1e-6;
-    /// Of what is left of a turn, as a share of it, at ρ = 1; it goes with ρ⁴. Of that order are 5
-    /// k₂ and terms of hundredths.
-    const MAX_LEFT: f64 = 0.3;
+    /// Rotation angle in radians; its square is negligible.
+    const ROTATION_RAD: f64 = 1e-6;
+    /// Bound on the difference between rotation and lens at ρ = 1, relative to the rotation. It is
+    /// proportional to ρ⁴; its largest term is 5 k₂, the others are hundredths.
+    const MAX_DIFFERENCE: f64 = 0.3;
     const K: [f64; 2] = [0.03, -0.05];
 
     #[test]
-    fn what_a_turn_does_the_other_parameters_do_up_to_the_fourth_order() {
+    fn prism_is_degenerate_with_a_rotation_up_to_the_fourth_order() {
         let lens = |shift: Vector2<f64>| {
-            let [p2, p1] = [shift.x, shift.y].map(|turn| turn * (1.0 / 6.0 + K[0]));
+            let [p2, p1] = [shift.x, shift.y].map(|rotation| rotation * (1.0 / 6.0 + K[0]));
             let prism = shift * -0.5;
             let shifted = shift * 500.0;
             SVector::from([
@@ -148,12 +151,18 @@ mod tests {
                 .flat_map(|rho| (0..8).map(move |k| (rho, f64::from(k))))
             {
                 let w = Vector2::new(azimuth.cos(), azimuth.sin()) * rho;
-                let turned = Rotation3::from_scaled_axis(axis * TURN_RAD) * ray(&w).unwrap();
-                let by_turn = ThinPrismFisheye::project(&lens(Vector2::zeros()), &turned).unwrap();
+                let rotated_ray =
+                    Rotation3::from_scaled_axis(axis * ROTATION_RAD) * ray(&w).unwrap();
+                let by_rotation =
+                    ThinPrismFisheye::project(&lens(Vector2::zeros()), &rotated_ray).unwrap();
                 let by_lens =
-                    ThinPrismFisheye::project(&lens(shift * TURN_RAD), &ray(&w).unwrap()).unwrap();
-                let left = (by_turn - by_lens).norm() / (500.0 * TURN_RAD);
-                assert!(left < MAX_LEFT * rho.powi(4) + 1e-5, "{left} at {w}, about {axis}");
+                    ThinPrismFisheye::project(&lens(shift * ROTATION_RAD), &ray(&w).unwrap())
+                        .unwrap();
+                let difference = (by_rotation - by_lens).norm() / (500.0 * ROTATION_RAD);
+                assert!(
+                    difference < MAX_DIFFERENCE * rho.powi(4) + 1e-5,
+                    "{difference} at {w}, about {axis}"
+                );
             }
         }
     }

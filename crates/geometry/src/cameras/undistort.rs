@@ -1,24 +1,26 @@
-//! The inverse of a distortion of the plane, by Newton's method that stays on the branch through
-//! the centre.
+//! The inverse of a lens distortion, by Newton's method restricted to the branch through the
+//! centre.
 //!
-//! Polynomial distortions fold back: beyond some radius a growing angle gives a shrinking pixel
-//! distance, and a pixel has further, meaningless pre-images. All distortions here have a
-//! derivative that is symmetric (but for a thin prism, a little) and positive definite from the
-//! centre up to the fold, where it loses that, so steps are shortened until they stay where it
-//! holds.
+//! Polynomial distortions fold back: beyond some radius, the distorted radius decreases with the
+//! undistorted radius, and a pixel has further pre-images that are not physical. The Jacobian of
+//! every distortion here is symmetric, or nearly symmetric for a thin prism. It is positive
+//! definite from the centre up to the fold. Newton steps are shortened until they stay in this
+//! region.
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Newton steps; quadratic convergence needs fewer than 10 except within about 1e-6 of the fold.
+/// Maximum number of Newton steps; quadratic convergence needs fewer than 10 except within about
+/// 1e-6 of the fold.
 const MAX_STEPS: usize = 50;
 
-/// Halvings of one step before giving up.
+/// Maximum number of halvings of one step.
 const MAX_HALVINGS: usize = 40;
 
-/// Accepted error, relative to the size of the numbers: a few rounding errors of the polynomial.
+/// Tolerance of the error, relative to 1 + |target|: a few rounding errors of the polynomial.
 const TOLERANCE: f64 = 1e-14;
 
-/// The point that `distort` (value and derivative) takes to `target`; `None` beyond the fold.
+/// The point that `distort`, which returns value and Jacobian, maps to `target`; `None` beyond the
+/// fold.
 pub(super) fn undistort(
     target: Vector2<f64>,
     distort: impl Fn(&Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>),
@@ -55,7 +57,7 @@ pub(super) fn undistort(
     None
 }
 
-/// Of a matrix that is nearly symmetric.
+/// Whether a nearly symmetric matrix is positive definite.
 fn is_positive_definite(m: &Matrix2<f64>) -> bool {
     m.trace() > 0.0 && m.determinant() > 0.0
 }

@@ -1,4 +1,4 @@
-//! The pose of a camera from points seen in it.
+//! Absolute pose (PnP): the pose of a calibrated camera from 2D-3D correspondences.
 
 use std::ops::Range;
 
@@ -6,12 +6,13 @@ use nalgebra::{Matrix2x3, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
 
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, so3, solvers};
 
-/// `cam_from_world` of a camera that sees `points_in_world[i]` at `pixels[i]`; P3P on samples, then
-/// least reprojection error of the inliers. Errors are in pixels; points behind the camera are
-/// outliers.
+/// Estimates `cam_from_world` of a camera that observes `points_in_world[i]` at `pixels[i]`.
+///
+/// Minimal models come from P3P; refinement minimises the reprojection error. `options.max_error`
+/// is a reprojection error in pixels. Points behind the camera are outliers.
 pub fn absolute_pose(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
@@ -21,8 +22,8 @@ pub fn absolute_pose(
     ransac(&AbsolutePose::new(pixels, points_in_world, intrinsics), options)
 }
 
-/// The pose of least robust reprojection error near `initial`. Points that `initial` has behind the
-/// camera are left out.
+/// Refines `cam_from_world` by minimising the robust reprojection error, in pixels, from `initial`.
+/// Points that do not project under `initial` are left out.
 pub fn refine_absolute_pose(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
@@ -30,17 +31,20 @@ pub fn refine_absolute_pose(
     initial: &Rigid3,
     loss: Loss,
 ) -> Rigid3 {
-    let is_seen = |i: &usize| intrinsics.project(&(*initial * points_in_world[*i])).is_some();
-    let seen: Vec<usize> = (0..pixels.len().min(points_in_world.len())).filter(is_seen).collect();
-    let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: &seen };
+    let projects = |i: &usize| intrinsics.project(&(*initial * points_in_world[*i])).is_some();
+    let projecting: Vec<usize> =
+        (0..pixels.len().min(points_in_world.len())).filter(projects).collect();
+    let problem = Reprojection { pixels, points_in_world, intrinsics, inliers: &projecting };
     minimize(&problem, initial, loss, MAX_LM_ITERATIONS)
 }
 
+/// The RANSAC problem of the absolute pose.
 pub(super) struct AbsolutePose<'a> {
     pub(super) pixels: &'a [Vector2<f64>],
     pub(super) points_in_world: &'a [Vector3<f64>],
-    /// Zero where the pixel has no ray.
+    /// Unit rays of the pixels; zero for a pixel without a ray.
     rays: Vec<Vector3<f64>>,
+    /// The correspondences, packed for SIMD.
     blocks: Vec<[Lanes; 5]>,
     pub(super) intrinsics: &'a Intrinsics,
 }
@@ -57,7 +61,7 @@ impl<'a> AbsolutePose<'a> {
         Self { pixels, points_in_world, rays: rays(pixels, intrinsics), blocks, intrinsics }
     }
 
-    /// Squared reprojection errors through a camera of any model.
+    /// Squared reprojection errors in pixels, for any camera model.
     pub(super) fn squared_errors(
         &self,
         intrinsics: &Intrinsics,
@@ -71,7 +75,7 @@ impl<'a> AbsolutePose<'a> {
     }
 }
 
-/// The unit rays of pixels; zero where there is none.
+/// The unit rays of pixels; zero for a pixel without a ray.
 pub(super) fn rays(pixels: &[Vector2<f64>], intrinsics: &Intrinsics) -> Vec<Vector3<f64>> {
     pixels.iter().map(|pixel| intrinsics.unproject(pixel).unwrap_or_default()).collect()
 }
@@ -101,14 +105,14 @@ impl Estimator for AbsolutePose<'_> {
     }
 }
 
-/// World points and pixels, packed for vectors: X, Y, Z, u, v.
+/// World points and pixels, packed for SIMD: X, Y, Z, u, v.
 fn pack_observations(pixels: &[Vector2<f64>], points_in_world: &[Vector3<f64>]) -> Vec<[Lanes; 5]> {
     let observations: Vec<_> = points_in_world.iter().zip(pixels).collect();
     pack(&observations, |(point, pixel)| [point.x, point.y, point.z, pixel.x, pixel.y])
 }
 
 dispatch! {
-    /// Squared distances of the projections from the pixels, eight at a time.
+    /// Squared reprojection errors, eight at a time; infinite for points that do not project.
     fn squared_errors<M: CameraModel>(
         blocks: &[[Lanes; 5]],
         params: &M::Params,
@@ -136,6 +140,7 @@ dispatch! {
     }
 }
 
+/// Minimises the reprojection error over the pose.
 struct Reprojection<'a> {
     pixels: &'a [Vector2<f64>],
     points_in_world: &'a [Vector3<f64>],
@@ -143,7 +148,7 @@ struct Reprojection<'a> {
     inliers: &'a [usize],
 }
 
-/// d pixel / d (rotation, translation), the rotation perturbed on the left: X ↦ X + δ × X + τ.
+/// d pixel / d (δ, τ) from d pixel / d point: the point in the camera moves by δ × X + τ.
 pub(super) fn d_pose(d_point: &Matrix2x3<f64>, point_in_cam: &Vector3<f64>) -> SMatrix<f64, 2, 6> {
     let d_rotation = d_point * -so3::hat(point_in_cam);
     let mut jacobian = SMatrix::<f64, 2, 6>::zeros();
@@ -159,7 +164,7 @@ impl Problem<6> for Reprojection<'_> {
         value.plus(delta)
     }
 
-    fn linearize(&self, value: &Rigid3, normal: &mut Normal<6>) {
+    fn linearize(&self, value: &Rigid3, normal: &mut NormalEquations<6>) {
         let rotation = value.rotation.to_rotation_matrix();
         with_camera_model!(self.intrinsics, M, params => {
             for &i in self.inliers {
@@ -169,7 +174,7 @@ impl Problem<6> for Reprojection<'_> {
                         &(projection.pixel - self.pixels[i]),
                         &d_pose(&projection.d_point, &point_in_cam),
                     ),
-                    None => normal.refuse(),
+                    None => normal.reject(),
                 }
             }
         });
@@ -182,11 +187,11 @@ mod tests {
     use crate::CameraModelKind;
     use crate::testing::jacobian_law;
 
-    /// Of the five-point rule, in radians and metres.
+    /// Step of the numeric differentiation, in radians and metres.
     const STEP: f64 = 1e-3;
 
     #[test]
-    fn the_derivative_by_the_pose_is_that_of_its_tangent() {
+    fn d_pose_is_the_jacobian_by_the_tangent() {
         let pose =
             Rigid3::from_axis_angle(Vector3::new(0.2, -0.4, 1.0), Vector3::new(30.0, -2.0, 5.0));
         let point = pose.inverse() * Vector3::new(0.7, -0.4, 3.0);

@@ -1,4 +1,4 @@
-//! The pose and the focal length of a camera from points seen in it.
+//! Absolute pose with unknown focal length, from 2D-3D correspondences.
 
 use std::ops::Range;
 
@@ -6,38 +6,41 @@ use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 use super::absolute_pose::{AbsolutePose, d_pose, rays};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, solvers};
 
-/// Focal lengths that [`absolute_pose_focal`] tries, as factors of the given one: a geometric
-/// series that covers fields of view from a third to three times as wide.
+/// Focal lengths that [`absolute_pose_focal`] samples, as factors of the given focal lengths: a
+/// geometric series from 0.3 to 3.33.
 const FOCAL_FACTORS: [f64; 17] = [
     0.300, 0.349, 0.406, 0.472, 0.548, 0.637, 0.741, 0.862, 1.0, 1.16, 1.35, 1.57, 1.83, 2.12,
     2.47, 2.87, 3.33,
 ];
 
-/// Like [`absolute_pose`](super::absolute_pose()), for a camera whose focal lengths are known but
-/// for a common factor: each sample of four is solved by P3P at a series of focal lengths, from 0.3
-/// to 3.3 times the given ones, that of the least error at the fourth point being kept; refinement
-/// moves the focal length with the pose. The model's intrinsics differ from the given ones in that
-/// factor.
+/// Estimates `cam_from_world` and a common factor of the focal lengths, as
+/// [`absolute_pose`](super::absolute_pose()) does for known focal lengths.
+///
+/// Each sample has four points. P3P on the first three is solved at 17 focal lengths, from 0.3 to
+/// 3.33 times those of `intrinsics`. The pose and focal length of the smallest reprojection error
+/// of the fourth point is refined over the four points. All refinements optimise the pose and the
+/// focal length together. The returned intrinsics are the given ones with scaled focal lengths.
 pub fn absolute_pose_focal(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
     intrinsics: &Intrinsics,
     options: &RansacOptions,
 ) -> Option<Report<(Rigid3, Intrinsics)>> {
-    let cameras = FOCAL_FACTORS
+    let candidates = FOCAL_FACTORS
         .map(|factor| {
             let camera = with_focal_factor(intrinsics, factor);
-            AbsolutePoseRays { rays: rays(pixels, &camera), factor, camera }
+            FocalCandidate { rays: rays(pixels, &camera), factor, camera }
         })
         .into();
     let data = AbsolutePose::new(pixels, points_in_world, intrinsics);
-    let report = ransac(&AbsolutePoseFocal { data, cameras }, options)?;
+    let report = ransac(&AbsolutePoseFocal { data, candidates }, options)?;
     Some(report.map(|(pose, log_factor)| (pose, with_focal_factor(intrinsics, log_factor.exp()))))
 }
 
+/// The intrinsics with all focal lengths multiplied by a factor.
 fn with_focal_factor(intrinsics: &Intrinsics, factor: f64) -> Intrinsics {
     let mut scaled = *intrinsics;
     for &index in intrinsics.kind().focal_indices() {
@@ -46,19 +49,21 @@ fn with_focal_factor(intrinsics: &Intrinsics, factor: f64) -> Intrinsics {
     scaled
 }
 
-struct AbsolutePoseRays {
+/// A sampled focal length, with the unit rays of all pixels.
+struct FocalCandidate {
     factor: f64,
     camera: Intrinsics,
     rays: Vec<Vector3<f64>>,
 }
 
+/// The RANSAC problem of the absolute pose with unknown focal length.
 struct AbsolutePoseFocal<'a> {
     data: AbsolutePose<'a>,
-    cameras: Vec<AbsolutePoseRays>,
+    candidates: Vec<FocalCandidate>,
 }
 
 impl Estimator for AbsolutePoseFocal<'_> {
-    /// Pose and logarithm of the factor.
+    /// Pose and logarithm of the focal length factor.
     type Model = (Rigid3, f64);
     const SAMPLE_SIZE: usize = 4;
 
@@ -71,7 +76,7 @@ impl Estimator for AbsolutePoseFocal<'_> {
             std::array::from_fn(|i| self.data.points_in_world[sample[i]]);
         let (pixel, point) = (self.data.pixels[sample[3]], self.data.points_in_world[sample[3]]);
         let mut best: Option<(f64, Self::Model)> = None;
-        for AbsolutePoseRays { factor, camera, rays } in &self.cameras {
+        for FocalCandidate { factor, camera, rays } in &self.candidates {
             let rays: [Vector3<f64>; 3] = std::array::from_fn(|i| rays[sample[i]]);
             for pose in solvers::p3p(&rays, &points) {
                 let Some(projected) = camera.project(&(pose * point)) else { continue };
@@ -81,7 +86,7 @@ impl Estimator for AbsolutePoseFocal<'_> {
                 }
             }
         }
-        // Between two of the focal lengths tried: the four points determine the best.
+        // Four points determine the focal length, which lies between two of the sampled ones.
         if let Some((_, model)) = best {
             models.extend(self.refine(&model, sample, Loss::Trivial));
         }
@@ -103,6 +108,7 @@ impl Estimator for AbsolutePoseFocal<'_> {
     }
 }
 
+/// Minimises the reprojection error over the pose and the focal length factor.
 struct ReprojectionFocal<'a> {
     data: &'a AbsolutePose<'a>,
     inliers: &'a [usize],
@@ -115,7 +121,7 @@ impl Problem<7> for ReprojectionFocal<'_> {
         (pose.plus(&delta.fixed_rows::<6>(0).into_owned()), log_factor + delta[6])
     }
 
-    fn linearize(&self, (pose, log_factor): &Self::Value, normal: &mut Normal<7>) {
+    fn linearize(&self, (pose, log_factor): &Self::Value, normal: &mut NormalEquations<7>) {
         let camera = with_focal_factor(self.data.intrinsics, log_factor.exp());
         let centre = camera.principal_point();
         let rotation = pose.rotation.to_rotation_matrix();
@@ -123,11 +129,11 @@ impl Problem<7> for ReprojectionFocal<'_> {
             for &i in self.inliers {
                 let point_in_cam = rotation * self.data.points_in_world[i] + pose.translation;
                 let Some(projection) = M::project_with_jacobian(params, &point_in_cam) else {
-                    normal.refuse();
+                    normal.reject();
                     continue;
                 };
-                // Every model is c + f · (something), so that the offset from c is the derivative
-                // by ln f.
+                // In every model pixel − c is proportional to f, so that it is the derivative by
+                // ln f.
                 let d_log_factor = projection.pixel - centre;
                 let mut jacobian = SMatrix::<f64, 2, 7>::zeros();
                 let by_pose = d_pose(&projection.d_point, &point_in_cam);

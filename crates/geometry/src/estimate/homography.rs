@@ -1,18 +1,20 @@
-//! The homography between two images of a plane, or from one place.
+//! The homography between two images of a plane, or of two images from the same camera centre.
 
 use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
 
-use super::weigh::weigh;
+use super::robust_weights::robust_weights;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, solvers};
 
-/// The homography, of norm 1, that takes `points1[i]` to `points2[i]`: four-point solver on
-/// samples, then least transfer error of the inliers. Errors are distances in image 2.
+/// Estimates the homography, of Frobenius norm 1, that maps `points1[i]` to `points2[i]`.
+///
+/// Minimal models come from the four-point solver; refinement minimises the transfer error in
+/// image 2, which `options.max_error` bounds, in pixels.
 pub fn homography(
     points1: &[Vector2<f64>],
     points2: &[Vector2<f64>],
@@ -34,10 +36,11 @@ pub fn homography(
     Some(report.map(|h| (px_from_unit2 * h * to_unit1).normalize()))
 }
 
+/// The RANSAC problem of the homography, in normalised coordinates.
 struct Homography {
     /// x and y in the first image, then in the second.
     pairs: Vec<[f64; 4]>,
-    /// The same for vectors.
+    /// The same, packed for SIMD.
     blocks: Vec<[Lanes; 4]>,
     px_per_unit: f64,
 }
@@ -62,13 +65,13 @@ impl Estimator for Homography {
     }
 
     fn refine(&self, model: &Matrix3<f64>, data: &[usize], loss: Loss) -> Option<Matrix3<f64>> {
-        // The corner is the depth at the centre of the points; it is zero only if the centre is on
-        // the horizon.
+        // The entry h₃₃ is the depth at the centroid of the points. It is zero only if the centroid
+        // is on the line that maps to infinity.
         let start = model / model.m33;
         if model.m33 <= 0.0 || !start.iter().all(|v| v.is_finite()) {
             return None;
         }
-        let problem = Transfer {
+        let problem = TransferError {
             blocks: pack(data, |&i| self.pairs[i]),
             len: data.len(),
             px_per_unit: self.px_per_unit,
@@ -77,14 +80,15 @@ impl Estimator for Homography {
     }
 }
 
-struct Transfer {
+/// Minimises the transfer error in image 2.
+struct TransferError {
     blocks: Vec<[Lanes; 4]>,
     len: usize,
     px_per_unit: f64,
 }
 
-/// The entries row by row, without the corner, which stays one.
-impl Problem<8> for Transfer {
+/// The tangent: the entries row by row, without h₃₃, which stays one.
+impl Problem<8> for TransferError {
     type Value = Matrix3<f64>;
 
     fn plus(&self, value: &Matrix3<f64>, delta: &SVector<f64, 8>) -> Matrix3<f64> {
@@ -93,15 +97,15 @@ impl Problem<8> for Transfer {
         })
     }
 
-    fn linearize(&self, value: &Matrix3<f64>, normal: &mut Normal<8>) {
-        let mut lanes = [[0.0; LANES]; SUMS];
-        sum_up(&self.blocks, self.len, value, self.px_per_unit, normal.loss(), &mut lanes);
+    fn linearize(&self, value: &Matrix3<f64>, normal: &mut NormalEquations<8>) {
+        let mut lanes = [[0.0; LANES]; NUM_SUMS];
+        accumulate(&self.blocks, self.len, value, self.px_per_unit, normal.loss(), &mut lanes);
         let [cost, products @ .., g0, g1, g2, g3, g4, g5, g6, g7] =
             lanes.map(|lanes| lanes.iter().sum::<f64>());
         let [aa @ .., b0, b1, b2, c0, c1, c2, d0, d1, d2, e0, e1, e2, f0, f1, f2] = products;
         let [a0, a1, a2, a3, a4, a5] = aa;
-        // The rows of u and of v have the same derivative by their own three entries, and nothing
-        // in common.
+        // u depends on the first row of H and v on the second, with the same derivatives; both
+        // depend on the third row.
         #[rustfmt::skip]
         let hessian = SMatrix::<f64, 8, 8>::from_row_slice(&[
             a0, a1, a3, 0., 0., 0., b0, c0,
@@ -117,11 +121,11 @@ impl Problem<8> for Transfer {
     }
 }
 
-/// The cost, 21 different products of derivatives, and eight of them with the residual.
-const SUMS: usize = 1 + 21 + 8;
+/// Number of sums: the cost, the 21 different entries of JᵀJ, and the eight entries of Jᵀr.
+const NUM_SUMS: usize = 1 + 21 + 8;
 
 dispatch! {
-    /// Squared distances in image 2, eight at a time; infinite behind the camera.
+    /// Squared transfer errors in image 2, eight at a time; infinite for points behind the camera.
     fn squared_errors(
         blocks: &[[Lanes; 4]],
         h: &Matrix3<f64>,
@@ -144,35 +148,36 @@ dispatch! {
 }
 
 dispatch! {
-    /// Sums over pairs: half of ρ, products of derivatives (among the entries of one row; of a row
-    /// with the last row's first two, for u by both and for v by both; among the last row's), and
-    /// of residuals with derivatives. A pair behind the camera makes the cost infinite.
-    fn sum_up(
+    /// Accumulates the normal equations over the correspondences. The order of the sums is: half of
+    /// ρ (0); JᵀJ within the first row of H (1 to 6); JᵀJ of the first row with h₃₁ and with h₃₂
+    /// (7 to 12), and of the second row likewise (13 to 18); JᵀJ within the third row (19 to 21);
+    /// Jᵀr (22 to 29). A point behind the camera makes the cost infinite.
+    fn accumulate(
         blocks: &[[Lanes; 4]],
         len: usize,
         h: &Matrix3<f64>,
         px_per_unit: f64,
         loss: Loss,
-        sums: &mut [Lanes; SUMS],
+        sums: &mut [Lanes; NUM_SUMS],
     ) {
         let [mut du, mut dv] = [[[0.0; LANES]; 5]; 2];
         let [mut wu, mut wv] = [[[0.0; LANES]; 5]; 2];
         let [mut ru, mut rv, mut squared, mut rho, mut weight] = [[0.0; LANES]; 5];
         for (index, block) in blocks.iter().enumerate() {
             let [x1, y1, x2, y2] = block;
-            let counted = LANES.min(len - index * LANES);
+            let num_valid = LANES.min(len - index * LANES);
             for l in 0..LANES {
-                let counts = index * LANES + l < len;
+                let is_valid = index * LANES + l < len;
                 let z = h.m31 * x1[l] + h.m32 * y1[l] + h.m33;
                 let u = (h.m11 * x1[l] + h.m12 * y1[l] + h.m13) / z;
                 let v = (h.m21 * x1[l] + h.m22 * y1[l] + h.m23) / z;
-                let scale = if counts { px_per_unit } else { 0.0 };
+                let scale = if is_valid { px_per_unit } else { 0.0 };
                 let w = scale / z;
                 ru[l] = (u - x2[l]) * scale;
                 rv[l] = (v - y2[l]) * scale;
                 let s = ru[l] * ru[l] + rv[l] * rv[l];
                 squared[l] = if z > 0.0 { s } else { f64::INFINITY };
-                // By the row's own entries, and by the first two of the last row.
+                // Derivatives by the entries of the own row of H, then by h₃₁ and h₃₂.
                 du[0][l] = x1[l] * w;
                 du[1][l] = y1[l] * w;
                 du[2][l] = w;
@@ -181,7 +186,7 @@ dispatch! {
                 dv[3][l] = -v * x1[l] * w;
                 dv[4][l] = -v * y1[l] * w;
             }
-            weigh(loss, &squared, counted, &mut rho, &mut weight);
+            robust_weights(loss, &squared, num_valid, &mut rho, &mut weight);
             [dv[0], dv[1], dv[2]] = [du[0], du[1], du[2]];
             for k in 0..5 {
                 for l in 0..LANES {
@@ -224,7 +229,7 @@ mod tests {
     use super::*;
     use crate::Rng;
 
-    /// Sums of 37 products, in another order.
+    /// Rounding of sums of 37 products in another order.
     const ROUNDING: f64 = 1e-10;
     const PAIRS: usize = 37;
 
@@ -235,7 +240,8 @@ mod tests {
         Homography { blocks: pack(&pairs, |pair| *pair), pairs, px_per_unit: 300.0 }
     }
 
-    /// One residual with its derivative by the first eight entries, row by row: the slow twin.
+    /// One residual and its derivative by the first eight entries of H, row by row: the reference
+    /// implementation.
     fn residual(
         pair: &[f64; 4],
         h: &Matrix3<f64>,
@@ -253,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn eight_at_a_time_is_one_at_a_time() {
+    fn packed_errors_match_the_reference() {
         let estimator = estimator();
         let h = Matrix3::new(0.9, 0.1, 0.2, -0.2, 1.1, 0.1, 0.3, -0.2, 1.0);
         for range in [0..37, 0..8, 5..6, 7..31, 36..37, 12..12] {
@@ -267,8 +273,8 @@ mod tests {
         let everything: Vec<usize> = (0..PAIRS).collect();
         for chosen in [everything, (0..PAIRS).step_by(3).collect(), vec![36]] {
             for loss in [Loss::Trivial, Loss::Truncated(150.0), Loss::Cauchy(100.0)] {
-                let (mut fast, mut slow) = (Normal::new(loss), Normal::new(loss));
-                let transfer = Transfer {
+                let (mut fast, mut slow) = (NormalEquations::new(loss), NormalEquations::new(loss));
+                let transfer = TransferError {
                     blocks: pack(&chosen, |&i| estimator.pairs[i]),
                     len: chosen.len(),
                     px_per_unit: 300.0,
@@ -284,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn points_behind_the_camera_are_infinitely_far() {
+    fn errors_behind_the_camera_are_infinite() {
         let estimator = estimator();
         // Negative depth left of x = −0.5.
         let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.5);
@@ -295,9 +301,9 @@ mod tests {
             assert_eq!(*squared == f64::INFINITY, pair[0] <= -0.5);
         }
         let transfer =
-            Transfer { blocks: estimator.blocks.clone(), len: PAIRS, px_per_unit: 300.0 };
-        let mut normal = Normal::new(Loss::Truncated(4.0));
+            TransferError { blocks: estimator.blocks.clone(), len: PAIRS, px_per_unit: 300.0 };
+        let mut normal = NormalEquations::new(Loss::Truncated(4.0));
         transfer.linearize(&h, &mut normal);
-        assert!(normal.is_refused());
+        assert!(normal.is_rejected());
     }
 }

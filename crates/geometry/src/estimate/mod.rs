@@ -1,15 +1,15 @@
-//! Robust estimation of poses, two-view geometry and points: estimators for
-//! [`ransac`](crate::ransac()), with the local refinement of each.
+//! Robust estimation of poses, two-view geometry and points: one RANSAC estimator with nonlinear
+//! refinement for each problem. See [`ransac`](crate::ransac()).
 
 mod absolute_pose;
 mod absolute_pose_focal;
 mod fundamental;
 mod homography;
 mod relative_pose;
+mod robust_weights;
 mod sampson;
 mod similarity;
 mod triangulation;
-mod weigh;
 
 pub use absolute_pose::{absolute_pose, refine_absolute_pose};
 pub use absolute_pose_focal::absolute_pose_focal;

@@ -4,15 +4,17 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
-use super::sampson::{Chosen, Pair, Pairs};
+use super::sampson::{Correspondence, CorrespondenceSubset, Correspondences};
 use crate::epipolar::{essential_from_pose, poses_of_exact_essential, rays_meet_in_front};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::{Intrinsics, Loss, Rigid3, so3, solvers};
 
-/// `cam2_from_cam1`, its translation of length one, from pixels that show the same points:
-/// five-point solver and cheirality on samples, then least Sampson error of the inliers. Errors are
-/// Sampson errors in pixels; pairs of rays that meet behind a camera are outliers.
+/// Estimates `cam2_from_cam1`, with a translation of length one, from corresponding pixels.
+///
+/// Minimal models come from the five-point solver and the cheirality constraint; refinement
+/// minimises the Sampson error. `options.max_error` is a Sampson error in pixels. Correspondences
+/// that violate the cheirality constraint, or have a pixel without a ray, are outliers.
 pub fn relative_pose(
     pixels1: &[Vector2<f64>],
     pixels2: &[Vector2<f64>],
@@ -21,15 +23,18 @@ pub fn relative_pose(
     options: &RansacOptions,
 ) -> Option<Report<Rigid3>> {
     // Pixels without a ray are outliers.
-    let (indices, pairs): (Vec<usize>, Vec<Pair>) = pixels1
+    let (indices, pairs): (Vec<usize>, Vec<Correspondence>) = pixels1
         .iter()
         .zip(pixels2)
         .enumerate()
-        .filter_map(|(i, (p1, p2))| Some((i, Pair::of_pixels(p1, p2, intrinsics1, intrinsics2)?)))
+        .filter_map(|(i, (p1, p2))| {
+            Some((i, Correspondence::of_pixels(p1, p2, intrinsics1, intrinsics2)?))
+        })
         .unzip();
     let focal_px = 0.5 * (intrinsics1.mean_focal_px() + intrinsics2.mean_focal_px());
     let parallel_sin2 = (options.max_error / focal_px).powi(2);
-    let mut report = ransac(&RelativePose { pairs: Pairs::new(pairs), parallel_sin2 }, options)?;
+    let mut report =
+        ransac(&RelativePose { pairs: Correspondences::new(pairs), parallel_sin2 }, options)?;
     let mut inliers = vec![false; pixels1.len().min(pixels2.len())];
     for (&index, &inlier) in indices.iter().zip(&report.inliers) {
         inliers[index] = inlier;
@@ -38,7 +43,7 @@ pub fn relative_pose(
     Some(report)
 }
 
-/// The essential matrix of [`relative_pose`].
+/// Estimates the essential matrix of norm √2: E = \[t\]ₓ R of the pose of [`relative_pose`].
 pub fn essential(
     pixels1: &[Vector2<f64>],
     pixels2: &[Vector2<f64>],
@@ -50,9 +55,11 @@ pub fn essential(
     Some(report.map(|pose| essential_from_pose(&pose)))
 }
 
+/// The RANSAC problem of the relative pose.
 struct RelativePose {
-    pairs: Pairs,
-    /// Rays parallel to within the threshold meet in front or behind by chance of the noise.
+    pairs: Correspondences,
+    /// Squared sine of the angle of the error threshold. For rays that are parallel to within this
+    /// angle, noise decides the sign of the depths: they are exempt from the cheirality constraint.
     parallel_sin2: f64,
 }
 
@@ -80,13 +87,14 @@ impl Estimator for RelativePose {
     }
 
     fn refine(&self, model: &Rigid3, data: &[usize], loss: Loss) -> Option<Rigid3> {
-        Some(minimize(&SampsonPose(self.pairs.choose(data)), model, loss, MAX_LM_ITERATIONS))
+        Some(minimize(&SampsonPose(self.pairs.subset(data)), model, loss, MAX_LM_ITERATIONS))
     }
 }
 
-struct SampsonPose(Chosen);
+/// Minimises the Sampson error over the pose.
+struct SampsonPose(CorrespondenceSubset);
 
-/// Two unit vectors that are orthogonal to `direction` and to each other.
+/// An orthonormal basis of the tangent plane of the unit sphere at `direction`.
 fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let mut axis = Vector3::zeros();
     axis[direction.iamin()] = 1.0;
@@ -94,7 +102,8 @@ fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [first, direction.cross(&first)]
 }
 
-/// Rotation on the left, and the direction of the translation in its tangent plane.
+/// The tangent: a left perturbation of the rotation, then two components of the translation in the
+/// tangent plane of the unit sphere.
 impl Problem<5> for SampsonPose {
     type Value = Rigid3;
 
@@ -107,11 +116,12 @@ impl Problem<5> for SampsonPose {
         }
     }
 
-    fn linearize(&self, value: &Rigid3, normal: &mut Normal<5>) {
+    fn linearize(&self, value: &Rigid3, normal: &mut NormalEquations<5>) {
         let rotation = *value.rotation.to_rotation_matrix().matrix();
         let t_hat = so3::hat(&value.translation);
         let essential = t_hat * rotation;
         let [a, b] = tangents(&value.translation);
+        // Derivatives of E with respect to the tangent components.
         let directions: [Matrix3<f64>; 5] = [
             t_hat * so3::hat(&Vector3::x()) * rotation,
             t_hat * so3::hat(&Vector3::y()) * rotation,

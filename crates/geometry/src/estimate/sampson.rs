@@ -1,42 +1,46 @@
 //! The Sampson error of an epipolar constraint in pixels, for any camera model, and its derivative
-//! by the matrix.
+//! with respect to the matrix.
 //!
-//! C = y₂ᵀ M y₁ over its gradient by the pixels: r = C / √(|J₂ᵀ M y₁|² + |J₁ᵀ Mᵀ y₂|²), where Jᵢ =
-//! d yᵢ / d pixelᵢ. For fundamental matrices y = (x, y, 1) and J = (I, 0), which is the usual
-//! Sampson error; for essential matrices y is a unit ray.
+//! The error is the constraint C = y₂ᵀ M y₁ divided by the norm of its gradient with respect to the
+//! pixels: r = C / √(|J₂ᵀ M y₁|² + |J₁ᵀ Mᵀ y₂|²) with Jᵢ = d yᵢ / d pixelᵢ. For a fundamental
+//! matrix y = (x, y, 1) and J = (I, 0), which gives the usual Sampson error (Hartley and Zisserman
+//! 2004, equation 11.9). For an essential matrix y is a unit ray.
 
 use std::ops::{Index, Range};
 
 use nalgebra::{Matrix3, Matrix3x2, Matrix3x4, SMatrix, SVector, Vector2, Vector3};
 
-use super::weigh::weigh;
+use super::robust_weights::robust_weights;
 use crate::simd::{LANES, Lanes, blocks_of, pack, store};
-use crate::small_lm::Normal;
+use crate::small_lm::NormalEquations;
 use crate::{CameraModel, Intrinsics, Loss, Rigid3};
 
-/// Correspondences, and the same packed for vectors.
-pub(super) struct Pairs {
-    pairs: Vec<Pair>,
-    /// y₁, y₂, J₁, J₂.
+/// Correspondences, and the same packed for SIMD.
+pub(super) struct Correspondences {
+    pairs: Vec<Correspondence>,
+    /// Components as in [`Correspondence::components`]: y₁, y₂, J₁, J₂.
     blocks: Vec<[Lanes; 18]>,
 }
 
-impl Pairs {
-    pub(super) fn new(pairs: Vec<Pair>) -> Self {
-        let blocks = pack(&pairs, Pair::numbers);
+impl Correspondences {
+    pub(super) fn new(pairs: Vec<Correspondence>) -> Self {
+        let blocks = pack(&pairs, Correspondence::components);
         Self { pairs, blocks }
     }
 
-    /// Some of the pairs, packed.
-    pub(super) fn choose(&self, indices: &[usize]) -> Chosen {
-        Chosen { blocks: pack(indices, |&i| self.pairs[i].numbers()), len: indices.len() }
+    /// The correspondences with the given indices, packed for linearisation.
+    pub(super) fn subset(&self, indices: &[usize]) -> CorrespondenceSubset {
+        CorrespondenceSubset {
+            blocks: pack(indices, |&i| self.pairs[i].components()),
+            len: indices.len(),
+        }
     }
 
     pub(super) fn len(&self) -> usize {
         self.pairs.len()
     }
 
-    /// The squared errors of the pairs in `range` under `m`, times `factor`.
+    /// The squared errors of the correspondences in `range` under `m`, multiplied by `factor`.
     pub(super) fn squared_errors(
         &self,
         m: &Matrix3<f64>,
@@ -47,8 +51,9 @@ impl Pairs {
         squared_errors(&self.blocks, m, factor, range, squared);
     }
 
-    /// The same under the essential matrix of a pose, infinite where the rays meet behind a camera,
-    /// unless they are parallel to within an angle of which `parallel_sin2` is the squared sine.
+    /// The squared errors under the essential matrix of a pose `cam2_from_cam1`. The error is
+    /// infinite if the rays violate the cheirality constraint, unless the angle between them has a
+    /// squared sine below `parallel_sin2`.
     pub(super) fn squared_errors_in_front(
         &self,
         pose: &Rigid3,
@@ -60,29 +65,32 @@ impl Pairs {
     }
 }
 
-/// Some pairs, packed for [`Chosen::linearize`].
-pub(super) struct Chosen {
+/// A subset of the correspondences, packed for [`CorrespondenceSubset::linearize`].
+pub(super) struct CorrespondenceSubset {
     blocks: Vec<[Lanes; 18]>,
     len: usize,
 }
 
-/// The entries of a matrix, the products of two of them, and the cost.
-const SUMS: usize = 9 + 45 + 1;
+/// Number of sums: the gradient by the nine matrix entries, the lower triangle of their Hessian,
+/// and the cost.
+const NUM_SUMS: usize = 9 + 45 + 1;
 
-impl Chosen {
-    /// Adds the errors under `m`, times `factor`, with their derivatives along `directions` of `m`.
+impl CorrespondenceSubset {
+    /// Adds the errors under `m`, multiplied by `factor`, and their derivatives along `directions`
+    /// of `m` to the normal equations.
     ///
-    /// The errors' derivatives by the nine entries are summed up first, JᵀJ and Jᵀr, eight pairs at
-    /// a time; the directions are the same for all pairs and come in at the end.
+    /// JᵀJ and Jᵀr are accumulated for the nine entries of `m`, eight correspondences at a time.
+    /// The chain rule with `directions`, which are the same for all correspondences, follows at the
+    /// end.
     pub(super) fn linearize<const N: usize>(
         &self,
         m: &Matrix3<f64>,
         factor: f64,
         directions: &[Matrix3<f64>; N],
-        normal: &mut Normal<N>,
+        normal: &mut NormalEquations<N>,
     ) {
-        let mut lanes = [[0.0; LANES]; SUMS];
-        sum_up(&self.blocks, self.len, m, factor, normal.loss(), &mut lanes);
+        let mut lanes = [[0.0; LANES]; NUM_SUMS];
+        accumulate(&self.blocks, self.len, m, factor, normal.loss(), &mut lanes);
         let sums = lanes.map(|lanes| lanes.iter().sum::<f64>());
         let [gradient @ .., cost] = &sums;
         let (gradient, products) = gradient.split_at(9);
@@ -100,16 +108,17 @@ impl Chosen {
 }
 
 dispatch! {
-    /// Sums over pairs of [`Pair::error_with_derivative`]: weighted derivative times error, the
-    /// products of the weighted derivative with itself (lower triangle by rows), and half of ρ.
-    /// Pairs without a derivative count nothing.
-    fn sum_up(
+    /// Accumulates the normal equations of the nine matrix entries over the correspondences, with
+    /// the errors and derivatives of `Correspondence::error_with_derivative`: Jᵀr, the lower
+    /// triangle of JᵀJ by rows, and half of ρ. Correspondences without a finite derivative are
+    /// skipped.
+    fn accumulate(
         blocks: &[[Lanes; 18]],
         len: usize,
         m: &Matrix3<f64>,
         factor: f64,
         loss: Loss,
-        sums: &mut [Lanes; SUMS],
+        sums: &mut [Lanes; NUM_SUMS],
     ) {
         let [mut derivative, mut weighted] = [[[0.0; LANES]; 9]; 2];
         let [mut error, mut squared, mut rho, mut weight] = [[0.0; LANES]; 4];
@@ -124,8 +133,8 @@ dispatch! {
                 let norm2 = (a * a + b * b) + (c * c + d * d);
                 let inverse = factor / norm2.sqrt();
                 let ratio = product / norm2;
-                // The derivative of half the squared norm by the lines, times product / norm²; then
-                // by the entries.
+                // d(norm² / 2) by the epipolar lines, multiplied by product / norm²; below, by the
+                // matrix entries.
                 let by_line1 = [
                     (j1[0][l] * a + j1[3][l] * b) * ratio,
                     (j1[1][l] * a + j1[4][l] * b) * ratio,
@@ -136,21 +145,21 @@ dispatch! {
                     (j2[1][l] * c + j2[4][l] * d) * ratio,
                     (j2[2][l] * c + j2[5][l] * d) * ratio,
                 ];
-                // Padding, and pairs at both epipoles.
-                let counts = (index * LANES + l < len) & (inverse < f64::INFINITY);
-                error[l] = if counts { product * inverse } else { 0.0 };
+                // Skips padding, and correspondences at both epipoles.
+                let is_valid = (index * LANES + l < len) & (inverse < f64::INFINITY);
+                error[l] = if is_valid { product * inverse } else { 0.0 };
                 for (k, lanes) in derivative.iter_mut().enumerate() {
                     let (row, column) = (k / 3, k % 3);
                     let by_lines = by_line2[row] * y1[column] + y2[row] * by_line1[column];
                     let entry = (y2[row] * y1[column] - by_lines) * inverse;
-                    lanes[l] = if counts { entry } else { 0.0 };
+                    lanes[l] = if is_valid { entry } else { 0.0 };
                 }
             }
-            let counted = LANES.min(len - index * LANES);
+            let num_valid = LANES.min(len - index * LANES);
             for l in 0..LANES {
                 squared[l] = error[l] * error[l];
             }
-            weigh(loss, &squared, counted, &mut rho, &mut weight);
+            robust_weights(loss, &squared, num_valid, &mut rho, &mut weight);
             for k in 0..9 {
                 for l in 0..LANES {
                     weighted[k][l] = weight[l] * derivative[k][l];
@@ -175,15 +184,15 @@ dispatch! {
     }
 }
 
-impl Index<usize> for Pairs {
-    type Output = Pair;
-    fn index(&self, index: usize) -> &Pair {
+impl Index<usize> for Correspondences {
+    type Output = Correspondence;
+    fn index(&self, index: usize) -> &Correspondence {
         &self.pairs[index]
     }
 }
 
 dispatch! {
-    /// [`Pair::squared_error`], eight at a time.
+    /// The Sampson errors of [`Correspondences::squared_errors`], eight at a time.
     fn squared_errors(
         blocks: &[[Lanes; 18]],
         m: &Matrix3<f64>,
@@ -208,8 +217,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// [`Pair::squared_error`] and [`rays_meet_in_front`](crate::epipolar::rays_meet_in_front),
-    /// eight at a time.
+    /// The Sampson errors with the cheirality constraint of
+    /// [`rays_meet_in_front`](crate::epipolar::rays_meet_in_front), eight at a time.
     fn squared_errors_in_front(
         blocks: &[[Lanes; 18]],
         pose: &Matrix3x4<f64>,
@@ -260,7 +269,7 @@ fn transposed_times(m: &Matrix3<f64>, y: [f64; 3]) -> [f64; 3] {
     [dot([m.m11, m.m21, m.m31], y), dot([m.m12, m.m22, m.m32], y), dot([m.m13, m.m23, m.m33], y)]
 }
 
-/// Jᵀ times a line, for number `l` of eight J.
+/// Jᵀ times an epipolar line, for the J of lane `l`.
 #[inline(always)]
 fn in_pixels(j: &[Lanes; 6], l: usize, line: [f64; 3]) -> [f64; 2] {
     [dot([j[0][l], j[1][l], j[2][l]], line), dot([j[3][l], j[4][l], j[5][l]], line)]
@@ -271,23 +280,25 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A correspondence.
+/// A correspondence of two homogeneous points or unit rays.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pair {
+pub(super) struct Correspondence {
     pub(super) y1: Vector3<f64>,
     pub(super) y2: Vector3<f64>,
+    /// d y₁ / d pixel₁.
     d1: Matrix3x2<f64>,
+    /// d y₂ / d pixel₂.
     d2: Matrix3x2<f64>,
 }
 
-impl Pair {
-    /// Points of the plane.
+impl Correspondence {
+    /// From image points, for a fundamental matrix.
     pub(super) fn of_points(x1: &Vector2<f64>, x2: &Vector2<f64>) -> Self {
         let d = Matrix3x2::identity();
         Self { y1: x1.push(1.0), y2: x2.push(1.0), d1: d, d2: d }
     }
 
-    /// The rays of two pixels; `None` where there is no ray.
+    /// From the unit rays of two pixels; `None` if a pixel has no ray.
     pub(super) fn of_pixels(
         pixel1: &Vector2<f64>,
         pixel2: &Vector2<f64>,
@@ -299,7 +310,8 @@ impl Pair {
         Some(Self { y1, y2, d1, d2 })
     }
 
-    /// The squared error under the matrix `m`: the slow twin of [`Pairs::squared_errors`].
+    /// The squared error under the matrix `m`: the reference implementation of
+    /// [`Correspondences::squared_errors`].
     #[cfg(test)]
     fn squared_error(&self, m: &Matrix3<f64>) -> f64 {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
@@ -308,19 +320,19 @@ impl Pair {
             / (self.d2.tr_mul(&line2).norm_squared() + self.d1.tr_mul(&line1).norm_squared())
     }
 
-    /// y₁, y₂, J₁, J₂.
-    fn numbers(&self) -> [f64; 18] {
+    /// y₁, y₂, J₁, J₂; the matrices column by column.
+    fn components(&self) -> [f64; 18] {
         let Self { y1, y2, d1, d2 } = self;
-        let mut numbers = [0.0; 18];
-        numbers[..3].copy_from_slice(y1.as_slice());
-        numbers[3..6].copy_from_slice(y2.as_slice());
-        numbers[6..12].copy_from_slice(d1.as_slice());
-        numbers[12..].copy_from_slice(d2.as_slice());
-        numbers
+        let mut components = [0.0; 18];
+        components[..3].copy_from_slice(y1.as_slice());
+        components[3..6].copy_from_slice(y2.as_slice());
+        components[6..12].copy_from_slice(d1.as_slice());
+        components[12..].copy_from_slice(d2.as_slice());
+        components
     }
 
-    /// The error, with sign, and its derivative by the entries of `m`: the slow twin of
-    /// [`Chosen::linearize`].
+    /// The signed error and its derivative by the entries of `m`: the reference implementation of
+    /// [`CorrespondenceSubset::linearize`]. `None` at both epipoles.
     #[cfg(test)]
     fn error_with_derivative(&self, m: &Matrix3<f64>) -> Option<(f64, Matrix3<f64>)> {
         let (line2, line1) = (m * self.y1, m.tr_mul(&self.y2));
@@ -337,8 +349,8 @@ impl Pair {
     }
 }
 
-/// The unit ray of a pixel and its derivative by the pixel: the pseudo-inverse of the derivative of
-/// the projection, whose null space is the ray itself.
+/// The unit ray of a pixel and its derivative by the pixel: the pseudo-inverse of the Jacobian of
+/// the projection, whose null space is the ray.
 fn ray_with_jacobian(
     pixel: &Vector2<f64>,
     intrinsics: &Intrinsics,
@@ -357,19 +369,21 @@ mod tests {
     use crate::epipolar::{essential_from_pose, rays_meet_in_front};
     use crate::{CameraModelKind, Rng};
 
-    fn pairs(camera: &Intrinsics) -> Vec<Pair> {
+    fn pairs(camera: &Intrinsics) -> Vec<Correspondence> {
         let mut rng = Rng::stream(1, &[]);
         let mut pixel = || Vector2::new(1000.0 * rng.uniform(), 800.0 * rng.uniform());
-        (0..37).filter_map(|_| Pair::of_pixels(&pixel(), &pixel(), camera, camera)).collect()
+        (0..37)
+            .filter_map(|_| Correspondence::of_pixels(&pixel(), &pixel(), camera, camera))
+            .collect()
     }
 
     const RANGES: [Range<usize>; 6] = [0..37, 0..8, 5..6, 7..31, 36..37, 12..12];
 
     #[test]
-    fn eight_at_a_time_is_one_at_a_time() {
+    fn squared_errors_match_the_reference() {
         let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
         let m = Matrix3::from_fn(|i, j| (1 + i + 3 * j) as f64 * if i == j { -1.0 } else { 0.5 });
-        let packed = Pairs::new(pairs.clone());
+        let packed = Correspondences::new(pairs.clone());
         for range in RANGES {
             let mut squared = vec![f64::NAN; range.len()];
             packed.squared_errors(&m, 2.0, range.clone(), &mut squared);
@@ -381,20 +395,20 @@ mod tests {
     }
 
     #[test]
-    fn sums_of_eight_at_a_time_are_those_of_one_at_a_time() {
-        /// Sums of 37 products, in another order.
+    fn normal_equations_match_the_reference() {
+        /// Rounding of sums of 37 products in another order.
         const ROUNDING: f64 = 1e-10;
         let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
         let m = Matrix3::from_fn(|i, j| (1 + i + 3 * j) as f64 * if i == j { -1.0 } else { 0.5 });
         let directions: [Matrix3<f64>; 4] =
             std::array::from_fn(|k| Matrix3::from_fn(|i, j| (k * i) as f64 - (j * j) as f64 + 0.5));
-        let packed = Pairs::new(pairs.clone());
+        let packed = Correspondences::new(pairs.clone());
         let everything: Vec<usize> = (0..pairs.len()).collect();
         let some: Vec<usize> = (0..pairs.len()).step_by(3).collect();
         for chosen in [everything, some, vec![36]] {
             for loss in [Loss::Trivial, Loss::Truncated(150.0), Loss::Cauchy(100.0)] {
-                let (mut fast, mut slow) = (Normal::new(loss), Normal::new(loss));
-                packed.choose(&chosen).linearize(&m, 2.0, &directions, &mut fast);
+                let (mut fast, mut slow) = (NormalEquations::new(loss), NormalEquations::new(loss));
+                packed.subset(&chosen).linearize(&m, 2.0, &directions, &mut fast);
                 for &i in &chosen {
                     let (error, derivative) = pairs[i].error_with_derivative(&m).unwrap();
                     let jacobian =
@@ -407,13 +421,13 @@ mod tests {
     }
 
     #[test]
-    fn in_front_eight_at_a_time_is_one_at_a_time() {
+    fn squared_errors_with_cheirality_match_the_reference() {
         let pairs = pairs(&Intrinsics::centred(CameraModelKind::OpencvFisheye, 400.0, 1000, 800));
         let pose =
             Rigid3::from_axis_angle(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.6, 0.0, 0.8));
-        let packed = Pairs::new(pairs.clone());
-        let mut behind = 0;
-        // Wide enough that some of the pairs are parallel.
+        let packed = Correspondences::new(pairs.clone());
+        let mut num_behind = 0;
+        // Large enough that some of the correspondences count as parallel.
         let parallel = 0.2_f64;
         for range in RANGES {
             let mut squared = vec![f64::NAN; range.len()];
@@ -429,11 +443,11 @@ mod tests {
                     let expected = pair.squared_error(&essential_from_pose(&pose));
                     assert!((squared - expected).abs() <= 1e-9 * expected, "{squared} {expected}");
                 } else {
-                    behind += 1;
+                    num_behind += 1;
                     assert_eq!(*squared, f64::INFINITY);
                 }
             }
         }
-        assert!(behind > 0);
+        assert!(num_behind > 0);
     }
 }

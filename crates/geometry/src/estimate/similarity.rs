@@ -1,4 +1,4 @@
-//! The similarity between two point sets with outliers.
+//! The similarity transform between two point sets with outliers.
 
 use std::ops::Range;
 
@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::{Loss, Sim3, solvers};
 
-/// The similarity (of scale one unless `with_scale`) that takes `from[i]` to `to[i]`. Errors are
-/// distances in the unit of `to`.
+/// Estimates the similarity transform that maps `from[i]` to `to[i]`, with scale one unless
+/// `with_scale`. `options.max_error` is a distance in the unit of `to`.
 pub fn similarity(
     from: &[Vector3<f64>],
     to: &[Vector3<f64>],
@@ -18,6 +18,7 @@ pub fn similarity(
     ransac(&Similarity { from, to, with_scale }, options)
 }
 
+/// The RANSAC problem of the similarity transform.
 struct Similarity<'a> {
     from: &'a [Vector3<f64>],
     to: &'a [Vector3<f64>],
@@ -25,6 +26,7 @@ struct Similarity<'a> {
 }
 
 impl Similarity<'_> {
+    /// The least-squares similarity of the data with these indices.
     fn fit(&self, indices: &[usize]) -> Option<Sim3> {
         let pick = |points: &[Vector3<f64>]| indices.iter().map(|&i| points[i]).collect::<Vec<_>>();
         solvers::umeyama(&pick(self.from), &pick(self.to), self.with_scale)
@@ -51,10 +53,10 @@ impl Estimator for Similarity<'_> {
     }
 
     fn refine(&self, model: &Sim3, data: &[usize], loss: Loss) -> Option<Sim3> {
-        let is_trusted = |i: &usize| {
+        let has_weight = |i: &usize| {
             let squared = (*model * self.from[*i] - self.to[*i]).norm_squared();
             loss.evaluate(squared)[1] >= 0.5
         };
-        self.fit(&data.iter().copied().filter(is_trusted).collect::<Vec<_>>())
+        self.fit(&data.iter().copied().filter(has_weight).collect::<Vec<_>>())
     }
 }

@@ -1,26 +1,26 @@
-//! A point from observations some of which may be wrong.
+//! Triangulation of a point from observations with outliers.
 
 use std::ops::Range;
 
 use nalgebra::{SVector, Vector2, Vector3};
 
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
-use crate::small_lm::{MAX_LM_ITERATIONS, Normal, Problem, minimize};
+use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::triangulate::{triangulate_two_view, triangulation_angle};
 use crate::{CameraModel, Intrinsics, Loss, Rigid3};
 
-/// A pixel in a posed camera.
+/// An observation of a point: a pixel in a camera of known pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
-    /// The pose of the camera.
+    /// Pose of the camera.
     pub cam_from_world: &'a Rigid3,
-    /// Its lens.
+    /// Intrinsics of the camera.
     pub intrinsics: &'a Intrinsics,
-    /// Where the point is seen.
+    /// The observed pixel.
     pub pixel: Vector2<f64>,
 }
 
-/// What the residual of [`triangulation`] is.
+/// The residual of [`triangulation`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TriangulationResidual {
     /// The angle between the ray of the pixel and that to the point, in radians.
@@ -32,16 +32,17 @@ pub enum TriangulationResidual {
 /// Options of [`triangulation`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriangulationOptions {
-    /// Least angle at the point between the rays of some two inliers.
+    /// Minimum triangulation angle: at least two inliers must reach it.
     pub min_angle_rad: f64,
-    /// What is compared with `ransac.max_error`.
+    /// The residual that is compared with `ransac.max_error`, in its unit.
     pub residual: TriangulationResidual,
-    /// Pairs of observations are tried, all of them where they are fewer than `min_iterations`.
+    /// Samples are pairs of observations. All pairs are tried if there are at most
+    /// `min_iterations`.
     pub ransac: RansacOptions,
 }
 
 impl Default for TriangulationOptions {
-    /// Pixels, at least 1.5 degrees.
+    /// Reprojection error, minimum angle of 1.5 degrees.
     fn default() -> Self {
         Self {
             min_angle_rad: 1.5_f64.to_radians(),
@@ -51,8 +52,8 @@ impl Default for TriangulationOptions {
     }
 }
 
-/// The world point that most observations agree on: in front of its inliers' cameras, and seen by
-/// some two of them under the least angle.
+/// Estimates the world point of the observations. It is in front of the cameras of its inliers, and
+/// at least two of them reach the minimum triangulation angle.
 pub fn triangulation(
     observations: &[Observation<'_>],
     options: &TriangulationOptions,
@@ -62,9 +63,10 @@ pub fn triangulation(
     let estimator = Triangulation { observations, centres, rays, options };
     let report = ransac(&estimator, &options.ransac)?;
     let inliers: Vec<usize> = (0..observations.len()).filter(|&i| report.inliers[i]).collect();
-    estimator.is_well_seen(&report.model, &inliers).then_some(report)
+    estimator.has_min_angle(&report.model, &inliers).then_some(report)
 }
 
+/// The RANSAC problem of triangulation.
 struct Triangulation<'a> {
     observations: &'a [Observation<'a>],
     centres: Vec<Vector3<f64>>,
@@ -73,7 +75,8 @@ struct Triangulation<'a> {
 }
 
 impl Triangulation<'_> {
-    fn is_well_seen(&self, point: &Vector3<f64>, indices: &[usize]) -> bool {
+    /// Whether two of the observations reach the minimum triangulation angle.
+    fn has_min_angle(&self, point: &Vector3<f64>, indices: &[usize]) -> bool {
         indices.iter().enumerate().any(|(k, &i)| {
             indices[..k].iter().any(|&j| {
                 triangulation_angle(&self.centres[i], &self.centres[j], point)
@@ -97,7 +100,7 @@ impl Estimator for Triangulation<'_> {
         let cam2_from_cam1 = *self.observations[sample[1]].cam_from_world * world_from_cam1;
         let point = triangulate_two_view(&ray1, &ray2, &cam2_from_cam1)
             .map(|point| world_from_cam1 * point);
-        models.extend(point.filter(|point| self.is_well_seen(point, sample)));
+        models.extend(point.filter(|point| self.has_min_angle(point, sample)));
     }
 
     fn squared_residuals(&self, point: &Vector3<f64>, range: Range<usize>, squared: &mut [f64]) {
@@ -123,8 +126,8 @@ impl Estimator for Triangulation<'_> {
     }
 }
 
-/// Refinement is by pixels for both residuals, since the noise is in pixels; angles are pixels over
-/// the focal length.
+/// Minimises the reprojection error over the point, because noise is in pixels. For angular
+/// residuals the error is divided by the focal length, which gives radians.
 struct PointReprojection<'a> {
     data: &'a Triangulation<'a>,
     inliers: &'a [usize],
@@ -137,7 +140,7 @@ impl Problem<3> for PointReprojection<'_> {
         value + delta
     }
 
-    fn linearize(&self, value: &Vector3<f64>, normal: &mut Normal<3>) {
+    fn linearize(&self, value: &Vector3<f64>, normal: &mut NormalEquations<3>) {
         for &i in self.inliers {
             let Observation { cam_from_world, intrinsics, pixel } = self.data.observations[i];
             let rotation = cam_from_world.rotation.to_rotation_matrix();
@@ -152,7 +155,7 @@ impl Problem<3> for PointReprojection<'_> {
                         let d_point = p.d_point * rotation.matrix() * unit_per_px;
                         normal.add(&((p.pixel - pixel) * unit_per_px), &d_point);
                     }
-                    None => normal.refuse(),
+                    None => normal.reject(),
                 }
             });
         }

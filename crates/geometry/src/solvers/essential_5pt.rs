@@ -1,7 +1,8 @@
 //! Essential matrices from five correspondences (Nistér 2004, "An efficient solution to the
 //! five-point relative pose problem").
 //!
-//! Five epipolar constraints leave E = xX + yY + zZ + W. The cubic constraints det E = 0 and 2EEᵀE
+//! The five epipolar constraints give E = xX + yY + zZ + W with a basis X, Y, Z, W of their null
+//! space. The cubic constraints det E = 0 and 2EEᵀE
 //! − tr(EEᵀ)E = 0 are ten polynomials in twenty monomials, ordered so that elimination of the first
 //! ten leaves, for the differences of suitable rows (Nistér's ⟨k⟩, ⟨l⟩, ⟨m⟩), a 3×3 matrix B(z)
 //! with B(z) (x, y, 1)ᵀ = 0; det B is of degree ten in z.
@@ -19,7 +20,8 @@ type Quadratic = [f64; 10];
 /// A cubic form, in [`eliminate`]'s order of monomials.
 type Cubic = [f64; 20];
 
-/// Essential matrices, of norm √2, for which `rays2[i]ᵀ E rays1[i] = 0`.
+/// The essential matrices, of Frobenius norm √2, with `rays2[i]ᵀ E rays1[i] = 0`. `rays1[i]` and
+/// `rays2[i]` are corresponding unit rays in cameras 1 and 2.
 pub fn essential_5pt(
     rays1: &[Vector3<f64>; 5],
     rays2: &[Vector3<f64>; 5],
@@ -64,7 +66,8 @@ pub fn essential_5pt(
             Vector3::new(at(&b[i].0), at(&b[i].1), at(&b[i].2))
         };
         let rows = [row(0), row(1), row(2)];
-        // (x, y, 1) is orthogonal to all three rows: the best determined cross product of two.
+        // (x, y, 1) is orthogonal to all three rows: the cross product of two of them, the pair
+        // with the largest third component.
         let solution =
             [(0, 1), (1, 2), (2, 0)].map(|(i, j)| rows[i].cross(&rows[j])).into_iter().fold(
                 Vector3::zeros(),
@@ -72,34 +75,34 @@ pub fn essential_5pt(
             );
         let coefficients =
             SVector::<f64, 4>::new(solution.x / solution.z, solution.y / solution.z, z, 1.0);
-        essentials.extend(polish(&basis, coefficients));
+        essentials.extend(refine(&basis, coefficients));
     }
     essentials
 }
 
-/// Gauss-Newton steps on the cubic constraints, for solutions that elimination and root left
-/// inexact.
-const MAX_POLISH_STEPS: usize = 4;
+/// Maximum number of Gauss-Newton steps on the cubic constraints, which reduce the rounding error
+/// of the elimination and of the root.
+const MAX_REFINEMENT_STEPS: usize = 4;
 
-/// Error of the cubic constraints that is rounding, for E of norm √2.
+/// Rounding error of the cubic constraints, for E of norm √2.
 const EXACT: f64 = 1e-14;
 
-/// The exact essential matrix, of norm √2, near the combination of the basis with these
-/// coefficients.
-fn polish(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<Matrix3<f64>> {
+/// Refines the essential matrix that is the combination of the basis with these coefficients, by
+/// Gauss-Newton on the cubic constraints. The result has norm √2.
+fn refine(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<Matrix3<f64>> {
     let coefficients = coefficients.normalize();
-    // The largest coefficient stays; the others move.
+    // The scale is fixed by the largest coefficient; the other three are free.
     let fixed = coefficients.iamax();
     let moving = [(fixed + 1) % 4, (fixed + 2) % 4, (fixed + 3) % 4];
     let directions = moving.map(|i| as_matrix(&basis.column(i).into_owned()));
     let mut e = as_matrix(&(basis * coefficients)) * std::f64::consts::SQRT_2;
-    for _ in 0..MAX_POLISH_STEPS {
+    for _ in 0..MAX_REFINEMENT_STEPS {
         let (square, trace) = (e * e.transpose(), e.norm_squared());
         let residual = square * e * 2.0 - e * trace;
         if residual.norm() < EXACT {
             break;
         }
-        // d(2EEᵀE − tr(EEᵀ)E), and with it det E, whose vanishing it implies.
+        // Derivatives of 2EEᵀE − tr(EEᵀ)E. If it is zero, det E is zero too.
         let e_t_e = e.tr_mul(&e);
         let derivatives = directions.map(|d| {
             (d * e_t_e + e * d.tr_mul(&e) + square * d) * 2.0 - e * (2.0 * e.dot(&d)) - d * trace
@@ -113,11 +116,11 @@ fn polish(basis: &SMatrix<f64, 9, 4>, coefficients: SVector<f64, 4>) -> Option<M
     e.iter().all(|v| v.is_finite()).then_some(e)
 }
 
-/// Where the product of two variables (x, y, z, 1) stands in a [`Quadratic`].
+/// Index in a [`Quadratic`] of the product of two variables (x, y, z, 1).
 const QUADRATIC: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]];
 
-/// Where the product of a quadratic monomial and a variable stands in a [`Cubic`]: x³, y³, x²y,
-/// xy², x²z, x², y²z, y², xyz, xy, then xz², xz, x, yz², yz, y, z³, z², z, 1.
+/// Index in a [`Cubic`] of the product of a quadratic monomial and a variable. Its order is x³, y³,
+/// x²y, xy², x²z, x², y²z, y², xyz, xy, then xz², xz, x, yz², yz, y, z³, z², z, 1.
 const CUBIC: [[usize; 4]; 10] = [
     [0, 2, 4, 5],
     [2, 3, 8, 9],
@@ -131,6 +134,7 @@ const CUBIC: [[usize; 4]; 10] = [
     [12, 15, 18, 19],
 ];
 
+/// Adds `sign` times the product of two linear forms.
 fn multiply(a: &Linear, b: &Linear, sum: &mut Quadratic, sign: f64) {
     for i in 0..4 {
         for j in 0..4 {
@@ -139,6 +143,7 @@ fn multiply(a: &Linear, b: &Linear, sum: &mut Quadratic, sign: f64) {
     }
 }
 
+/// Adds the product of a quadratic and a linear form.
 fn multiply_add(a: &Quadratic, b: &Linear, sum: &mut Cubic) {
     for i in 0..10 {
         for j in 0..4 {
@@ -147,7 +152,7 @@ fn multiply_add(a: &Quadratic, b: &Linear, sum: &mut Cubic) {
     }
 }
 
-/// The ten cubic constraints.
+/// The ten cubic constraints: det E = 0 and the entries of (EEᵀ − tr(EEᵀ)/2 I) E = 0.
 #[allow(clippy::needless_range_loop)] // Indices as in the formulas.
 fn constraints(basis: &SMatrix<f64, 9, 4>) -> [Cubic; 10] {
     let e: [[Linear; 3]; 3] = std::array::from_fn(|i| {
@@ -189,8 +194,8 @@ fn constraints(basis: &SMatrix<f64, 9, 4>) -> [Cubic; 10] {
     cubics
 }
 
-/// Gauss-Jordan elimination of the first ten monomials, with row pivots; the right halves of the
-/// rows of x²z, x², y²z, y², xyz and xy, of which only these are wanted.
+/// Gauss-Jordan elimination of the first ten monomials, with row pivoting. Returns the coefficients
+/// of the last ten monomials in the rows of x²z, x², y²z, y², xyz and xy.
 fn eliminate(mut rows: [Cubic; 10]) -> Option<[[f64; 10]; 6]> {
     for column in 0..10 {
         let pivot = (column..10).fold(column, |best, row| {
@@ -205,7 +210,7 @@ fn eliminate(mut rows: [Cubic; 10]) -> Option<[[f64; 10]; 6]> {
             *value *= inverse;
         }
         let pivot_row = rows[column];
-        // Above the pivot only the wanted rows matter.
+        // Above the pivot, only the returned rows are eliminated.
         for row in (4.min(column)..10).filter(|&row| row != column) {
             let factor = rows[row][column];
             for i in column..20 {

@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 use super::null_space::{as_matrix, epipolar_row, least_squares_null_vector, null_space};
 use super::polynomial::cubic_roots;
 
-/// Fundamental matrices, of norm 1, for which `points2[i]ᵀ F points1[i] = 0`. Points of a size
-/// around 1 are best.
+/// The fundamental matrices, of Frobenius norm 1, with `points2[i]ᵀ F points1[i] = 0`. The points
+/// should be normalised to coordinates of size 1.
 pub fn fundamental_7pt(
     points1: &[Vector2<f64>; 7],
     points2: &[Vector2<f64>; 7],
@@ -23,7 +23,8 @@ pub fn fundamental_7pt(
     let basis = null_space::<7, 2>(rows);
     let a = as_matrix(&basis.column(0).into_owned());
     let b = as_matrix(&basis.column(1).into_owned());
-    // det(a + λ b); both columns are alike, so that the larger end becomes the leading coefficient.
+    // The cubic det(a + λ b). a and b are interchangeable: the larger of det a and det b becomes
+    // the leading coefficient.
     let (a, b) = if a.determinant().abs() > b.determinant().abs() { (b, a) } else { (a, b) };
     let mixed = |p: &Matrix3<f64>, q: &Matrix3<f64>| {
         p.column(0).cross(&p.column(1)).dot(&q.column(2))
@@ -38,7 +39,8 @@ pub fn fundamental_7pt(
         .collect()
 }
 
-/// The fundamental matrix, of norm 1, of least algebraic error over eight or more correspondences.
+/// The fundamental matrix, of Frobenius norm 1, that minimises the algebraic error over eight or
+/// more correspondences. `None` for fewer, or if the points of an image coincide.
 pub fn fundamental_8pt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let count = points1.len().min(points2.len());
     if count < 8 {
@@ -50,8 +52,8 @@ pub fn fundamental_8pt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Op
         .iter()
         .zip(&points2[..count])
         .map(|(x1, x2)| epipolar_row(&(to_unit1 * x1.push(1.0)), &(to_unit2 * x2.push(1.0))));
-    let smallest = least_squares_null_vector(rows)?;
-    let svd = as_matrix(&smallest).try_svd(true, true, f64::EPSILON, 0)?;
+    let null_vector = least_squares_null_vector(rows)?;
+    let svd = as_matrix(&null_vector).try_svd(true, true, f64::EPSILON, 0)?;
     let weakest = svd.singular_values.imin();
     let mut singular = svd.singular_values;
     singular[weakest] = 0.0;
@@ -60,8 +62,8 @@ pub fn fundamental_8pt(points1: &[Vector2<f64>], points2: &[Vector2<f64>]) -> Op
     f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
-/// The similarity that takes points to mean zero and mean distance √2 from it; `None` where they
-/// coincide.
+/// The normalising similarity of Hartley 1997: it maps the centroid of the points to the origin and
+/// their mean distance from it to √2. `None` if the points coincide.
 pub(crate) fn normalisation(points: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let count = points.len() as f64;
     let centre = points.iter().sum::<Vector2<f64>>() / count;

@@ -1,6 +1,6 @@
-//! Minimal solvers: as many data as unknowns in, every solution out, nothing allocated. An empty
-//! list, or `None`, is a degenerate sample. [`TABLE`] lists them; tests, benches and the README
-//! follow it.
+//! Minimal solvers, and least-squares solvers for more data. They return all solutions and do not
+//! allocate. An empty list, or `None`, means that the sample is degenerate. [`TABLE`] lists the
+//! solvers; tests, benchmarks and the README use it.
 
 mod essential_5pt;
 mod fundamental_7pt;
@@ -18,22 +18,22 @@ pub use homography_4pt::{homography_4pt, homography_dlt};
 pub use p3p::p3p;
 pub use umeyama::umeyama;
 
-/// One line about a solver.
+/// Description of a solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SolverInfo {
     /// Name of the function.
     pub name: &'static str,
-    /// What it finds.
+    /// The estimated quantity.
     pub finds: &'static str,
-    /// Fewest data.
+    /// Minimum number of data.
     pub sample_size: usize,
-    /// Most solutions.
+    /// Maximum number of solutions.
     pub max_solutions: usize,
-    /// Where it is from.
+    /// Author and year of the source.
     pub paper: &'static str,
 }
 
-/// Every solver.
+/// All solvers.
 #[rustfmt::skip]
 pub const TABLE: &[SolverInfo] = &[
     SolverInfo {

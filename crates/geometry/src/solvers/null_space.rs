@@ -1,12 +1,12 @@
-//! Null spaces of matrices with nine columns, exact and in the sense of least squares.
+//! Null spaces of matrices with nine columns, exact and in the least-squares sense.
 
 use nalgebra::{SMatrix, SVector};
 
-/// Nine numbers, an epipolar matrix row by row.
+/// The entries of a 3×3 matrix, row by row.
 pub(crate) type Vector9 = SVector<f64, 9>;
 
-/// An orthonormal basis, one vector per column, of what is orthogonal to the `N` columns of `rows`;
-/// `N + K = 9`. Where the columns are dependent, some such basis.
+/// An orthonormal basis, one vector per column, of `K = 9 − N` vectors orthogonal to the `N`
+/// columns of `rows`, by Householder QR. If the columns are dependent, the basis is not unique.
 pub(crate) fn null_space<const N: usize, const K: usize>(
     mut rows: SMatrix<f64, 9, N>,
 ) -> SMatrix<f64, 9, K> {
@@ -51,18 +51,19 @@ pub(crate) fn null_space<const N: usize, const K: usize>(
     basis
 }
 
-/// The coefficients of x₂ᵀ M x₁ in the entries of M, row by row.
+/// The coefficients of the entries of M, row by row, in x₂ᵀ M x₁.
 pub(crate) fn epipolar_row(x1: &nalgebra::Vector3<f64>, x2: &nalgebra::Vector3<f64>) -> Vector9 {
     Vector9::from_fn(|i, _| x2[i / 3] * x1[i % 3])
 }
 
-/// The matrix of nine numbers, row by row.
+/// The 3×3 matrix of nine entries, row by row.
 pub(crate) fn as_matrix(v: &Vector9) -> nalgebra::Matrix3<f64> {
     nalgebra::Matrix3::from_row_slice(v.as_slice())
 }
 
-/// The unit vector v of least Σ (row·v)²: rows are rotated one by one into a triangle (Givens),
-/// whose singular vectors are those of all rows without the squared condition of normal equations.
+/// The unit vector v that minimises Σ (row·v)². Givens rotations reduce the rows, one by one, to a
+/// triangular matrix with the same right singular vectors. Normal equations would square the
+/// condition number.
 pub(crate) fn least_squares_null_vector(
     rows: impl IntoIterator<Item = Vector9>,
 ) -> Option<Vector9> {

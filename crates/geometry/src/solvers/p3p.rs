@@ -8,8 +8,8 @@
 //! - C₂: d₀² + d₂² − 2 m₀₂ d₀d₂ = β (d₁² + d₂² − 2 m₁₂ d₁d₂), β = a₀₂/a₁₂.
 //!
 //! A real root s of the cubic det(C₁ + s C₂) = 0 gives a pair of lines through the common points of
-//! both; on each line a quadratic leaves at most two. Depths are then polished by Newton's method
-//! on the three laws of cosines.
+//! both; on each line a quadratic gives at most two. Depths are then refined by Newton's method on
+//! the three laws of cosines.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -17,18 +17,17 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use super::polynomial::{cubic_root, quadratic_roots};
 use crate::{Rigid3, so3};
 
-/// Newton steps on the depths.
-const POLISH_STEPS: usize = 2;
+/// Number of Newton steps on the depths.
+const REFINEMENT_STEPS: usize = 2;
 
-/// The poses `cam_from_world` from which `points_in_world` are seen along the unit `rays_in_cam`,
-/// in front of the camera.
+/// The poses `cam_from_world` that project `points_in_world[i]` to the unit ray `rays_in_cam[i]`,
+/// with positive depths along the rays.
 pub fn p3p(
     rays_in_cam: &[Vector3<f64>; 3],
     points_in_world: &[Vector3<f64>; 3],
 ) -> ArrayVec<Rigid3, 4> {
     let squared = |i: usize, j: usize| (points_in_world[i] - points_in_world[j]).norm_squared();
-    // The side that divides the others is the longest: number the corners so that it lies between 1
-    // and 2.
+    // The longest side divides the others: order the points so that it is the side 12.
     let sides = [squared(1, 2), squared(0, 2), squared(0, 1)];
     let first = (0..3).fold(0, |best, i| if sides[i] > sides[best] { i } else { best });
     let order = [first, (first + 1) % 3, (first + 2) % 3];
@@ -46,16 +45,16 @@ pub fn p3p(
     let c2 = Matrix3::new(1.0, 0.0, -m02, 0.0, -beta, beta * m12, -m02, beta * m12, 1.0 - beta);
     let mut poses = ArrayVec::new();
     let Some((conic, degenerate)) = degenerate_conic(&c1, &c2) else { return poses };
-    for line in split(&degenerate).into_iter().flatten() {
+    for line in split_into_lines(&degenerate).into_iter().flatten() {
         for [d0, d1, d2] in intersect(&line, &conic) {
-            // The ratio becomes depths through the longest side.
+            // The longest side gives the scale of the depths.
             let scale = (a12 / (d1 * d1 + d2 * d2 - 2.0 * m12 * d1 * d2)).sqrt();
             let sign = if d0 + d1 + d2 < 0.0 { -scale } else { scale };
             let depths = Vector3::new(d0, d1, d2) * sign;
             if !(depths.min() > 0.0 && depths.max().is_finite()) || poses.is_full() {
                 continue;
             }
-            let depths = polish(depths, [m01, m02, m12], [a01, a02, a12]);
+            let depths = refine_depths(depths, [m01, m02, m12], [a01, a02, a12]);
             let y = [b[0] * depths[0], b[1] * depths[1], b[2] * depths[2]];
             let (e1, e2) = (y[1] - y[0], y[2] - y[0]);
             let matrix = Matrix3::from_columns(&[e1, e2, e1.cross(&e2)]) * inverse_edges;
@@ -67,8 +66,8 @@ pub fn p3p(
     poses
 }
 
-/// A pair of lines through the common points of both conics, and one of the conics, which does not
-/// contain these lines.
+/// One of the two conics, and the degenerate conic (a pair of lines) through the intersections of
+/// both. The returned conic does not contain the lines.
 fn degenerate_conic(c1: &Matrix3<f64>, c2: &Matrix3<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
     let (a1, a2) = (adjugate(c1), adjugate(c2));
     // det(c1 + s c2) = det c1 + s tr(adj(c1) c2) + s² tr(adj(c2) c1) + s³ det c2
@@ -76,7 +75,7 @@ fn degenerate_conic(c1: &Matrix3<f64>, c2: &Matrix3<f64>) -> Option<(Matrix3<f64
     let d1 = a1.component_mul(c2).sum();
     let d2 = a2.component_mul(c1).sum();
     let d3 = a2.row(0).transpose().dot(&c2.column(0));
-    // In the variable whose leading coefficient is larger.
+    // Solve for s or for 1/s, whichever has the larger leading coefficient.
     if d3.abs() >= d0.abs() {
         let s = cubic_root([d0 / d3, d1 / d3, d2 / d3]);
         let conic = if s.abs() < 1.0 { c2 } else { c1 };
@@ -97,10 +96,10 @@ fn adjugate(m: &Matrix3<f64>) -> Matrix3<f64> {
 }
 
 /// The two lines of a conic of rank two (Richter-Gebert 2011, "Perspectives on projective
-/// geometry", chapter 11); none where they are not real.
-fn split(conic: &Matrix3<f64>) -> Option<[Vector3<f64>; 2]> {
-    // The adjugate of p qᵀ + q pᵀ is −(p × q)(p × q)ᵀ; adding the cross-product matrix of p × q
-    // leaves 2 p qᵀ or its transpose.
+/// geometry", chapter 11); `None` if they are not real.
+fn split_into_lines(conic: &Matrix3<f64>) -> Option<[Vector3<f64>; 2]> {
+    // The adjugate of p qᵀ + q pᵀ is −(p × q)(p × q)ᵀ. Adding the cross-product matrix of p × q
+    // gives 2 p qᵀ or its transpose.
     let adjugate = adjugate(conic);
     let diagonal = adjugate.diagonal();
     let i = diagonal.imin();
@@ -117,7 +116,7 @@ fn split(conic: &Matrix3<f64>) -> Option<[Vector3<f64>; 2]> {
     Some([product.column(column).into_owned(), product.row(row).transpose()])
 }
 
-/// The common points of a line and a conic.
+/// The intersections of a line and a conic, in homogeneous coordinates.
 fn intersect(line: &Vector3<f64>, conic: &Matrix3<f64>) -> ArrayVec<[f64; 3], 2> {
     // Points of the line are τu + w, with the coordinate of the line's largest entry eliminated.
     let i = line.iamax();
@@ -130,13 +129,14 @@ fn intersect(line: &Vector3<f64>, conic: &Matrix3<f64>) -> ArrayVec<[f64; 3], 2>
     taus.into_iter().flatten().map(|tau| (u * tau + w).into()).collect()
 }
 
-/// Newton's method on the laws of cosines: m and a of the sides 01, 02, 12.
-fn polish(
+/// Refines the depths by Newton's method on the laws of cosines, with the cosines m and the squared
+/// side lengths a of the sides 01, 02, 12.
+fn refine_depths(
     mut d: Vector3<f64>,
     [m01, m02, m12]: [f64; 3],
     [a01, a02, a12]: [f64; 3],
 ) -> Vector3<f64> {
-    for _ in 0..POLISH_STEPS {
+    for _ in 0..REFINEMENT_STEPS {
         let error = Vector3::new(
             d[0] * d[0] + d[1] * d[1] - 2.0 * m01 * d[0] * d[1] - a01,
             d[0] * d[0] + d[2] * d[2] - 2.0 * m02 * d[0] * d[2] - a02,

@@ -1,11 +1,12 @@
-//! The real roots of a polynomial of degree ten, isolated by Sturm's theorem and polished by
-//! Newton's method.
+//! The real roots of a polynomial of degree ten, isolated by Sturm's theorem and refined by
+//! Newton's method (Hook and McAree 1990, "Using Sturm sequences to bracket real roots of
+//! polynomial equations", Graphics Gems).
 //!
-//! The chain p, p', then each negative remainder of the two before it, loses as many signs between
-//! a and b as p has distinct roots there. Remainders are kept as the linear quotients that lead
-//! back from the last of them (Hook and McAree 1990, "Using Sturm sequences to bracket real roots
-//! of polynomial equations", Graphics Gems). The line is searched as x = s/(1 − |s|) with s in (−1,
-//! 1), so that roots of any size are a few halvings away.
+//! The Sturm chain is p, p', and then each negative remainder of the two polynomials before it. The
+//! number of its sign changes at a minus that at b is the number of distinct roots of p between a
+//! and b. The chain is stored as its linear quotients and its last two elements, from which it is
+//! evaluated backwards. The bisection is over s in (−1, 1) with x = s/(1 − |s|), so that roots of
+//! any magnitude need few bisections.
 
 use arrayvec::ArrayVec;
 
@@ -15,26 +16,26 @@ pub(crate) const DEGREE: usize = 10;
 /// Coefficients, ascending.
 pub(crate) type Polynomial = [f64; DEGREE + 1];
 
-/// The ends of the search: |x| up to 1e9.
+/// The search interval is |s| ≤ this, which is |x| ≤ 1e9.
 const LIMIT: f64 = 1.0 - 1e-9;
 
-/// Two roots nearer than this in s count as one.
+/// Bisection stops at this width in s. An interval of this width with several roots is dropped.
 const MIN_WIDTH: f64 = 1e-12;
 
-/// Intervals that wait: each halving leaves one behind, of at most log₂(2 / [`MIN_WIDTH`]) = 41.
-const MAX_WAITING: usize = 48;
+/// Capacity of the interval stack: each bisection adds one, at most log₂(2 / [`MIN_WIDTH`]) = 41.
+const MAX_INTERVALS: usize = 48;
 
-/// Newton steps and halvings; five or six are usual.
+/// Maximum number of Newton and bisection steps; five or six are usual.
 const MAX_STEPS: usize = 60;
 
-/// The distinct real roots of odd multiplicity; none where the leading coefficient is zero.
+/// The distinct real roots of odd multiplicity; none if the leading coefficient is zero.
 pub(crate) fn real_roots(coefficients: &Polynomial) -> ArrayVec<f64, DEGREE> {
     let mut roots = ArrayVec::new();
-    let Some(chain) = Chain::new(coefficients) else { return roots };
-    let mut waiting = ArrayVec::<_, MAX_WAITING>::new();
-    waiting.push([(-LIMIT, chain.sign_changes(-LIMIT)), (LIMIT, chain.sign_changes(LIMIT))]);
-    while let Some([(low, at_low), (high, at_high)]) = waiting.pop() {
-        // Rounding can make the count grow from left to right.
+    let Some(chain) = SturmChain::new(coefficients) else { return roots };
+    let mut intervals = ArrayVec::<_, MAX_INTERVALS>::new();
+    intervals.push([(-LIMIT, chain.sign_changes(-LIMIT)), (LIMIT, chain.sign_changes(LIMIT))]);
+    while let Some([(low, at_low), (high, at_high)]) = intervals.pop() {
+        // Because of rounding the sign changes can increase from low to high.
         let count = at_low.saturating_sub(at_high);
         if count == 0 || roots.is_full() {
             continue;
@@ -44,31 +45,34 @@ pub(crate) fn real_roots(coefficients: &Polynomial) -> ArrayVec<f64, DEGREE> {
         } else if high - low > MIN_WIDTH {
             let middle = 0.5 * (low + high);
             let at_middle = chain.sign_changes(middle);
-            waiting.push([(middle, at_middle), (high, at_high)]);
-            waiting.push([(low, at_low), (middle, at_middle)]);
+            intervals.push([(middle, at_middle), (high, at_high)]);
+            intervals.push([(low, at_low), (middle, at_middle)]);
         }
     }
     roots
 }
 
+/// x(s) = s / (1 − |s|).
 fn x_of(s: f64) -> f64 {
     s / (1.0 - s.abs())
 }
 
-struct Chain {
-    /// Monic.
+/// A Sturm chain.
+struct SturmChain {
+    /// The polynomial, scaled to a leading coefficient of one.
     p: Polynomial,
-    /// Element i of the chain is (offset + slope x) · element i+1 + weight · element i+2, all up to
+    /// Element i of the chain is (offset + slope x) · element i+1 + weight · element i+2, up to
     /// positive factors.
     offset: [f64; DEGREE - 1],
     slope: [f64; DEGREE - 1],
     weight: [f64; DEGREE - 1],
-    /// The last elements: a₀ + a₁x and a constant.
+    /// The last but one element: a₀ + a₁x.
     linear: [f64; 2],
+    /// The last element.
     constant: f64,
 }
 
-impl Chain {
+impl SturmChain {
     fn new(coefficients: &Polynomial) -> Option<Self> {
         let inverse = 1.0 / coefficients[DEGREE];
         let p = coefficients.map(|c| c * inverse);
@@ -106,7 +110,7 @@ impl Chain {
         (inverse.is_finite() && chain.constant.is_finite()).then_some(chain)
     }
 
-    /// Changes of sign along the chain at x(s).
+    /// Number of sign changes of the chain at x(s).
     fn sign_changes(&self, s: f64) -> u32 {
         let x = x_of(s);
         let mut after = self.constant;
@@ -121,7 +125,8 @@ impl Chain {
     }
 }
 
-/// The value and derivative at x, by the even-odd scheme of Estrin, which waits less than Horner's.
+/// The value and derivative at x by Estrin's scheme, whose dependency chain is shorter than that of
+/// Horner's.
 fn evaluate(p: &Polynomial, x: f64) -> [f64; 2] {
     let (x2, pairs) = (x * x, |c: [f64; 2]| c[0] + c[1] * x);
     let x4 = x2 * x2;
@@ -136,8 +141,8 @@ fn evaluate(p: &Polynomial, x: f64) -> [f64; 2] {
     [estrin(*p), estrin(derivative)]
 }
 
-/// The root between x(low) and x(high): Newton's method, halving the bracket in s where a step
-/// leaves it; none where p does not change its sign.
+/// The root between x(low) and x(high) by Newton's method, with bisection in s if a step leaves the
+/// bracket. `None` if p does not change its sign.
 fn bracketed_root(p: &Polynomial, mut low: f64, mut high: f64) -> Option<f64> {
     let falls = evaluate(p, x_of(low))[0] > 0.0;
     if (evaluate(p, x_of(high))[0] > 0.0) == falls {

@@ -1,15 +1,16 @@
-//! The slow twin: the roots of the derivative split the line into monotone pieces, which have at
-//! most one root each, and so on down (Yuksel 2022, "High-performance polynomial root finding for
-//! graphics").
+//! Tests of the root finder, with a reference implementation: the roots of the derivative split the
+//! line into monotone intervals of at most one root each, recursively (Yuksel 2022,
+//! "High-performance polynomial root finding for graphics").
 
 use super::*;
 use crate::Rng;
 
 const TERMS: usize = DEGREE + 1;
 
-/// Roots in [−1, 1] come from the polynomial itself, those outside from its reverse, so that powers
-/// stay bounded. Double roots, which do not change the sign, are not found.
-fn twin_roots(coefficients: &Polynomial) -> ArrayVec<f64, DEGREE> {
+/// The reference implementation. Roots in [−1, 1] come from the polynomial and the others from the
+/// reversed polynomial, so that powers stay bounded. Double roots, which do not change the sign,
+/// are not found.
+fn reference_roots(coefficients: &Polynomial) -> ArrayVec<f64, DEGREE> {
     let mut roots = roots_in_unit_interval(coefficients);
     let mut reversed = *coefficients;
     reversed.reverse();
@@ -36,13 +37,13 @@ fn roots_in_unit_interval(coefficients: &[f64; TERMS]) -> ArrayVec<f64, DEGREE> 
         let (p, dp) = (&derivatives[k][..terms], &derivatives[k + 1][..terms - 1]);
         let mut found = ArrayVec::<f64, DEGREE>::new();
         let mut low = -1.0;
-        let mut at_low = horner(p, low);
+        let mut value_at_low = horner(p, low);
         for high in roots.iter().copied().chain([1.0]) {
-            let at_high = horner(p, high);
-            if (at_low < 0.0) != (at_high < 0.0) && !found.is_full() {
-                found.push(monotone_root(p, dp, (k + 1) as f64, low, high, at_low < 0.0));
+            let value_at_high = horner(p, high);
+            if (value_at_low < 0.0) != (value_at_high < 0.0) && !found.is_full() {
+                found.push(monotone_root(p, dp, (k + 1) as f64, low, high, value_at_low < 0.0));
             }
-            (low, at_low) = (high, at_high);
+            (low, value_at_low) = (high, value_at_high);
         }
         roots = found;
     }
@@ -53,11 +54,11 @@ fn horner(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
 
-/// Newton steps and halvings: a bracket of length 2 is halved down to rounding in 53.
+/// Maximum number of steps: bisection reduces a bracket of length 2 to rounding in 53.
 const MAX_BRACKET_STEPS: usize = 60;
 
-/// The root of `p` between `low` and `high`, where it rises (or else falls) through zero; Newton's
-/// method, halving the bracket where a step leaves it. The derivative of `p` is `factor · dp`.
+/// The root of `p` between `low` and `high` by Newton's method, with bisection if a step leaves the
+/// bracket. `p` increases through zero if `rises`. The derivative of `p` is `factor · dp`.
 fn monotone_root(
     p: &[f64],
     dp: &[f64],
@@ -84,10 +85,9 @@ fn monotone_root(
     x
 }
 
-/// Polynomials made from known roots; the roots are well apart, so that their coefficients
-/// determine them well.
+/// Polynomials of known roots, which are well separated and so well conditioned.
 #[test]
-fn finds_the_roots_that_were_put_in() {
+fn recovers_known_roots() {
     let mut rng = Rng::stream(1, &[]);
     for _ in 0..2000 {
         let mut expected: Vec<f64> =
@@ -103,7 +103,7 @@ fn finds_the_roots_that_were_put_in() {
                 p[i] = if i > 0 { p[i - 1] } else { 0.0 } - root * p[i];
             }
         }
-        // Complex pairs fill the degree: x² + ax + 1 with |a| < 2.
+        // Pairs of complex roots complete the degree: x² + ax + 1 with |a| < 2.
         for _ in 0..(10 - expected.len()) / 2 {
             let a = 3.0 * rng.uniform() - 1.5;
             for i in (0..TERMS).rev() {
@@ -122,21 +122,20 @@ fn finds_the_roots_that_were_put_in() {
     }
 }
 
-/// Polynomials whose coefficients are random, as those of a solver are.
+/// Polynomials of random coefficients.
 #[test]
-fn agrees_with_the_twin() {
+fn agrees_with_the_reference() {
     let mut rng = Rng::stream(3, &[]);
     let mut different = 0;
     for _ in 0..20_000 {
         let p: Polynomial = std::array::from_fn(|_| rng.normal() * (2.0 * rng.normal()).exp());
-        let (mut found, mut expected) = (real_roots(&p), twin_roots(&p));
+        let (mut found, mut expected) = (real_roots(&p), reference_roots(&p));
         found.sort_by(f64::total_cmp);
         expected.sort_by(f64::total_cmp);
         let near = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-6 * (1.0 + a.abs());
         different +=
             usize::from(found.len() != expected.len() || !found.iter().zip(&expected).all(near));
     }
-    // Nearly double roots are seen by one and not by the other, and rounding costs Sturm chains a
-    // few roots.
+    // The two differ in nearly double roots, and rounding makes Sturm chains miss a few roots.
     assert!(different <= 20, "{different} of 20000");
 }

@@ -1,15 +1,15 @@
-//! The similarity between two point sets (Umeyama 1991, "Least-squares estimation of transformation
-//! parameters").
+//! The similarity transform between two point sets (Umeyama 1991, "Least-squares estimation of
+//! transformation parameters").
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::Sim3;
 
-/// Singular values below this part of the largest count as zero.
+/// Singular values below this fraction of the largest count as zero.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// The similarity of least squared error that takes `from` to `to`, of scale one unless
-/// `with_scale`; `None` for fewer than three points, or points on a line.
+/// The similarity transform that maps `from[i]` to `to[i]` with the smallest sum of squared errors,
+/// with scale one unless `with_scale`. `None` for fewer than three points or collinear points.
 pub fn umeyama(from: &[Vector3<f64>], to: &[Vector3<f64>], with_scale: bool) -> Option<Sim3> {
     let count = from.len().min(to.len());
     if count < 3 {
@@ -29,11 +29,11 @@ pub fn umeyama(from: &[Vector3<f64>], to: &[Vector3<f64>], with_scale: bool) -> 
     let mut order = [0, 1, 2];
     order.sort_by(|&i, &j| svd.singular_values[j].total_cmp(&svd.singular_values[i]));
     let largest = svd.singular_values[order[0]];
-    let above_zero = svd.singular_values[order[1]] > RANK_TOLERANCE * largest && largest > 0.0;
-    if !above_zero {
+    let has_rank_2 = svd.singular_values[order[1]] > RANK_TOLERANCE * largest && largest > 0.0;
+    if !has_rank_2 {
         return None;
     }
-    // The reflection, if any, goes into the weakest direction.
+    // If the solution is a reflection, flip the direction of the smallest singular value.
     let mut signs = Vector3::repeat(1.0);
     if u.determinant() * v_t.determinant() < 0.0 {
         signs[order[2]] = -1.0;

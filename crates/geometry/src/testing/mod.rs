@@ -1,5 +1,5 @@
-//! Laws that every manifold, camera model, loss and Jacobian obeys, as plain functions of values:
-//! `Err` says what is broken. Tests feed them with random values; a new type costs one line there.
+//! Invariants ("laws") of manifolds, camera models, losses, Jacobians and solvers, as functions of
+//! values for property tests. `Err` holds a message with the violated invariant and the values.
 
 mod solver_laws;
 
@@ -8,20 +8,19 @@ use nalgebra::{SVector, Vector3};
 use crate::{Block, CameraModel, Intrinsics, Loss, Manifold};
 pub use solver_laws::{SolverProblem, SolverTrial, solver_problem};
 
-/// Step of numeric differentiation in the tangent space, relative to the size of the value; with
-/// the five-point rule the error is h⁴ of the fifth derivative plus ε/h: about 1e-12 for functions
-/// of unit size.
+/// Step h of numeric differentiation in the tangent space, relative to the size of the value. The
+/// error of the five-point rule is of order h⁴ times the fifth derivative plus ε/h: about 1e-12 for
+/// functions of unit size.
 const STEP: f64 = 1e-3;
 
-/// Accepted difference of analytic and numeric derivatives, relative to the largest entry of the
-/// column.
+/// Tolerance of analytic against numeric derivatives, relative to the largest entry of the column.
 const DERIVATIVE_TOLERANCE: f64 = 1e-7;
 
-/// Accepted rounding error of a round trip, relative to numbers of unit size.
+/// Tolerance of round trips, relative to values of unit size.
 const ROUND_TRIP_TOLERANCE: f64 = 1e-9;
 
-/// d residual / d x at `x`, by the five-point rule with `step` in every tangent direction. `None`
-/// where the residual is undefined nearby.
+/// The Jacobian d residual / d x at `x` with respect to `plus` at zero, by the five-point rule with
+/// `step` in every tangent direction. `None` if the residual is undefined at a sampled value.
 pub fn numeric_jacobian<V: Manifold, const R: usize>(
     x: &V,
     step: f64,
@@ -42,8 +41,11 @@ pub fn numeric_jacobian<V: Manifold, const R: usize>(
     Some(jacobian)
 }
 
-/// The analytic Jacobian is the derivative of `residual` with respect to `plus` at zero. Where the
-/// residual is undefined nearby, there is nothing to check.
+/// Checks that `analytic` is the Jacobian of `residual` with respect to `plus` at zero. If the
+/// residual is undefined at a sampled value, nothing is checked.
+///
+/// # Errors
+/// A message with the column that differs from the numeric derivative.
 pub fn jacobian_law<V: Manifold, const R: usize>(
     x: &V,
     analytic: &V::Jacobian<R>,
@@ -65,8 +67,11 @@ pub fn jacobian_law<V: Manifold, const R: usize>(
     Ok(())
 }
 
-/// Laws of a manifold at `x` and `y`, and for a tangent vector `delta` that is shorter than the
-/// injectivity radius.
+/// Checks the invariants of [`Manifold`] at `x` and `y`, for a tangent vector `delta` that is
+/// shorter than the injectivity radius.
+///
+/// # Errors
+/// A message with the violated invariant.
 pub fn manifold_laws<V: Manifold>(x: &V, y: &V, delta: &V::Tangent) -> Result<(), String> {
     let near = |a: V::Tangent, b: V::Tangent| {
         a.as_slice()
@@ -89,7 +94,11 @@ pub fn manifold_laws<V: Manifold>(x: &V, y: &V, delta: &V::Tangent) -> Result<()
     Ok(())
 }
 
-/// Laws of a camera for a point that lies well inside what its lens sees.
+/// Checks a camera at a point well inside its field of view: projections with and without Jacobian
+/// agree, both Jacobians are correct, and unprojection inverts projection.
+///
+/// # Errors
+/// A message with the violated invariant.
 pub fn camera_laws(intrinsics: &Intrinsics, point_in_cam: &Vector3<f64>) -> Result<(), String> {
     with_camera_model!(intrinsics, M, params => camera_model_laws::<M>(params, point_in_cam))
 }
@@ -99,10 +108,10 @@ fn camera_model_laws<M: CameraModel>(
     point_in_cam: &Vector3<f64>,
 ) -> Result<(), String> {
     let context = || format!("{} {:?} at {point_in_cam:?}", M::NAME, params.as_slice());
-    let pixel =
-        M::project(params, point_in_cam).ok_or_else(|| format!("{}: not seen", context()))?;
+    let pixel = M::project(params, point_in_cam)
+        .ok_or_else(|| format!("{}: does not project", context()))?;
     let projection = M::project_with_jacobian(params, point_in_cam)
-        .ok_or_else(|| format!("{}: not seen with Jacobian", context()))?;
+        .ok_or_else(|| format!("{}: does not project with Jacobian", context()))?;
     if (pixel - projection.pixel).norm() > ROUND_TRIP_TOLERANCE * (1.0 + pixel.norm()) {
         return Err(format!(
             "{}: {pixel:?} without Jacobian, {:?} with",
@@ -110,8 +119,8 @@ fn camera_model_laws<M: CameraModel>(
             projection.pixel
         ));
     }
-    // Steps in proportion to the depth; pixels are thousands of units, so that their rounding is
-    // felt less with long steps.
+    // The step is proportional to the distance of the point. Pixel coordinates are in the
+    // thousands, so long steps reduce the effect of their rounding.
     jacobian_law(point_in_cam, &projection.d_point, STEP * point_in_cam.norm(), |p| {
         M::project(params, p)
     })
@@ -126,12 +135,16 @@ fn camera_model_laws<M: CameraModel>(
     }
     let same = (ray - point_in_cam.normalize()).norm() <= ROUND_TRIP_TOLERANCE;
     if !same {
-        return Err(format!("{}: comes back as ray {ray:?}", context()));
+        return Err(format!("{}: unprojects to ray {ray:?}", context()));
     }
     Ok(())
 }
 
-/// Laws of a loss at a squared norm `s` > 0 that lies away from a kink of the loss.
+/// Checks the invariants of [`Loss`] and its derivatives at a squared norm `s` > 0 away from a kink
+/// of the loss.
+///
+/// # Errors
+/// A message with the violated invariant.
 pub fn loss_laws(loss: &Loss, s: f64) -> Result<(), String> {
     let [zero, slope, _] = loss.evaluate(0.0);
     if zero != 0.0 || slope != 1.0 {

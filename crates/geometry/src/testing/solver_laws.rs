@@ -1,4 +1,4 @@
-//! Random problems with known solutions for every row of [`solvers::TABLE`].
+//! Random problems with known solutions for every solver of [`solvers::TABLE`].
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -6,31 +6,33 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use crate::solvers::{self, SolverInfo};
 use crate::{Rigid3, Rng, Sim3, epipolar};
 
-/// What one solver made of one random problem.
+/// The accuracy of a solver on one random problem.
 #[derive(Clone, Copy, Debug)]
 pub struct SolverTrial {
-    /// How many solutions.
+    /// Number of solutions.
     pub solutions: usize,
-    /// The largest residual of any solution, in units of the data, which are around 1; zero without
-    /// solutions.
+    /// The largest residual of the solutions, in units of the data, which are of size 1; zero
+    /// without solutions.
     pub residual: f64,
-    /// The distance of the nearest solution from the truth; infinite without solutions.
+    /// The distance of the nearest solution to the true solution; infinite without solutions.
     pub distance: f64,
 }
 
 /// A random problem for a solver.
 pub struct SolverProblem {
     solve: Box<dyn Fn() -> usize>,
-    judge: Box<dyn Fn() -> SolverTrial>,
+    evaluate: Box<dyn Fn() -> SolverTrial>,
 }
 
 impl SolverProblem {
+    /// A problem from the call of its solver, the residual of a solution, and the distance of a
+    /// solution to the true solution.
     fn new<T, S: AsRef<[T]>>(
         solve: impl Fn() -> S + Copy + 'static,
         residual: impl Fn(&T) -> f64 + 'static,
         distance: impl Fn(&T) -> f64 + 'static,
     ) -> Self {
-        let judge = move || {
+        let evaluate = move || {
             let solutions = solve();
             let solutions = solutions.as_ref();
             SolverTrial {
@@ -39,34 +41,34 @@ impl SolverProblem {
                 distance: solutions.iter().map(&distance).fold(f64::INFINITY, f64::min),
             }
         };
-        Self { solve: Box::new(move || solve().as_ref().len()), judge: Box::new(judge) }
+        Self { solve: Box::new(move || solve().as_ref().len()), evaluate: Box::new(evaluate) }
     }
 
-    /// Solves it, for the sake of the time; how many solutions.
+    /// Runs the solver and returns the number of solutions. For timing.
     pub fn solve(&self) -> usize {
         (self.solve)()
     }
 
-    /// Solves it and compares with the truth.
-    pub fn judge(&self) -> SolverTrial {
-        (self.judge)()
+    /// Runs the solver and compares its solutions with the true solution.
+    pub fn evaluate(&self) -> SolverTrial {
+        (self.evaluate)()
     }
 }
 
-/// One or no solution as a list.
+/// An optional solution as a list.
 fn list<T>(solution: Option<T>) -> ArrayVec<T, 1> {
     solution.into_iter().collect()
 }
 
-/// Two cameras and points in front of both.
+/// Two cameras, and points in front of both.
 struct TwoViews {
     cam2_from_cam1: Rigid3,
     points: Vec<Vector3<f64>>,
 }
 
 impl TwoViews {
-    /// Points in the first camera's 90-degree field of view, 1 to 10 deep; a second camera that
-    /// sees them too.
+    /// Random points in the 90-degree field of view of the first camera, with depths of 1 to 10,
+    /// and a random second camera with the points in front of it.
     fn random(count: usize, rng: &mut Rng) -> Self {
         loop {
             let points: Vec<_> = (0..count)
@@ -83,7 +85,7 @@ impl TwoViews {
         }
     }
 
-    /// The points on a random plane before the first camera, seen by both; and the homography.
+    /// Random points on a plane, in front of both cameras, and the homography of the plane.
     fn random_plane(count: usize, rng: &mut Rng) -> (Self, Matrix3<f64>) {
         loop {
             let mut views = Self::random(count, rng);
@@ -134,13 +136,13 @@ fn epipolar_residual(m: &Matrix3<f64>, y1: &[Vector3<f64>], y2: &[Vector3<f64>])
 fn transfer_residual(h: &Matrix3<f64>, x1: &[Vector2<f64>], x2: &[Vector2<f64>]) -> f64 {
     let error = |x1: &Vector2<f64>, x2: &Vector2<f64>| {
         let y = h * x1.push(1.0);
-        // Without the division, which small depths would blow up.
+        // Without division by the depth, which would amplify the error of small depths.
         (y.xy() - x2 * y.z).norm() / h.norm()
     };
     x1.iter().zip(x2).map(|(x1, x2)| error(x1, x2)).fold(0.0, f64::max)
 }
 
-/// A random problem for the solver of that row; `None` for a row that is not known here.
+/// A random problem for a solver of [`solvers::TABLE`]; `None` if the solver has no generator.
 pub fn solver_problem(info: &SolverInfo, rng: &mut Rng) -> Option<SolverProblem> {
     Some(match info.name {
         "p3p" => {

@@ -1,4 +1,4 @@
-//! The law kit over random values: one line per manifold, camera model and loss.
+//! The invariants of `testing` over random values of all manifolds, camera models and losses.
 
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
@@ -9,7 +9,7 @@ fn vector<const N: usize>(size: f64) -> impl Strategy<Value = SVector<f64, N>> {
     prop::array::uniform(-size..size).prop_map(SVector::from)
 }
 
-/// All rotations, those near zero and near π too.
+/// Random rotations, with angles near zero and near π more often.
 fn rotation() -> impl Strategy<Value = UnitQuaternion<f64>> {
     let angle = prop_oneof![0.0..3.1, 0.0..1e-3, 3.1..std::f64::consts::PI, Just(0.0)];
     (vector::<3>(1.0), angle).prop_filter_map("no axis", |(axis, angle)| {
@@ -46,27 +46,27 @@ manifolds! {
 }
 
 proptest! {
-    /// However far from the world's origin it is, and moves along its own axes.
+    /// The tangent (δ, τ) of a pose: δ does not move the centre, τ moves it along the camera axes.
     #[test]
-    fn a_camera_turns_about_its_own_centre(
+    fn pose_perturbation_rotates_about_the_camera_centre(
         pose in rigid(),
-        turn in vector::<3>(3.0),
+        rotation in vector::<3>(3.0),
         shift in vector::<3>(10.0),
     ) {
         let tangent = |shift: Vector3<f64>| {
-            SVector::<f64, 6>::from_fn(|i, _| if i < 3 { turn[i] } else { shift[i - 3] })
+            SVector::<f64, 6>::from_fn(|i, _| if i < 3 { rotation[i] } else { shift[i - 3] })
         };
-        let turned = pose.plus(&tangent(Vector3::zeros()));
-        prop_assert!((turned.origin_in_a() - pose.origin_in_a()).norm() < 1e-13);
+        let rotated = pose.plus(&tangent(Vector3::zeros()));
+        prop_assert!((rotated.origin_in_a() - pose.origin_in_a()).norm() < 1e-13);
         let moved = pose.plus(&tangent(shift));
-        prop_assert_eq!(moved.rotation, turned.rotation);
+        prop_assert_eq!(moved.rotation, rotated.rotation);
         let in_cam = moved.rotation * (moved.origin_in_a() - pose.origin_in_a());
         prop_assert!((in_cam + shift).norm() < 1e-13);
     }
 }
 
-/// Lenses as one meets them: coefficients small enough that the field of view below is seen without
-/// a fold.
+/// Random intrinsics. The distortion coefficients are so small that the distortion does not fold in
+/// the fields of view below.
 fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
     let ranges: Vec<_> = kind
         .param_names()
@@ -82,8 +82,9 @@ fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
     ranges.prop_map(move |params| Intrinsics::new(kind, &params).expect("in range"))
 }
 
-/// Largest angle from the axis: 45 degrees for a perspective lens (r = 1, where |k1| + |k2| ≤ 0.1
-/// cannot fold), 115 for a fisheye with coefficients scaled down accordingly.
+/// A random point up to `max_angle` from the optical axis. Tests use 45 degrees for a perspective
+/// lens (r = 1, where |k1| + |k2| ≤ 0.1 cannot fold) and 115 for a fisheye with smaller
+/// coefficients.
 fn point_in_cam(max_angle: f64) -> impl Strategy<Value = Vector3<f64>> {
     let angle = prop_oneof![0.0..max_angle, 0.0..1e-3, Just(0.0)];
     (angle, 0.0..std::f64::consts::TAU, 0.01..100.0).prop_map(|(angle, azimuth, distance)| {
@@ -110,8 +111,8 @@ perspective_cameras! {
 }
 
 proptest! {
-    /// Beyond the hemisphere; a coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d still grows at
-    /// 2 rad.
+    /// Points behind the image plane. A coefficient of θ^(2n+1) is divided by 4ⁿ so that θ_d
+    /// increases up to 2 rad.
     #[test]
     fn opencv_fisheye_beyond_the_hemisphere(
         camera in camera(CameraModelKind::OpencvFisheye), point in point_in_cam(2.0),
@@ -123,35 +124,36 @@ proptest! {
         prop_assert_eq!(camera_laws(&camera, &point), Ok(()));
     }
 
-    /// For any lens and any pixel: `unproject` gives a ray that projects to the pixel, or none.
+    /// For any intrinsics and pixel, `unproject` returns a ray that projects to the pixel, or
+    /// `None`.
     #[test]
-    fn unproject_never_lies(
+    fn unproject_inverts_project_or_is_none(
         kind in prop::sample::select(CameraModelKind::ALL),
         distortion in prop::collection::vec(-3.0..3.0, 8),
         pixel in vector::<2>(2000.0),
     ) {
         let mut camera = Intrinsics::centred(kind, 800.0, 1000, 1000);
-        let lens = 1 + kind
+        let first_distortion = 1 + kind
             .focal_indices()
             .iter()
             .chain(&kind.principal_point_indices())
             .max()
             .expect("a focal length");
-        for (param, value) in camera.params_mut()[lens..].iter_mut().zip(distortion) {
+        for (param, value) in camera.params_mut()[first_distortion..].iter_mut().zip(distortion) {
             *param = value;
         }
         let pixel: Vector2<f64> = pixel;
         if let Some(ray) = camera.unproject(&pixel) {
-            let back = camera.project(&ray).expect("a ray that is seen");
+            let back = camera.project(&ray).expect("the ray projects");
             prop_assert!(
                 (back - pixel).norm() < 1e-6 * (1.0 + pixel.norm()),
-                "{camera:?}: \
-                {pixel:?} came back as {back:?}"
+                "{camera:?}: {pixel:?} reprojects to {back:?}"
             );
         }
     }
 
-    /// `s` keeps 1 % away from a², where Huber, Tukey and the truncated square have kinks.
+    /// `s` differs from a² by at least 1 %, because Huber, Tukey and the truncated loss have a kink
+    /// there.
     #[test]
     fn losses(scale in 0.1..10.0, ratio in prop_oneof![0.01..0.99, 1.01..100.0]) {
         for loss in [
@@ -168,10 +170,10 @@ proptest! {
     }
 }
 
-/// A pixel beyond the fold of a barrel lens has no ray: r (1 − 0.3 r²) is at most 0.7027 (at r =
-/// 1/√0.9).
+/// A pixel beyond the fold of a barrel distortion has no ray: r (1 − 0.3 r²) is at most 0.7027, at
+/// r = 1/√0.9.
 #[test]
-fn no_ray_beyond_the_fold() {
+fn unproject_is_none_beyond_the_fold() {
     let camera =
         Intrinsics::from_name("SIMPLE_RADIAL", &[300.0, 500.0, 400.0, -0.3]).expect("valid");
     assert!(camera.unproject(&Vector2::new(500.0 + 300.0 * 0.702, 400.0)).is_some());
@@ -179,7 +181,7 @@ fn no_ray_beyond_the_fold() {
 }
 
 #[test]
-fn points_behind_are_not_seen() {
+fn points_behind_the_camera_do_not_project() {
     for &kind in CameraModelKind::ALL {
         let camera = Intrinsics::centred(kind, 800.0, 1000, 800);
         assert_eq!(camera.project(&Vector3::new(0.0, 0.0, -1.0)), None, "{kind:?}");

@@ -4,14 +4,14 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, epipolar, triangulate};
 
-const GOLDEN: &str = include_str!("../data/opencv.txt");
+const REFERENCE: &str = include_str!("../data/opencv.txt");
 
-/// The same formulas in double precision.
+/// Relative rounding error: both programs evaluate the same formulas in double precision.
 const ROUNDING: f64 = 1e-9;
 
-/// The numbers of the rows of one tag.
+/// The values of the rows with a tag.
 fn rows(tag: &str) -> Vec<Vec<f64>> {
-    let rows = GOLDEN.lines().filter_map(|line| line.strip_prefix(tag)?.strip_prefix(' '));
+    let rows = REFERENCE.lines().filter_map(|line| line.strip_prefix(tag)?.strip_prefix(' '));
     let rows: Vec<_> =
         rows.map(|row| row.split(' ').map(|v| v.parse().expect("a number")).collect()).collect();
     assert!(!rows.is_empty(), "no row {tag}");
@@ -29,7 +29,7 @@ fn pose(row: &[f64]) -> Rigid3 {
 #[test]
 fn projection() {
     for &kind in CameraModelKind::ALL {
-        // OpenCV's pinhole has two focal lengths; ours of one is the law kit's business.
+        // OpenCV has no pinhole model with one focal length. `laws.rs` tests it.
         if kind == CameraModelKind::SimplePinhole {
             continue;
         }
@@ -89,7 +89,7 @@ fn two_views() {
 fn homography_decomposition() {
     let row = &rows("homography")[0];
     let h = Matrix3::from_row_slice(&row[..9]);
-    // Any factor, its sign too: points stay in front by their own depth.
+    // The decomposition does not depend on the scale and sign of the homography.
     for factor in [1.0, 3.0, -0.5] {
         let ours = epipolar::decompose_homography(&(h * factor));
         assert_eq!(ours.len(), 4);

@@ -1,4 +1,4 @@
-//! Robust estimation on scenes with known truth, noise and wrong data.
+//! Robust estimation on synthetic scenes with noise and outliers.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use proptest::prelude::*;
@@ -9,7 +9,7 @@ use tiepoint_geometry::{
 
 const NOISE_PX: f64 = 0.5;
 const POINTS: usize = 400;
-/// Wrong data: a third.
+/// A third of the data are outliers.
 const OUTLIERS: usize = POINTS / 3;
 /// Eight standard deviations of the noise.
 const OPTIONS: RansacOptions = RansacOptions {
@@ -22,13 +22,14 @@ const OPTIONS: RansacOptions = RansacOptions {
 };
 
 /// With 266 inliers of 0.5 px noise at a focal length of 800 px, the standard deviation of a
-/// rotation is about 0.5 / 800 / √266 = 4e-5 rad; a baseline of one before a scene of depth 8 has
-/// ten times that, more when it points forward. Generous factors cover bad draws.
+/// rotation is about 0.5 / 800 / √266 = 4e-5 rad. The direction of a baseline of length one at
+/// depths around 8 has ten times this standard deviation, or more for forward motion. The bounds
+/// have a margin for unfavourable scenes.
 const MAX_ROTATION_RAD: f64 = 2e-3;
 const MAX_DIRECTION_RAD: f64 = 6e-2;
 
-/// Score over that of the truth. It should be below one; local optima of 2000 random problems stay
-/// below 1.005.
+/// Bound on the ratio of the score to the score of the true model. The ratio should be below one.
+/// Local optima of 2000 random problems have ratios below 1.005.
 const MAX_EXCESS: f64 = 1.01;
 
 fn camera(kind: CameraModelKind) -> Intrinsics {
@@ -56,11 +57,11 @@ fn noisy(pixel: Vector2<f64>, rng: &mut Rng) -> Vector2<f64> {
     pixel + Vector2::new(rng.normal(), rng.normal()) * NOISE_PX
 }
 
-fn anywhere(rng: &mut Rng) -> Vector2<f64> {
+fn random_pixel(rng: &mut Rng) -> Vector2<f64> {
     Vector2::new(1600.0 * rng.uniform(), 1200.0 * rng.uniform())
 }
 
-/// A cloud 4 to 12 in front of the first camera, within 45 degrees of its axis.
+/// Random points at depths of 4 to 12 in front of the first camera, within 45 degrees of its axis.
 fn cloud(rng: &mut Rng) -> Vec<Vector3<f64>> {
     (0..POINTS)
         .map(|_| {
@@ -80,7 +81,7 @@ fn angle_between(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b))
 }
 
-/// Pixels of two cameras, the first `OUTLIERS` of them wrong.
+/// Corresponding pixels of two cameras. The first `OUTLIERS` are random.
 fn correspondences(
     points: &[Vector3<f64>],
     cam2_from_cam1: &Rigid3,
@@ -93,7 +94,7 @@ fn correspondences(
             let seen = camera.project(&(pose * *point)).filter(|_| i >= OUTLIERS);
             pixels.push(match seen {
                 Some(pixel) => noisy(pixel, rng),
-                None => anywhere(rng),
+                None => random_pixel(rng),
             });
         }
     }
@@ -218,15 +219,15 @@ proptest! {
             "{} inliers",
             report.num_inliers
         );
-        // The true correspondences, without noise, fulfil it.
+        // The Sampson errors of the true correspondences without noise are small.
         let errors = points[OUTLIERS..].iter().map(|point| {
             let [x1, x2] = [*point, truth * *point].map(|p| camera.project(&p).expect("in front"));
             epipolar::squared_sampson_error(&report.model, &x1, &x2)
         });
         let rms = (errors.sum::<f64>() / (POINTS - OUTLIERS) as f64).sqrt();
         prop_assert!(rms < 1.0, "{rms} px");
-        // The reported score is the sum of truncated squared errors in pixels, and better than that
-        // of the truth.
+        // The reported score is the sum of truncated squared errors in pixels, and not worse than
+        // that of the true matrix.
         let score = |f: &Matrix3<f64>| -> f64 {
             let error = |(x1, x2)| epipolar::squared_sampson_error(f, x1, x2);
             let truncated = |s| Loss::Truncated(OPTIONS.max_error).evaluate(s)[0];
@@ -267,7 +268,7 @@ proptest! {
         }
         let k = camera.calibration_matrix();
         let calibrated = k.try_inverse().expect("regular") * report.model * k;
-        // The homography of the truth is among the decompositions, up to noise.
+        // The true motion is among the decompositions, up to noise.
         let expected = truth.translation * normal.norm();
         let nearest = epipolar::decompose_homography(&calibrated)
             .into_iter()
@@ -331,7 +332,7 @@ proptest! {
                 ransac: RansacOptions { max_error, ..OPTIONS },
             };
             let Some(report) = estimate::triangulation(&observations, &options) else {
-                // Three centres may by chance be in one line with the point.
+                // The centres of three cameras can be nearly collinear with the point.
                 prop_assert!(views < 6);
                 continue;
             };
@@ -351,7 +352,7 @@ proptest! {
     }
 }
 
-/// Lines y = ax + b: a problem small enough to know everything about the loop.
+/// Fits lines y = ax + b: a small problem for tests of the RANSAC loop.
 struct Line(Vec<[f64; 2]>);
 
 impl Estimator for Line {
@@ -406,8 +407,8 @@ const LINE_OPTIONS: RansacOptions = RansacOptions {
 };
 
 #[test]
-fn stops_when_confident() {
-    // With half the data good, ln(1e-4)/ln(1 − 1/4) = 32.02 samples are enough.
+fn stops_at_the_given_confidence() {
+    // With an inlier ratio of one half, ln(1e-4)/ln(1 − 1/4) = 32.02 samples are enough.
     let report = ransac(&line(100, 100), &LINE_OPTIONS).expect("a line");
     assert_eq!(report.num_inliers, 100);
     assert!(report.iterations <= 33, "{}", report.iterations);
@@ -417,14 +418,14 @@ fn stops_when_confident() {
 }
 
 #[test]
-fn tries_every_sample_once_where_these_are_few() {
+fn enumerates_all_samples_of_few_data() {
     let options = RansacOptions { min_iterations: 100, ..LINE_OPTIONS };
     let report = ransac(&line(3, 7), &options).expect("a line");
     assert_eq!((report.iterations, report.num_inliers), (45, 3));
 }
 
 #[test]
-fn too_few_inliers_are_no_model() {
+fn no_model_below_the_minimum_inlier_ratio() {
     let options = |min_inlier_share| RansacOptions { min_inlier_share, ..LINE_OPTIONS };
     let free = ransac(&line(100, 100), &LINE_OPTIONS).expect("a line");
     let asked = ransac(&line(100, 100), &options(0.5)).expect("a line");
@@ -433,14 +434,14 @@ fn too_few_inliers_are_no_model() {
 }
 
 #[test]
-fn no_line_without_data() {
+fn degenerate_data_give_no_model() {
     assert_eq!(ransac(&line(1, 0), &LINE_OPTIONS), None);
     assert_eq!(ransac(&Line(vec![[0.0, 0.0]; 5]), &LINE_OPTIONS), None);
     assert_eq!(ransac(&Line(vec![[f64::NAN, 0.0]; 5]), &LINE_OPTIONS), None);
 }
 
 #[test]
-fn the_seed_decides_everything() {
+fn results_are_deterministic_per_seed() {
     let options = RansacOptions { max_iterations: 1, ..LINE_OPTIONS };
     let run = |seed| ransac(&line(40, 160), &RansacOptions { seed, ..options }).expect("a line");
     assert_eq!(run(3), run(3));

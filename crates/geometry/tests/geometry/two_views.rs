@@ -1,4 +1,4 @@
-//! Epipolar algebra and triangulation: round trips, and what they say of degenerate input.
+//! Two-view geometry and triangulation: round trips and degenerate input.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use proptest::prelude::*;
@@ -23,7 +23,8 @@ fn point() -> impl Strategy<Value = Vector3<f64>> {
     (vector(), 2.0..20.0).prop_map(|(v, depth)| Vector3::new(v.x, v.y, 1.0) * depth)
 }
 
-/// Narrow parallax is drawn often enough to use up proptest's patience with rejected cases.
+/// The strategies often give too little parallax, so the limit on rejected cases is higher than
+/// proptest's default.
 fn config() -> ProptestConfig {
     ProptestConfig { max_global_rejects: 100_000, ..ProptestConfig::default() }
 }
@@ -32,7 +33,7 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn essential_matrices_hold_their_pose(
+    fn decomposition_recovers_the_pose(
         motion in motion(),
         scale in prop_oneof![-9.0..-0.1, 0.1..9.0f64],
     ) {
@@ -46,7 +47,7 @@ proptest! {
     }
 
     #[test]
-    fn points_vote_for_their_pose(
+    fn cheirality_selects_the_pose(
         motion in motion(),
         points in prop::collection::vec(point(), 5..20),
     ) {
@@ -76,9 +77,10 @@ proptest! {
         prop_assert!((product - y2.dot(&(essential * y1))).abs() < ROUNDING);
     }
 
-    /// The Sampson error of a pair that was moved by a small step is at most the squared step.
+    /// The Sampson error of a correspondence that is perturbed by a small step is at most the
+    /// squared length of the step.
     #[test]
-    fn sampson_errors_are_squared_distances(
+    fn sampson_error_approximates_the_squared_distance(
         motion in motion(),
         point in point(),
         step in prop::array::uniform4(-1e-4..1e-4f64),
@@ -93,7 +95,7 @@ proptest! {
     }
 
     #[test]
-    fn triangulation_finds_the_point(motion in motion(), point in point(), third in motion()) {
+    fn triangulation_recovers_the_point(motion in motion(), point in point(), third in motion()) {
         prop_assume!(triangulation_angle(&Vector3::zeros(), &motion.origin_in_a(), &point) > 1e-3);
         let cameras = [Rigid3::identity(), motion, third];
         let rays = cameras.map(|camera| camera * point);
@@ -101,12 +103,12 @@ proptest! {
         prop_assert!((two - point).norm() < 1e-6 * point.norm());
         let three = triangulate(&cameras, &rays).expect("in front");
         prop_assert!((three - point).norm() < 1e-6 * point.norm());
-        // Of rays turned round, the point is behind.
+        // With a reversed ray, the point is behind the camera.
         prop_assert_eq!(triangulate_two_view(&-rays[0], &rays[1], &motion), None);
         prop_assert_eq!(triangulate(&cameras, &[rays[0], rays[1], -rays[2]]), None);
     }
 
-    /// The corrected rays of a noisy pair meet, and less of a correction would not do.
+    /// The angular cost of the triangulated point of noisy rays is a local minimum.
     #[test]
     fn two_view_triangulation_is_optimal(
         motion in motion(),
@@ -118,18 +120,18 @@ proptest! {
         let ray2 = (motion * point).normalize() + Vector3::new(noise[2], noise[3], 0.0);
         let Some(found) = triangulate_two_view(&ray1, &ray2, &motion) else { return Ok(()) };
         let cost = |p: Vector3<f64>| ray1.angle(&p).powi(2) + ray2.angle(&(motion * p)).powi(2);
-        let least = cost(found);
+        let min_cost = cost(found);
         for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
             for step in [-1e-3, 1e-3] {
                 prop_assert!(
-                    cost(found + axis * (step * found.norm())) >= least * (1.0 - 1e-3) - 1e-12
+                    cost(found + axis * (step * found.norm())) >= min_cost * (1.0 - 1e-3) - 1e-12
                 );
             }
         }
     }
 
     #[test]
-    fn homographies_hold_their_motion(
+    fn decomposition_recovers_the_plane_motion(
         motion in motion(),
         normal in vector(),
         distance in 1.0..10.0f64,
@@ -137,7 +139,7 @@ proptest! {
         let normal = (normal * 0.4 + Vector3::z()).normalize();
         let h = motion.rotation.to_rotation_matrix().matrix()
             + motion.translation * normal.transpose() / distance;
-        // The camera stays on its side of the plane.
+        // Both cameras are on the same side of the plane.
         prop_assume!(h.determinant() > 0.05);
         let found = decompose_homography(&h)
             .into_iter()
@@ -152,7 +154,7 @@ proptest! {
 }
 
 #[test]
-fn parallel_rays_meet_nowhere() {
+fn parallel_rays_have_no_point() {
     let motion = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::x());
     assert_eq!(triangulate_two_view(&Vector3::z(), &Vector3::z(), &motion), None);
     assert_eq!(triangulate(&[Rigid3::identity(), motion], &[Vector3::z(), Vector3::z()]), None);
@@ -161,7 +163,7 @@ fn parallel_rays_meet_nowhere() {
 }
 
 #[test]
-fn matrices_of_low_rank_hold_no_pose() {
+fn matrices_of_low_rank_have_no_pose() {
     assert_eq!(decompose_essential(&Matrix3::zeros()), None);
     assert_eq!(decompose_essential(&(Vector3::x() * Vector3::y().transpose())), None);
     assert_eq!(decompose_essential(&Matrix3::repeat(f64::NAN)), None);
@@ -169,7 +171,7 @@ fn matrices_of_low_rank_hold_no_pose() {
 }
 
 #[test]
-fn a_rotation_is_one_motion_without_translation() {
+fn rotation_homography_has_one_decomposition() {
     let rotation = Rigid3::from_axis_angle(Vector3::new(0.1, 0.2, 0.3), Vector3::zeros());
     let motions = decompose_homography(&(rotation.rotation.to_rotation_matrix().matrix() * 2.0));
     assert_eq!(motions.len(), 1);

@@ -1,19 +1,19 @@
-//! Which instruction set to run on.
+//! Selection of the instruction set at run time.
 
 use std::fmt;
 
 use tiepoint_features::Descriptor;
 
-use super::kernel::{RowLanes, Totals, sweep};
+use super::kernel::{RowLanes, Totals, compare_all};
 use super::lanes::Portable;
 use crate::distance::squared_distance;
 use crate::packed::{Packed, Vectors};
 
-/// An instruction set that this machine has; values for others cannot be made.
+/// An instruction set that the CPU supports. Values of other sets cannot be constructed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Isa(pub(crate) Kind);
 
-/// Instruction sets that code was written for.
+/// The implemented instruction sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     #[cfg(target_arch = "x86_64")]
@@ -25,7 +25,7 @@ pub(crate) enum Kind {
     Portable,
 }
 
-/// Fastest first.
+/// All instruction sets, the fastest first.
 const KINDS: &[Kind] = &[
     #[cfg(target_arch = "x86_64")]
     Kind::Avx512Vnni,
@@ -59,18 +59,19 @@ impl Kind {
 }
 
 impl Isa {
-    /// The fastest one of this machine.
+    /// The fastest instruction set of the CPU.
     pub fn best() -> Self {
         Isa(KINDS.iter().copied().find(|kind| kind.is_supported()).unwrap_or(Kind::Portable))
     }
 
-    /// All that this machine has, the fastest first; the portable one is always there.
+    /// The instruction sets that the CPU supports, the fastest first. The last one is portable
+    /// Rust.
     pub fn supported() -> impl Iterator<Item = Self> {
         KINDS.iter().copied().filter(|kind| kind.is_supported()).map(Isa)
     }
 
-    /// Time that brute force takes for a pair of descriptors, both directions, as measured on one
-    /// core of Zen 5.
+    /// Time of brute force per pair of descriptors, both directions, in nanoseconds, measured on
+    /// one core of Zen 5.
     pub(crate) fn pair_ns(self) -> f64 {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
@@ -87,8 +88,7 @@ impl Isa {
     pub(crate) fn squared_distance(self, a: &Descriptor, b: &Descriptor) -> u32 {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an `Isa` is made only where the processor has the features it stands for, and
-            // all of these have AVX2.
+            // SAFETY: an `Isa` is only constructed if the CPU supports it, and these include AVX2.
             Kind::Avx512Vnni | Kind::AvxVnni | Kind::Avx2 => unsafe {
                 super::x86::squared_distance(a, b)
             },
@@ -96,9 +96,9 @@ impl Isa {
         }
     }
 
-    /// Compares all with all: what each row has found goes to `finish_row`, in order; what the
-    /// columns have found comes back.
-    pub(super) fn sweep<const G: usize>(
+    /// Compares all rows `a` with all columns `b`. Passes the result of each row to `finish_row`,
+    /// in order, and returns the results of the columns.
+    pub(super) fn compare_all<const G: usize>(
         self,
         a: &impl Vectors<G>,
         b: &Packed<G>,
@@ -106,16 +106,16 @@ impl Isa {
     ) -> Totals {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::Avx512Vnni => unsafe { super::x86::sweep_avx512_vnni(a, b, finish_row) },
+            // SAFETY: an `Isa` is only constructed if the CPU supports it.
+            Kind::Avx512Vnni => unsafe { super::x86::compare_all_avx512_vnni(a, b, finish_row) },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::AvxVnni => unsafe { super::x86::sweep_avx_vnni(a, b, finish_row) },
+            // SAFETY: an `Isa` is only constructed if the CPU supports it.
+            Kind::AvxVnni => unsafe { super::x86::compare_all_avx_vnni(a, b, finish_row) },
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: an `Isa` is made only where the processor has the features it stands for.
-            Kind::Avx2 => unsafe { super::x86::sweep_avx2(a, b, finish_row) },
-            // SAFETY: needs no particular processor.
-            Kind::Portable => unsafe { sweep::<Portable, 4, 4, G>(a, b, finish_row) },
+            // SAFETY: an `Isa` is only constructed if the CPU supports it.
+            Kind::Avx2 => unsafe { super::x86::compare_all_avx2(a, b, finish_row) },
+            // SAFETY: the portable implementation runs on every CPU.
+            Kind::Portable => unsafe { compare_all::<Portable, 4, 4, G>(a, b, finish_row) },
         }
     }
 }

@@ -1,43 +1,44 @@
 //! The loop over tiles.
 //!
-//! With `dot = (a − 128)·b` the two directions look for the largest
+//! With `dot = (a − 128)·b` the nearest neighbours of the two directions are the maxima of
 //!
 //! - `row value    = 2 dot − (|b|² − 256 Σb) = |a|² − d²`, over all `b` for a fixed `a`,
 //! - `column value = 2 dot − |a|²            = |b|² − 256 Σb − d²`, over all `a` for a fixed `b`.
 //!
-//! Both lie within ±(2²³ − 32768) whatever the bytes are. So `256 value − index`, with an index of
-//! 8 bits, fits into 32: a key that carries its own index, the lower index the larger key. The two
-//! largest keys then take three operations, without a comparison mask or a second vector of
-//! indices: `second = max(second, min(key, first))`, `first = max(first, key)`. Rows count their
-//! column vectors and columns count their rows; after 256 of them the keys are unpacked and merged
-//! into the totals.
+//! Both are within ±(2²³ − 32768) for any bytes. A key `256 value − index`, with an index of 8
+//! bits, therefore fits into 32 bits. Of equal values, the lower index has the larger key. The
+//! update of the two largest keys takes three operations, without a comparison mask or a vector of
+//! indices: `second = max(second, min(key, first))`, `first = max(first, key)`. The index of a row
+//! key is the number of the column vector, and the index of a column key is the number of the row.
+//! Before an index exceeds 8 bits, the keys are unpacked and merged into the totals.
 //!
-//! Order of the loops: a block of rows (its operands and its keys fit into the first-level cache),
-//! then all column tiles, which stream from the second-level cache; a tile's operands stay in the
-//! first level while all rows pass by.
+//! The outer loop is over blocks of rows, whose operands and keys fit into the first-level cache.
+//! The inner loop is over column tiles, which are read from the second-level cache. The operands of
+//! a tile stay in the first-level cache for all rows of the block.
 
 use super::lanes::Lanes;
 use crate::matches::Nearest;
 use crate::packed::{PANEL, Packed, TILE, Vectors};
 
-/// Rows in a block: a multiple of the 4 or 6 rows in a tile, and at most 256 so that a row's number
-/// fits into a key.
+/// Number of rows in a block: a multiple of the 4 or 6 rows of a tile, and at most 256, so that the
+/// number of a row fits into a key.
 const ROWS: usize = 192;
-/// Bits of a key that hold an index.
+/// Number of bits of the index in a key.
 const INDEX_BITS: u32 = 8;
+/// Number of indices of a key.
 const INDICES: usize = 1 << INDEX_BITS;
-/// Stands in for 256 times the value's constant where rows or columns are only padding: their keys
-/// are lower than every real one and still above `i32::MIN`.
+/// Replaces 256 times the constant of the value for padding rows and columns: their keys are below
+/// those of all descriptors and above `i32::MIN`.
 const PADDING: i32 = i32::MAX - (INDICES as i32 - 1);
-/// Below every real value, above that of padding.
-const LOWEST_VALUE: i32 = -(1 << 23) + 16_384;
+/// Below the values of all descriptors and above the values of padding.
+const MIN_VALUE: i32 = -(1 << 23) + 16_384;
 
-/// A cache line; buffers are made of them, so that vectors do not straddle two.
+/// A cache line. Buffers consist of cache lines, so that vectors are aligned.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Line([i32; 16]);
 
-/// Aligned integers.
+/// A buffer of integers that is aligned to cache lines.
 struct Buffer(Vec<Line>);
 
 impl Buffer {
@@ -47,12 +48,12 @@ impl Buffer {
 
     #[inline(always)]
     fn words(&mut self) -> &mut [i32] {
-        // SAFETY: a `Line` is sixteen integers and nothing else.
+        // SAFETY: a `Line` has the layout of sixteen integers.
         unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), self.0.len() * 16) }
     }
 }
 
-/// The two largest keys of each of some rows' lanes, or of each of some columns.
+/// The two largest keys of each lane of some rows, or of some columns.
 struct Keys {
     first: Buffer,
     second: Buffer,
@@ -64,15 +65,14 @@ impl Keys {
     }
 }
 
-/// The two largest values so far and the index of the largest, where the keys' own indices no
-/// longer suffice.
+/// The two largest values so far, and the full index of the largest.
 pub(super) struct Totals {
     pub(super) first: Vec<i32>,
     pub(super) index: Vec<i32>,
     pub(super) second: Vec<i32>,
 }
 
-/// What a row has found: the columns that fall to a lane compete with each other only.
+/// The result of a row: for each lane, the two nearest among the columns of this lane.
 pub(crate) struct RowLanes<'a> {
     first: &'a [i32],
     index: &'a [i32],
@@ -81,7 +81,7 @@ pub(crate) struct RowLanes<'a> {
 }
 
 impl RowLanes<'_> {
-    /// For each lane its nearest column, with the squared distances of that and of the second
+    /// For each lane, the nearest column, and the squared distances of the nearest and second
     /// nearest.
     pub(crate) fn nearest(&self) -> impl Iterator<Item = Nearest> {
         let lanes = (0..).zip(self.first).zip(self.index).zip(self.second);
@@ -92,14 +92,14 @@ impl RowLanes<'_> {
         })
     }
 
-    /// All lanes brought together.
-    pub(super) fn whole(&self) -> Nearest {
-        let mut whole = Nearest::NONE;
+    /// The nearest neighbours over all lanes.
+    pub(super) fn merged(&self) -> Nearest {
+        let mut merged = Nearest::NONE;
         for lane in self.nearest() {
-            whole.offer(lane.index, lane.distance);
-            whole.second = whole.second.min(lane.second);
+            merged.update(lane.index, lane.distance);
+            merged.second = merged.second.min(lane.second);
         }
-        if whole.distance == u32::MAX { Nearest::NONE } else { whole }
+        if merged.distance == u32::MAX { Nearest::NONE } else { merged }
     }
 }
 
@@ -108,9 +108,9 @@ impl Totals {
         Totals { first: vec![i32::MIN; len], index: vec![0; len], second: vec![i32::MIN; len] }
     }
 
-    /// Unpacks keys into the totals from `at` on and makes the keys empty again. What a key calls
-    /// `i` is `base + stride * i` here, above all that was merged before, so that earlier ones win
-    /// among equals.
+    /// Merges `len` keys into the totals from `at` on and resets the keys. Index `i` of a key is
+    /// the full index `base + stride * i`. Full indices increase with every merge, so that of equal
+    /// values the lower index is kept.
     #[inline(always)]
     fn merge(&mut self, at: usize, len: usize, keys: &mut Keys, base: usize, stride: usize) {
         let (base, stride) = (base as i32, stride as i32);
@@ -137,18 +137,18 @@ fn value_of(key: i32) -> i32 {
     key.wrapping_add(INDICES as i32 - 1) >> INDEX_BITS
 }
 
-/// `constant − value`, the squared distance, or the mark for "none" if the value is not a real one.
+/// The squared distance `constant − value`; `u32::MAX` if the value is that of padding.
 pub(super) fn distance_of(constant: i32, value: i32) -> u32 {
-    if value < LOWEST_VALUE { u32::MAX } else { (constant - value) as u32 }
+    if value < MIN_VALUE { u32::MAX } else { (constant - value) as u32 }
 }
 
-/// Both directions, in tiles of `R` rows by `C` vectors of columns. What each row has found goes to
-/// `finish_row`, in order; what the columns have found comes back.
+/// Compares all rows `a` with all columns `b`, in tiles of `R` rows by `C` vectors of columns.
+/// Passes the result of each row to `finish_row`, in order, and returns the results of the columns.
 ///
 /// # Safety
-/// The processor has `L`'s instruction set.
+/// The CPU supports the instruction set of `L`.
 #[inline(always)]
-pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: usize>(
+pub(super) unsafe fn compare_all<L: Lanes, const R: usize, const C: usize, const G: usize>(
     a: &impl Vectors<G>,
     b: &Packed<G>,
     mut finish_row: impl FnMut(usize, RowLanes<'_>),
@@ -173,24 +173,23 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
         let rows = ROWS.min(a.len() - block);
         let groups = rows.div_ceil(R);
         let mut row_totals = Totals::new(ROWS * L::LANES);
-        // SAFETY: the processor has the instruction set; buffers have the sizes that the functions
-        // name.
+        // SAFETY: the CPU supports the instruction set, and the buffers have the required sizes.
         unsafe { pack_rows::<L, R, G>(a, block, groups, row_operands.words(), &mut row_constants) };
-        // Column vectors since the row keys were last merged.
-        let mut counted = 0;
+        // Number of column vectors since the last merge of the row keys.
+        let mut vectors_since_merge = 0;
         for t in 0..tiles {
             let panels = &b.panels[t * tile / PANEL..(t + 1) * tile / PANEL];
             fill_column_constants::<L, G>(
                 b,
                 t * tile,
-                counted,
+                vectors_since_merge,
                 &mut column_constants.words()[..tile],
             );
             // SAFETY: as above.
             unsafe {
                 let columns = L::columns(panels, widened.words());
                 for group in 0..groups {
-                    multiply_and_rank::<L, R, C, G>(
+                    multiply_and_update_keys::<L, R, C, G>(
                         row_operands.words()[group * R * steps..].as_ptr(),
                         &row_constants[group * R..],
                         [row_keys.first.words(), row_keys.second.words()]
@@ -203,11 +202,11 @@ pub(super) unsafe fn sweep<L: Lanes, const R: usize, const C: usize, const G: us
                 }
             }
             column_totals.merge(t * tile, tile, &mut column_keys, block, 1);
-            counted += C;
-            if counted == INDICES || t + 1 == tiles {
-                let base = (t + 1) * tile - counted * L::LANES;
+            vectors_since_merge += C;
+            if vectors_since_merge == INDICES || t + 1 == tiles {
+                let base = (t + 1) * tile - vectors_since_merge * L::LANES;
                 row_totals.merge(0, groups * R * L::LANES, &mut row_keys, base, L::LANES);
-                counted = 0;
+                vectors_since_merge = 0;
             }
         }
         for row in 0..rows {
@@ -236,8 +235,8 @@ pub(super) fn nearest_of_columns<const G: usize>(b: &Packed<G>, totals: &Totals)
         .collect()
 }
 
-/// Packs `groups` groups of `R` rows as `[group][step][row]`, and their constants: 256 |a|² plus
-/// the row's number, which is what columns take from the product.
+/// Packs `groups` groups of `R` rows as `[group][step][row]`, and the constants that column keys
+/// subtract from the product: 256 |a|² plus the number of the row.
 #[inline(always)]
 unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
     a: &impl Vectors<G>,
@@ -251,7 +250,7 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
         let exists = block + row < a.len();
         for group in 0..G {
             let words = if exists {
-                // SAFETY: the caller vouches for the instruction set.
+                // SAFETY: the caller guarantees the instruction set.
                 unsafe { L::row_words(a.word(block + row, group)) }
             } else {
                 [0; 2]
@@ -265,13 +264,13 @@ unsafe fn pack_rows<L: Lanes, const R: usize, const G: usize>(
     }
 }
 
-/// Fills in what rows take from the product for the columns from `at` on: 256 (|b|² − 256 Σb) plus
-/// the number of the column's vector.
+/// Computes the constants that row keys subtract from the product, for the columns from `at` on:
+/// 256 (|b|² − 256 Σb) plus the number of the column vector.
 #[inline(always)]
 fn fill_column_constants<L: Lanes, const G: usize>(
     b: &Packed<G>,
     at: usize,
-    counted: usize,
+    vectors_since_merge: usize,
     constants: &mut [i32],
 ) {
     let squares = b.squares.get(at..).unwrap_or_default();
@@ -282,20 +281,19 @@ fn fill_column_constants<L: Lanes, const G: usize>(
     }
     for (c, constants) in constants.chunks_mut(L::LANES).enumerate() {
         for constant in constants {
-            *constant += (counted + c) as i32;
+            *constant += (vectors_since_merge + c) as i32;
         }
     }
 }
 
-/// Multiplies one group of rows with one tile of columns and lets the products update the two
-/// largest keys of both.
+/// Multiplies one group of rows with one tile of columns and updates the two largest keys of both.
 ///
 /// # Safety
-/// The processor has the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C`
+/// The CPU supports the instruction set. `rows` holds `[step][R]`, `columns` the operands of `C`
 /// vectors as [`Lanes::columns`] gives them, `row_keys` `[R][lane]` each, `column_constants` and
 /// `column_keys` `[C][lane]` each; all but the constants of rows are vector-aligned.
 #[inline(always)]
-unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize, const G: usize>(
+unsafe fn multiply_and_update_keys<L: Lanes, const R: usize, const C: usize, const G: usize>(
     rows: *const i32,
     row_constants: &[i32],
     row_keys: [*mut i32; 2],
@@ -303,7 +301,7 @@ unsafe fn multiply_and_rank<L: Lanes, const R: usize, const C: usize, const G: u
     column_constants: *const i32,
     column_keys: [*mut i32; 2],
 ) {
-    // SAFETY: as the caller vouches.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut dot = [[L::splat(0); C]; R];
         for step in 0..G * L::STEPS {

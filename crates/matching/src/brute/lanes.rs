@@ -1,34 +1,33 @@
-//! A vector of 32-bit integers and the few operations that the kernel needs of it.
+//! SIMD vectors of 32-bit integers with the operations of the kernel.
 
 use crate::packed::{PANEL, Panel};
 
-/// A row's half of the product: the bytes of descriptor `a` as `a − 128`, so that they fit into
-/// `i8`.
+/// Row operands are the bytes of descriptor `a` as `a − 128`, which fit into `i8`.
 pub(super) const OFFSET: i32 = 128;
 
-/// An instruction set's vector of 32-bit integers.
+/// The vector operations of an instruction set.
 ///
 /// # Safety
-/// Calling any method needs a processor that has the instruction set.
+/// The CPU must support the instruction set for every method.
 pub(super) trait Lanes {
     /// The register.
     type Vector: Copy;
-    /// How many integers it holds: 4, 8 or 16.
+    /// Number of integers of a vector: 4, 8 or 16.
     const LANES: usize;
-    /// Multiply-adds for a group of four bytes: one, or two where they take two 16-bit numbers.
+    /// Number of multiply-adds per group of four bytes: one, or two for instructions on two 16-bit
+    /// integers.
     const STEPS: usize;
 
-    /// Row operands of the steps that one group of four bytes gives, of bytes taken as
-    /// `byte − 128`; `STEPS` of them are used.
+    /// The row operands of a group of four bytes, as `byte − 128`. The first `STEPS` are used.
     unsafe fn row_words(word: u32) -> [i32; 2];
-    /// Column operands of some panels, `[panel][step][column]`: the panels themselves, or something
-    /// made of them in `buffer`, which has room for it.
+    /// The column operands of some panels, `[panel][step][column]`: the panels themselves, or
+    /// converted values in `buffer`.
     unsafe fn columns<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32;
 
     unsafe fn load(from: *const i32) -> Self::Vector;
     unsafe fn store(to: *mut i32, v: Self::Vector);
     unsafe fn splat(x: i32) -> Self::Vector;
-    /// `sum` plus the dot product, lane by lane, of one step's column and row operands.
+    /// `sum` plus the dot product of the column and row operands of a step, per lane.
     unsafe fn multiply_add(
         sum: Self::Vector,
         column: Self::Vector,
@@ -41,8 +40,8 @@ pub(super) trait Lanes {
     unsafe fn max(x: Self::Vector, y: Self::Vector) -> Self::Vector;
 }
 
-/// Splits every group of four bytes into two words of two 16-bit numbers: those at even and those
-/// at odd places.
+/// Converts every group of four bytes to two words of two 16-bit integers: the even and the odd
+/// bytes.
 #[inline(always)]
 pub(super) fn widen<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> *const i32 {
     let groups = panels.iter().flat_map(|panel| &panel.0);
@@ -56,7 +55,7 @@ pub(super) fn widen<const G: usize>(panels: &[Panel<G>], buffer: &mut [i32]) -> 
     buffer.as_ptr()
 }
 
-/// The row operands that go with [`widen`].
+/// The row operands for the column operands of [`widen`].
 #[inline(always)]
 pub(super) fn widen_signed(word: u32) -> [i32; 2] {
     let pair = |low: u8, high: u8| {
@@ -67,7 +66,7 @@ pub(super) fn widen_signed(word: u32) -> [i32; 2] {
     [pair(b0, b2), pair(b1, b3)]
 }
 
-/// Plain Rust, which the compiler turns into whatever vectors the target has at least.
+/// Portable Rust, which the compiler vectorises for the baseline of the target.
 pub(super) struct Portable;
 
 const LANES: usize = 4;
@@ -92,12 +91,12 @@ impl Lanes for Portable {
     }
     #[inline(always)]
     unsafe fn load(from: *const i32) -> Self::Vector {
-        // SAFETY: the caller vouches for LANES integers at `from`.
+        // SAFETY: the caller guarantees LANES integers at `from`.
         unsafe { from.cast::<Self::Vector>().read() }
     }
     #[inline(always)]
     unsafe fn store(to: *mut i32, v: Self::Vector) {
-        // SAFETY: the caller vouches for room for LANES integers at `to`.
+        // SAFETY: the caller guarantees memory for LANES integers at `to`.
         unsafe { to.cast::<Self::Vector>().write(v) }
     }
     #[inline(always)]

@@ -1,14 +1,15 @@
-//! Exact nearest and second nearest neighbours by brute force, in both directions at once.
+//! Exact nearest and second nearest neighbours by brute force, in both directions.
 //!
-//! The squared distance is `|a|² + |b|² − 2 a·b`, so the work is a matrix product of 8-bit numbers.
-//! It is cut into tiles whose products stay in registers; while they are there, each updates the
-//! two largest values of its row and the two largest of its column, so that one product serves both
-//! directions and no N × N matrix is ever stored.
+//! The squared distance is `|a|² + |b|² − 2 a·b`, so the computation is a matrix product of bytes.
+//! It is divided into tiles whose products stay in registers. Each product updates the two largest
+//! values of its row and of its column: one product serves both directions, and the N × N matrix is
+//! not stored.
 //!
-//! - `kernel` is the loop over tiles, written once over the trait [`Lanes`];
-//! - `lanes` is that trait with its portable implementation, `x86` the ones in AVX-512 VNNI,
-//!   AVX-VNNI and AVX2;
-//! - `isa` picks one at run time. All give the same bits: the arithmetic is exact in integers.
+//! - `kernel` is the loop over tiles, generic over the trait [`Lanes`].
+//! - `lanes` has the trait and its portable implementation.
+//! - `x86` has the implementations for AVX-512 VNNI, AVX-VNNI and AVX2.
+//! - `isa` selects the implementation at run time. All give the same result, because the arithmetic
+//!   is exact in integers.
 
 mod isa;
 mod kernel;
@@ -25,38 +26,38 @@ pub(crate) use isa::Kind;
 pub(crate) use kernel::RowLanes;
 use kernel::nearest_of_columns;
 
-/// The nearest neighbours of two images' descriptors in each other.
+/// The nearest neighbours between the descriptors of two images, in both directions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NearestBothWays {
-    /// For every descriptor of the first image, its partners in the second.
+    /// For every descriptor of the first image, its neighbours in the second.
     pub of_a: Vec<Nearest>,
-    /// For every descriptor of the second image, its partners in the first.
+    /// For every descriptor of the second image, its neighbours in the first.
     pub of_b: Vec<Nearest>,
 }
 
-/// The two nearest neighbours of every descriptor, in both directions, exact: by comparing all with
-/// all, on the fastest instruction set of this machine.
+/// The exact two nearest neighbours of every descriptor, in both directions, by brute force on the
+/// fastest instruction set of the CPU.
 pub fn nearest(a: &Prepared, b: &Prepared) -> NearestBothWays {
     nearest_on(Isa::best(), a, b)
 }
 
-/// As [`nearest`], on a given instruction set: for tests and measurements.
+/// As [`nearest`] on a given instruction set, for tests and measurements.
 pub fn nearest_on(isa: Isa, a: &Prepared, b: &Prepared) -> NearestBothWays {
     let b = b.pack_all();
     let mut of_a = Vec::with_capacity(a.len());
-    let of_b = compare(isa, a, &b, |_, row| of_a.push(row.whole()));
+    let of_b = compare(isa, a, &b, |_, row| of_a.push(row.merged()));
     NearestBothWays { of_a, of_b }
 }
 
-/// Compares all with all: what each row has found goes to `finish_row`, in order; the nearest
-/// neighbours of the columns come back.
+/// Compares all rows `a` with all columns `b`. Passes the result of each row to `finish_row`, in
+/// order, and returns the nearest neighbours of the columns.
 pub(crate) fn compare<const G: usize>(
     isa: Isa,
     a: &impl Vectors<G>,
     b: &Packed<G>,
     finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Vec<Nearest> {
-    nearest_of_columns(b, &isa.sweep(a, b, finish_row))
+    nearest_of_columns(b, &isa.compare_all(a, b, finish_row))
 }
 
 #[cfg(test)]
@@ -68,10 +69,10 @@ mod tests {
     use crate::prepared::Prepared;
     use crate::random::SplitMix64;
 
-    /// Small enough for Miri and a sanitizer: two tiles, both with padding, and rows that fill no
-    /// block.
+    /// Small enough for Miri and sanitizers: two tiles with padding and an incomplete block of
+    /// rows.
     #[test]
-    fn a_few_descriptors_find_their_nearest() {
+    fn few_descriptors_match_the_definition() {
         let mut random = SplitMix64::new(3, 0);
         let mut some = |count: usize| -> Vec<Descriptor> {
             (0..count).map(|_| std::array::from_fn(|_| random.below(256) as u8)).collect()

@@ -1,53 +1,54 @@
-//! The kernel on x86-64: AVX-512 VNNI, AVX-VNNI and AVX2.
+//! The kernel for x86-64: AVX-512 VNNI, AVX-VNNI and AVX2.
 //!
-//! VNNI multiplies unsigned by signed bytes, four at a time, into 32 bits without saturation, so
-//! rows enter as `a − 128` and nothing is lost. AVX2 has a like instruction, `vpmaddubsw`, but it
-//! saturates at 16 bits as soon as both operands use 8 bits; bytes widened to 16 bits and
-//! `vpmaddwd` do as many products per cycle where both multiply on two ports.
+//! VNNI multiplies four unsigned bytes by four signed bytes and adds them to 32 bits without
+//! saturation. Row bytes are therefore stored as `a − 128`. The similar instruction of AVX2,
+//! `vpmaddubsw`, saturates at 16 bits if both operands use 8 bits. The AVX2 kernel widens bytes to
+//! 16 bits and uses `vpmaddwd`, which computes as many products per cycle on CPUs that execute both
+//! on two ports.
 //!
-//! Each wrapper carries the target features into which the generic kernel and the intrinsics are
-//! inlined. Tile sizes are the largest whose products, one row of columns and one spare still fit
-//! into the 32 or 16 registers.
+//! The wrappers enable the target features; the generic kernel and the intrinsics are inlined into
+//! them. Tile sizes are the largest for which the products, one row of columns and one temporary
+//! fit into the 32 or 16 registers.
 
 use std::arch::x86_64::*;
 
 use tiepoint_features::Descriptor;
 
-use super::kernel::{RowLanes, Totals, sweep};
+use super::kernel::{RowLanes, Totals, compare_all};
 use super::lanes::{Lanes, widen, widen_signed};
 use crate::packed::{Packed, Panel, Vectors};
 
-/// Bit that turns a byte `x` into `x − 128` as a signed byte, in all four bytes of a word.
+/// XOR with this word maps each byte `x` to `x − 128` as a signed byte.
 const SIGN_BITS: u32 = 0x8080_8080;
 
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-pub(super) fn sweep_avx512_vnni<const G: usize>(
+pub(super) fn compare_all_avx512_vnni<const G: usize>(
     a: &impl Vectors<G>,
     b: &Packed<G>,
     finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Totals {
     // SAFETY: the features that `Avx512Vnni` needs are enabled here.
-    unsafe { sweep::<Avx512Vnni, 6, 4, G>(a, b, finish_row) }
+    unsafe { compare_all::<Avx512Vnni, 6, 4, G>(a, b, finish_row) }
 }
 
 #[target_feature(enable = "avx2,avxvnni")]
-pub(super) fn sweep_avx_vnni<const G: usize>(
+pub(super) fn compare_all_avx_vnni<const G: usize>(
     a: &impl Vectors<G>,
     b: &Packed<G>,
     finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Totals {
     // SAFETY: the features that `AvxVnni` needs are enabled here.
-    unsafe { sweep::<AvxVnni, 6, 2, G>(a, b, finish_row) }
+    unsafe { compare_all::<AvxVnni, 6, 2, G>(a, b, finish_row) }
 }
 
 #[target_feature(enable = "avx2")]
-pub(super) fn sweep_avx2<const G: usize>(
+pub(super) fn compare_all_avx2<const G: usize>(
     a: &impl Vectors<G>,
     b: &Packed<G>,
     finish_row: impl FnMut(usize, RowLanes<'_>),
 ) -> Totals {
     // SAFETY: the features that `Avx2` needs are enabled here.
-    unsafe { sweep::<Avx2, 6, 2, G>(a, b, finish_row) }
+    unsafe { compare_all::<Avx2, 6, 2, G>(a, b, finish_row) }
 }
 
 /// Squared Euclidean distance, exact.
@@ -55,22 +56,22 @@ pub(super) fn sweep_avx2<const G: usize>(
 pub(super) fn squared_distance(a: &Descriptor, b: &Descriptor) -> u32 {
     let mut sum = _mm256_setzero_si256();
     for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
-        // SAFETY: both are 16 bytes long.
+        // SAFETY: both have 16 bytes.
         let [a, b] = [a, b].map(|x| unsafe { _mm_loadu_si128(x.as_ptr().cast()) });
         let difference = _mm256_sub_epi16(_mm256_cvtepu8_epi16(a), _mm256_cvtepu8_epi16(b));
         sum = _mm256_add_epi32(sum, _mm256_madd_epi16(difference, difference));
     }
     let mut lanes = [0_u32; 8];
-    // SAFETY: there is room for eight integers.
+    // SAFETY: the array has eight integers.
     unsafe { _mm256_storeu_si256(lanes.as_mut_ptr().cast(), sum) };
     lanes.iter().sum()
 }
 
-/// 16 lanes, four bytes a step.
+/// 16 lanes, four bytes per step.
 struct Avx512Vnni;
-/// 8 lanes, four bytes a step.
+/// 8 lanes, four bytes per step.
 struct AvxVnni;
-/// 8 lanes, two 16-bit numbers a step.
+/// 8 lanes, two 16-bit integers per step.
 struct Avx2;
 
 impl Lanes for Avx512Vnni {
@@ -88,47 +89,47 @@ impl Lanes for Avx512Vnni {
     }
     #[inline(always)]
     unsafe fn load(from: *const i32) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_loadu_epi32(from) }
     }
     #[inline(always)]
     unsafe fn store(to: *mut i32, v: __m512i) {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_storeu_epi32(to, v) }
     }
     #[inline(always)]
     unsafe fn splat(x: i32) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_set1_epi32(x) }
     }
     #[inline(always)]
     unsafe fn multiply_add(sum: __m512i, column: __m512i, row: __m512i) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_dpbusd_epi32(sum, column, row) }
     }
     #[inline(always)]
     unsafe fn subtract(x: __m512i, y: __m512i) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_sub_epi32(x, y) }
     }
     #[inline(always)]
     unsafe fn shift_left<const BITS: u32>(x: __m512i) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_slli_epi32::<BITS>(x) }
     }
     #[inline(always)]
     unsafe fn min(x: __m512i, y: __m512i) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_min_epi32(x, y) }
     }
     #[inline(always)]
     unsafe fn max(x: __m512i, y: __m512i) -> __m512i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm512_max_epi32(x, y) }
     }
 }
 
-/// What AVX-VNNI and AVX2 have in common.
+/// The methods that AVX-VNNI and AVX2 share.
 macro_rules! lanes_256 {
     () => {
         type Vector = __m256i;
@@ -136,37 +137,37 @@ macro_rules! lanes_256 {
 
         #[inline(always)]
         unsafe fn load(from: *const i32) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_loadu_si256(from.cast()) }
         }
         #[inline(always)]
         unsafe fn store(to: *mut i32, v: __m256i) {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_storeu_si256(to.cast(), v) }
         }
         #[inline(always)]
         unsafe fn splat(x: i32) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_set1_epi32(x) }
         }
         #[inline(always)]
         unsafe fn subtract(x: __m256i, y: __m256i) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_sub_epi32(x, y) }
         }
         #[inline(always)]
         unsafe fn shift_left<const BITS: u32>(x: __m256i) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_sll_epi32(x, _mm_cvtsi32_si128(BITS as i32)) }
         }
         #[inline(always)]
         unsafe fn min(x: __m256i, y: __m256i) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_min_epi32(x, y) }
         }
         #[inline(always)]
         unsafe fn max(x: __m256i, y: __m256i) -> __m256i {
-            // SAFETY: as the trait demands.
+            // SAFETY: guaranteed by the caller, as the trait requires.
             unsafe { _mm256_max_epi32(x, y) }
         }
     };
@@ -186,7 +187,7 @@ impl Lanes for AvxVnni {
     }
     #[inline(always)]
     unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm256_dpbusd_avx_epi32(sum, column, row) }
     }
 }
@@ -205,7 +206,7 @@ impl Lanes for Avx2 {
     }
     #[inline(always)]
     unsafe fn multiply_add(sum: __m256i, column: __m256i, row: __m256i) -> __m256i {
-        // SAFETY: as the trait demands.
+        // SAFETY: guaranteed by the caller, as the trait requires.
         unsafe { _mm256_add_epi32(sum, _mm256_madd_epi16(column, row)) }
     }
 }

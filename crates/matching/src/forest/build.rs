@@ -1,8 +1,9 @@
-//! Growing trees, as FLANN does: shuffle the points; split at the mean of a dimension drawn among
-//! the five of highest variance, both estimated from the first hundred points of the node.
+//! Construction of the trees, as in FLANN. The points are shuffled. A node is split at the mean of
+//! a dimension that is drawn among the five of the highest variance. Mean and variance are
+//! estimated from the first hundred points of the node.
 //!
-//! Entries are bytes, so a split is a byte: `x < split` goes left. Sums are integers, so a tree is
-//! the same everywhere.
+//! Split values are bytes: points with `x < split` are in the left child. Sums are integers, so the
+//! trees are the same on all CPUs.
 
 use rayon::prelude::*;
 use tiepoint_features::Descriptor;
@@ -11,32 +12,34 @@ use super::options::ForestOptions;
 use super::tree::{Forest, LEAF_MARK, Node, Row};
 use crate::random::SplitMix64;
 
-/// Points from which mean and variance are estimated; FLANN's SAMPLE_MEAN, counted as it does.
-const SAMPLE: usize = 101;
-/// Most points in a leaf. FLANN's leaves hold one, and going down to the next leaf costs several
-/// times as much as looking at a point: with eight, a check takes a quarter longer and finds far
-/// more (`bench/matching.py` has the curves).
-const LEAF_POINTS: usize = 8;
-/// Dimensions of highest variance among which one is drawn; FLANN's RAND_DIM.
-const DIMENSIONS: usize = 5;
-/// One tree, its links relative to itself.
+/// Number of points from which mean and variance are estimated: FLANN's SAMPLE_MEAN + 1, as
+/// FLANN counts.
+const SAMPLE_SIZE: usize = 101;
+/// Maximum number of points in a leaf. FLANN has one. The descent to a leaf costs several times as
+/// much as the comparison with a point: with eight points, a check takes a quarter longer, and the
+/// recall is much higher (curves in `bench/matching.py`).
+const MAX_LEAF_POINTS: usize = 8;
+/// Number of dimensions of the highest variance among which one is drawn: FLANN's RAND_DIM.
+const NUM_DIMENSIONS: usize = 5;
+
+/// One tree, with links relative to its own nodes and points.
 struct Tree {
     nodes: Vec<Node>,
     points: Vec<u32>,
 }
 
 impl Forest {
-    /// Grows the trees, in parallel; the result depends on the options only. At least one tree is
-    /// grown.
+    /// Builds at least one tree over the descriptors, in parallel. The result does not depend on
+    /// the number of threads.
     pub fn new(descriptors: &[Descriptor], options: &ForestOptions) -> Self {
-        grow(descriptors.iter().map(|&d| Row(d)).collect(), options)
+        build_forest(descriptors.iter().map(|&d| Row(d)).collect(), options)
     }
 }
 
-fn grow(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
+fn build_forest(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
     let trees: Vec<Tree> = (0..options.trees.max(1))
         .into_par_iter()
-        .map(|tree| grow_tree(&descriptors, &mut SplitMix64::new(options.seed, u64::from(tree))))
+        .map(|tree| build_tree(&descriptors, &mut SplitMix64::new(options.seed, u64::from(tree))))
         .collect();
     let mut forest =
         Forest { descriptors, nodes: Vec::new(), roots: Vec::new(), points: Vec::new() };
@@ -52,12 +55,12 @@ fn grow(descriptors: Vec<Row>, options: &ForestOptions) -> Forest {
     forest
 }
 
-fn grow_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
+fn build_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
     let mut points: Vec<u32> = (0..descriptors.len() as u32).collect();
     random.shuffle(&mut points);
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * points.len() + 1);
-    // Ranges of points still to become nodes, and the parent of those that are right children. A
-    // list instead of recursion: how deep a tree gets is up to the data.
+    // Stack of the point ranges of future nodes, with the parent of right children. It replaces
+    // recursion, whose depth would depend on the data.
     let mut pending = vec![(0..points.len(), None)];
     while let Some((range, parent)) = pending.pop() {
         let index = nodes.len();
@@ -81,20 +84,21 @@ fn grow_tree(descriptors: &[Row], random: &mut SplitMix64) -> Tree {
     Tree { nodes, points }
 }
 
-/// A dimension and a byte that part the points in two, none empty; `None` if they fit into a leaf,
-/// or all are equal.
+/// Dimension and value of a split with two non-empty parts; `None` if the points fit into a leaf or
+/// are equal.
 fn choose_split(
     descriptors: &[Row],
     points: &[u32],
     random: &mut SplitMix64,
 ) -> Option<(usize, u8)> {
-    if points.len() <= LEAF_POINTS {
+    if points.len() <= MAX_LEAF_POINTS {
         return None;
     }
-    split_from_sample(descriptors, &points[..points.len().min(SAMPLE)], random)
+    split_from_sample(descriptors, &points[..points.len().min(SAMPLE_SIZE)], random)
         .or_else(|| split_from_sample(descriptors, points, random))
 }
 
+/// A split of a sample of points; `None` if they are equal.
 fn split_from_sample(
     descriptors: &[Row],
     sample: &[u32],
@@ -102,8 +106,8 @@ fn split_from_sample(
 ) -> Option<(usize, u8)> {
     let mut sums = [0u32; 128];
     let mut squares = [0u64; 128];
-    // Squares of a hundred bytes fit into 32 bits; only samples of everything need the wider sums.
-    for chunk in sample.chunks(SAMPLE) {
+    // The squares of a hundred bytes fit into 32 bits. Only the sums over all points need 64 bits.
+    for chunk in sample.chunks(SAMPLE_SIZE) {
         let mut chunk_squares = [0u32; 128];
         for &point in chunk {
             for ((x, sum), square) in
@@ -118,33 +122,33 @@ fn split_from_sample(
         }
     }
     let count = sample.len() as u64;
-    // The dimensions of highest variance so far, descending; the variance times the square of the
-    // count.
-    let mut widest = [(0u64, 0usize); DIMENSIONS];
+    // The dimensions of the highest variance so far, in descending order, with the variance times
+    // the squared count.
+    let mut highest = [(0u64, 0usize); NUM_DIMENSIONS];
     let mut filled = 0;
     for dimension in 0..128 {
         let sum = u64::from(sums[dimension]);
-        let spread = count * squares[dimension] - sum * sum;
-        if spread > widest[DIMENSIONS - 1].0 {
-            filled = (filled + 1).min(DIMENSIONS);
-            let mut place = DIMENSIONS - 1;
-            while place > 0 && spread > widest[place - 1].0 {
-                widest[place] = widest[place - 1];
+        let variance = count * squares[dimension] - sum * sum;
+        if variance > highest[NUM_DIMENSIONS - 1].0 {
+            filled = (filled + 1).min(NUM_DIMENSIONS);
+            let mut place = NUM_DIMENSIONS - 1;
+            while place > 0 && variance > highest[place - 1].0 {
+                highest[place] = highest[place - 1];
                 place -= 1;
             }
-            widest[place] = (spread, dimension);
+            highest[place] = (variance, dimension);
         }
     }
     if filled == 0 {
         return None;
     }
-    let (_, dimension) = widest[random.below(filled)];
-    // x < mean and x < ⌈mean⌉ say the same of an integer. The sample varies, so that it has entries
-    // on both sides.
+    let (_, dimension) = highest[random.below(filled)];
+    // For integers, x < mean is equivalent to x < ⌈mean⌉. The variance of the sample is positive,
+    // so both parts are non-empty.
     Some((dimension, u64::from(sums[dimension]).div_ceil(count) as u8))
 }
 
-/// Moves the points for which `is_left` holds to the front and returns how many there are.
+/// Moves the points with `is_left` to the front and returns their number.
 fn partition(points: &mut [u32], is_left: impl Fn(u32) -> bool) -> usize {
     let mut left = 0;
     for place in 0..points.len() {

@@ -1,11 +1,10 @@
 //! The randomized kd-forest of Muja and Lowe ("Scalable nearest neighbor algorithms for high
-//! dimensional data", PAMI 2014, section 3.1; Silpa-Anan and Hartley 2008): several kd-trees that
-//! split at dimensions drawn at random among those of highest variance, searched together, best
-//! branch first, until a number of leaves has been looked at.
+//! dimensional data", PAMI 2014, section 3.1; Silpa-Anan and Hartley 2008). Each kd-tree splits at
+//! dimensions drawn at random among those of the highest variance. All trees are searched together,
+//! best bin first, up to a number of leaves.
 //!
-//! Approximate: some nearest neighbours are missed. It pays where brute force would be too slow,
-//! which on a processor with byte products is only above some tens of thousands of features in an
-//! image.
+//! The search is approximate. It is faster than brute force only above some tens of thousands of
+//! features in an image, on CPUs with byte dot products.
 
 mod build;
 mod options;

@@ -1,13 +1,13 @@
-//! What a caller may choose of a forest.
+//! Options of the kd-forest.
 
-/// How many leaves a search looks at: the "checks" of FLANN, the "searches" of others. Every tree
-/// is searched once at least.
+/// Number of leaves that a search visits: the "checks" of FLANN. At least one leaf per tree is
+/// visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Checks {
-    /// Over all trees together, as FLANN counts.
+    /// Total over all trees, as in FLANN.
     Total(u32),
-    /// For each tree; the trees still share one queue, so that those which promise more get more of
-    /// the sum.
+    /// Mean per tree. The trees share one priority queue, so that the leaves of a tree can be more
+    /// or fewer.
     PerTree(u32),
 }
 
@@ -17,7 +17,7 @@ impl Default for Checks {
     }
 }
 
-/// How to build a forest.
+/// Options of the construction of a forest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForestOptions {
     /// Number of trees.

@@ -1,10 +1,10 @@
-//! Searching all trees at once.
+//! Best-bin-first search of all trees.
 //!
-//! A branch not taken waits in one queue for all trees, keyed by a bound on the distance of its
-//! points: the squared gaps between the query and the splits on the way (as in FLANN, a dimension
-//! that was split twice counts twice, so that the bound is an estimate). Each tree is descended
-//! once; then the best branches of all are taken, until enough leaves were looked at. A point that
-//! several trees offer is looked at once.
+//! Each tree is descended once. Unvisited branches of all trees are in one priority queue, ordered
+//! by an estimate of the distance of their points: the sum of the squared distances of the query to
+//! the splits on the path. As in FLANN, a dimension that is split twice counts twice, so the
+//! estimate is not a bound. The best branches are then descended until the number of leaves is
+//! reached. A point that is in several visited leaves is compared once.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -16,41 +16,43 @@ use super::tree::{Forest, NodeKind, Row};
 use crate::brute::{Isa, Kind};
 use crate::matches::Nearest;
 
-/// Leaves that are fetched together. At a million points almost every leaf and every point is a
-/// wait for main memory, and four that overlap take half the time of one after the other; the order
-/// of the search hardly changes.
-const ROUND: usize = 4;
+/// Number of leaves that are visited together. With a million points, almost every leaf and point
+/// is a cache miss. Four overlapping memory accesses take half the time of successive ones, and the
+/// order of the search changes little.
+const LEAVES_PER_ROUND: usize = 4;
 
-/// Room for what one search needs, kept from query to query.
+/// Working memory of a search, reused for all queries.
 struct Scratch {
-    /// Branches by ascending bound; the bound above, the node below.
+    /// Branches in ascending order of the estimated distance: upper 32 bits estimate, lower 32 bits
+    /// node index.
     queue: BinaryHeap<Reverse<u64>>,
-    /// Leaves of this round: ranges of `Forest::points`.
+    /// Leaves of the current round: start and length in `Forest::points`.
     leaves: Vec<(usize, usize)>,
-    /// One bit for each point that was looked at.
+    /// One bit per point: whether it was compared.
     seen: Vec<u64>,
-    /// Those points, to take the bits back.
-    looked_at: Vec<u32>,
+    /// The compared points, to reset the bits.
+    visited: Vec<u32>,
 }
 
 impl Forest {
-    /// For every query, the two nearest neighbours among the points that the search came across.
+    /// For every query, the two nearest neighbours among the visited points.
     pub fn nearest(&self, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
         self.nearest_on(Isa::best(), queries, checks)
     }
 
-    /// As [`Self::nearest`], on a given instruction set: for tests and measurements. All give the
-    /// same result.
+    /// As [`Self::nearest`] on a given instruction set, for tests and measurements. The result is
+    /// the same on all instruction sets.
     pub fn nearest_on(&self, isa: Isa, queries: &[Descriptor], checks: Checks) -> Vec<Nearest> {
         search(self, isa, queries.iter().map(|&query| Row(query)), checks)
     }
 
-    /// The neighbours of another forest's descriptors.
+    /// The nearest neighbours of the descriptors of another forest.
     pub(crate) fn nearest_of(&self, other: &Forest, checks: Checks) -> Vec<Nearest> {
         search(self, Isa::best(), other.descriptors.iter().copied(), checks)
     }
 }
 
+/// Searches all queries on an instruction set.
 fn search(
     forest: &Forest,
     isa: Isa,
@@ -58,7 +60,7 @@ fn search(
     checks: Checks,
 ) -> Vec<Nearest> {
     match isa.0 {
-        // SAFETY: an `Isa` is made only where the processor has the features it stands for.
+        // SAFETY: an `Isa` is only constructed if the CPU supports it.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512Vnni => unsafe { search_avx512(forest, queries, checks) },
         // SAFETY: as above.
@@ -68,7 +70,7 @@ fn search(
     }
 }
 
-/// The same source, compiled for wider vectors.
+/// [`search_all`], compiled for AVX-512.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512vnni")]
 fn search_avx512(
@@ -79,7 +81,7 @@ fn search_avx512(
     search_all(forest, queries, checks)
 }
 
-/// As [`search_avx512`].
+/// [`search_all`], compiled for AVX2.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn search_avx2(
@@ -90,6 +92,7 @@ fn search_avx2(
     search_all(forest, queries, checks)
 }
 
+/// Searches all queries.
 #[inline(always)]
 fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Checks) -> Vec<Nearest> {
     let checks = match checks {
@@ -100,7 +103,7 @@ fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Check
         queue: BinaryHeap::new(),
         leaves: Vec::new(),
         seen: vec![0; forest.descriptors.len().div_ceil(64)],
-        looked_at: Vec::new(),
+        visited: Vec::new(),
     };
     let mut found = Vec::with_capacity(queries.size_hint().0);
     for query in queries {
@@ -109,62 +112,64 @@ fn search_all(forest: &Forest, queries: impl Iterator<Item = Row>, checks: Check
     found
 }
 
+/// Searches one query: first the nearest leaf of every tree, then the best branches.
 #[inline(always)]
 fn search_one(forest: &Forest, query: &Row, checks: u64, scratch: &mut Scratch) -> Nearest {
     let mut nearest = Nearest::NONE;
-    for roots in forest.roots.chunks(ROUND) {
+    for roots in forest.roots.chunks(LEAVES_PER_ROUND) {
         for &root in roots {
             descend(forest, query, 0, root, nearest.second, scratch);
         }
-        look_at_leaves(forest, query, &mut nearest, scratch);
+        visit_leaves(forest, query, &mut nearest, scratch);
     }
     let mut checked = forest.roots.len() as u64;
+    // Continues beyond `checks` until two neighbours are found.
     while checked < checks || nearest.second == u32::MAX {
-        for _ in 0..(checks.saturating_sub(checked)).clamp(1, ROUND as u64) {
+        for _ in 0..(checks.saturating_sub(checked)).clamp(1, LEAVES_PER_ROUND as u64) {
             let Some(Reverse(branch)) = scratch.queue.pop() else { break };
-            let bound = (branch >> 32) as u32;
-            if bound > nearest.second {
+            let estimate = (branch >> 32) as u32;
+            if estimate > nearest.second {
                 break;
             }
-            descend(forest, query, bound, branch as u32, nearest.second, scratch);
+            descend(forest, query, estimate, branch as u32, nearest.second, scratch);
             checked += 1;
         }
         if scratch.leaves.is_empty() {
             break;
         }
-        look_at_leaves(forest, query, &mut nearest, scratch);
+        visit_leaves(forest, query, &mut nearest, scratch);
     }
     scratch.queue.clear();
-    for point in scratch.looked_at.drain(..) {
+    for point in scratch.visited.drain(..) {
         scratch.seen[point as usize / 64] = 0;
     }
     nearest
 }
 
-/// Goes down to a leaf on the query's side of every split, queues the other sides, and notes the
-/// leaf.
+/// Descends to the leaf on the side of the query, pushes the other branches to the queue, and
+/// appends the leaf to the current round.
 #[inline(always)]
 fn descend(
     forest: &Forest,
     query: &Row,
-    bound: u32,
+    estimate: u32,
     mut at: u32,
-    worst: u32,
+    max_estimate: u32,
     scratch: &mut Scratch,
 ) {
     loop {
         match forest.nodes[at as usize].kind() {
             NodeKind::Inner { dimension, split, right } => {
                 let (x, split) = (u32::from(query.0[dimension]), u32::from(split));
-                // The nearest byte on the other side is the split itself, or the one below it.
+                // The nearest value on the other side is the split value, or one less.
                 let (near, far, gap) = if x < split {
                     (at + 1, right, split - x)
                 } else {
                     (right, at + 1, x + 1 - split)
                 };
-                let far_bound = bound.saturating_add(gap * gap);
-                if far_bound <= worst {
-                    scratch.queue.push(Reverse(u64::from(far_bound) << 32 | u64::from(far)));
+                let far_estimate = estimate.saturating_add(gap * gap);
+                if far_estimate <= max_estimate {
+                    scratch.queue.push(Reverse(u64::from(far_estimate) << 32 | u64::from(far)));
                 }
                 at = near;
             }
@@ -179,11 +184,11 @@ fn descend(
     }
 }
 
-/// Asks for a cache line that will be read soon.
+/// Prefetches a cache line.
 #[inline(always)]
 fn prefetch<T>(place: &T) {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: a hint; it neither reads nor writes.
+    // SAFETY: a prefetch does not access memory.
     unsafe {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(place).cast());
@@ -192,10 +197,11 @@ fn prefetch<T>(place: &T) {
     let _ = place;
 }
 
-/// Compares the query with the points of the noted leaves that it has not met before.
+/// Compares the query with the points of the leaves of the current round that were not compared
+/// before.
 #[inline(always)]
-fn look_at_leaves(forest: &Forest, query: &Row, nearest: &mut Nearest, scratch: &mut Scratch) {
-    let begin = scratch.looked_at.len();
+fn visit_leaves(forest: &Forest, query: &Row, nearest: &mut Nearest, scratch: &mut Scratch) {
+    let begin = scratch.visited.len();
     for (first, len) in scratch.leaves.drain(..) {
         for &point in &forest.points[first..first + len] {
             let (word, bit) = (point as usize / 64, 1 << (point % 64));
@@ -204,12 +210,12 @@ fn look_at_leaves(forest: &Forest, query: &Row, nearest: &mut Nearest, scratch: 
                 let row = &forest.descriptors[point as usize].0;
                 prefetch(&row[0]);
                 prefetch(&row[64]);
-                scratch.looked_at.push(point);
+                scratch.visited.push(point);
             }
         }
     }
-    for &point in &scratch.looked_at[begin..] {
-        nearest.offer(point, squared_distance(query, &forest.descriptors[point as usize]));
+    for &point in &scratch.visited[begin..] {
+        nearest.update(point, squared_distance(query, &forest.descriptors[point as usize]));
     }
 }
 

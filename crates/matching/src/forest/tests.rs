@@ -7,11 +7,10 @@ use crate::brute::{Isa, nearest};
 use crate::matches::Nearest;
 use crate::prepared::Prepared;
 
-/// More leaves than any forest here has.
+/// More leaves than the forests of these tests have.
 const ALL: Checks = Checks::Total(1_000_000);
 
-/// Points around a few centres, as features of textures are: neighbours are much nearer than the
-/// rest.
+/// Points around a few centres: neighbours are much nearer than other points.
 fn clustered(count: usize, seed: u64) -> Vec<Descriptor> {
     let mut random = crate::random::SplitMix64::new(seed, 0);
     let mut centres = crate::random::SplitMix64::new(99, 0);
@@ -29,8 +28,8 @@ fn exact(queries: &[Descriptor], points: &[Descriptor]) -> Vec<Nearest> {
     nearest(&Prepared::new(queries), &Prepared::new(points)).of_a
 }
 
-/// Checks the tree at `at`: every point lies on its side of every split above it. Returns the end
-/// of its nodes.
+/// Checks that every point of the tree at `at` is on its side of all splits above. Collects the
+/// points and returns the end of the nodes of the tree.
 fn check_tree(
     forest: &Forest,
     at: u32,
@@ -55,7 +54,7 @@ fn check_tree(
 }
 
 #[test]
-fn every_tree_holds_every_point_once_where_it_belongs() {
+fn every_tree_has_every_point_once_in_its_cell() {
     for count in [0, 1, 2, 8, 9, 100, 3000] {
         let forest = Forest::new(&clustered(count, 1), &ForestOptions { trees: 3, seed: 5 });
         assert_eq!(forest.trees(), 3);
@@ -82,8 +81,7 @@ fn recall_grows_with_checks_and_with_trees() {
     assert!(by_checks.is_sorted(), "{by_checks:?}");
     assert!(recall(8, Checks::Total(32)) > recall(1, Checks::Total(32)));
     assert_eq!(recall(4, Checks::PerTree(16)), recall(4, Checks::Total(64)));
-    // Bounds are estimates, so that even a search without limit may miss a neighbour, but hardly
-    // ever.
+    // The branch distances are estimates, so that even a search without limit can miss a neighbour.
     assert!(recall(8, ALL) > 0.99, "{}", recall(8, ALL));
 }
 
@@ -113,7 +111,7 @@ fn same_on_every_instruction_set_and_number_of_threads() {
 
 #[test]
 fn equal_points_and_no_points() {
-    // Far more than a leaf holds, and nothing to split them at.
+    // Equal points cannot be split.
     let equal = vec![[9; 128]; 1000];
     let found = Forest::new(&equal, &ForestOptions::default())
         .nearest(&[[9; 128], [0; 128]], Checks::Total(1));
@@ -131,8 +129,8 @@ fn equal_points_and_no_points() {
 }
 
 #[test]
-fn a_sample_of_equal_points_does_not_hide_the_others() {
-    // 5000 equal points and 20 others: the first hundred of a node are often all equal.
+fn splits_nodes_whose_sample_is_equal() {
+    // With 5000 equal points and 20 others, the first hundred points of a node are often equal.
     let mut points = vec![[50; 128]; 5000];
     points.extend(clustered(20, 6));
     let queries = clustered(20, 6);
@@ -147,8 +145,8 @@ fn a_sample_of_equal_points_does_not_hide_the_others() {
 }
 
 proptest! {
-    /// Whatever the content: no panic, never nearer than the nearest, distances that are true of
-    /// the index.
+    /// For any points: distances are those of the returned index and not below the exact nearest
+    /// distances.
     #[test]
     fn any_content(
         points in prop::collection::vec(prop::collection::vec(0u8..=255, 4), 0..60),
@@ -156,7 +154,7 @@ proptest! {
         trees in 1u32..5,
         checks in 0u32..20,
     ) {
-        // Few dimensions that differ, so that points coincide and splits run out.
+        // Points differ in few dimensions, so that some are equal.
         let fill = |list: &[Vec<u8>]| {
             list.iter()
                 .map(|d| std::array::from_fn(|k| if k < 4 { d[k] & 0x83 } else { 7 }))
@@ -167,7 +165,7 @@ proptest! {
             .nearest(&queries, Checks::Total(checks));
         for ((found, truth), query) in found.iter().zip(exact(&queries, &points)).zip(&queries) {
             prop_assert!(found.distance >= truth.distance && found.second >= truth.second);
-            // Two points are always found where there are two.
+            // Two neighbours are found if there are two points.
             prop_assert_eq!(found.second == u32::MAX, points.len() < 2);
             if let Some(point) = points.get(found.index as usize) {
                 let distance: i32 = query

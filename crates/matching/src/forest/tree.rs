@@ -1,36 +1,37 @@
-//! Trees and the points in their leaves, as they lie in memory.
+//! Memory layout of the trees and of the points in their leaves.
 
 use tiepoint_features::Descriptor;
 
 /// Randomized kd-trees over the descriptors of one image.
 #[derive(Clone, Debug)]
 pub struct Forest {
+    /// The points.
     pub(super) descriptors: Vec<Row>,
-    /// All trees one after the other, each in preorder.
+    /// The nodes of all trees, each tree in preorder.
     pub(super) nodes: Vec<Node>,
-    /// Where each tree begins in `nodes`.
+    /// Index of the root of each tree in `nodes`.
     pub(super) roots: Vec<u32>,
-    /// Indices of descriptors in the order of the trees' leaves.
+    /// Indices of descriptors, in the order of the leaves of the trees.
     pub(super) points: Vec<u32>,
 }
 
-/// A descriptor that fills two cache lines and touches no third.
+/// A descriptor that is aligned to cache lines: it occupies exactly two.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Row(pub(super) Descriptor);
 
 impl Forest {
-    /// How many descriptors the forest holds.
+    /// Number of descriptors.
     pub fn len(&self) -> usize {
         self.descriptors.len()
     }
 
-    /// Whether it holds none.
+    /// Whether there are no descriptors.
     pub fn is_empty(&self) -> bool {
         self.descriptors.is_empty()
     }
 
-    /// The number of trees.
+    /// Number of trees.
     pub fn trees(&self) -> usize {
         self.roots.len()
     }
@@ -39,16 +40,16 @@ impl Forest {
 /// Marks a leaf in [`Node::content`].
 pub(super) const LEAF_MARK: u32 = 1 << 31;
 
-/// Eight bytes. A tree lies in preorder: the left child of a node follows it.
+/// A node of eight bytes. Trees are in preorder: the left child follows its parent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Node {
-    /// Inner node: index of the right child. Leaf: index of its first entry in `Forest::points`.
+    /// Inner node: index of the right child. Leaf: index of its first point in `Forest::points`.
     pub(super) link: u32,
-    /// Inner node: dimension and split. Leaf: number of points and the mark.
+    /// Inner node: dimension and split value. Leaf: number of points and [`LEAF_MARK`].
     pub(super) content: u32,
 }
 
-/// What a node is.
+/// The decoded content of a node.
 pub(super) enum NodeKind {
     Inner { dimension: usize, split: u8, right: u32 },
     Leaf { first: usize, len: usize },

@@ -1,8 +1,13 @@
 use super::*;
 use proptest::prelude::*;
 
-/// All pairs, by the definition.
-fn slow_twin(a: &Features, b: &Features, guide: &EpipolarGuide, options: &Options) -> Vec<Match> {
+/// The reference implementation: tests all pairs of keypoints.
+fn match_all_pairs(
+    a: &Features,
+    b: &Features,
+    guide: &EpipolarGuide,
+    options: &Options,
+) -> Vec<Match> {
     let mut of_a = vec![Nearest::NONE; a.descriptors.len()];
     let mut of_b = vec![Nearest::NONE; b.descriptors.len()];
     for (i, nearest_of_a) in of_a.iter_mut().enumerate() {
@@ -16,16 +21,16 @@ fn slow_twin(a: &Features, b: &Features, guide: &EpipolarGuide, options: &Option
             let allowed = guide.max_error_px * guide.max_error_px * normal_squared;
             if allowed > 0.0 && product * product <= allowed {
                 let distance = squared_distance(&a.descriptors[i], &b.descriptors[j]);
-                nearest_of_a.offer(j as u32, distance);
-                nearest_of_b.offer(i as u32, distance);
+                nearest_of_a.update(j as u32, distance);
+                nearest_of_b.update(i as u32, distance);
             }
         }
     }
     select(&NearestBothWays { of_a, of_b }, options)
 }
 
-/// Keypoints anywhere in a frame of 640 × 480; descriptors that differ in their first bytes only,
-/// so that many are equally far.
+/// Random keypoints in an image of 640 × 480 pixels. The descriptors differ in their first bytes
+/// only, so that many distances are equal.
 fn features() -> impl Strategy<Value = Features> {
     prop::collection::vec((0.0f32..640.0, 0.0f32..480.0, any::<[u8; 3]>()), 0..60).prop_map(
         |list| {
@@ -43,12 +48,11 @@ fn features() -> impl Strategy<Value = Features> {
 
 proptest! {
     #[test]
-    fn strips_find_what_all_pairs_find(
+    fn strips_find_all_candidates(
         a in features(),
         b in features(),
         f in prop::array::uniform3(prop::array::uniform3(-1.0f64..1.0)),
-        // Powers of the frame's size, so that the terms of F are of like weight, or one of them
-        // rules.
+        // Scales of the coordinates, for which the terms of F are of similar size or one dominates.
         weight in prop::array::uniform3(0u8..2),
         max_error_px in 0.1f64..60.0,
     ) {
@@ -66,19 +70,19 @@ proptest! {
             };
             prop_assert_eq!(
                 match_guided(&a, &b, &guide, &options),
-                slow_twin(&a, &b, &guide, &options)
+                match_all_pairs(&a, &b, &guide, &options)
             );
         }
     }
 }
 
-/// Sideways motion: partners have the same y.
+/// The fundamental matrix of a translation along x: corresponding keypoints have the same y.
 const SIDEWAYS: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
 
 #[test]
-fn tells_repeated_structure_apart() {
+fn distinguishes_repeated_structures() {
     let at = |x, y| Keypoint { x, y, scale: 2.0, orientation: 0.0 };
-    // Three equal windows above each other.
+    // Three equal features above each other.
     let a = Features {
         keypoints: vec![at(10.0, 10.0), at(10.0, 50.0), at(10.0, 90.0)],
         descriptors: vec![[40; 128]; 3],
@@ -92,7 +96,7 @@ fn tells_repeated_structure_apart() {
 }
 
 #[test]
-fn senseless_geometry_gives_nothing() {
+fn degenerate_geometry_gives_no_matches() {
     let at = |x, y| Keypoint { x, y, scale: 2.0, orientation: 0.0 };
     let keypoints = vec![at(10.0, 10.0), at(f32::NAN, 3.0), at(f32::INFINITY, 9.0)];
     let features = Features { keypoints, descriptors: vec![[40; 128]; 3] };

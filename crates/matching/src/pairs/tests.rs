@@ -5,7 +5,7 @@ fn sequential(reach: u32) -> PairSelection {
 }
 
 #[test]
-fn reads_what_it_writes() {
+fn text_round_trip_and_invalid_texts() {
     for text in [
         "exhaustive",
         "sequential:1",
@@ -43,7 +43,7 @@ fn reads_what_it_writes() {
 }
 
 #[test]
-fn exhaustive_takes_every_pair_once() {
+fn exhaustive_selects_every_pair_once() {
     let cameras = [Sequence::new(vec![4, 2, 0]), Sequence::new(vec![1, 3])];
     let expected: Vec<Pair> = (0..5).flat_map(|i| (i + 1..5).map(move |j| (i, j))).collect();
     assert_eq!(PairSelection::Exhaustive.pairs(&cameras), expected);
@@ -60,9 +60,9 @@ fn sequential_within_one_camera() {
 }
 
 #[test]
-fn sequential_across_cameras_by_position_against_the_definition() {
+fn sequential_across_cameras_by_position() {
     let (frames, reach) = (7, 2);
-    // Camera k owns the images 10k..10k+7.
+    // Camera k has the images 10k..10k+7.
     let cameras: Vec<Sequence> =
         (0..3).map(|k| Sequence::new((10 * k..10 * k + frames).collect())).collect();
     let mut expected = Vec::new();
@@ -77,7 +77,7 @@ fn sequential_across_cameras_by_position_against_the_definition() {
 }
 
 #[test]
-fn seed_paper_workload() {
+fn number_of_pairs_of_two_cameras() {
     // Two sequences of 2,000 frames, 20 neighbours each way in both: within a camera 2 × (2000·20 −
     // 210) pairs, across cameras 2000 + 2 (2000·20 − 210).
     let cameras = [Sequence::new((0..2000).collect()), Sequence::new((2000..4000).collect())];
@@ -86,21 +86,21 @@ fn seed_paper_workload() {
 
 #[test]
 fn sequential_across_cameras_by_time() {
-    // B runs at half the rate and starts 1 s after A.
+    // Camera B has half the frame rate and starts 1.1 s after camera A.
     let a = Sequence::with_times(vec![0, 1, 2, 3, 4], vec![0.0, 1.0, 2.0, 3.0, 4.0]).unwrap();
     let b = Sequence::with_times(vec![5, 6], vec![1.1, 3.1]).unwrap();
     let across =
         |pairs: Vec<Pair>| pairs.into_iter().filter(|&(i, j)| i < 5 && j >= 5).collect::<Vec<_>>();
     let tiny = across(sequential(1).pairs(&[a.clone(), b.clone()]));
-    // Every A finds both of B within one position; nothing is lost.
+    // Both images of B are within one position of the nearest image for every image of A.
     assert_eq!(tiny.len(), 10);
-    // A camera without times falls back to positions: A's image i belongs to B's image i.
+    // Without times, images at equal positions count as simultaneous.
     let by_position = across(sequential(1).pairs(&[a, Sequence::new(vec![5, 6])]));
     assert_eq!(by_position, [(0, 5), (0, 6), (1, 5), (1, 6), (2, 6)]);
 }
 
 #[test]
-fn nearest_in_time() {
+fn position_nearest_in_time() {
     let sequence = Sequence::with_times(vec![0, 1, 2], vec![0.0, 1.0, 1.5]).unwrap();
     for (time_s, position) in
         [(-5.0, 0), (0.0, 0), (0.5, 0), (0.51, 1), (1.0, 1), (1.24, 1), (1.26, 2), (9.0, 2)]
@@ -110,7 +110,7 @@ fn nearest_in_time() {
 }
 
 #[test]
-fn ends_are_closed() {
+fn closed_ends_are_matched() {
     let selection = PairSelection::Sequential { reach: 2, ends: Ends::Closed, loops: 0 };
     let cameras = [Sequence::new((0..10).collect()), Sequence::new((10..20).collect())];
     let mut expected = sequential(2).pairs(&cameras);
@@ -127,13 +127,13 @@ fn ends_are_closed() {
 }
 
 #[test]
-fn lists_are_put_in_order_and_checked() {
+fn listed_pairs_are_normalised_and_checked() {
     assert_eq!(listed_pairs(&[(3, 1), (1, 3), (2, 2), (0, 1)], 4), Ok(vec![(0, 1), (1, 3)]));
     assert_eq!(listed_pairs(&[(0, 4)], 4), Err(Error::PairRange { a: 0, b: 4, images: 4 }));
 }
 
 #[test]
-fn bad_times_are_named() {
+fn invalid_times_are_errors() {
     assert_eq!(
         Sequence::with_times(vec![0, 1], vec![0.0]),
         Err(Error::TimeCount { images: 2, times: 1 })

@@ -1,20 +1,20 @@
-//! Which images look alike: global descriptors, for loops that a drive closes and for photos in no
-//! order.
+//! Image retrieval by global descriptors, for loop closures and unordered photos.
 //!
-//! A vector of locally aggregated descriptors (Jégou et al., "Aggregating local descriptors into a
-//! compact image representation", CVPR 2010; normalised as in Arandjelović and Zisserman, "All
-//! about VLAD", CVPR 2013): a vocabulary of a hundred words is learnt from some descriptors of the
-//! images themselves; an image then is, word by word, the sum of what its descriptors differ from
-//! their nearest word by. Images of the same place have similar vectors; those that see it from too
-//! different sides are found by way of others.
+//! The global descriptor is VLAD (Jégou et al., "Aggregating local descriptors into a compact image
+//! representation", CVPR 2010), normalised as in Arandjelović and Zisserman ("All about VLAD", CVPR
+//! 2013). A vocabulary of about a hundred visual words is learnt from descriptors of the images.
+//! The global descriptor of an image holds, for each word, the sum of the residuals of its
+//! descriptors to their nearest word. Images of the same place have similar global descriptors.
+//! Images of the same place from very different viewpoints are related by diffusion through images
+//! in between.
 //!
-//! Descriptors are exact in integers but for the roots at the end, which IEEE 754 rounds the same
-//! way everywhere: the same candidates on every machine, for any number of threads.
+//! Sums are in exact integers, and IEEE 754 defines the rounding of the square roots. The results
+//! are the same on all CPUs and for any number of threads.
 
 mod bank;
+mod diffusion;
 mod similar;
 mod vocabulary;
-mod walks;
 
 pub use bank::Bank;
 pub use similar::Similar;

@@ -1,11 +1,11 @@
-//! How alike two images are.
+//! The similarity of images.
 
-/// An image of a bank that looks like another.
+/// An image of a [`Bank`](crate::Bank) and its similarity to a query image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similar {
-    /// Its place in the bank.
+    /// Index of the image in the bank.
     pub image: u32,
-    /// Cosine of the angle between the global descriptors: 1 for the same image, around 0 for
-    /// unrelated ones.
+    /// Cosine similarity of the global descriptors: 1 for the same image, near 0 for unrelated
+    /// images.
     pub similarity: f32,
 }

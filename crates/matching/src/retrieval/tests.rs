@@ -12,9 +12,9 @@ fn noise(count: usize, seed: u64) -> Vec<Descriptor> {
     (0..count).map(|_| std::array::from_fn(|_| random.below(90) as u8)).collect()
 }
 
-/// Images of a walk along a wall of features: each sees 60, and the next one moved on by 10; every
-/// descriptor a little different each time.
-fn walk(images: usize) -> Vec<Vec<Descriptor>> {
+/// A sequence of images along a wall of features. Each image has 60 features, shifted by 10 from
+/// the previous image, with noise in the descriptors.
+fn wall_sequence(images: usize) -> Vec<Vec<Descriptor>> {
     let wall = noise(10 * images + 60, 3);
     let mut random = SplitMix64::new(4, 1);
     let mut seen_again =
@@ -31,8 +31,8 @@ fn bank(images: &[Vec<Descriptor>], options: &VocabularyOptions) -> (Vocabulary,
 }
 
 #[test]
-fn images_that_see_the_same_are_similar() {
-    let images = walk(40);
+fn overlapping_images_are_similar() {
+    let images = wall_sequence(40);
     let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 32, ..Default::default() });
     let mut right = 0;
     for (at, image) in images.iter().enumerate() {
@@ -40,15 +40,15 @@ fn images_that_see_the_same_are_similar() {
         assert_eq!((found[0].image, found.len()), (at as u32, 5));
         assert!((found[0].similarity - 1.0).abs() < 1e-5, "{:?}", found[0]);
         assert!(found.windows(2).all(|pair| pair[0].similarity >= pair[1].similarity));
-        // Five sixths, two thirds of what they see is the same.
+        // Images up to three positions apart share at least half of their features.
         right += found[1..].iter().filter(|similar| similar.image.abs_diff(at as u32) <= 3).count();
     }
     assert!(right >= 40 * 4 * 9 / 10, "{right}");
 }
 
 #[test]
-fn pairs_are_those_of_related_images_without_the_known_ones() {
-    let images = walk(37);
+fn pairs_are_related_images_without_known_pairs() {
+    let images = wall_sequence(37);
     let (_, bank) = bank(&images, &VocabularyOptions { words: 16, ..Default::default() });
     let known: Vec<_> = (0..36).map(|i| (i, i + 1)).collect();
     let mut expected = Vec::new();
@@ -65,42 +65,45 @@ fn pairs_are_those_of_related_images_without_the_known_ones() {
     }
 }
 
-/// Images 6 places apart share nothing; in between there are some that share with both.
+/// Images 6 positions apart share no features. Images in between share features with both.
 #[test]
-fn images_that_share_nothing_are_found_by_way_of_others() {
-    const NOTHING_SHARED: u32 = 6;
-    // Ten on both sides, five at the ends of the wall.
-    const NEAR: u32 = NOTHING_SHARED + 9;
-    let images = walk(60);
+fn diffusion_relates_images_without_common_features() {
+    const MIN_GAP: u32 = 6;
+    // The ten nearest candidates on each side.
+    const NEAR: u32 = MIN_GAP + 9;
+    let images = wall_sequence(60);
     let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 32, ..Default::default() });
-    let related = bank.related(10, |a, b| a.abs_diff(b) >= NOTHING_SHARED);
-    let [mut by_way_of_others, mut alike] = [0, 0];
+    let related = bank.related(10, |a, b| a.abs_diff(b) >= MIN_GAP);
+    let [mut num_by_diffusion, mut num_by_similarity] = [0, 0];
     for (a, others) in (0u32..).zip(related) {
         let near = |others: &[u32]| others.iter().filter(|b| b.abs_diff(a) <= NEAR).count();
-        by_way_of_others += near(&others);
-        let plain = bank.most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| {
-            b.abs_diff(a) >= NOTHING_SHARED
+        num_by_diffusion += near(&others);
+        let similar = bank.most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| {
+            b.abs_diff(a) >= MIN_GAP
         });
-        alike += near(&plain.iter().map(|similar| similar.image).collect::<Vec<_>>());
+        num_by_similarity += near(&similar.iter().map(|other| other.image).collect::<Vec<_>>());
     }
-    assert!(by_way_of_others >= 60 * 9 && alike < 60 * 5, "{by_way_of_others} {alike}");
+    assert!(
+        num_by_diffusion >= 60 * 9 && num_by_similarity < 60 * 5,
+        "{num_by_diffusion} {num_by_similarity}"
+    );
 }
 
 #[test]
-fn where_nothing_is_alike_the_most_similar_ones_are_related() {
+fn related_falls_back_to_the_most_similar_images() {
     let images: Vec<Vec<Descriptor>> = (0..30).map(|at| noise(50, 100 + at)).collect();
     let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 8, ..Default::default() });
     for (a, others) in bank.related(4, |a, b| !(a + b).is_multiple_of(3)).into_iter().enumerate() {
         let image = a as u32;
-        let plain = bank.most_similar(&vocabulary.describe(&images[a]), 4, |b| {
+        let similar = bank.most_similar(&vocabulary.describe(&images[a]), 4, |b| {
             b != image && !(image + b).is_multiple_of(3)
         });
-        assert_eq!(others, plain.iter().map(|similar| similar.image).collect::<Vec<_>>());
+        assert_eq!(others, similar.iter().map(|other| other.image).collect::<Vec<_>>());
     }
 }
 
 #[test]
-fn only_the_leading_features_say_what_an_image_looks_like() {
+fn global_descriptors_depend_on_the_leading_features_only() {
     let sample = noise(2 * Vocabulary::LEADING, 8);
     let vocabulary =
         Vocabulary::learn(&sample, &VocabularyOptions { words: 8, ..Default::default() });
@@ -109,7 +112,7 @@ fn only_the_leading_features_say_what_an_image_looks_like() {
 }
 
 #[test]
-fn the_vocabulary_is_that_of_plain_k_means() {
+fn k_means_reduces_the_distances_to_words() {
     let sample = noise(500, 9);
     let options = VocabularyOptions { words: 20, rounds: 3, seed: 5 };
     let first = Vocabulary::learn(&sample, &VocabularyOptions { rounds: 0, ..options });
@@ -122,20 +125,22 @@ fn the_vocabulary_is_that_of_plain_k_means() {
         global(&first),
         global(&Vocabulary::learn(&sample, &VocabularyOptions { rounds: 0, seed: 6, ..options }))
     );
-    // Moving words to the means of what is nearest to them brings descriptors nearer.
-    let spread = |vocabulary: &Vocabulary| -> u64 {
+    // Every iteration of k-means reduces the sum of squared distances.
+    let sum_of_distances = |vocabulary: &Vocabulary| -> u64 {
         let packed = crate::Prepared::new(&sample);
         let found = crate::nearest(&packed, vocabulary.packed()).of_a;
         found.iter().map(|nearest| u64::from(nearest.distance)).sum()
     };
-    let spreads: Vec<u64> = (0..4)
-        .map(|rounds| spread(&Vocabulary::learn(&sample, &VocabularyOptions { rounds, ..options })))
+    let sums: Vec<u64> = (0..4)
+        .map(|rounds| {
+            sum_of_distances(&Vocabulary::learn(&sample, &VocabularyOptions { rounds, ..options }))
+        })
         .collect();
-    assert!(spreads.windows(2).all(|pair| pair[1] < pair[0]), "{spreads:?}");
+    assert!(sums.windows(2).all(|pair| pair[1] < pair[0]), "{sums:?}");
 }
 
 #[test]
-fn little_or_nothing_to_learn_from() {
+fn small_and_empty_samples() {
     let nothing = Vocabulary::learn(&[], &VocabularyOptions::default());
     let (vocabulary, mut bank) = bank(&[noise(3, 1), noise(1, 2)], &VocabularyOptions::default());
     bank.push(&vocabulary.describe(&[]));
@@ -149,7 +154,7 @@ fn little_or_nothing_to_learn_from() {
 
 proptest! {
     #[test]
-    fn scalar_products_are_exact_on_every_instruction_set(
+    fn dot_products_are_exact_on_every_instruction_set(
         a in prop::collection::vec(any::<i8>(), 0..3000),
         from in 0usize..200,
     ) {
@@ -162,7 +167,7 @@ proptest! {
     }
 
     #[test]
-    fn descriptors_of_any_content_are_described(
+    fn describes_any_descriptors(
         bytes in prop::collection::vec(any::<u8>(), 0..40),
         seed in any::<u64>(),
     ) {

@@ -1,4 +1,4 @@
-//! Words, and images as sums of differences from them.
+//! The vocabulary of visual words and the VLAD descriptors of images.
 
 use rayon::prelude::*;
 use tiepoint_features::Descriptor;
@@ -7,23 +7,21 @@ use crate::brute::nearest;
 use crate::prepared::Prepared;
 use crate::random::SplitMix64;
 
-/// Descriptors that are assigned to words as one task.
-const CHUNK: usize = 4096;
-/// Entries of a global descriptor are bytes: this many times what all would be if they were equally
-/// large, at 32.
+/// Number of descriptors per parallel task.
+const TASK_SIZE: usize = 4096;
+/// Scale of the entries of a unit vector of 128 entries: equal entries become 32.
 const BYTE_SCALE: f32 = 32.0 * 11.313_708;
-/// Largest entry.
-const LARGEST: f32 = 127.0;
+/// Maximum absolute value of an entry.
+const MAX_ENTRY: f32 = 127.0;
 
-/// How to learn a vocabulary.
+/// Options of [`Vocabulary::learn`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VocabularyOptions {
-    /// Number of words; each is 128 bytes of every global descriptor. Fewer where the sample is
-    /// smaller.
+    /// Number of words, at most the size of the sample. A global descriptor has 128 bytes per word.
     pub words: usize,
-    /// Rounds of k-means; it has settled by then as far as retrieval can tell.
+    /// Number of iterations of k-means. More iterations did not improve retrieval.
     pub rounds: usize,
-    /// Seed of the choice of first words.
+    /// Seed of the random initial words.
     pub seed: u64,
 }
 
@@ -33,33 +31,34 @@ impl Default for VocabularyOptions {
     }
 }
 
-/// Typical descriptors of some images.
+/// A vocabulary of visual words: the k-means centres of descriptors.
 #[derive(Clone, Debug)]
 pub struct Vocabulary {
     words: Vec<Descriptor>,
     packed: Prepared,
 }
 
-/// What an image looks like as a whole. Meaningful beside others of the same vocabulary.
+/// The VLAD global descriptor of an image. Comparable with those of the same vocabulary.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GlobalDescriptor {
-    /// 128 for each word.
+    /// 128 entries per word.
     pub(crate) entries: Vec<i8>,
 }
 
 impl Vocabulary {
-    /// How many descriptors of an image say what it looks like. SIFT has the largest features
-    /// first, which are those that stay when the camera moves on.
+    /// Number of descriptors of an image in its global descriptor. `tiepoint-features` sorts
+    /// features by descending scale, and features of large scale are visible over large camera
+    /// motions.
     pub const LEADING: usize = 1000;
 
-    /// Learns words from a sample of descriptors by k-means; a few hundred descriptors for each
-    /// word suffice.
+    /// Learns the words from a sample of descriptors by k-means. A few hundred descriptors per word
+    /// are sufficient.
     pub fn learn(sample: &[Descriptor], options: &VocabularyOptions) -> Self {
         let mut order: Vec<u32> = (0..sample.len() as u32).collect();
         SplitMix64::new(options.seed, 0).shuffle(&mut order);
         let words = order.iter().take(options.words).map(|&i| sample[i as usize]).collect();
         let mut vocabulary = Vocabulary::from_words(words);
-        let chunks: Vec<Prepared> = sample.par_chunks(CHUNK).map(Prepared::new).collect();
+        let chunks: Vec<Prepared> = sample.par_chunks(TASK_SIZE).map(Prepared::new).collect();
         for _ in 0..options.rounds {
             vocabulary = vocabulary.refined(sample, &chunks);
         }
@@ -76,8 +75,7 @@ impl Vocabulary {
         Vocabulary { words, packed }
     }
 
-    /// Every word becomes the mean of the descriptors that it is nearest to; one that has none
-    /// stays.
+    /// One iteration of k-means. A word without assigned descriptors does not change.
     fn refined(&self, sample: &[Descriptor], chunks: &[Prepared]) -> Self {
         let assigned: Vec<Vec<u32>> = chunks.par_iter().map(|chunk| self.assign(chunk)).collect();
         let mut sums = vec![[0u64; 128]; self.words.len()];
@@ -95,20 +93,20 @@ impl Vocabulary {
         Vocabulary::from_words(self.words.iter().zip(sums).zip(&counts).map(mean).collect())
     }
 
-    /// The nearest word of every descriptor, the first among equals.
+    /// The nearest word of every descriptor, the first of equally near ones.
     fn assign(&self, descriptors: &Prepared) -> Vec<u32> {
         nearest(descriptors, &self.packed).of_a.iter().map(|nearest| nearest.index).collect()
     }
 
-    /// About so many of an image's [leading](Self::LEADING) descriptors, evenly spread, to learn
-    /// from.
+    /// A sample for learning: at most `count` equally spaced descriptors among the first
+    /// [`LEADING`](Self::LEADING) of an image.
     pub fn sample(descriptors: &[Descriptor], count: usize) -> impl Iterator<Item = &Descriptor> {
         let leading = &descriptors[..descriptors.len().min(Self::LEADING)];
         leading.iter().step_by(leading.len().div_ceil(count).max(1))
     }
 
-    /// The global descriptor of an image, of its [leading](Self::LEADING) descriptors. One without
-    /// features is like no other.
+    /// The global descriptor of an image, from its first [`LEADING`](Self::LEADING) descriptors. An
+    /// image without features has similarity 0 to all images.
     pub fn describe(&self, descriptors: &[Descriptor]) -> GlobalDescriptor {
         let descriptors = &descriptors[..descriptors.len().min(Self::LEADING)];
         let mut sums = vec![[0i32; 128]; self.words.len()];
@@ -123,17 +121,17 @@ impl Vocabulary {
                 }
             }
         }
-        GlobalDescriptor { entries: sums.iter().flat_map(quantised).collect() }
+        GlobalDescriptor { entries: sums.iter().flat_map(normalised).collect() }
     }
 }
 
-/// The signed roots of a word's sums, as long together for every word: what is seen often shall not
-/// drown the rest.
-fn quantised(sums: &[i32; 128]) -> [i8; 128] {
-    // The squared length of the roots.
+/// The signed square roots of the sums of a word, normalised to the same norm for every word, so
+/// that frequent words do not dominate.
+fn normalised(sums: &[i32; 128]) -> [i8; 128] {
+    // The squared norm of the roots.
     let total = sums.iter().map(|&sum| u64::from(sum.unsigned_abs())).sum::<u64>().max(1) as f32;
     sums.map(|sum| {
         let root = (sum.unsigned_abs() as f32 / total).sqrt();
-        (BYTE_SCALE * root).min(LARGEST).round().copysign(sum as f32) as i8
+        (BYTE_SCALE * root).min(MAX_ENTRY).round().copysign(sum as f32) as i8
     })
 }

@@ -1,4 +1,4 @@
-//! The kernels against a plain triple loop, on every instruction set that the machine has.
+//! Comparison of the kernels with a triple loop, on every instruction set of the CPU.
 
 use proptest::prelude::*;
 use tiepoint_features::Descriptor;
@@ -6,7 +6,7 @@ use tiepoint_matching::{
     Isa, Match, Nearest, NearestBothWays, Options, Prepared, match_features, nearest, nearest_on,
 };
 
-/// The definition.
+/// The reference implementation.
 fn triple_loop(a: &[Descriptor], b: &[Descriptor]) -> NearestBothWays {
     let one_way = |from: &[Descriptor], to: &[Descriptor]| {
         let nearest_of = |x: &Descriptor| {
@@ -41,8 +41,8 @@ fn check(a: &[Descriptor], b: &[Descriptor]) {
     assert_eq!(nearest(&a, &b), expected);
 }
 
-/// Small numbers from a counter (SplitMix64), for descriptors that are cheap to make in bulk.
-fn noise(seed: u64) -> impl FnMut() -> u64 {
+/// Pseudo-random numbers (SplitMix64).
+fn random_numbers(seed: u64) -> impl FnMut() -> u64 {
     let mut state = seed;
     move || {
         state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -52,15 +52,16 @@ fn noise(seed: u64) -> impl FnMut() -> u64 {
     }
 }
 
-/// `levels` values per byte, spread over 0..=255: 2 gives the extremes, 256 everything.
+/// Random descriptors with `levels` equally spaced values per byte: 2 gives 0 and 255, 256 gives
+/// all.
 fn descriptors(count: usize, levels: u64, seed: u64) -> Vec<Descriptor> {
-    let mut next = noise(seed);
+    let mut next = random_numbers(seed);
     let mut byte = || (next() % levels * 255 / (levels - 1).max(1)) as u8;
     (0..count).map(|_| std::array::from_fn(|_| byte())).collect()
 }
 
 #[test]
-fn sizes_around_every_boundary() {
+fn sizes_around_all_block_boundaries() {
     // Lanes are 4, 8, 16; tiles 8, 16, 64 columns and 4 or 6 rows; row blocks 96.
     let sizes = [0, 1, 2, 3, 5, 6, 7, 8, 15, 16, 17, 31, 33, 63, 64, 65, 95, 96, 97, 130, 193];
     for (k, &n) in sizes.iter().enumerate() {
@@ -71,13 +72,14 @@ fn sizes_around_every_boundary() {
 }
 
 #[test]
-fn more_columns_than_a_key_counts() {
-    // Keys count 256 vectors: 4096 columns in AVX-512, 2048 in AVX2, 1024 portable. Few levels make
-    // ties.
+fn more_columns_than_a_key_can_index() {
+    // Keys index 256 vectors: 4096 columns for AVX-512, 2048 for AVX2, 1024 for the portable
+    // kernel. Few levels give equal distances.
     for (n, m, levels) in [(7, 4096 + 70, 256), (100, 2048 + 9, 3), (13, 9000, 2)] {
         let (mut a, mut b) = (descriptors(n, levels, 1), descriptors(m, levels, 2));
         check(&a, &b);
-        // The same neighbour at the first place of a merge and at the last of the one before.
+        // Equal neighbours in the first column of a merge and in the last column of the previous
+        // one.
         a[0] = b[1023];
         for copy in [1024, 2047, 2048, 4095, 4096] {
             if copy < m {
@@ -90,7 +92,7 @@ fn more_columns_than_a_key_counts() {
 }
 
 #[test]
-fn equal_descriptors_take_the_lowest_index() {
+fn equal_descriptors_give_the_lowest_index() {
     let a = vec![[7; 128]; 300];
     let b = vec![[9; 128]; 5000];
     check(&a, &b);
@@ -158,7 +160,7 @@ proptest! {
             |distance: u32| 2.0 * (f64::from(distance).sqrt() / 1024.0).min(0.5f64.sqrt()).asin();
         let passes = |n: &Nearest| {
             n.index != u32::MAX
-                && max_angle_rad.is_none_or(|most| angle(n.distance) <= most)
+                && max_angle_rad.is_none_or(|max| angle(n.distance) <= max)
                 && max_ratio.is_none_or(|r| angle(n.distance) < r * angle(n.second))
         };
         let mut expected = Vec::new();
@@ -176,7 +178,7 @@ proptest! {
 }
 
 #[test]
-fn nothing_and_zeros() {
+fn empty_images_and_zero_descriptors() {
     let options = Options::default();
     assert_eq!(match_features(&[], &[], &options), []);
     assert_eq!(match_features(&[[1; 128]], &[], &options), []);
@@ -185,6 +187,6 @@ fn nothing_and_zeros() {
         match_features(&[[0; 128]], &[[0; 128]], &options),
         [Match { a: 0, b: 0, distance: 0 }]
     );
-    // Two equal rivals: the ratio test knows no winner.
+    // Two equal candidates fail the ratio test.
     assert_eq!(match_features(&[[0; 128]], &[[0; 128]; 2], &options), []);
 }

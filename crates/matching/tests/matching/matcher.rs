@@ -1,11 +1,11 @@
-//! From features to matches: mutual matching, preemption, parallel pairs.
+//! Mutual matching, preemptive matching and parallel matching of pairs.
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
     Checks, Method, Options, Preempt, Prepared, match_features, match_pairs, match_prepared,
 };
 
-/// Descriptor `k` of a family in which all are far apart: one block of eight entries stands out.
+/// Descriptor `k` of a set of descriptors with large mutual distances.
 fn distinct(k: usize) -> Descriptor {
     std::array::from_fn(|i| if i / 8 == k % 16 || i % 8 == k / 16 { 100 } else { 3 })
 }
@@ -42,16 +42,16 @@ fn mutual_matching_is_symmetric() {
 }
 
 #[test]
-fn preemption_looks_at_the_largest_features() {
-    // The ten largest of both images are 50..60 and 70..80: nothing in common, although 30 features
-    // are.
+fn preemptive_matching_uses_the_largest_features() {
+    // The ten largest features of the images are 50..60 and 70..80, without common features. In
+    // total there are 30 common features.
     let (a, b) = (features(0..60), features(30..80));
     let full = Options::default();
     let preempt = Options { preempt: Some(Preempt { min_matches: 1 }), ..full.clone() };
     let prepare = |features, leading| Prepared::from_features(features, leading);
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full).len(), 30);
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &preempt), []);
-    // With 25 each, 55..60 are in both lists.
+    // The 25 largest features of both images include 55..60.
     let expected = match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full);
     assert_eq!(match_prepared(&prepare(&a, 25), &prepare(&b, 25), &preempt), expected);
     // Images that were prepared without leading features are matched in full.
@@ -62,7 +62,7 @@ fn preemption_looks_at_the_largest_features() {
 }
 
 #[test]
-fn pairs_give_the_same_as_one_by_one_on_any_number_of_threads() {
+fn match_pairs_does_not_depend_on_the_number_of_threads() {
     let images: Vec<Prepared> = [0..40, 20..70, 0..0, 10..100]
         .into_iter()
         .map(|range| Prepared::from_features(&features(range), 8))
@@ -80,28 +80,28 @@ fn pairs_give_the_same_as_one_by_one_on_any_number_of_threads() {
 }
 
 #[test]
-fn forests_find_the_same_distinct_features() {
+fn forests_give_the_matches_of_brute_force_for_distinct_features() {
     let (a, b) = (features(0..200), features((100..220).rev()));
     let brute = Options::default();
     let forest = Options { method: Method::Forest(Checks::Total(256)), ..Options::default() };
     let expected = match_features(&a.descriptors, &b.descriptors, &brute);
     assert_eq!(match_features(&a.descriptors, &b.descriptors, &forest), expected);
-    // Prepared without a forest: brute force.
+    // Images without forests are matched by brute force.
     let (a, b) = (Prepared::new(&a.descriptors), Prepared::new(&b.descriptors));
     assert_eq!(match_prepared(&a, &b, &forest), expected);
 }
 
 #[test]
-fn the_cheapest_method_turns_to_forests_for_many_features() {
+fn cheapest_method_uses_forests_for_many_features() {
     let cheapest = Method::Cheapest(Checks::default());
     assert!(!cheapest.uses_forest(500) && cheapest.uses_forest(1_000_000));
     assert!(
         !Method::BruteForce.uses_forest(1_000_000)
             && Method::Forest(Checks::default()).uses_forest(1)
     );
-    // More checks put it off.
-    let turn = |checks| {
+    // More checks increase the number of features from which forests are used.
+    let threshold = |checks| {
         (0..40).find(|&k| Method::Cheapest(Checks::Total(checks)).uses_forest(1 << k)).unwrap()
     };
-    assert!(turn(1024) > turn(64));
+    assert!(threshold(1024) > threshold(64));
 }

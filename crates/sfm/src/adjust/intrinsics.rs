@@ -22,7 +22,7 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
             } else if kind.principal_point_indices().contains(index) {
                 !refine.principal_point
             } else {
-                !refine.distortion || kind.turn_indices().contains(index)
+                !refine.distortion || kind.rotation_degenerate_indices().contains(index)
             }
         })
         .collect()

@@ -153,7 +153,7 @@ impl Term for ExtrinsicsTerm<'_> {
                         let whitening =
                             referenced.whitening(&synchronous, &left, &extrinsics.right_from_left);
                         let factor = InterpolatedExtrinsics {
-                            mounted: synchronous,
+                            extrinsics: synchronous,
                             left_times_s: times_s,
                             right_time_s,
                             whitening,

@@ -133,7 +133,7 @@ impl Context<'_> {
         };
         Some(poses().is_some_and(|(own, expected)| {
             let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());
-            let (_, rotation) = own.apart(&expected);
+            let (_, rotation) = own.distance_and_angle(&expected);
             rotation < MAX_TWO_VIEW_ROTATION_RAD
                 && own_t.cross(&t).norm() < MAX_TWO_VIEW_DIRECTION_RAD
                 && own_t.dot(&t) > 0.0

@@ -106,7 +106,7 @@ fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
     }
     let (similarity, relative, average, extent) = found?;
     let (mut deviations, mut rotations): (Vec<f64>, Vec<f64>) =
-        relative.iter().map(|p| p.apart(&average)).unzip();
+        relative.iter().map(|p| p.distance_and_angle(&average)).unzip();
     let is_rigid = median(&mut deviations)? <= MAX_DEVIATION * extent
         && median(&mut rotations)? <= MAX_ROTATION_RAD;
     is_rigid.then_some(similarity)

@@ -5,8 +5,8 @@ use crate::brute::nearest_on;
 use crate::matcher::select;
 use crate::random::SplitMix64;
 
-/// Something like SIFT: some edges, each spread over neighbouring places and directions; length
-/// 512.
+/// A random descriptor similar to SIFT: a few edges, each interpolated over cells and directions,
+/// with norm 512.
 fn descriptor(random: &mut SplitMix64) -> Descriptor {
     const EDGES: usize = 8;
     let mut uniform = |end: f64| random.below(1000) as f64 / 1000.0 * end;
@@ -17,8 +17,8 @@ fn descriptor(random: &mut SplitMix64) -> Descriptor {
     let entry = |k: usize| {
         let (row, column, direction) = ((k / 32) as f64, (k / 8 % 4) as f64, (k % 8) as f64);
         let of_edge = |&[y, x, angle, weight]: &[f64; 4]| {
-            let turn = (direction - angle).rem_euclid(8.0);
-            weight * share(row - y) * share(column - x) * share(turn.min(8.0 - turn))
+            let difference = (direction - angle).rem_euclid(8.0);
+            weight * share(row - y) * share(column - x) * share(difference.min(8.0 - difference))
         };
         edges.iter().map(of_edge).sum::<f64>() + 0.01
     };
@@ -35,8 +35,8 @@ fn similar(near: &Descriptor, noise: usize, random: &mut SplitMix64) -> Descript
     normalised(&near.map(|x| f64::from(x) + random.below(noise + 1) as f64))
 }
 
-/// Half of the features of the second image are those of the first with more and more noise; some
-/// come twice, in either image.
+/// Two images. Half of the descriptors of the second are those of the first with increasing noise.
+/// Both images have duplicates.
 fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
     let mut random = SplitMix64::new(seed, 0);
     let mut a: Vec<Descriptor> = (0..len[0]).map(|_| descriptor(&mut random)).collect();
@@ -55,37 +55,37 @@ fn images(len: [usize; 2], seed: u64) -> [Vec<Descriptor>; 2] {
     [a, b]
 }
 
-/// Compared with all descriptors in full, on every instruction set; how many pairs of images went
-/// the short way.
+/// Compares the matches with those of brute force on every instruction set. Returns the number of
+/// instruction sets for which pruning applied.
 fn check(a: &[Descriptor], b: &[Descriptor], options: &Options) -> usize {
     let (a, b) = (Prepared::new(a), Prepared::new(b));
-    let mut short = 0;
+    let mut num_pruned = 0;
     for isa in Isa::supported() {
         let expected = select(&nearest_on(isa, &a, &b), options);
-        if let Some(found) = match_screened(isa, &a, &b, options) {
+        if let Some(found) = match_pruned(isa, &a, &b, options) {
             assert_eq!(found, expected, "{isa}");
-            short += 1;
+            num_pruned += 1;
         }
     }
-    short
+    num_pruned
 }
 
 #[test]
-fn the_short_way_gives_the_same_matches() {
+fn pruning_gives_the_matches_of_brute_force() {
     for (seed, len) in [(1, [600, 700]), (2, [1000, 521]), (3, [523, 1999])] {
         let [a, b] = images(len, seed);
         for (max_ratio, max_angle_rad) in
             [(Some(0.8), Some(0.7)), (Some(0.6), None), (Some(0.9), Some(0.4)), (None, Some(0.3))]
         {
             let options = Options { max_ratio, max_angle_rad, ..Options::default() };
-            let matches = check(&a, &b, &options);
-            assert!(matches > 0 || max_ratio != Some(0.8), "no instruction set went the short way");
+            let num_pruned = check(&a, &b, &options);
+            assert!(num_pruned > 0 || max_ratio != Some(0.8), "pruning did not apply");
         }
     }
 }
 
 #[test]
-fn descriptors_of_any_content_give_the_same_matches() {
+fn pruning_of_any_descriptors() {
     let mut random = SplitMix64::new(9, 0);
     for levels in [2, 3, 256] {
         let mut image = |len: usize| -> Vec<Descriptor> {

@@ -1,11 +1,11 @@
-//! SIFT as its definition reads: direct convolution of whole images, loops over all samples, double
-//! precision.
+//! Reference implementation of SIFT: direct convolution of whole images and loops over all samples,
+//! in double precision.
 
 use crate::GrayView;
 use crate::scale_space::{kernel_from_image, kernels_between_levels};
 use std::f64::consts::{SQRT_2, TAU};
 
-/// A level of a plain pyramid in double precision.
+/// A level in double precision.
 #[derive(Clone)]
 pub(crate) struct Plane {
     pub(crate) width: usize,
@@ -42,8 +42,8 @@ impl Plane {
     }
 }
 
-/// Levels of an octave of an image, the plain way.
-pub(crate) fn plain_levels(source: &Plane, octave: i32, levels: usize) -> Vec<Plane> {
+/// The levels of an octave.
+pub(crate) fn reference_levels(source: &Plane, octave: i32, levels: usize) -> Vec<Plane> {
     let mut planes = vec![source.blurred(&kernel_from_image(octave, -1))];
     for kernel in kernels_between_levels(levels) {
         planes.push(planes[planes.len() - 1].blurred(&kernel));
@@ -51,8 +51,8 @@ pub(crate) fn plain_levels(source: &Plane, octave: i32, levels: usize) -> Vec<Pl
     planes
 }
 
-/// Extrema of the differences of plain levels, before refinement.
-pub(crate) fn plain_extrema(planes: &[Plane], least: f64) -> Vec<(usize, usize, usize)> {
+/// Candidate extrema (level, x, y) of the differences of levels, before refinement.
+pub(crate) fn reference_extrema(planes: &[Plane], min_value: f64) -> Vec<(usize, usize, usize)> {
     let at = |i: usize, x: isize, y: isize| planes[i + 1].at(x, y) - planes[i].at(x, y);
     let mut found = Vec::new();
     for i in 1..planes.len() - 2 {
@@ -67,7 +67,7 @@ pub(crate) fn plain_extrema(planes: &[Plane], least: f64) -> Vec<(usize, usize, 
                         }
                     }
                 }
-                if value.abs() >= least
+                if value.abs() >= min_value
                     && (others.iter().all(|&o| value > o) || others.iter().all(|&o| value < o))
                 {
                     found.push((i, x as usize, y as usize));
@@ -78,8 +78,8 @@ pub(crate) fn plain_extrema(planes: &[Plane], least: f64) -> Vec<(usize, usize, 
     found
 }
 
-/// The image, or the image doubled, as VLFeat doubles it.
-pub(crate) fn plain_source(view: &GrayView<'_>, octave: i32) -> Plane {
+/// The image, or the image at double resolution as in VLFeat.
+pub(crate) fn reference_source(view: &GrayView<'_>, octave: i32) -> Plane {
     let image = Plane::from_fn(view.width, view.height, |x, y| {
         f64::from(view.row(y as usize)[x as usize]) / 255.0
     });
@@ -93,9 +93,9 @@ pub(crate) fn plain_source(view: &GrayView<'_>, octave: i32) -> Plane {
     })
 }
 
-/// Refinement as the module header of `extrema` states it, by Cramer's rule: sample, position and
-/// value, if it passes.
-pub(crate) fn plain_refined(
+/// Refines a candidate as described in module `extrema`, with Cramer's rule. Returns sample,
+/// position and value, or `None` if the extremum does not pass the thresholds.
+pub(crate) fn reference_refined(
     planes: &[Plane],
     (i, x, y): (usize, usize, usize),
     peak: f64,
@@ -131,12 +131,12 @@ pub(crate) fn plain_refined(
             (0..3).for_each(|r| m[r][k] = -g[r]);
             det(m) / det(h)
         });
-        let moved = |v: isize, d: f64, size: isize| match d {
+        let next_sample = |v: isize, d: f64, size: isize| match d {
             d if d > 0.6 && v < size - 2 => v + 1,
             d if d < -0.6 && v > 1 => v - 1,
             _ => v,
         };
-        let next = (moved(x, offset[0], width), moved(y, offset[1], height));
+        let next = (next_sample(x, offset[0], width), next_sample(y, offset[1], height));
         if next != (x, y) && step < 5 {
             (x, y) = next;
             step += 1;
@@ -163,8 +163,12 @@ fn gradient(level: &Plane, x: usize, y: usize) -> (f64, f64) {
     (gx.hypot(gy), gy.atan2(gx).rem_euclid(TAU))
 }
 
-/// Dominant directions and their heights, the highest first.
-pub(crate) fn plain_directions(level: &Plane, (x, y): (f64, f64), sigma: f64) -> Vec<(f64, f64)> {
+/// Dominant orientations and the heights of their maxima, in descending order of height.
+pub(crate) fn reference_directions(
+    level: &Plane,
+    (x, y): (f64, f64),
+    sigma: f64,
+) -> Vec<(f64, f64)> {
     let sigma = 1.5 * sigma;
     let radius = (3.0 * sigma).floor();
     let mut histogram = [0.0; 36];
@@ -202,8 +206,13 @@ pub(crate) fn plain_directions(level: &Plane, (x, y): (f64, f64), sigma: f64) ->
     found
 }
 
-/// The descriptor of unit length, its numbers clamped.
-fn plain_unit_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f64) -> [f64; 128] {
+/// The descriptor of one window size, clamped, of unit length.
+fn reference_unit_descriptor(
+    level: &Plane,
+    (x, y): (f64, f64),
+    sigma: f64,
+    angle: f64,
+) -> [f64; 128] {
     let mut cells = [0.0; 128];
     let side = 3.0 * sigma;
     let reach = (SQRT_2 * side * 2.5 + 0.5).floor();
@@ -222,9 +231,9 @@ fn plain_unit_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f
                 let near_u = 1.0 - (u - (column as f64 - 1.5)).abs();
                 let near_v = 1.0 - (v - (row as f64 - 1.5)).abs();
                 for bin in 0..8 {
-                    let turn = (t - bin as f64).abs();
-                    let near_t = 1.0 - turn.min(8.0 - turn);
-                    // Directions are stored the other way round.
+                    let distance = (t - bin as f64).abs();
+                    let near_t = 1.0 - distance.min(8.0 - distance);
+                    // Directions are stored in the opposite rotation sense.
                     let at = (row * 4 + column) * 8 + (8 - bin) % 8;
                     cells[at] += weight * near_u.max(0.0) * near_v.max(0.0) * near_t.max(0.0);
                 }
@@ -238,9 +247,8 @@ fn plain_unit_descriptor(level: &Plane, (x, y): (f64, f64), sigma: f64, angle: f
     clamped.map(|v| v / n)
 }
 
-/// The descriptor before rounding, times 512, as RootSIFT: the mean of those in windows of these
-/// sizes.
-pub(crate) fn plain_descriptor(
+/// The RootSIFT descriptor, times 512, before rounding: the mean over the given window sizes.
+pub(crate) fn reference_descriptor(
     level: &Plane,
     at: (f64, f64),
     sigma: f64,
@@ -249,7 +257,8 @@ pub(crate) fn plain_descriptor(
 ) -> [f64; 128] {
     let mut pooled = [0.0; 128];
     for size in sizes {
-        for (sum, v) in pooled.iter_mut().zip(plain_unit_descriptor(level, at, size * sigma, angle))
+        for (sum, v) in
+            pooled.iter_mut().zip(reference_unit_descriptor(level, at, size * sigma, angle))
         {
             *sum += v;
         }

@@ -1,14 +1,15 @@
-//! A robust loss, eight residuals at a time.
+//! Robust losses of a block of eight residuals.
 
 use crate::Loss;
 use crate::simd::{LANES, Lanes};
 
-/// ρ and ρ′ of some squared residuals; ρ is zero beyond the first `counted`, which are padding.
+/// Computes ρ and the weight ρ′ of eight squared residuals. Residuals from index `num_valid` on are
+/// padding: their ρ is set to zero.
 #[inline(always)]
-pub(super) fn weigh(
+pub(super) fn robust_weights(
     loss: Loss,
     squared: &Lanes,
-    counted: usize,
+    num_valid: usize,
     rho: &mut Lanes,
     weight: &mut Lanes,
 ) {
@@ -30,5 +31,5 @@ pub(super) fn weigh(
             }
         }
     }
-    rho[counted..].fill(0.0);
+    rho[num_valid..].fill(0.0);
 }
