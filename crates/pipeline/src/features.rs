@@ -9,7 +9,7 @@ use std::time::Instant;
 use tiepoint_io::ImageSource;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{ImageInfo, Luma, MAX_PIXELS, timestamps};
+use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, Luma, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use crate::cameras::Calibration;
@@ -35,7 +35,7 @@ pub struct FeatureOptions {
     /// EXIF.
     pub timestamps: Option<PathBuf>,
     /// Photos of more pixels are skipped, so that a damaged or hostile file cannot ask for any
-    /// amount of memory. At most [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
+    /// amount of memory. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_io::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
 }
 
@@ -45,7 +45,7 @@ impl Default for FeatureOptions {
             calibration: Calibration::default(),
             detector: sift::Options::default(),
             timestamps: None,
-            max_pixels: MAX_PIXELS,
+            max_pixels: DEFAULT_MAX_PIXELS,
         }
     }
 }
@@ -113,7 +113,7 @@ pub fn extract_features(
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable) {
             let ImageInfo { width, height, exif, .. } = photo.info;
-            if let Some(focal_px) = exif.absurd_focal_px(width, height) {
+            if let Some(focal_px) = exif.implausible_focal_px(width, height) {
                 tell(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }
         }
@@ -148,7 +148,7 @@ pub fn extract_features(
     );
     let found: Vec<usize> = counts.into_iter().flatten().collect();
     if taken.is_err() || found.len() < 2 {
-        database.finish()?;
+        database.close()?;
         taken?;
         return Err(
             photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
@@ -169,7 +169,7 @@ pub fn extract_features(
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.features = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
-    database.finish()?;
+    database.close()?;
     tell(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 

@@ -10,7 +10,7 @@
 //! stages of earlier workspaces differ from those that are asked for. `crate::legacy_options` reads
 //! the texts of workspaces from before there were keys.
 
-use tiepoint_io::MAX_PIXELS;
+use tiepoint_io::DEFAULT_MAX_PIXELS;
 use tiepoint_io::features::{
     DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
 };
@@ -128,7 +128,7 @@ pub(crate) fn of_features(
 /// Of the first stage, too: how many pixels a photo may have. The default is not written, since
 /// workspaces from before there was a limit have photos below it.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
-    (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
+    (MAX_PIXELS_KEY, or_none((max_pixels != DEFAULT_MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
 
 /// Of the second stage.
@@ -444,7 +444,7 @@ mod tests {
                 &Default::default(),
                 0,
             ))
-            .chain([of_pixel_limit(MAX_PIXELS)])
+            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)
             .collect();

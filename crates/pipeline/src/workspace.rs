@@ -75,7 +75,7 @@ impl Workspace {
             && let Ok(database) = Database::open(&database)
         {
             // What a killed run committed belongs into the file.
-            database.finish()?;
+            database.close()?;
         }
         // Again, since what a killed run left undone was done meanwhile.
         let written = Records::read(&root.join(STAGES)).ok().flatten();
@@ -85,7 +85,7 @@ impl Workspace {
                     && let Ok(mut database) = Database::open(&database)
                 {
                     database.write_stage_rows(&records.rows())?;
-                    database.finish()?;
+                    database.close()?;
                 }
                 records
             }
@@ -335,7 +335,7 @@ mod tests {
         let rows = from.records.rows();
         let made =
             Database::create_with(&from.database(), |database| database.write_stage_rows(&rows));
-        made.unwrap().finish().unwrap();
+        made.unwrap().close().unwrap();
         let root = dir.path().join("b");
         from.fork(&root).unwrap();
         let mut fork = Workspace::open(&root).unwrap();
@@ -360,7 +360,7 @@ mod tests {
         let rows = made.records.rows();
         let database =
             Database::create_with(&made.database(), |database| database.write_stage_rows(&rows));
-        database.unwrap().finish().unwrap();
+        database.unwrap().close().unwrap();
         made.note(|_| {}).unwrap();
         let good = fs::read(root.join(STAGES)).unwrap();
         drop(made);

@@ -1,4 +1,4 @@
-//! LAS and LAZ files of a few kilobytes that claim gigabytes are refused, and soon.
+//! LAS and LAZ files of a few kilobytes that claim gigabytes are refused without large allocations.
 #![cfg(feature = "las")]
 
 use las::point::Format;
@@ -98,8 +98,8 @@ fn more_points_than_bytes() {
 fn layers_longer_than_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let mut bytes = file(7, true, 0, 100);
-    // Behind the offset of the table of chunks, the first point and the number of points: ten
-    // layers.
+    // After the offset of the chunk table, the first point and the number of points follow the
+    // lengths of ten layers.
     let sizes = data_offset(&bytes) + 8 + 36 + 4;
     (0..10).for_each(|layer| put(&mut bytes, sizes + 4 * layer, &u32::MAX.to_le_bytes()));
     refused(dir.path(), &bytes, "claims 42949672950 bytes");
