@@ -128,7 +128,7 @@ impl ImageFolder {
             if let Some(folder) = listing.folder_beside_images() {
                 let what = format!(
                     "holds both images and a folder of images, `{folder}`: put the images of each \
-                    camera into a folder of its own_files"
+                    camera into a folder of its own"
                 );
                 return Err(Error::content(input, what));
             }

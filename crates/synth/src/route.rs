@@ -230,6 +230,7 @@ impl Route {
         Self::from_corners(&corners, false)
     }
 
+    /// Appends a segment; its arc length begins at the current length of the route.
     fn push(&mut self, start: Vector2<f64>, heading_rad: f64, curvature_per_m: f64, length_m: f64) {
         let middle_rad = heading_rad + 0.5 * curvature_per_m * length_m;
         let (direction, middle_direction) = (unit_vector(heading_rad), unit_vector(middle_rad));
@@ -361,7 +362,8 @@ mod tests {
             let found = route.locate(route.point_beside(position));
             prop_assert!((found.left_m - left_m).abs() < 1e-6, "{found:?} {position:?}");
             let difference = (found.along_m - position.along_m).abs();
-            prop_assert!(difference.min(route.length_m() - difference) < 1e-6, "{found:?} {position:?}");
+            let along_error_m = difference.min(route.length_m() - difference);
+            prop_assert!(along_error_m < 1e-6, "{found:?} {position:?}");
         }
     }
 

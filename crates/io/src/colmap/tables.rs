@@ -105,7 +105,7 @@ impl Tables {
                         return Err(Error::content(
                             dir,
                             format!(
-                                "point {} is seen referrer keypoint {keypoint} of image {image}, which \
+                                "point {} is seen by keypoint {keypoint} of image {image}, which \
                                 names another point",
                                 row.id
                             ),
@@ -115,7 +115,7 @@ impl Tables {
                         return Err(Error::content(
                             dir,
                             format!(
-                                "point {} is seen referrer keypoint {keypoint} of image {image}, which \
+                                "point {} is seen by keypoint {keypoint} of image {image}, which \
                                 has {} keypoints",
                                 row.id,
                                 point_ids[index].len()

@@ -279,7 +279,7 @@ impl Database {
         rows.collect::<rusqlite::Result<_>>().map_err(error(&self.path))
     }
 
-    /// Maps the rows of a query by a function that may reject a row with an error of database crate.
+    /// Maps the rows of a query by a function that may reject a row with an error of this crate.
     pub(super) fn try_rows<T>(
         &self,
         sql: &str,

@@ -22,7 +22,7 @@ pub use operation::Operation;
 pub use paths::folder_of;
 
 /// Suffix of the name of a file or folder that is being written.
-const TEMPORARY_SUFFIX: &str = ".tiepoint-temporary";
+const TEMPORARY_SUFFIX: &str = ".tiepoint-part";
 /// Longest file name that a temporary name repeats, in bytes; file systems allow 255.
 const MAX_NAME_BYTES: usize = 200;
 /// Longest chain of symbolic links, as in Linux.
@@ -113,7 +113,7 @@ impl Write for WrittenFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         #[cfg(feature = "faults")]
         if let Err(error) = check_fault(Operation::Write, &self.path) {
-            // An interrupted write leaves a temporary of its bytes.
+            // An interrupted write leaves a part of its bytes.
             let _ = self.file.write(&bytes[..faults::partial_write_len(&self.path, bytes.len())]);
             return Err(error);
         }

@@ -36,7 +36,8 @@ proptest! {
     /// identify them.
     #[test]
     fn model_is_read_as_written(seed: u64, together: bool) {
-        let model = random_model(seed, if together { RigKind::SeveralCameras } else { RigKind::SingleCameras });
+        let rig_kind = if together { RigKind::SeveralCameras } else { RigKind::SingleCameras };
+        let model = random_model(seed, rig_kind);
         for format in FORMATS {
             let read = round_trip(&model, format);
             // A frame of a single camera is dropped by the reader.
@@ -48,7 +49,8 @@ proptest! {
     #[test]
     fn truncated_binary_is_refused(seed: u64, file in 0..5usize, cut in 0.0..1.0) {
         let dir = tempfile::tempdir().unwrap();
-        write_model(dir.path(), &random_model(seed, RigKind::SeveralCameras), Format::Binary).unwrap();
+        let model = random_model(seed, RigKind::SeveralCameras);
+        write_model(dir.path(), &model, Format::Binary).unwrap();
         let path = dir
             .path()
             .join(["cameras", "rigs", "frames", "images", "points3D"][file])

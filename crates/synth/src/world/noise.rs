@@ -383,7 +383,11 @@ mod tests {
         }
 
         #[test]
-        fn lines_and_intervals_equal_numerical_means(x in -5.0..5.0, width in 0.01..3.0, line in 0.05..0.6) {
+        fn lines_and_intervals_equal_numerical_means(
+            x in -5.0..5.0,
+            width in 0.01..3.0,
+            line in 0.05..0.6,
+        ) {
             let exact = lines(x, width, 0.7, line);
             let slow = slow_mean(x, width, |x| f32::from(x.rem_euclid(0.7) < line));
             prop_assert!((exact - slow).abs() < TOLERANCE, "{exact} {slow}");
@@ -393,7 +397,12 @@ mod tests {
         }
 
         #[test]
-        fn cells_equal_numerical_means(x in -5.0..5.0, y in -5.0..5.0, wx in 0.01..1.0, wy in 0.01..1.0) {
+        fn cells_equal_numerical_means(
+            x in -5.0..5.0,
+            y in -5.0..5.0,
+            wx in 0.01..1.0,
+            wy in 0.01..1.0,
+        ) {
             let value = |ix: i32, iy: i32| signed(hash(ix, iy, 3));
             let exact = cells([x, y], [wx, wy], 0.0, value);
             let slow = slow_mean(y, wy, |y| {
