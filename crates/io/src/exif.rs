@@ -113,8 +113,8 @@ impl Exif {
 
     /// The first focal length in pixels that the EXIF data give, if none of them is plausible.
     pub fn implausible_focal_px(&self, width: u32, height: u32) -> Option<f64> {
-        let candidates = self.focal_candidates_px(width, height, None).into_iter().flatten().next();
-        candidates.filter(|_| self.focal_px(width, height, None).is_none())
+        let first = self.focal_candidates_px(width, height, None).into_iter().flatten().next();
+        first.filter(|_| self.focal_px(width, height, None).is_none())
     }
 
     fn focal_candidates_px(

@@ -113,6 +113,7 @@ impl<'a> Words<'a> {
         std::mem::take(&mut self.rest)
     }
 
+    /// Takes the next word; an error that names `what` at the end of the line.
     pub(crate) fn word(&mut self, what: &str) -> Result<&'a str> {
         let rest = self.rest;
         if rest.is_empty() {

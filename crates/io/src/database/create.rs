@@ -20,7 +20,7 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// Those of [`Database::create_with`].
+    /// The errors of [`Database::create_with`].
     pub fn create(path: &Path) -> Result<Self> {
         Self::create_with(path, |_| Ok(()))
     }

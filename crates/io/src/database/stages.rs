@@ -43,7 +43,7 @@ impl Database {
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read.
+    /// If the file cannot be read.
     pub fn stage_rows(&self) -> Result<Option<Vec<StageRow>>> {
         self.guard.begin();
         read(&self.connection).map_err(error(&self.path))

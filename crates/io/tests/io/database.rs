@@ -328,7 +328,7 @@ fn complete_database_replaces_the_old_one() {
     assert_eq!((db.num_cameras(), db.num_images()), (2, 0));
     drop(db);
 
-    // What stands beside something that is no database goes with it.
+    // Files beside a file that is not a database are removed with it.
     for suffix in ["", "-wal", "-shm", "-journal"] {
         std::fs::write(copy.join(format!("database.db{suffix}")), "x".repeat(5000)).unwrap();
     }
@@ -348,7 +348,7 @@ fn complete_database_replaces_the_old_one() {
 }
 
 #[test]
-fn rows_on_stages_go_with_what_they_are_of() {
+fn stage_rows_are_written_with_their_data() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     let mut db = filled(&path);
@@ -361,14 +361,15 @@ fn rows_on_stages_go_with_what_they_are_of() {
     db.write_pairs([(pair, &[Match { a: 1, b: 2 }][..], &view)]).unwrap();
     assert_eq!(db.read_matches().unwrap(), [(pair, vec![Match { a: 1, b: 2 }])]);
     assert_eq!(db.read_two_views().unwrap(), [(pair, view)]);
-    // Two rows of one name: nothing is done.
+    // Two records with the same name: nothing is written.
     assert!(db.clear_matches_for(&[stage("x", true), stage("x", false)]).is_err());
     assert_eq!(db.matched_pairs().unwrap(), [pair]);
     assert_eq!(db.stage_rows().unwrap(), Some(rows.to_vec()));
     db.clear_matches_for(&rows[1..]).unwrap();
     assert!(db.matched_pairs().unwrap().is_empty() && db.read_two_views().unwrap().is_empty());
 
-    // While it is open, after a kill with and without the index of the log, and closed.
+    // While the database is open, after a kill with and without the index of the log, and after
+    // closing.
     let expected = Some(rows[1..].to_vec());
     assert_eq!(read_stage_rows(&path).unwrap(), expected);
     for (index, suffixes) in [&["", "-wal", "-shm"][..], &["", "-wal"]].into_iter().enumerate() {
@@ -396,7 +397,7 @@ fn rows_on_stages_go_with_what_they_are_of() {
             expected
         );
     }
-    // Closed by others, a database may say that it has a log and have none.
+    // A database that another program closed may be in WAL mode without a log.
     drop(db);
     let alone = dir.path().join("alone");
     std::fs::create_dir(&alone).unwrap();

@@ -34,7 +34,7 @@ fn names(dir: &Path) -> Vec<String> {
 
 /// Runs `work` with a fault at each of its changes in turn, each time in a new folder that
 /// `prepare` fills, then checks the folder. Returns the number of changes.
-fn sweep(
+fn test_every_fault(
     parent: &Path,
     prepare: impl Fn(&Path),
     work: impl Fn(&Path) -> Result<()>,
@@ -186,13 +186,13 @@ fn databases_are_replaced_atomically() {
     // In a memory file system if there is one: thousands of files are synchronised.
     let memory = Path::new("/dev/shm");
     let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
-    let first = sweep(
+    let first = test_every_fault(
         &parent,
         |_| {},
         write_database,
         |dir, kind, is_done| check(dir, kind, is_done, true),
     );
-    let again = sweep(&parent, old_database, write_database, |dir, kind, is_done| {
+    let again = test_every_fault(&parent, old_database, write_database, |dir, kind, is_done| {
         check(dir, kind, is_done, false)
     });
     assert!(first > 30 && again > first, "{first} {again}");
@@ -251,7 +251,7 @@ fn files_are_replaced_atomically() {
             assert_eq!(names(dir), ["file"]);
             assert_eq!(fs::read_to_string(dir.join("file")).unwrap(), new);
         };
-        assert!(sweep(&std::env::temp_dir(), prepare, write, check) >= 5);
+        assert!(test_every_fault(&std::env::temp_dir(), prepare, write, check) >= 5);
     }
     let dir = tempfile::tempdir().unwrap();
     let faults = Faults::count(dir.path());
@@ -304,9 +304,16 @@ fn models_are_replaced_atomically() {
             assert_eq!(names(&dir.join("above")), ["model"]);
             assert!(!names(&model).iter().any(|name| name.starts_with('.')), "{:?}", names(&model));
         };
-        sweep(&std::env::temp_dir(), |_| {}, write, |dir, _, is_done| check(dir, is_done, false));
+        test_every_fault(
+            &std::env::temp_dir(),
+            |_| {},
+            write,
+            |dir, _, is_done| check(dir, is_done, false),
+        );
         let prepare = |dir: &Path| write_model(&dir.join("above/model"), &old, format).unwrap();
-        sweep(&std::env::temp_dir(), prepare, write, |dir, _, is_done| check(dir, is_done, true));
+        test_every_fault(&std::env::temp_dir(), prepare, write, |dir, _, is_done| {
+            check(dir, is_done, true)
+        });
         let dir = tempfile::tempdir().unwrap();
         prepare(dir.path());
         let faults = Faults::count(dir.path());
@@ -318,7 +325,7 @@ fn models_are_replaced_atomically() {
 }
 
 #[test]
-fn a_model_is_not_written_beside_one_in_the_other_format() {
+fn model_beside_one_in_the_other_format_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (old, new): (Reconstruction, _) =
         (random_model(1, RigKind::SingleCameras), random_model(2, RigKind::SingleCameras));

@@ -261,7 +261,7 @@ fn ply_files_of_other_programs_are_read() {
 }
 
 #[test]
-fn points_and_cameras_of_a_model() {
+fn ply_of_points_and_camera_centres() {
     let model = random_model(3, RigKind::SeveralCameras);
     assert_eq!(ply::points(&model).len(), model.num_tracks());
     let centres = ply::camera_centres(&model);
@@ -433,7 +433,7 @@ fn published_bal_problems_are_read() {
 }
 
 #[test]
-fn numbers_behind_the_last_point_of_a_bal_file_are_an_error() {
+fn bal_numbers_after_the_last_point_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bal.txt");
     let good = "1 1 1\n0 0 1 2\n0 0 0 0 0 0 500 0 0\n0 0 -5";

@@ -48,7 +48,8 @@ pub(super) struct SceneImages<'d> {
     cell_m: f64,
 }
 
-/// A random scale: the number of blobs decreases with the square of the scale.
+/// A random keypoint scale in pixels, with P(scale > s) proportional to s⁻², truncated at the
+/// largest scale.
 pub(super) fn sample_scale_px(rng: &mut Rng) -> f64 {
     (SCALE_PX[0] / (1.0 - rng.uniform()).sqrt()).min(SCALE_PX[1])
 }

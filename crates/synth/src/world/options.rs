@@ -5,13 +5,13 @@
 pub struct StreetOptions {
     /// Fraction of the house fronts that begin a terrace of equal houses.
     pub repeated_fraction: f64,
-    /// Fraction of the houses with a gap and a garden beside them.
+    /// Fraction of the ends of houses and terraces that a gap with a garden follows.
     pub gap_fraction: f64,
     /// Fraction of occupied parking bays.
     pub parked_fraction: f64,
     /// Fraction of the sites of trees with a tree.
     pub tree_fraction: f64,
-    /// Number of moving cars, with gaps from a few car lengths to a hundred metres.
+    /// Number of moving cars, at distances of 12 m to 70 m from each other.
     pub moving_cars: usize,
 }
 
