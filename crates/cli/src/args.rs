@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use tiepoint_pipeline::eval::Alignment;
-use tiepoint_pipeline::io::{MAX_PIXELS, MOST_PIXELS};
+use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigTerm};
@@ -147,8 +147,8 @@ pub(crate) struct Input {
     #[arg(
         long,
         value_name = "N",
-        default_value_t = MAX_PIXELS / MEGA,
-        value_parser = clap::value_parser!(u64).range(1..=MOST_PIXELS / MEGA)
+        default_value_t = DEFAULT_MAX_PIXELS / MEGA,
+        value_parser = clap::value_parser!(u64).range(1..=ABSOLUTE_MAX_PIXELS / MEGA)
     )]
     pub(crate) max_megapixels: u64,
 }

@@ -1,4 +1,4 @@
-//! Reading and writing a model of 100 images with 4096 keypoints each, and decoding a photo.
+//! Time to read and write a model of 100 images with 4096 keypoints each, and to decode a photo.
 
 use std::hint::black_box;
 
@@ -12,7 +12,7 @@ use tiepoint_scene::{Camera, Image, ImageId, Keypoint, Observation, Reconstructi
 const IMAGES: u32 = 100;
 const KEYPOINTS: u32 = 4096;
 
-/// Every second keypoint sees a point, tracks have five observations.
+/// Every second keypoint observes a point; tracks have five observations.
 fn model() -> Reconstruction {
     let mut rng = Rng::stream(1, &[]);
     let mut model = Reconstruction::default();
@@ -50,7 +50,7 @@ fn models(criterion: &mut Criterion) {
         group.bench_function("read", |b| b.iter(|| black_box(read_model(&dir))));
         group.finish();
     }
-    // Nobody is left to tell.
+    // A failure to remove the folder is ignored.
     let _ = std::fs::remove_dir_all(dir);
 }
 

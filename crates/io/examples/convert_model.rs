@@ -1,5 +1,4 @@
-//! Reads a COLMAP model and writes it again, as text or binary:
-//! `convert_model FROM TO text|binary`.
+//! Converts a COLMAP model to text or binary: `convert_model FROM TO text|binary`.
 #![allow(clippy::print_stdout)]
 
 use std::path::Path;

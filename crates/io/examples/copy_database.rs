@@ -1,4 +1,4 @@
-//! Reads a COLMAP database of any version and writes one of COLMAP 4.2: `copy_database FROM TO`.
+//! Copies a COLMAP database of any version to one of version 4.2: `copy_database FROM TO`.
 #![allow(clippy::print_stdout)]
 
 use std::path::Path;
@@ -13,8 +13,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut to = Database::create(Path::new(to))?;
     to.write_cameras(&from.read_cameras()?)?;
     to.write_images(&from.read_images()?)?;
-    let (rigs, moments) = from.read_rigs()?;
-    to.write_rigs(&rigs, &moments)?;
+    let (rigs, frames) = from.read_rigs()?;
+    to.write_rigs(&rigs, &frames)?;
     for image in (0..from.num_images()).map(ImageId::from_index) {
         to.write_features([(image, &from.read_features(image)?)])?;
     }
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         matches.len(),
         two_views.len()
     );
-    to.finish()?;
-    from.finish()?;
+    to.close()?;
+    from.close()?;
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! What is known of the images in folders before anything is computed: `list_images INPUT...`.
+//! Lists the images in folders with their metadata: `list_images INPUT...`.
 #![allow(clippy::print_stdout)]
 
 use std::path::PathBuf;

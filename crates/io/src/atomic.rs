@@ -1,85 +1,87 @@
-//! Files that are there complete or not at all: written under another name in the same folder,
-//! brought to the disk, renamed.
+//! Atomic replacement of files: written under a temporary name in the same folder, synchronised to
+//! the disk, renamed.
 
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::disk::{self, WrittenFile, end_of_links, part_of};
+use crate::disk::{self, WrittenFile, end_of_links, temporary_path};
 use crate::{Error, Result};
 
-/// Below these folders, paths lead to open files of processes, which cannot be replaced.
-const WRITTEN_THROUGH: [&str; 4] = ["/dev/fd", "/dev/stdin", "/dev/stdout", "/proc"];
+/// Paths below these folders lead to open files of processes, which cannot be replaced.
+const OPEN_FILE_FOLDERS: [&str; 4] = ["/dev/fd", "/dev/stdin", "/dev/stdout", "/proc"];
 
-/// A file that takes its name with [`AtomicFile::commit`]; dropped before, it leaves nothing
-/// behind.
+/// A file that gets its name in [`AtomicFile::commit`]; dropped earlier, it leaves nothing behind.
 ///
-/// Symbolic links are followed; a file that is replaced hands on its mode and, where the system
-/// permits it, its owner. Devices and pipes are written to as they are. What a killed run left
-/// under the temporary name goes with the next one.
+/// Symbolic links are followed. A file that replaces another takes over its mode and, if the system
+/// permits it, its owner. Devices and pipes are written directly. A temporary file of a killed run
+/// is removed.
 #[derive(Debug)]
 pub struct AtomicFile {
-    /// As given.
+    /// The path as the caller gave it.
     path: PathBuf,
-    /// `None` where it is written through.
-    replaced: Option<Replaced>,
-    /// `None` once committed.
+    /// `None` for a device or pipe, which is written directly.
+    replacement: Option<Replacement>,
+    /// `None` after the commit.
     writer: Option<BufWriter<WrittenFile>>,
 }
 
-/// The way to replace a file.
+/// A replacement in progress.
 #[derive(Debug)]
-struct Replaced {
-    /// Where links end.
+struct Replacement {
+    /// The path at the end of the symbolic links.
     target: PathBuf,
     temporary: PathBuf,
-    /// Of the file that is there.
-    before: Option<Metadata>,
+    /// Metadata of the file that is replaced.
+    old_metadata: Option<Metadata>,
 }
 
 impl AtomicFile {
-    /// Starts to write `path`; its folder must exist.
+    /// Begins to write `path`; its folder must exist.
     ///
     /// # Errors
     ///
-    /// Where `path` is a folder or a disk, where another run is writing it, and where the system
-    /// refuses.
+    /// If `path` is a folder or a block device, if another run is writing it, and if the system
+    /// reports an error.
     pub fn create(path: impl Into<PathBuf>) -> Result<Self> {
         let path = path.into();
         if path.file_name().is_none() {
             return Err(Error::content(&path, "is not the name of a file"));
         }
         let target = end_of_links(&path).map_err(Error::io(&path))?;
-        let before = match fs::metadata(&target) {
+        let old_metadata = match fs::metadata(&target) {
             Ok(found) => Some(found),
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => None,
             Err(cause) => return Err(Error::Io { path, cause }),
         };
-        if before.as_ref().is_some_and(Metadata::is_dir) {
+        if old_metadata.as_ref().is_some_and(Metadata::is_dir) {
             return Err(Error::content(&path, "is a folder, and a file was to be written"));
         }
-        if before.as_ref().is_some_and(is_disk) {
-            return Err(Error::content(&path, "is a disk, which would lose all it holds"));
+        if old_metadata.as_ref().is_some_and(is_block_device) {
+            return Err(Error::content(
+                &path,
+                "is a block device: writing to it would destroy its content",
+            ));
         }
-        let is_special = before.as_ref().is_some_and(|found| !found.is_file());
-        let is_open_file =
-            before.is_some() && WRITTEN_THROUGH.iter().any(|folder| path.starts_with(folder));
+        let is_special = old_metadata.as_ref().is_some_and(|found| !found.is_file());
+        let is_open_file = old_metadata.is_some()
+            && OPEN_FILE_FOLDERS.iter().any(|folder| path.starts_with(folder));
         if is_special || is_open_file {
             let writer =
                 BufWriter::new(WrittenFile::open_special(&path).map_err(Error::io(&path))?);
-            return Ok(Self { path, replaced: None, writer: Some(writer) });
+            return Ok(Self { path, replacement: None, writer: Some(writer) });
         }
-        let temporary = part_of(&target);
-        let file = claim(&path, &temporary)?;
-        let replaced = Some(Replaced { target, temporary, before });
-        Ok(Self { path, replaced, writer: Some(BufWriter::new(file)) })
+        let temporary = temporary_path(&target);
+        let file = create_temporary(&path, &temporary)?;
+        let replacement = Some(Replacement { target, temporary, old_metadata });
+        Ok(Self { path, replacement, writer: Some(BufWriter::new(file)) })
     }
 
-    /// Writes a whole file: `content` gets a buffered writer.
+    /// Writes a whole file; `content` writes into a buffer.
     ///
     /// # Errors
     ///
-    /// Those of [`AtomicFile::create`] and [`AtomicFile::commit`], and of `content`.
+    /// The errors of [`AtomicFile::create`], of `content` and of [`AtomicFile::commit`].
     pub fn write_with(
         path: impl Into<PathBuf>,
         content: impl FnOnce(&mut Self) -> io::Result<()>,
@@ -89,44 +91,46 @@ impl AtomicFile {
         file.commit()
     }
 
-    /// Where it will be.
+    /// The final path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Brings the content to the disk and gives the file its name, replacing what had it before.
+    /// Synchronises the content to the disk and renames the file to its path, replacing the file
+    /// there.
     ///
     /// # Errors
     ///
-    /// Where the system refuses; then what had the name before is as it was.
+    /// If the system reports an error; a file at the path is then unchanged.
     pub fn commit(mut self) -> Result<()> {
         let Some(writer) = self.writer.take() else { return Ok(()) };
         let file = writer.into_inner().map_err(io::IntoInnerError::into_error);
-        let finished = match (&self.replaced, file) {
+        let committed = match (&self.replacement, file) {
             (None, file) => file.map(drop),
-            (Some(replaced), file) => file.and_then(|file| replaced.finish(file)),
+            (Some(replacement), file) => file.and_then(|file| replacement.replace(file)),
         };
-        finished.map_err(|cause| {
+        committed.map_err(|cause| {
             self.remove_temporary();
             Error::Io { path: self.path.clone(), cause }
         })
     }
 
     fn remove_temporary(&self) {
-        if let Some(Replaced { temporary, .. }) = &self.replaced {
-            // The first error is the one to report, or nobody is left to tell.
+        if let Some(Replacement { temporary, .. }) = &self.replacement {
+            // An earlier error is the one to report.
             let _ = disk::remove_file(temporary);
         }
     }
 }
 
-impl Replaced {
-    fn finish(&self, file: WrittenFile) -> io::Result<()> {
-        if let Some(before) = &self.before {
-            hand_on(before, file.file())?;
+impl Replacement {
+    fn replace(&self, file: WrittenFile) -> io::Result<()> {
+        if let Some(old_metadata) = &self.old_metadata {
+            copy_mode_and_owner(old_metadata, file.file())?;
         }
         file.sync()?;
-        // The lock on the file guards its temporary name; Windows renames no file that is open.
+        // The lock protects the temporary name until the rename; Windows cannot rename an open
+        // file.
         let open = if cfg!(windows) { None } else { Some(file) };
         disk::rename(&self.temporary, &self.target)?;
         drop(open);
@@ -147,20 +151,20 @@ impl Write for AtomicFile {
 impl Drop for AtomicFile {
     fn drop(&mut self) {
         if let Some(writer) = self.writer.take() {
-            // What is in the buffer is not wanted any more.
+            // Discards the buffer without writing it.
             drop(writer.into_parts());
             self.remove_temporary();
         }
     }
 }
 
-/// Makes the temporary file and locks it. One that is there and not locked was left by a run that
-/// was killed.
-fn claim(path: &Path, temporary: &Path) -> Result<WrittenFile> {
+/// Creates and locks the temporary file. An existing one without a lock was left by a killed run
+/// and is replaced.
+fn create_temporary(path: &Path, temporary: &Path) -> Result<WrittenFile> {
     let busy = || Error::content(path, "is being written by another run: wait for it to end");
     let create = || -> io::Result<WrittenFile> {
         let file = WrittenFile::create_new(temporary)?;
-        // Systems without locks go without.
+        // File systems without locks are accepted.
         let _ = file.file().try_lock();
         Ok(file)
     };
@@ -184,30 +188,29 @@ fn claim(path: &Path, temporary: &Path) -> Result<WrittenFile> {
 }
 
 #[cfg(unix)]
-fn is_disk(found: &Metadata) -> bool {
+fn is_block_device(found: &Metadata) -> bool {
     std::os::unix::fs::FileTypeExt::is_block_device(&found.file_type())
 }
 
 #[cfg(not(unix))]
-fn is_disk(_: &Metadata) -> bool {
+fn is_block_device(_: &Metadata) -> bool {
     false
 }
 
-/// Gives a file the mode of the one that it replaces, and its owner and group where that is
-/// allowed.
-fn hand_on(before: &Metadata, file: &File) -> io::Result<()> {
+/// Copies the mode of the replaced file, and its owner and group if that is permitted.
+fn copy_mode_and_owner(old_metadata: &Metadata, file: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::{MetadataExt, fchown};
         let own = file.metadata()?;
-        if (own.uid(), own.gid()) != (before.uid(), before.gid())
-            && fchown(file, Some(before.uid()), Some(before.gid())).is_err()
+        if (own.uid(), own.gid()) != (old_metadata.uid(), old_metadata.gid())
+            && fchown(file, Some(old_metadata.uid()), Some(old_metadata.gid())).is_err()
         {
-            // Only root gives files away; the group is often possible.
-            let _ = fchown(file, None, Some(before.gid()));
+            // Only root may change the owner; changing the group is often permitted.
+            let _ = fchown(file, None, Some(old_metadata.gid()));
         }
     }
-    file.set_permissions(before.permissions())
+    file.set_permissions(old_metadata.permissions())
 }
 
 #[cfg(test)]
@@ -231,23 +234,23 @@ mod tests {
     }
 
     #[test]
-    fn links_are_followed_and_mode_and_owner_stay() {
+    fn links_are_followed_and_mode_and_owner_are_kept() {
         let dir = tempfile::tempdir().unwrap();
         let (file, link) = (dir.path().join("file"), dir.path().join("link"));
         fs::write(&file, "old").unwrap();
         fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
-        // As root this changes the owner; for others it is their own file already.
+        // As root this changes the owner; another user owns the file already.
         let _ = std::os::unix::fs::chown(&file, Some(12_345), Some(54_321));
         let owner = |path: &Path| {
             fs::metadata(path).map(|m| (m.uid(), m.gid(), m.mode() & 0o7777)).unwrap()
         };
-        let before = owner(&file);
+        let old_metadata = owner(&file);
         symlink("file", &link).unwrap();
         write(&link, "new").unwrap();
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&file).unwrap(), b"new");
-        assert_eq!(owner(&file), before);
-        // A link to a file that is not there yet, and links that lead nowhere.
+        assert_eq!(owner(&file), old_metadata);
+        // A link to a file that does not exist yet, and links that form a cycle.
         symlink("later", dir.path().join("early")).unwrap();
         write(&dir.path().join("early"), "now").unwrap();
         assert_eq!(fs::read(dir.path().join("later")).unwrap(), b"now");
@@ -260,9 +263,9 @@ mod tests {
     #[test]
     fn devices_and_pipes_are_written_to() {
         let dir = tempfile::tempdir().unwrap();
-        let before = fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap();
+        let old_metadata = fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap();
         write(Path::new("/dev/null"), "gone").unwrap();
-        assert_eq!(fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap(), before);
+        assert_eq!(fs::metadata("/dev/null").map(|m| (m.ino(), m.mode())).unwrap(), old_metadata);
         assert!(
             write(Path::new("/dev/full"), "too much").unwrap_err().to_string().contains("No space")
         );
@@ -279,10 +282,10 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_run_left_goes_and_a_running_one_is_waited_for() {
+    fn temporary_files_of_killed_runs_are_replaced_and_locked_ones_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("file");
-        fs::write(part_of(&path), "half of it, and more than is written now").unwrap();
+        fs::write(temporary_path(&path), "half of it, and more than is written now").unwrap();
         write(&path, "all").unwrap();
         assert_eq!(
             (fs::read(&path).unwrap(), names(dir.path())),
@@ -292,15 +295,15 @@ mod tests {
         assert!(write(&path, "second").unwrap_err().to_string().contains("another run"));
         drop(first);
         write(&path, "second").unwrap();
-        // A link of that name is nothing that this program made.
+        // A link under the temporary name was not made by this program.
         fs::write(dir.path().join("mine"), "mine").unwrap();
-        symlink("mine", part_of(&path)).unwrap();
+        symlink("mine", temporary_path(&path)).unwrap();
         assert!(write(&path, "third").unwrap_err().to_string().contains("in the way"));
         assert_eq!(fs::read(dir.path().join("mine")).unwrap(), b"mine");
     }
 
     #[test]
-    fn names_may_be_as_long_as_the_system_permits() {
+    fn names_of_255_bytes_are_written() {
         let dir = tempfile::tempdir().unwrap();
         for last in ["a", "b"] {
             let path = dir.path().join("ä".repeat(127) + last);

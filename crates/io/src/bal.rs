@@ -1,16 +1,9 @@
-//! Bundle Adjustment in the Large (Agarwal et al. 2010): the text files on which solvers are
-//! compared.
+//! The text files of Bundle Adjustment in the Large (Agarwal et al. 2010), a benchmark of solvers.
 //!
-//! ```text
-//! <cameras> <points> <observations>
-//! <camera> <point> <x> <y>            for each observation
-//! 9 numbers for each camera: axis-angle, translation, f, k1, k2
-//! 3 numbers for each point
-//! ```
 //! A point X projects to f · (1 + k1 |p|² + k2 |p|⁴) · p, with P = R X + t and p = −(P.x, P.y) /
-//! P.z: the camera looks down −z, y is up, and (0, 0) is the middle of the image. Turning the
-//! camera's axes and the image by half a turn about x gives our convention and COLMAP's model
-//! RADIAL with a fixed principal point, without loss.
+//! P.z: the camera looks along −z, y is up, and (0, 0) is the centre of the image. A rotation of
+//! the camera and the image axes by π about x gives our convention and the model RADIAL of COLMAP
+//! with a fixed principal point, without loss.
 
 use std::io::Write;
 use std::path::Path;
@@ -25,55 +18,55 @@ use crate::excerpt::Excerpt;
 use crate::text::{Lines, Numbers};
 use crate::{AtomicFile, Error, Result};
 
-/// A camera as it stands in the file.
+/// A camera in the convention of the file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BalCamera {
-    /// Rotation from the world, as an axis-angle vector.
+    /// Rotation from the world to the camera, as an axis-angle vector.
     pub axis_angle_rad: Vector3<f64>,
-    /// Translation from the world.
+    /// Translation from the world to the camera.
     pub translation: Vector3<f64>,
-    /// Focal length.
+    /// Focal length f, in pixels.
     pub focal_px: f64,
-    /// First radial distortion.
+    /// First coefficient of radial distortion.
     pub k1: f64,
-    /// Second radial distortion.
+    /// Second coefficient of radial distortion.
     pub k2: f64,
 }
 
-/// A camera sees a point.
+/// An observation of a point by a camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BalObservation {
     /// Index of the camera.
     pub camera: u32,
     /// Index of the point.
     pub point: u32,
-    /// Where, from the middle of the image; x to the right, y up.
+    /// The image point relative to the centre of the image; x right, y up.
     pub pixel: Vector2<f64>,
 }
 
-/// A problem.
+/// A bundle adjustment problem.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bal {
     /// The cameras.
     pub cameras: Vec<BalCamera>,
     /// The points.
     pub points: Vec<Vector3<f64>>,
-    /// Who sees what.
+    /// The observations.
     pub observations: Vec<BalObservation>,
 }
 
-/// A rotation by more radians is none: beyond, an angle of 64 bits has lost the digits that count
-/// within a turn.
+/// Largest entry of an axis-angle vector that is read: a larger angle has too few digits left for
+/// its remainder modulo 2π.
 const MAX_ANGLE_RAD: f64 = 1e6;
 
-/// Half a turn about x: its own inverse, exact in floating point.
-fn half_turn() -> UnitQuaternion<f64> {
+/// Rotation by π about x: its own inverse, exact in floating point.
+fn rotation_by_pi_about_x() -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(Quaternion::new(0.0, 1.0, 0.0, 0.0))
 }
 
 impl BalCamera {
-    /// Where a point is seen; `None` for one in the plane of the camera. (A point behind it is seen
-    /// as if it were before.)
+    /// Projects a point of the world; `None` in the plane z = 0 of the camera. A point behind the
+    /// camera has a projection, too.
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let p = so3::exp(&self.axis_angle_rad) * point + self.translation;
         let p = Vector2::new(-p.x / p.z, -p.y / p.z);
@@ -85,6 +78,11 @@ impl BalCamera {
 
 impl Bal {
     /// Reads a problem.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, if a number is missing, additional or out of range, and if an
+    /// observation refers to a camera or point that does not exist.
     pub fn read(path: &Path) -> Result<Self> {
         let mut lines = Lines::open(path)?;
         let mut counts = lines.expect("the numbers of cameras, points and observations")?;
@@ -108,7 +106,7 @@ impl Bal {
             words.end()?;
             observations.push(BalObservation { camera, point, pixel });
         }
-        // One number a line as a rule, but any white space will do.
+        // Files have one number in a line; any white space is accepted.
         let mut pending: std::collections::VecDeque<f64> = Default::default();
         let mut next = |what: &str| -> Result<f64> {
             while pending.is_empty() {
@@ -149,7 +147,11 @@ impl Bal {
         Ok(Self { cameras, points, observations })
     }
 
-    /// Writes a problem, with as many digits as bring each number back.
+    /// Writes a problem; numbers have as many digits as identify them.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         AtomicFile::write_with(path, |file| {
             writeln!(
@@ -175,9 +177,14 @@ impl Bal {
         })
     }
 
-    /// The same as a reconstruction: each camera is an image with a RADIAL camera of its own, named
-    /// by its index; points keep their order. The size of an image is the smallest around its
-    /// middle that holds its observations.
+    /// Converts to a reconstruction. Each camera becomes an image, named by its index, with a
+    /// RADIAL camera of its own; points keep their order. The size of an image is the smallest,
+    /// symmetric about its centre, that contains the observations.
+    ///
+    /// # Errors
+    ///
+    /// [`BalError`] if an observation refers to a camera or point that does not exist, and if a
+    /// camera has invalid parameters.
     pub fn to_reconstruction(&self) -> Result<Reconstruction, BalError> {
         let mut keypoints: Vec<Vec<Vector2<f64>>> = vec![Vec::new(); self.cameras.len()];
         let mut tracks: Vec<Vec<Observation>> = vec![Vec::new(); self.points.len()];
@@ -193,19 +200,22 @@ impl Bal {
         }
         let mut model = Reconstruction::default();
         for (index, (camera, keypoints)) in self.cameras.iter().zip(keypoints).enumerate() {
-            let half =
+            let half_size =
                 |axis: usize| keypoints.iter().map(|p| p[axis].abs().ceil()).fold(1.0, f64::max);
-            let middle = Vector2::new(half(0), half(1));
-            let params = [camera.focal_px, middle.x, middle.y, camera.k1, camera.k2];
+            let centre = Vector2::new(half_size(0), half_size(1));
+            let params = [camera.focal_px, centre.x, centre.y, camera.k1, camera.k2];
             let intrinsics = Intrinsics::new(CameraModelKind::Radial, &params)
                 .map_err(|cause| BalError::BadCamera { camera: index, cause })?;
-            let [width, height] = [2.0 * middle.x, 2.0 * middle.y].map(|side| side as u32);
+            let [width, height] = [2.0 * centre.x, 2.0 * centre.y].map(|side| side as u32);
             let id = model.add_camera(Camera { intrinsics, width, height, has_focal_prior: true });
             let keypoints =
-                keypoints.iter().map(|p| Keypoint { pixel: p + middle, scale_px: 1.0 }).collect();
+                keypoints.iter().map(|p| Keypoint { pixel: p + centre, scale_px: 1.0 }).collect();
             let image = model.add_image(Image::new(format!("{index:06}"), id, keypoints));
-            let rotation = half_turn() * so3::exp(&camera.axis_angle_rad);
-            model.register(image, Rigid3::new(rotation, half_turn() * camera.translation));
+            let rotation = rotation_by_pi_about_x() * so3::exp(&camera.axis_angle_rad);
+            model.register(
+                image,
+                Rigid3::new(rotation, rotation_by_pi_about_x() * camera.translation),
+            );
         }
         for (xyz, observations) in self.points.iter().zip(tracks) {
             model.add_track(Track::new(*xyz, observations));
@@ -213,16 +223,23 @@ impl Bal {
         Ok(model)
     }
 
-    /// The registered images and the points of a reconstruction, in their order. The cameras must
-    /// be perspective with at most two radial distortions; the principal point becomes the middle
-    /// of the image.
+    /// Converts the registered images and the points of a reconstruction, in their order. The
+    /// cameras must have one focal length and at most two coefficients of radial distortion; the
+    /// principal point becomes the centre of the image.
+    ///
+    /// # Errors
+    ///
+    /// [`BalError::NotRadial`] for other camera models.
     pub fn from_reconstruction(model: &Reconstruction) -> Result<Self, BalError> {
         let mut bal = Self::default();
         let mut index_of = vec![None; model.images().count()];
         for (id, image, pose) in model.registered() {
             index_of[id.index()] = Some(bal.cameras.len() as u32);
             let (focal_px, k1, k2) = radial(model.camera(image.camera), image.camera)?;
-            let pose = Rigid3::new(half_turn() * pose.rotation, half_turn() * pose.translation);
+            let pose = Rigid3::new(
+                rotation_by_pi_about_x() * pose.rotation,
+                rotation_by_pi_about_x() * pose.translation,
+            );
             bal.cameras.push(BalCamera {
                 axis_angle_rad: so3::log(&pose.rotation),
                 translation: pose.translation,
@@ -236,10 +253,10 @@ impl Bal {
             bal.points.push(track.xyz);
             for observation in &track.observations {
                 let Some(camera) = index_of[observation.image.index()] else { continue };
-                let middle = model.camera_of(observation.image).intrinsics.principal_point();
+                let centre = model.camera_of(observation.image).intrinsics.principal_point();
                 let pixel = model.image(observation.image).keypoints[observation.keypoint as usize]
                     .pixel
-                    - middle;
+                    - centre;
                 let pixel = Vector2::new(pixel.x, -pixel.y);
                 bal.observations.push(BalObservation { camera, point, pixel });
             }
@@ -248,7 +265,7 @@ impl Bal {
     }
 }
 
-/// f, k1, k2 of a camera that has nothing else.
+/// f, k1, k2 of a camera without other parameters than the principal point.
 fn radial(camera: &Camera, id: CameraId) -> Result<(f64, f64, f64), BalError> {
     let params = camera.intrinsics.params();
     match (camera.intrinsics.kind(), params) {
@@ -260,17 +277,17 @@ fn radial(camera: &Camera, id: CameraId) -> Result<(f64, f64, f64), BalError> {
     }
 }
 
-/// Why a problem is no reconstruction, or the other way round.
+/// Why a problem and a reconstruction cannot be converted into each other.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BalError {
-    /// An observation names a camera that there is not.
-    #[error("an observation names camera {camera}, which there is not")]
+    /// An observation refers to a camera that does not exist.
+    #[error("an observation names camera {camera}, which does not exist")]
     NoSuchCamera {
         /// The index.
         camera: u32,
     },
-    /// An observation names a point that there is not.
-    #[error("an observation names point {point}, which there is not")]
+    /// An observation refers to a point that does not exist.
+    #[error("an observation names point {point}, which does not exist")]
     NoSuchPoint {
         /// The index.
         point: u32,
@@ -283,7 +300,7 @@ pub enum BalError {
         /// What is wrong.
         cause: tiepoint_geometry::Error,
     },
-    /// A camera cannot be told in this format.
+    /// A camera model that the format cannot express.
     #[error(
         "a BAL file knows one focal length and two radial distortions, but camera {camera:?} is a \
         {model}"
@@ -297,7 +314,7 @@ pub enum BalError {
 }
 
 impl BalError {
-    /// With the file that it is about.
+    /// Converts to an error about a file.
     pub fn of(self, path: &Path) -> Error {
         Error::content(path, self.to_string())
     }

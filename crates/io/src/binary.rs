@@ -1,5 +1,5 @@
-//! Little-endian primitives. The reader knows how much of its file is left, so that a count that
-//! cannot be true is found before memory is set aside for it.
+//! Reading and writing of little-endian numbers. The reader knows the number of bytes that are
+//! left, so that it rejects an impossible count before it allocates memory.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -10,6 +10,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 
 use crate::{Error, Result, rotation};
 
+/// A binary file with its current offset.
 pub(crate) struct Reader<R = BufReader<File>> {
     inner: R,
     path: PathBuf,
@@ -60,12 +61,14 @@ impl<R: Read> Reader<R> {
         Ok(())
     }
 
-    /// A count of records that take at least `min_bytes` each.
+    /// Reads a count of records of at least `min_bytes` each; an error if the rest of the file
+    /// cannot hold them.
     pub(crate) fn count(&mut self, min_bytes: u64, what: &str) -> Result<usize> {
         let count = self.u64(what)?;
         self.check_count(count, min_bytes, what)
     }
 
+    /// The count as `usize`; an error if the rest of the file cannot hold `count` records.
     pub(crate) fn check_count(&self, count: u64, min_bytes: u64, what: &str) -> Result<usize> {
         let left = self.remaining();
         if count.checked_mul(min_bytes).is_none_or(|bytes| bytes > left) {
@@ -91,7 +94,7 @@ impl<R: Read> Reader<R> {
         self.bytes(what).map(u64::from_le_bytes)
     }
 
-    /// Any number, NaN included.
+    /// Any number, also NaN and infinity.
     pub(crate) fn raw_f64(&mut self, what: &str) -> Result<f64> {
         self.bytes(what).map(f64::from_le_bytes)
     }
@@ -106,7 +109,7 @@ impl<R: Read> Reader<R> {
         Ok(Vector3::new(self.f64(what)?, self.f64(what)?, self.f64(what)?))
     }
 
-    /// qw qx qy qz tx ty tz.
+    /// A transform as qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
         let wxyz = [self.f64(what)?, self.f64(what)?, self.f64(what)?, self.f64(what)?];
         let rotation =
@@ -114,7 +117,7 @@ impl<R: Read> Reader<R> {
         Ok(Rigid3::new(rotation, self.vector3(what)?))
     }
 
-    /// Bytes up to a zero, as text.
+    /// Bytes up to a zero, as UTF-8.
     pub(crate) fn c_string(&mut self, what: &str) -> Result<String> {
         let mut bytes = Vec::new();
         loop {
@@ -126,7 +129,7 @@ impl<R: Read> Reader<R> {
         String::from_utf8(bytes).map_err(|_| self.error(format!("{what} is not UTF-8")))
     }
 
-    /// Bytes up to the end of a line, as text.
+    /// Bytes up to a line feed, as UTF-8.
     pub(crate) fn line(&mut self, max_bytes: u64) -> Result<String> {
         let mut bytes = Vec::new();
         loop {
@@ -141,7 +144,7 @@ impl<R: Read> Reader<R> {
         String::from_utf8(bytes).map_err(|_| self.error("a line is not UTF-8"))
     }
 
-    /// Nothing may follow.
+    /// An error unless the file ends here.
     pub(crate) fn end(&self) -> Result<()> {
         match self.remaining() {
             0 => Ok(()),
@@ -150,7 +153,7 @@ impl<R: Read> Reader<R> {
     }
 }
 
-/// qw qx qy qz tx ty tz.
+/// A transform as qw qx qy qz tx ty tz.
 pub(crate) fn pose_numbers(pose: &Rigid3) -> [f64; 7] {
     let (q, t) = (&pose.rotation, &pose.translation);
     [q.w, q.i, q.j, q.k, t.x, t.y, t.z]

@@ -2,61 +2,62 @@ use std::path::{Path, PathBuf};
 
 use tiepoint_scene as scene;
 
-/// What can go wrong with a file. Each message is one sentence that names the file and, where there
-/// is one, the place in it.
+/// The error of this crate. Each message is one sentence that names the file and, where there is
+/// one, the place in it.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The operating system refuses.
+    /// The operating system reports an error.
     #[error("{path}: {cause}")]
     Io {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What it says.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// A binary file breaks its format.
+    /// A binary file violates its format.
     #[error("{path}: byte {offset}: {what}")]
     Bytes {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Where, from its beginning.
+        /// Offset of the violation from the beginning of the file, in bytes.
         offset: u64,
-        /// What is wrong there.
+        /// The violation.
         what: String,
     },
-    /// A text file breaks its format.
+    /// A text file violates its format.
     #[error("{path}: line {line}: {what}")]
     Line {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Where, counted from 1.
+        /// Number of the line, counted from 1.
         line: usize,
-        /// What is wrong there.
+        /// The violation.
         what: String,
     },
-    /// The parts of a file, or of several that belong together, contradict each other; or it holds
-    /// what is not supported.
+    /// A file contradicts itself or the files that belong to it, or holds content that is not
+    /// supported.
     #[error("{path}: {what}")]
     Content {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The contradiction, or the content that is not supported.
         what: String,
     },
-    /// SQLite refuses.
+    /// SQLite reports an error.
     #[error("{path}: {cause}")]
     Database {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What it says.
+        /// The message of SQLite.
         cause: String,
     },
-    /// What was read, or is to be written, is no consistent reconstruction.
+    /// The reconstruction that was read, or is to be written, is not consistent
+    /// ([`scene::Reconstruction::validate`]).
     #[error("{path}: {cause}")]
     Model {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What is wrong.
+        /// The first inconsistency.
         cause: scene::Error,
     },
 }

@@ -1,12 +1,13 @@
-//! What stands in a file, as a message can quote it.
+//! Quotations of file content in messages.
 
 use std::fmt;
 
-/// Characters that are quoted of a text; the reader has the file and the line.
+/// Characters of a text that a message quotes. The file and the line are named beside the
+/// quotation.
 const MAX_QUOTED: usize = 48;
 
-/// The beginning of a text, on one line: escapes take the place of control characters, which would
-/// command the terminal.
+/// Displays the beginning of a text on one line. Control characters, which a terminal would
+/// execute, are escaped.
 pub(crate) struct Excerpt<'a>(pub(crate) &'a str);
 
 impl fmt::Display for Excerpt<'_> {

@@ -1,4 +1,4 @@
-//! What a camera says about a photo: focal length, orientation, time.
+//! EXIF data of a photo: focal length, orientation, time.
 
 use std::io::{BufRead, Cursor, Seek};
 use std::path::Path;
@@ -7,28 +7,30 @@ use exif::{In, Rational, Tag, Value};
 
 use crate::{Error, Result};
 
-/// Diagonal of 35 mm film, 36 mm × 24 mm: "35 mm equivalent" focal lengths give the same diagonal
-/// angle of view (CIPA DCG-001).
+/// Diagonal of 35 mm film (36 mm × 24 mm), in millimetres: the "35 mm equivalent" focal length
+/// gives the same diagonal angle of view (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
 
-/// Focal lengths in longer sides of the image. The widest lenses of photographers have 0.2 (8 mm on
-/// 36 mm), the longest zooms of compact cameras 83 (3000 mm, Nikon P1000).
+/// Plausible focal lengths, as multiples of the longer side of the image. The widest lenses of
+/// photographers have 0.2 (8 mm on 36 mm), the longest zooms of compact cameras 83 (3000 mm, Nikon
+/// P1000).
 const FOCAL_RANGE: std::ops::RangeInclusive<f64> = 0.1..=150.0;
 
-/// What was found; all is optional, and a photo without EXIF data has nothing.
+/// The EXIF fields that are used; a photo without EXIF data has none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exif {
-    /// Focal length.
+    /// Focal length, in millimetres.
     pub focal_mm: Option<f64>,
-    /// Focal length that gives the same diagonal angle of view on 35 mm film.
+    /// 35 mm equivalent focal length, in millimetres: the same diagonal angle of view on 35 mm
+    /// film.
     pub focal_35mm: Option<f64>,
-    /// Pixels of the photo as it was taken, per millimetre of the sensor.
+    /// Resolution of the sensor, in pixels of the original photo per millimetre.
     pub pixels_per_mm: Option<f64>,
-    /// Longer side of the photo as it was taken, in pixels.
+    /// Longer side of the original photo, in pixels.
     pub long_side_px: Option<f64>,
-    /// How to turn the stored pixels, 1 to 8; 1 leaves them as they are.
+    /// Orientation of the stored pixels, 1 to 8; 1 is upright.
     pub orientation: u8,
-    /// When it was taken: seconds since 1970-01-01 00:00 on the camera's own clock.
+    /// Time in seconds since 1970-01-01 00:00 on the clock of the camera.
     pub time_s: Option<f64>,
 }
 
@@ -46,8 +48,11 @@ impl Default for Exif {
 }
 
 impl Exif {
-    /// From a JPEG, PNG or TIFF file. Fields that are missing or broken are left out; only a file
-    /// that cannot be read is an error.
+    /// Reads the EXIF data of a JPEG, PNG or TIFF file. Missing and invalid fields are left out.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be opened.
     pub fn read(path: &Path) -> Result<Self> {
         let file = std::fs::File::open(path).map_err(Error::io(path))?;
         Ok(Self::from_reader(&mut std::io::BufReader::new(file)))
@@ -98,21 +103,21 @@ impl Exif {
         }
     }
 
-    /// The focal length in pixels of a `width` × `height` image: from the width of the sensor (its
-    /// longer side) where that is given, else from the 35 mm equivalent, else from the resolution
-    /// of the focal plane. What no camera can have is passed over.
+    /// The focal length in pixels of a `width` × `height` image: the first plausible value from the
+    /// width of the sensor (its longer side, if given), from the 35 mm equivalent, and from the
+    /// resolution of the focal plane.
     pub fn focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> Option<f64> {
-        let told = self.told_focal_px(width, height, sensor_width_mm);
-        told.into_iter().flatten().find(|focal_px| is_plausible(*focal_px, width, height))
+        let candidates = self.focal_candidates_px(width, height, sensor_width_mm);
+        candidates.into_iter().flatten().find(|focal_px| is_plausible(*focal_px, width, height))
     }
 
-    /// A focal length in pixels that is told, where none of those that are told can be true.
-    pub fn absurd_focal_px(&self, width: u32, height: u32) -> Option<f64> {
-        let told = self.told_focal_px(width, height, None).into_iter().flatten().next();
-        told.filter(|_| self.focal_px(width, height, None).is_none())
+    /// The first focal length in pixels that the EXIF data give, if none of them is plausible.
+    pub fn implausible_focal_px(&self, width: u32, height: u32) -> Option<f64> {
+        let first = self.focal_candidates_px(width, height, None).into_iter().flatten().next();
+        first.filter(|_| self.focal_px(width, height, None).is_none())
     }
 
-    fn told_focal_px(
+    fn focal_candidates_px(
         &self,
         width: u32,
         height: u32,
@@ -122,7 +127,7 @@ impl Exif {
         let long_side = width.max(height);
         let from_sensor = || Some(self.focal_mm? / sensor_width_mm? * long_side);
         let from_film = || Some(self.focal_35mm? / FILM_DIAGONAL_MM * width.hypot(height));
-        // The image may have been scaled since it was taken.
+        // Accounts for an image that was scaled after it was taken.
         let from_plane = || {
             Some(
                 self.focal_mm?
@@ -138,7 +143,7 @@ fn is_plausible(focal_px: f64, width: u32, height: u32) -> bool {
     FOCAL_RANGE.contains(&(focal_px / f64::from(width.max(height))))
 }
 
-/// `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, as if there were no time zones.
+/// A date `YYYY:MM:DD HH:MM:SS` as seconds since 1970-01-01 00:00, without time zones.
 pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
     let mut numbers = date.trim().split([':', ' ', '-', 'T']).map(|word| word.parse::<i64>().ok());
     let mut next = || numbers.next().flatten();
@@ -150,8 +155,8 @@ pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
         && (0..24).contains(&hour)
         && (0..60).contains(&minute)
         && (0..=60).contains(&second);
-    // Days of the proleptic Gregorian calendar, years beginning in March so that the leap day is
-    // the last.
+    // Days of the proleptic Gregorian calendar; years begin in March, so that the leap day is the
+    // last one.
     let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
     in_range.then_some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
@@ -162,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_those_of_unix() {
+    fn dates_are_converted_to_unix_time() {
         // `date -u -d '2024-02-29 12:34:56' +%s`
         for (date, expected) in [
             ("1970:01:01 00:00:00", 0.0),
@@ -179,36 +184,35 @@ mod tests {
     }
 
     #[test]
-    fn focal_length_from_whatever_there_is() {
+    fn focal_length_uses_the_available_fields() {
         let exif = Exif { focal_mm: Some(18.0), ..Exif::default() };
         assert_eq!(exif.focal_px(3000, 2000, None), None);
         assert_eq!(exif.focal_px(3000, 2000, Some(36.0)), Some(1500.0));
         assert_eq!(exif.focal_px(2000, 3000, Some(36.0)), Some(1500.0));
         let film = Exif { focal_35mm: Some(36.0), ..Exif::default() };
-        // On a 3:2 image the equivalent by the diagonal is the one by the width: 36 mm are the
-        // width.
+        // On a 3:2 image the equivalents by diagonal and by width agree: 36 mm is the width.
         assert!((film.focal_px(3000, 2000, None).unwrap() - 3000.0).abs() < 1e-3);
-        // Without a width of the sensor, what the file says of itself counts.
+        // Without a width of the sensor, the resolution in the file is used.
         let plane = Exif { pixels_per_mm: Some(100.0), long_side_px: Some(6000.0), ..exif };
         assert_eq!(plane.focal_px(3000, 2000, None), Some(900.0));
     }
 
     #[test]
-    fn focal_lengths_that_no_camera_has_are_passed_over() {
-        for absurd in [1e-6, 2.0, 1e5, 1e300] {
-            let exif = Exif { focal_35mm: Some(absurd), ..Exif::default() };
-            assert_eq!(exif.focal_px(3000, 2000, None), None, "{absurd}");
-            assert!(exif.absurd_focal_px(3000, 2000).is_some(), "{absurd}");
-            // Another one that is told may be true.
+    fn implausible_focal_lengths_are_ignored() {
+        for implausible in [1e-6, 2.0, 1e5, 1e300] {
+            let exif = Exif { focal_35mm: Some(implausible), ..Exif::default() };
+            assert_eq!(exif.focal_px(3000, 2000, None), None, "{implausible}");
+            assert!(exif.implausible_focal_px(3000, 2000).is_some(), "{implausible}");
+            // Another given focal length may be plausible.
             let both = Exif { focal_mm: Some(18.0), pixels_per_mm: Some(100.0), ..exif };
             assert_eq!(both.focal_px(3000, 2000, None), Some(1800.0));
-            assert_eq!(both.absurd_focal_px(3000, 2000), None);
+            assert_eq!(both.implausible_focal_px(3000, 2000), None);
         }
         for real_mm in [8.0, 15.0, 26.0, 3000.0] {
             let exif = Exif { focal_35mm: Some(real_mm), ..Exif::default() };
             assert!(
                 exif.focal_px(4000, 3000, None).is_some()
-                    && exif.absurd_focal_px(4000, 3000).is_none()
+                    && exif.implausible_focal_px(4000, 3000).is_none()
             );
         }
     }

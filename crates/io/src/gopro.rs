@@ -1,9 +1,9 @@
-//! What a GoPro says of itself in its videos: whether it stabilised the picture electronically.
+//! Electronic image stabilisation of GoPro videos, as the settings in the file tell it.
 //!
-//! The settings lie in the box `moov/udta/GPMF` of the MP4 file (ISO/IEC 14496-12), as keys of four
-//! letters, a type, the size of an element (one byte), their number (two bytes, high one first) and
-//! the elements, padded to four bytes; type 0 holds further keys
-//! (<https://github.com/gopro/gpmf-parser>). The key `EISE` is `Y` or `N`.
+//! The settings are in the box `moov/udta/GPMF` of the MP4 file (ISO/IEC 14496-12). Each record has
+//! a key of four letters, a type, the size of an element (one byte), the number of elements (two
+//! bytes, big-endian) and the elements, padded to four bytes. A record of type 0 holds further
+//! records (<https://github.com/gopro/gpmf-parser>). The key `EISE` is `Y` or `N`.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -11,24 +11,29 @@ use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Settings are some hundred bytes long, those of a whole recording some thousand.
+/// Upper limit in bytes. Settings take some hundred bytes, those of a whole recording some
+/// thousand.
 const MAX_SETTINGS_LEN: u64 = 1 << 20;
-/// Containers of containers of keys; more is no settings.
+/// Deepest nesting of records that is read.
 const MAX_DEPTH: usize = 8;
 
-/// Whether the camera has stabilised a video electronically; `None` where the file does not say it,
-/// whatever its format.
+/// Whether the camera stabilised a video electronically. `None` if the file does not tell, whatever
+/// its format.
+///
+/// # Errors
+///
+/// [`Error::Io`] if the file cannot be read.
 pub fn is_stabilised(path: &Path) -> Result<Option<bool>> {
     let file = File::open(path).map_err(Error::io(path))?;
     let length = file.metadata().map_err(Error::io(path))?.len();
     let mut file = BufReader::new(file);
-    Ok(settings(&mut file, length)
+    Ok(read_settings(&mut file, length)
         .map_err(Error::io(path))?
         .and_then(|settings| stabilisation(&settings, 0)))
 }
 
 /// The bytes of `moov/udta/GPMF`.
-fn settings(file: &mut (impl Read + Seek), length: u64) -> io::Result<Option<Vec<u8>>> {
+fn read_settings(file: &mut (impl Read + Seek), length: u64) -> io::Result<Option<Vec<u8>>> {
     let mut within = 0..length;
     for name in [b"moov", b"udta", b"GPMF"] {
         let Some(found) = find_box(file, within, name)? else { return Ok(None) };
@@ -43,8 +48,8 @@ fn settings(file: &mut (impl Read + Seek), length: u64) -> io::Result<Option<Vec
     Ok(Some(settings))
 }
 
-/// Where the content of the first box of a name lies among those of a stretch of the file. What is
-/// no box ends the search.
+/// The byte range of the content of the first box called `name` in the range `within`. `None` if
+/// there is no such box, or if the search meets bytes that are not a box.
 fn find_box(
     file: &mut (impl Read + Seek),
     within: std::ops::Range<u64>,
@@ -73,7 +78,7 @@ fn find_box(
     Ok(None)
 }
 
-/// What the key `EISE` says.
+/// The value of the key `EISE`: true for `Y`, false for `N`.
 fn stabilisation(mut keys: &[u8], depth: usize) -> Option<bool> {
     while let Some((head, rest)) = keys.split_first_chunk::<8>() {
         let [k0, k1, k2, k3, kind, size, high, low] = *head;
@@ -111,41 +116,41 @@ mod tests {
         [&(8 + content.len() as u32).to_be_bytes(), name.as_slice(), content].concat()
     }
 
-    fn video(says: &[u8]) -> Vec<u8> {
-        let settings = [key(b"DVNM", b'c', b"Camera"), key(b"EISE", b'c', says)].concat();
+    fn video(eise: &[u8]) -> Vec<u8> {
+        let settings = [key(b"DVNM", b'c', b"Camera"), key(b"EISE", b'c', eise)].concat();
         let gpmf = mp4_box(b"GPMF", &key(b"DEVC", 0, &settings));
         let udta = mp4_box(b"udta", &[mp4_box(b"FIRM", b"H"), gpmf].concat());
         let moov = mp4_box(b"moov", &[mp4_box(b"mvhd", &[0; 100]), udta].concat());
-        // The pictures as a box of 64-bit size.
+        // The video frames, in a box of 64-bit size.
         let mdat = [&1u32.to_be_bytes(), b"mdat".as_slice(), &(16 + 5u64).to_be_bytes(), b"frame"]
             .concat();
         [mp4_box(b"ftyp", b"mp41"), mdat, moov].concat()
     }
 
-    fn asked(bytes: &[u8]) -> Option<bool> {
+    fn stabilisation_of(bytes: &[u8]) -> Option<bool> {
         let mut file = io::Cursor::new(bytes);
-        settings(&mut file, bytes.len() as u64)
+        read_settings(&mut file, bytes.len() as u64)
             .unwrap()
             .and_then(|settings| stabilisation(&settings, 0))
     }
 
     #[test]
-    fn what_the_camera_says_is_found() {
-        assert_eq!(asked(&video(b"Y")), Some(true));
-        assert_eq!(asked(&video(b"N")), Some(false));
-        assert_eq!(asked(&video(b"")), None);
-        assert_eq!(asked(&mp4_box(b"ftyp", b"mp41")), None);
+    fn stabilisation_is_read_from_the_settings() {
+        assert_eq!(stabilisation_of(&video(b"Y")), Some(true));
+        assert_eq!(stabilisation_of(&video(b"N")), Some(false));
+        assert_eq!(stabilisation_of(&video(b"")), None);
+        assert_eq!(stabilisation_of(&mp4_box(b"ftyp", b"mp41")), None);
     }
 
     proptest! {
         #[test]
-        fn whatever_is_in_a_file_is_no_panic(at in 0usize..400, byte: u8, end in 0usize..400) {
+        fn damaged_files_do_not_panic(at in 0usize..400, byte: u8, end in 0usize..400) {
             let mut bytes = video(b"Y");
             bytes.truncate(end.max(1));
             let at = at % bytes.len();
             bytes[at] = byte;
             let mut file = io::Cursor::new(&bytes);
-            if let Ok(Some(settings)) = settings(&mut file, bytes.len() as u64) {
+            if let Ok(Some(settings)) = read_settings(&mut file, bytes.len() as u64) {
                 stabilisation(&settings, 0);
             }
         }

@@ -1,5 +1,4 @@
-//! Where images come from: folders. (The pictures of videos are put into one by whoever reads
-//! them.)
+//! Sources of images: folders. (The pipeline extracts the frames of videos into a folder.)
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
@@ -9,16 +8,16 @@ use std::path::{Path, PathBuf};
 use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
-use crate::manifest::made_files;
-use crate::pixels::{self, Allowed};
-use crate::regular::{escaped, irregular};
-use crate::{Error, Luma, MAX_PIXELS, Result, Rgb};
+use crate::manifest::manifest_files;
+use crate::pixels::{self, SizeLimit};
+use crate::regular_file::{escaped, irregular_kind};
+use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
-/// Names of files with these endings, in any case, are taken for images.
+/// File name extensions of images, in any case.
 const IMAGE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
-/// Files with these endings are photos of telephones, which no well-tried library in Rust reads.
+/// File name extensions of HEIF photos, which no mature library in Rust decodes.
 const HEIF_EXTENSIONS: [&str; 3] = ["heic", "heif", "hif"];
-/// Folders deeper than this below an input are taken for a loop of links.
+/// Deepest folder below an input; deeper ones mean a cycle of links.
 const MAX_DEPTH: usize = 16;
 
 /// One image of a source.
@@ -26,52 +25,68 @@ const MAX_DEPTH: usize = 16;
 pub struct SourceImage {
     /// Path relative to the input, with `/`.
     pub name: String,
-    /// Which camera took it: an index into [`ImageSource::camera_names`].
+    /// The camera: an index into [`ImageSource::camera_names`].
     pub camera: CameraId,
 }
 
-/// What is known of an image before its pixels are decoded.
+/// Metadata of an image: size, time and EXIF data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageInfo {
-    /// Columns, as it is seen (turned by its EXIF orientation).
+    /// Width in pixels, after the rotation that the EXIF orientation asks for.
     pub width: u32,
-    /// Rows, as it is seen.
+    /// Height in pixels, after that rotation.
     pub height: u32,
-    /// When it was taken, in seconds on its camera's own clock: from its name where that is a time,
-    /// else from EXIF.
+    /// Time in seconds on the clock of the camera: from the file name if that is a time, else from
+    /// EXIF.
     pub time_s: Option<f64>,
-    /// What the camera says.
+    /// The EXIF data.
     pub exif: Exif,
 }
 
-/// A list of images by one or more cameras; pixels on demand, from any thread.
+/// Images of one or more cameras. Pixels are decoded on demand, from any thread.
 pub trait ImageSource: Send + Sync {
-    /// All images, in byte order of their names; those of one camera stand together.
+    /// All images in byte order of their names; the images of a camera are contiguous.
     fn images(&self) -> &[SourceImage];
-    /// The cameras, in the order of their first images.
+    /// The cameras in the order of their first images.
     fn camera_names(&self) -> &[String];
     /// Size, time and EXIF data of an image.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or is larger than permitted.
     fn info(&self, index: usize) -> Result<ImageInfo>;
-    /// The grey image.
+    /// The grey image, upright.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be decoded, or is larger than permitted.
     fn luma(&self, index: usize) -> Result<Luma>;
-    /// The colour image.
+    /// The colour image, upright.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be decoded, or is larger than permitted.
     fn rgb(&self, index: usize) -> Result<Rgb>;
-    /// Where to look in the image: nothing is to be detected where the mask is 0. Of the size of
-    /// the image.
+    /// The mask of an image, of equal size: no features are detected where it is 0. `None` without
+    /// a mask.
+    ///
+    /// # Errors
+    ///
+    /// If the mask cannot be decoded, or does not have the size of the image.
     fn mask(&self, index: usize) -> Result<Option<Luma>>;
 }
 
-/// A file that would be an image and cannot be used as one, or a folder of such.
+/// A file with the name of an image that cannot be used, or a folder of such files.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SkippedFile {
-    /// Its name as an image's would be, with escapes for control characters and for what is no
-    /// UTF-8.
+    /// Its name, in the form of the names of images; control characters and bytes that are not
+    /// UTF-8 are escaped.
     pub name: String,
-    /// Why, as a sentence that begins with its path.
+    /// The reason: a sentence that begins with the path.
     pub why: String,
 }
 
-/// Images in folders.
+/// The images of one or more folders.
 #[derive(Clone, Debug)]
 pub struct ImageFolder {
     images: Vec<SourceImage>,
@@ -84,29 +99,31 @@ pub struct ImageFolder {
 
 impl ImageFolder {
     /// Lists the images of `inputs`. A folder of images is one camera; a folder with one sub-folder
-    /// per camera is a rig. Names are relative to the input, or, if there are several inputs, begin
-    /// with the name of the input's folder.
+    /// per camera is a rig. Names are relative to the input. If there are several inputs, names
+    /// begin with the name of the folder of the input.
     ///
     /// With `masks`, the mask of `left/1.jpg` is `left/1.jpg.png` in that folder, as in COLMAP, or
-    /// `left/1.jpg` or `left/1.png`. Images without a mask are used whole; but there must be a mask
-    /// for one image at least.
+    /// `left/1.jpg` or `left/1.png`. Images without a mask are used entirely; at least one image
+    /// must have a mask.
     ///
-    /// A file that is named like an image but is no regular file, or whose name a model cannot
-    /// hold, is skipped; so are the images below a folder of such a name. Images that a
-    /// sub-folder's [`MANIFEST`](crate::MANIFEST) names were made by this program and are passed
-    /// over; those that an input's own manifest names are, unless there are no others.
+    /// A file with the name of an image is skipped if it is not a regular file, or if a model
+    /// cannot hold its name; the same holds for the images below a folder with such a name. Images
+    /// that the [`MANIFEST`](crate::MANIFEST) of a sub-folder names were written by this program
+    /// and are ignored. Images that the manifest of the input itself names are ignored unless there
+    /// are no others.
     ///
     /// # Errors
     ///
-    /// A folder cannot be read or holds no images that can be used, two images have one name, or
-    /// there is no mask.
+    /// If a folder cannot be read or holds no images that can be used, if two images have the same
+    /// name, and if there is no mask.
     pub fn open(inputs: &[PathBuf], masks: Option<&Path>) -> Result<Self> {
-        // By name: where it is, and the name of its camera. The map sorts in byte order.
+        // By name: the path, and the name of the camera. The map sorts in byte order.
         let mut found: BTreeMap<String, (PathBuf, String)> = BTreeMap::new();
         let mut skipped = Vec::new();
         for input in inputs {
-            let own_name = own_name(input);
-            let prefix = if inputs.len() > 1 { prefix(input, &own_name)? } else { String::new() };
+            let folder_name = folder_name(input);
+            let prefix =
+                if inputs.len() > 1 { prefix(input, &folder_name)? } else { String::new() };
             let listing = Listing::of_input(input, prefix)?;
             if let Some(folder) = listing.folder_beside_images() {
                 let what = format!(
@@ -116,12 +133,12 @@ impl ImageFolder {
                 return Err(Error::content(input, what));
             }
             if listing.images.is_empty() {
-                return Err(Error::content(input, listing.holds_none()));
+                return Err(Error::content(input, listing.no_images_message()));
             }
             for image in listing.images {
-                let camera = match image.top() {
+                let camera = match image.top_folder() {
                     Some(folder) => listing.prefix.clone() + folder,
-                    None => escaped(Path::new(&own_name)),
+                    None => escaped(Path::new(&folder_name)),
                 };
                 let name = listing.prefix.clone() + &image.name;
                 if let Some((other, _)) = found.insert(name.clone(), (image.path.clone(), camera)) {
@@ -140,7 +157,7 @@ impl ImageFolder {
             cameras: vec![],
             masks: vec![],
             skipped,
-            max_pixels: MAX_PIXELS,
+            max_pixels: DEFAULT_MAX_PIXELS,
         };
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
@@ -167,14 +184,14 @@ impl ImageFolder {
         }
     }
 
-    /// The same images; those of more than `max_pixels` are refused when they are looked at
-    /// ([`MAX_PIXELS`] by default).
+    /// Sets the limit of pixels: larger images are refused when they are read
+    /// ([`DEFAULT_MAX_PIXELS`] by default).
     #[must_use]
     pub fn with_max_pixels(self, max_pixels: u64) -> Self {
         Self { max_pixels, ..self }
     }
 
-    /// What is there and cannot be used, in byte order of the names.
+    /// The files that cannot be used, in byte order of their names.
     pub fn skipped(&self) -> &[SkippedFile] {
         &self.skipped
     }
@@ -202,43 +219,43 @@ impl ImageSource for ImageFolder {
     }
 
     fn luma(&self, index: usize) -> Result<Luma> {
-        Luma::read_within(&self.paths[index], &Allowed::Pixels(self.max_pixels))
+        Luma::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
     }
 
     fn rgb(&self, index: usize) -> Result<Rgb> {
-        Rgb::read_within(&self.paths[index], &Allowed::Pixels(self.max_pixels))
+        Rgb::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
     }
 
     fn mask(&self, index: usize) -> Result<Option<Luma>> {
         let Some(path) = &self.masks[index] else { return Ok(None) };
         let (_, width, height) = self.header(&self.paths[index])?;
         let of = format!("its image {}", self.images[index].name);
-        Luma::read_within(path, &Allowed::Size { width, height, what: "the mask", of: &of })
+        Luma::read_within(path, &SizeLimit::Size { width, height, what: "the mask", of: &of })
             .map(Some)
     }
 }
 
 impl ImageFolder {
-    /// What an image says of itself: EXIF data, width and height.
+    /// EXIF data, width and height of an image.
     fn header(&self, path: &Path) -> Result<(Exif, u32, u32)> {
-        // Before the EXIF data, since those of a TIFF file may be anywhere in it.
+        // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
         let stored = pixels::stored_size(path)?;
         let exif = Exif::read(path)?;
         let (width, height) =
-            pixels::dimensions(path, &exif, stored, &Allowed::Pixels(self.max_pixels))?;
+            pixels::upright_size(path, &exif, stored, &SizeLimit::Pixels(self.max_pixels))?;
         Ok((exif, width, height))
     }
 }
 
-/// The name of a folder itself, whatever it was given as; empty where it has none.
-fn own_name(input: &Path) -> OsString {
+/// The name of a folder, also for inputs such as `.`; empty if it has none.
+fn folder_name(input: &Path) -> OsString {
     let whole = input.canonicalize().ok();
     whole.as_deref().and_then(Path::file_name).map(OsStr::to_owned).unwrap_or_default()
 }
 
-/// What the names of an input's images begin with.
-fn prefix(input: &Path, own_name: &OsStr) -> Result<String> {
-    match (unfit(own_name, true, false), own_name.to_str()) {
+/// The prefix of the names of the images of an input, if there are several inputs.
+fn prefix(input: &Path, folder_name: &OsStr) -> Result<String> {
+    match (invalid_name_reason(folder_name, true, false), folder_name.to_str()) {
         (None, Some(name)) => Ok(name.to_owned() + "/"),
         (why, _) => {
             let why = why.unwrap_or(NOT_UTF8);
@@ -252,10 +269,10 @@ fn prefix(input: &Path, own_name: &OsStr) -> Result<String> {
 
 const NOT_UTF8: &str = "its name is not UTF-8";
 
-/// Why a file or folder of this name cannot be a part of the name of an image: the first, the last,
-/// or one between. COLMAP's text files and lists of times hold a name on a line, and white space
-/// around it does not count there.
-fn unfit(part: &OsStr, is_first: bool, is_last: bool) -> Option<&'static str> {
+/// The reason why the name of a file or folder cannot be the first, last or a middle part of the
+/// name of an image. Text files of COLMAP and of times hold a name on a line, and trim white space
+/// around it.
+fn invalid_name_reason(part: &OsStr, is_first: bool, is_last: bool) -> Option<&'static str> {
     let Some(text) = part.to_str() else { return Some(NOT_UTF8) };
     if text.contains(char::is_control) {
         Some("its name has control characters")
@@ -268,48 +285,48 @@ fn unfit(part: &OsStr, is_first: bool, is_last: bool) -> Option<&'static str> {
     }
 }
 
-/// An image that was found.
-struct Listed {
+/// An image file.
+struct FoundImage {
     path: PathBuf,
-    /// Relative to the input, with `/`.
+    /// Path relative to the input, with `/`.
     name: String,
 }
 
-impl Listed {
-    /// The folder directly below the input in which it lies.
-    fn top(&self) -> Option<&str> {
-        self.name.split_once('/').map(|(top, _)| top)
+impl FoundImage {
+    /// The folder directly below the input that contains the image.
+    fn top_folder(&self) -> Option<&str> {
+        self.name.split_once('/').map(|(top_folder, _)| top_folder)
     }
 }
 
-/// What lies in an input.
+/// The files of an input.
 struct Listing {
-    /// What the names of images begin with.
+    /// Prefix of the names of the images.
     prefix: String,
-    images: Vec<Listed>,
+    images: Vec<FoundImage>,
     skipped: Vec<SkippedFile>,
-    /// Images that this program has made.
-    made: BTreeSet<PathBuf>,
+    /// Images that this program wrote.
+    generated: BTreeSet<PathBuf>,
 }
 
 impl Listing {
     fn new(prefix: String) -> Self {
-        Self { prefix, images: vec![], skipped: vec![], made: BTreeSet::new() }
+        Self { prefix, images: vec![], skipped: vec![], generated: BTreeSet::new() }
     }
 
     fn of_input(input: &Path, prefix: String) -> Result<Self> {
         let mut this = Self::new(prefix);
         this.list(input, "", 0)?;
-        let own = made_files(input);
-        // A folder of nothing but images that this program made is given for those.
-        if this.images.iter().any(|image| !own.contains(&image.path)) {
-            this.images.retain(|image| !own.contains(&image.path));
+        let own_files = manifest_files(input);
+        // A folder with only images of this program is an input by intention.
+        if this.images.iter().any(|image| !own_files.contains(&image.path)) {
+            this.images.retain(|image| !own_files.contains(&image.path));
         }
         Ok(this)
     }
 
-    /// Adds all images in a folder and below; hidden files and folders are passed over. `within` is
-    /// the folder's name relative to the input, with a `/` behind it.
+    /// Adds all images in a folder and below; ignores hidden files and folders. `within` is the
+    /// path of the folder relative to the input, with a `/` at its end.
     fn list(&mut self, folder: &Path, within: &str, depth: usize) -> Result<()> {
         if depth > MAX_DEPTH {
             return Err(Error::content(
@@ -318,7 +335,7 @@ impl Listing {
             ));
         }
         if depth > 0 {
-            self.made.extend(made_files(folder));
+            self.generated.extend(manifest_files(folder));
         }
         let mut heif = Vec::new();
         for entry in fs::read_dir(folder).map_err(Error::io(folder))? {
@@ -329,11 +346,10 @@ impl Listing {
                 continue;
             };
             let is_first = self.prefix.is_empty() && within.is_empty();
-            // Links are followed; one that leads nowhere is an image that cannot be opened, not a
-            // folder.
+            // Links are followed; a broken link is an image that cannot be opened, not a folder.
             let metadata = fs::metadata(&path).ok();
             if metadata.as_ref().is_some_and(fs::Metadata::is_dir) {
-                match (unfit(part, is_first, false), part.to_str()) {
+                match (invalid_name_reason(part, is_first, false), part.to_str()) {
                     (None, Some(part)) => {
                         self.list(&path, &format!("{within}{part}/"), depth + 1)?
                     }
@@ -352,15 +368,15 @@ impl Listing {
                 }
             } else if has_extension(&path, &HEIF_EXTENSIONS) {
                 heif.push(part.to_owned());
-            } else if !is_named_like_image(&path) || self.made.contains(&path) {
+            } else if !is_named_like_image(&path) || self.generated.contains(&path) {
                 continue;
-            } else if let Some(kind) = metadata.as_ref().and_then(irregular) {
+            } else if let Some(kind) = metadata.as_ref().and_then(irregular_kind) {
                 self.skip(&path, within, &format!("is {kind} and no regular file"));
             } else {
-                match (unfit(part, is_first, true), part.to_str()) {
+                match (invalid_name_reason(part, is_first, true), part.to_str()) {
                     (None, Some(part)) => {
                         let name = format!("{within}{part}");
-                        self.images.push(Listed { path, name });
+                        self.images.push(FoundImage { path, name });
                     }
                     (why, _) => {
                         self.skip(
@@ -372,7 +388,7 @@ impl Listing {
                 }
             }
         }
-        // Those that have been converted lie beside.
+        // HEIF photos with a converted image beside them are ignored.
         heif.retain(|part: &OsString| {
             let beside = |ending: &str| folder.join(part).with_extension(ending).is_file();
             !IMAGE_EXTENSIONS.iter().any(|ending| beside(ending) || beside(&ending.to_uppercase()))
@@ -400,14 +416,14 @@ impl Listing {
         self.skipped.push(SkippedFile { name, why: format!("{}: {what}", escaped(path)) });
     }
 
-    /// A folder of images, where there are images beside it.
+    /// A folder of images in an input that also has images of its own.
     fn folder_beside_images(&self) -> Option<&str> {
-        let folder = self.images.iter().find_map(Listed::top)?;
-        self.images.iter().any(|image| image.top().is_none()).then_some(folder)
+        let folder = self.images.iter().find_map(FoundImage::top_folder)?;
+        self.images.iter().any(|image| image.top_folder().is_none()).then_some(folder)
     }
 
-    /// That no image can be used.
-    fn holds_none(&self) -> String {
+    /// The message of an input without usable images.
+    fn no_images_message(&self) -> String {
         let endings = IMAGE_EXTENSIONS.join(", .");
         match self.skipped.iter().min() {
             None => format!("holds no images (files named .{endings})"),
@@ -422,23 +438,23 @@ impl Listing {
     }
 }
 
-/// Whether a file would be taken for an image, were there no white space behind its name.
+/// Whether a file has the name of an image, ignoring white space at its end.
 fn is_named_like_image(path: &Path) -> bool {
     is_image(path) || path.to_str().is_some_and(|path| is_image(Path::new(path.trim_end())))
 }
 
-/// Whether a file is taken for an image, by its name.
+/// Whether a file is an image, by its extension.
 pub fn is_image(path: &Path) -> bool {
     has_extension(path, &IMAGE_EXTENSIONS)
 }
 
-/// Whether the ending of a file's name is one of these, in any case.
+/// Whether the extension of a file is one of these, in any case.
 pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension()
         .is_some_and(|ending| extensions.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
-/// The mask of an image. What has its name and is no regular file is skipped.
+/// The path of the mask of an image. An entry with that name that is not a regular file is skipped.
 fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<PathBuf> {
     let candidates = [
         masks.join(format!("{name}.png")),
@@ -447,7 +463,7 @@ fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<P
     ];
     candidates.into_iter().find(|path| {
         let Ok(metadata) = fs::metadata(path) else { return false };
-        if let (Some(kind), false) = (irregular(&metadata), metadata.is_dir()) {
+        if let (Some(kind), false) = (irregular_kind(&metadata), metadata.is_dir()) {
             let shown = escaped(path);
             let why = format!("{shown}: is {kind} and no regular file, so it masks nothing");
             skipped.push(SkippedFile { name: shown, why });
@@ -456,9 +472,9 @@ fn mask_of(masks: &Path, name: &str, skipped: &mut Vec<SkippedFile>) -> Option<P
     })
 }
 
-/// The time that a file is named after: nanoseconds (19 digits), microseconds (16) or milliseconds
-/// (13) since 1970, or seconds with a fraction (10 digits, a point, digits), as data sets from
-/// robots have it.
+/// The time in the name of a file, in seconds: nanoseconds (19 digits), microseconds (16) or
+/// milliseconds (13) since 1970, or seconds with a fraction (10 digits, a dot, digits). Data sets
+/// of robots use these names.
 fn time_from_name(stem: &str) -> Option<f64> {
     let all_digits =
         |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -473,7 +489,7 @@ fn time_from_name(stem: &str) -> Option<f64> {
         13 => 1_000,
         _ => return None,
     };
-    // Whole seconds and the rest apart: 19 digits do not fit an f64.
+    // Whole seconds and the fraction separately: an f64 does not hold 19 digits.
     Some((ticks / per_second) as f64 + (ticks % per_second) as f64 / per_second as f64)
 }
 
@@ -482,7 +498,7 @@ mod tests {
     use super::time_from_name;
 
     #[test]
-    fn names_that_are_times() {
+    fn times_are_parsed_from_names() {
         assert_eq!(time_from_name("1403636579763555584"), Some(1_403_636_579.763_555_6));
         assert_eq!(time_from_name("1403636579763555"), Some(1_403_636_579.763_555));
         assert_eq!(time_from_name("1305031102.175304"), Some(1_305_031_102.175_304));

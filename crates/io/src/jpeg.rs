@@ -1,6 +1,6 @@
-//! JPEG files. The decoder is used directly rather than through `image`, for two reasons: it gives
-//! a grey file without making colours of it first; and `image` fills what a truncated file lacks
-//! with grey and says nothing.
+//! JPEG files. The decoder is used directly rather than through `image` for two reasons: it decodes
+//! grey files without a conversion to colours; and `image` silently fills the missing part of a
+//! truncated file with grey.
 
 use std::io::{BufRead, Seek, SeekFrom};
 
@@ -8,18 +8,18 @@ use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 
-/// Which planes to decode.
+/// The planes to decode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Planes {
     Luma,
     Rgb,
 }
 
-/// Decoded bytes, row by row.
+/// Decoded bytes, by rows.
 pub(crate) struct Decoded {
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// What there is: luma only where it was asked for and the file holds nothing else.
+    /// The decoded planes: luma only if requested and if the file has no other planes.
     pub(crate) planes: Planes,
     pub(crate) bytes: Vec<u8>,
 }
@@ -28,7 +28,7 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
     if !is_complete(bytes) {
         return Err("the JPEG data is truncated".to_owned());
     }
-    // JPEG sides fit 16 bits. Not strict: cameras pad their headers.
+    // The sides of a JPEG image fit 16 bits. Not strict: cameras pad their headers.
     let side = usize::from(u16::MAX);
     let options =
         DecoderOptions::default().set_strict_mode(false).set_max_width(side).set_max_height(side);
@@ -49,9 +49,9 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
 const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 const START_OF_SCAN: u8 = 0xDA;
 
-/// Whether the file reaches the end of its image. Within a scan a byte FF is always followed by 00
-/// or a marker, so the first FF D9 after the first scan began is the end; the one of a thumbnail
-/// lies before.
+/// Whether the file contains the end of its image. Within a scan a byte FF is followed by 00 or a
+/// marker, so that the first FF D9 after the beginning of the first scan is the end. The end marker
+/// of a thumbnail comes earlier.
 fn is_complete(bytes: &[u8]) -> bool {
     let mut reader = std::io::Cursor::new(bytes);
     while let Some((marker, _)) = next_segment(&mut reader) {
@@ -63,29 +63,28 @@ fn is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// What the header of the first frame says.
+/// The header of the first frame (in the sense of JPEG).
 pub(crate) struct Frame {
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Bytes that the data take at least: every block of 8 × 8 samples has a constant part, and its
-    /// Huffman code has one bit or more (ITU-T T.81, F.1.2.1 and G.1.2.1), however the rest is
-    /// coded.
+    /// Lower bound of the compressed data in bytes: every block of 8 × 8 samples has a DC
+    /// coefficient, and its Huffman code has one bit or more (ITU-T T.81, F.1.2.1 and G.1.2.1).
     pub(crate) min_bytes: u64,
 }
 
-/// The frame, from the header alone.
+/// Reads the header of the first frame.
 pub(crate) fn frame(reader: &mut (impl BufRead + Seek)) -> Option<Frame> {
     reader.seek(SeekFrom::Start(0)).ok()?;
     while let Some((marker, length)) = next_segment(reader) {
         match marker {
             // Start of frame, of any kind: precision, height, width, components. (C4, C8 and CC are
-            // no frames.)
+            // other markers.)
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
                 let mut frame = [0; 6];
                 reader.read_exact(&mut frame).ok()?;
                 let [_, h1, h0, w1, w0, count] = frame;
-                // Of each component: its number, how often it is sampled along and across, its
-                // table.
+                // Each component: identifier, horizontal and vertical sampling factors,
+                // quantisation table.
                 let mut components = vec![0; 3 * usize::from(count)];
                 reader.read_exact(&mut components).ok()?;
                 let samplings: Vec<[u64; 2]> = components
@@ -116,7 +115,7 @@ pub(crate) fn frame(reader: &mut (impl BufRead + Seek)) -> Option<Frame> {
     None
 }
 
-/// Marker and length of the next segment; the reader is left at its content.
+/// Marker and length of the next segment; the reader is then at the content of the segment.
 fn next_segment(reader: &mut (impl BufRead + Seek)) -> Option<(u8, u16)> {
     let mut byte = [0];
     loop {
@@ -128,7 +127,7 @@ fn next_segment(reader: &mut (impl BufRead + Seek)) -> Option<(u8, u16)> {
         while byte[0] == 0xFF {
             reader.read_exact(&mut byte).ok()?;
         }
-        // 00 is no marker; start of image and restarts have no length.
+        // 00 is not a marker; start of image and restart markers have no length.
         if !matches!(byte[0], 0x00 | 0x01 | 0xD0..=0xD8) {
             break;
         }

@@ -1,8 +1,8 @@
-//! The calibration file of the KITTI odometry benchmark: rows of the projection matrices P0..P3 of
-//! the rectified cameras, and of the pose of the laser scanner, Tr.
+//! The calibration file of the KITTI odometry benchmark: the projection matrices P0 to P3 of the
+//! rectified cameras, and the pose Tr of the laser scanner, by rows.
 //!
-//! KITTI counts pixels from the centre of the top-left one; half a pixel is added to the principal
-//! points here.
+//! The centre of the top-left pixel is (0, 0) in KITTI; the reader adds half a pixel to the
+//! principal points.
 
 use std::path::Path;
 
@@ -16,24 +16,28 @@ use crate::{Error, Result};
 /// A rectified camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KittiCamera {
-    /// Its number: 0 of P0.
+    /// Number of the camera: 0 for P0.
     pub number: u32,
-    /// Pinhole, in our pixel convention.
+    /// PINHOLE intrinsics; the centre of the top-left pixel is (0.5, 0.5).
     pub intrinsics: Intrinsics,
-    /// Its place beside the first camera, in metres.
+    /// Transform from camera 0, in metres: a translation.
     pub cam_from_cam0: Rigid3,
 }
 
-/// What stands in `calib.txt`.
+/// The content of `calib.txt`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct KittiCalibration {
-    /// The cameras, as they stand in the file.
+    /// The cameras in the order of the file.
     pub cameras: Vec<KittiCamera>,
-    /// The pose of the laser scanner.
+    /// Transform from the laser scanner to camera 0, in metres.
     pub cam0_from_velodyne: Option<Rigid3>,
 }
 
-/// Reads `calib.txt`. Lines of other names are passed over.
+/// Reads `calib.txt`; ignores lines with other names.
+///
+/// # Errors
+///
+/// If the file cannot be read, if a line has no valid matrix, and if there is no matrix P0 to P3.
 pub fn read_calibration(path: &Path) -> Result<KittiCalibration> {
     let mut lines = Lines::open(path)?;
     let mut calibration = KittiCalibration::default();

@@ -1,5 +1,5 @@
-//! LAS and LAZ files (ASPRS 1.0 to 1.4): what laser scanners deliver, and georeferenced clouds. The
-//! layouts are those of the `las` package.
+//! LAS and LAZ files (ASPRS 1.0 to 1.4): clouds of laser scanners and georeferenced clouds, read
+//! and written with the package `las`.
 
 mod claims;
 
@@ -15,9 +15,10 @@ use tiepoint_geometry::nalgebra::Vector3;
 use crate::ply::Vertex;
 use crate::{AtomicFile, Error, Result};
 
-/// Bytes of points taken at a time.
+/// Bytes of points that are read at a time.
 const CHUNK_BYTES: u64 = 1 << 21;
-/// Coordinates are whole multiples of this, in units of the cloud (metres): finer than any scanner.
+/// Coordinates are integer multiples of this, in units of the cloud (metres): finer than the
+/// resolution of scanners.
 const RESOLUTION: f64 = 1e-4;
 const GREY: [u8; 3] = [128; 3];
 
@@ -25,16 +26,16 @@ fn error(path: &Path) -> impl Fn(las::Error) -> Error {
     move |cause| Error::content(path, cause.to_string())
 }
 
-/// Reads the points of a LAS or LAZ file; grey where it has no colours.
+/// Reads the points of a LAS or LAZ file; points without a colour are grey.
 ///
 /// # Errors
 ///
-/// The file cannot be read, claims more than its length can hold, or is damaged.
+/// If the file cannot be read, claims more than its length can hold, or is damaged.
 pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     let file = File::open(path).map_err(Error::io(path))?;
     let claims = claims::Claims::new(BufReader::new(file)).map_err(Error::io(path))?;
     let (announced, record_bytes) = claims.check().map_err(|what| Error::content(path, what))?;
-    // The decompressor panics on some damage.
+    // The decompressor panics on some damaged files.
     catch_unwind(AssertUnwindSafe(|| read_announced(path, announced, record_bytes)))
         .unwrap_or_else(|_| Err(Error::content(path, "its compressed points are damaged")))
 }
@@ -57,7 +58,8 @@ fn read_announced(path: &Path, announced: u64, record_bytes: u64) -> Result<Vec<
     Ok(vertices)
 }
 
-/// Colours have 16 bits, but many writers fill the lower 8 only: those are taken as they are.
+/// A vertex from a point. Colours have 16 bits; many writers use only the lower 8, which are then
+/// kept as they are.
 fn vertex(point: &Point) -> Vertex {
     let color = point.color.map_or(GREY, |Color { red, green, blue }| {
         let shift = if red.max(green).max(blue) > 255 { 8 } else { 0 };
@@ -66,8 +68,12 @@ fn vertex(point: &Point) -> Vertex {
     Vertex { xyz: Vector3::new(point.x, point.y, point.z), color }
 }
 
-/// Writes a LAS file, or a LAZ file where the name ends so: version 1.4, with colours, rounded to a
-/// tenth of a millimetre.
+/// Writes a LAS file, or a LAZ file if the extension is `laz`: version 1.4, with colours;
+/// coordinates are rounded to 0.1 mm.
+///
+/// # Errors
+///
+/// If a coordinate does not fit the format, and if the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     let is_compressed =
         path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("laz"));
@@ -81,7 +87,7 @@ pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     builder.point_format.is_compressed = is_compressed;
     builder.transforms = Vector { x: transform(0), y: transform(1), z: transform(2) };
     builder.generating_software = "tiepoint".to_owned();
-    // The same cloud makes the same file on any day.
+    // No date, so that equal clouds give equal files.
     builder.date = None;
     let header = builder.into_header().map_err(error(path))?;
     let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(error(path))?;

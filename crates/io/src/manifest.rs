@@ -1,5 +1,5 @@
-//! What this program made in a folder: a manifest beside it says which files, and with which
-//! content.
+//! The manifest of a folder: the files that this program wrote there, with the hashes of their
+//! contents.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -8,26 +8,26 @@ use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::regular::require_regular_file;
+use crate::regular_file::require_regular_file;
 use crate::{AtomicFile, Error, Result};
 
-/// The name of the file: `{"program": "tiepoint", "files": {"images/a.jpg": ["<BLAKE3>"]}, …}`.
+/// Name of the manifest: `{"program": "tiepoint", "files": {"images/a.jpg": ["<BLAKE3>"]}, …}`.
 pub const MANIFEST: &str = ".tiepoint.json";
-/// Who wrote it.
+/// Value of `program`.
 const PROGRAM: &str = "tiepoint";
 
-/// The files of this program in a folder. All names are paths relative to the folder, with `/`, and
-/// lead to a place in it.
+/// The files that this program wrote into a folder. Names are paths relative to the folder, with
+/// `/`, and lead to a place in it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Manifest {
     program: String,
-    /// By name, the hashes of the contents that a file may have. There are two after an
-    /// interruption.
+    /// By name, the hashes of the contents that a file may have: two after an interrupted
+    /// replacement.
     pub files: BTreeMap<String, BTreeSet<String>>,
-    /// The files that were replaced together last, in the order in which they take their places.
+    /// The files of the last joint replacement, in the order in which they are renamed.
     #[serde(default)]
     pub order: Vec<String>,
-    /// The files that go at the same moment.
+    /// The files that the last joint replacement removes.
     #[serde(default)]
     pub removed: Vec<String>,
 }
@@ -40,12 +40,12 @@ impl Default for Manifest {
 }
 
 impl Manifest {
-    /// Reads the manifest of a folder; `None` where there is none.
+    /// Reads the manifest of a folder; `None` if there is none.
     ///
     /// # Errors
     ///
-    /// [`Error::Io`] where it cannot be read, [`Error::Content`] where it is no manifest of this
-    /// program, or names a file outside of the folder: it may come from anybody.
+    /// [`Error::Io`] if the file cannot be read. [`Error::Content`] if it is not a manifest of this
+    /// program, or if a name leads out of the folder: a manifest may come from anybody.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(MANIFEST);
         require_regular_file(&path)?;
@@ -61,11 +61,11 @@ impl Manifest {
         }
     }
 
-    /// Writes it into its folder.
+    /// Writes the manifest into its folder.
     ///
     /// # Errors
     ///
-    /// Where the system refuses.
+    /// [`Error::Io`] if the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         let text = serde_json::to_vec(self).expect("a manifest is JSON: string keys");
         AtomicFile::write_with(folder.join(MANIFEST), |file| file.write_all(&text))
@@ -76,14 +76,16 @@ impl Manifest {
     }
 }
 
-/// Whether a name leads to a place in the folder that it is relative to.
+/// Whether a relative path leads to a place inside of its folder: not empty, not absolute, without
+/// `..`.
 pub fn is_inside(name: impl AsRef<Path>) -> bool {
     let mut parts = name.as_ref().components().peekable();
     parts.peek().is_some() && parts.all(|part| matches!(part, Component::Normal(_)))
 }
 
-/// The files that a folder's manifest names; none where it has no manifest of this program.
-pub(crate) fn made_files(folder: &Path) -> BTreeSet<PathBuf> {
+/// The paths of the files that the manifest of a folder names. Empty without a valid manifest of
+/// this program.
+pub(crate) fn manifest_files(folder: &Path) -> BTreeSet<PathBuf> {
     let files = Manifest::read(folder).ok().flatten().unwrap_or_default().files;
     files.into_keys().map(|name| folder.join(name)).collect()
 }

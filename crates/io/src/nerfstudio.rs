@@ -1,8 +1,9 @@
-//! nerfstudio's `transforms.json`: poses and intrinsics for neural fields and Gaussian splats.
+//! The file `transforms.json` of nerfstudio: poses and intrinsics for neural radiance fields and
+//! Gaussian splatting.
 //!
-//! Poses are world_from_cam of a camera that looks along −z with y up: our y and z axes, turned
-//! round. Intrinsics stand with each frame, so that any number of cameras may take part; but
-//! nerfstudio takes one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
+//! Poses are world_from_cam of a camera that looks along −z with y up: our y and z axes with the
+//! opposite sign. Each frame has its own intrinsics, so that any number of cameras is possible; but
+//! nerfstudio reads one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
 
 use std::io::Write;
 use std::path::Path;
@@ -15,9 +16,14 @@ use tiepoint_scene::{Camera, Reconstruction};
 use crate::undistort::focal_lengths;
 use crate::{AtomicFile, Error, Result};
 
-/// Writes the registered images. `image_folder` is put before the images' names: the path from the
-/// folder of the file to that of the images; `cloud` is the path of a PLY file with the points, to
-/// start splats from.
+/// Writes the registered images. `image_folder`, the path from the folder of the file to the folder
+/// of the images, is prepended to the names of the images. `cloud` is the path of a PLY file with
+/// the points, which initialise splats.
+///
+/// # Errors
+///
+/// If the model is not valid, if nerfstudio lacks a camera model or the models are of both kinds,
+/// and if the file cannot be written.
 pub fn write(
     path: &Path,
     model: &Reconstruction,
@@ -25,7 +31,7 @@ pub fn write(
     cloud: Option<&str>,
 ) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
-    let mut common = None;
+    let mut common_model = None;
     let mut frames = Vec::new();
     for (_, image, cam_from_world) in model.registered() {
         let camera = model.camera(image.camera);
@@ -40,7 +46,7 @@ pub fn write(
                 return Err(Error::content(path, what));
             }
         };
-        if *common.get_or_insert(name) != name {
+        if *common_model.get_or_insert(name) != name {
             let what = "nerfstudio takes perspective or fisheye cameras, but not both in one file";
             return Err(Error::content(path, what));
         }
@@ -57,7 +63,7 @@ pub fn write(
         }
         frames.push(Value::Object(frame));
     }
-    let mut root = json!({ "camera_model": common.unwrap_or("OPENCV"), "frames": frames });
+    let mut root = json!({ "camera_model": common_model.unwrap_or("OPENCV"), "frames": frames });
     if let Some(cloud) = cloud {
         root["ply_file_path"] = json!(cloud);
     }
@@ -79,12 +85,13 @@ fn matrix(cam_from_world: &Rigid3) -> Value {
 
 fn intrinsics(camera: &Camera, frame: &mut Map<String, Value>) {
     let [fx, fy] = focal_lengths(&camera.intrinsics);
-    let middle = camera.intrinsics.principal_point();
+    let centre = camera.intrinsics.principal_point();
     let [w, h] = [camera.width, camera.height].map(|side| json!(side));
-    let numbers = [("fl_x", fx), ("fl_y", fy), ("cx", middle.x), ("cy", middle.y)];
+    let numbers = [("fl_x", fx), ("fl_y", fy), ("cx", centre.x), ("cy", centre.y)];
     frame.extend([("w".to_owned(), w), ("h".to_owned(), h)]);
     frame.extend(numbers.map(|(name, value)| (name.to_owned(), json!(value))));
-    // The distortions have OpenCV's names, but for the single one of SIMPLE_RADIAL.
+    // nerfstudio uses the names of OpenCV for the distortion coefficients; SIMPLE_RADIAL calls its
+    // coefficient `k`.
     let names = camera.intrinsics.kind().param_names();
     for (name, value) in names.iter().zip(camera.intrinsics.params()) {
         match *name {

@@ -1,10 +1,10 @@
-//! OpenMVS scenes, version 7 of `libs/MVS/Interface.h`: what DensifyPointCloud and its siblings
-//! start from.
+//! Scenes of OpenMVS, version 7 of `libs/MVS/Interface.h`: the input of DensifyPointCloud and the
+//! other programs.
 //!
-//! OpenMVS knows rigs: a platform carries cameras and goes through poses. Each rig with frames
-//! becomes a platform; cameras with images in no frame become platforms of one. Pixels count from
-//! the centre of the top-left one, so half a pixel is taken from the principal points. Matrices lie
-//! row by row, colours as blue, green, red.
+//! A platform of OpenMVS is a rig with its poses. Each rig with frames becomes a platform; each
+//! camera with images in no frame becomes a platform of one camera. The centre of the top-left
+//! pixel is (0, 0), so that half a pixel is subtracted from the principal points. Matrices are
+//! stored by rows, colours as blue, green, red.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -20,23 +20,28 @@ use crate::{AtomicFile, Error, Result};
 const MAGIC: &[u8; 4] = b"MVSI";
 const VERSION: u32 = 7;
 
-/// Cameras on a platform, and its way.
+/// A platform: cameras with cam_from_rig, and the poses of the platform.
 struct Platform {
     name: String,
     cameras: Vec<(CameraId, Rigid3)>,
-    /// From the world.
+    /// rig_from_world of each pose.
     poses: Vec<Rigid3>,
 }
 
-/// Where an image stands: platform, camera on it, pose of it.
+/// Indices of an image: the platform, the camera on the platform, the pose of the platform.
 #[derive(Clone, Copy)]
-struct Place([u32; 3]);
+struct PlatformIndices([u32; 3]);
 
-/// Writes the registered images and the points. `image_folder` is put before the images' names: the
-/// path from the folder of the scene to that of the images.
+/// Writes the registered images and the points. `image_folder`, the path from the folder of the
+/// scene to the folder of the images, is prepended to the names of the images.
 ///
-/// OpenMVS takes images to be free of distortion: the cameras must be pinholes; see
+/// OpenMVS expects images without distortion: the cameras must be pinholes; see
 /// [`crate::undistort`].
+///
+/// # Errors
+///
+/// If the model is not valid, if a camera has distortion, if the camera of an image in a frame has
+/// no pose in the rig, and if the file cannot be written.
 pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
     for (_, image, _) in model.registered() {
@@ -58,10 +63,10 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<
         out.u32(0)?;
         out.u64(platforms.len() as u64)?;
         platforms.iter().try_for_each(|platform| write_platform(out, model, platform))?;
-        // Images are numbered anew: those that are registered.
+        // Only registered images are written; they get consecutive numbers.
         let mut number_of = BTreeMap::new();
         out.u64(places.len() as u64)?;
-        for (number, (id, Place(place))) in (0u32..).zip(&places) {
+        for (number, (id, PlatformIndices(place))) in (0u32..).zip(&places) {
             number_of.insert(*id, number);
             let name = &model.image(*id).name;
             string(
@@ -86,11 +91,11 @@ pub fn write(path: &Path, model: &Reconstruction, image_folder: &str) -> Result<
     })
 }
 
-/// The platforms, and the place of each registered image.
+/// The platforms, and the indices of each registered image.
 fn platforms(
     path: &Path,
     model: &Reconstruction,
-) -> Result<(Vec<Platform>, BTreeMap<ImageId, Place>)> {
+) -> Result<(Vec<Platform>, BTreeMap<ImageId, PlatformIndices>)> {
     let mut platforms: Vec<Platform> = Vec::new();
     let mut places = BTreeMap::new();
     for (index, rig) in model.rigs.iter().enumerate() {
@@ -113,7 +118,10 @@ fn platforms(
                             format!("the camera of {name} has no pose on the rig of its frame"),
                         )
                     })?;
-                places.insert(*image, Place([platforms.len() as u32, camera as u32, pose as u32]));
+                places.insert(
+                    *image,
+                    PlatformIndices([platforms.len() as u32, camera as u32, pose as u32]),
+                );
             }
         }
         let poses = frames.iter().map(|frame| frame.rig_from_world).collect();
@@ -128,7 +136,7 @@ fn platforms(
             continue;
         }
         for (pose, (id, ..)) in alone.iter().enumerate() {
-            places.insert(*id, Place([platforms.len() as u32, 0, pose as u32]));
+            places.insert(*id, PlatformIndices([platforms.len() as u32, 0, pose as u32]));
         }
         let poses = alone.iter().map(|(.., pose)| **pose).collect();
         let name = format!("camera {}", camera.0);

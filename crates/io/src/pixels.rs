@@ -1,4 +1,4 @@
-//! Pixels in memory, however they were stored.
+//! Decoded images, and the limits of their size.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom, Write};
@@ -12,62 +12,62 @@ use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
 use crate::{AtomicFile, Error, Result};
 
-/// Images of more pixels are refused where nobody says otherwise: 256 million. A file of a few
-/// kilobytes can claim any size, and decoding takes some ten bytes a pixel. Above the largest
-/// sensors in cameras that are sold in shops: 151 million pixels in medium format (Phase One IQ4,
-/// 14,204 × 10,652), 200 million in phones (Samsung ISOCELL HP2, 16,320 × 12,240). Mosaics and
-/// aerial cameras go beyond.
-pub const MAX_PIXELS: u64 = 256_000_000;
-/// Nobody can ask for more: here a decoder takes ten gigabytes, and four bytes a pixel still fit 32
-/// bits.
-pub const MOST_PIXELS: u64 = 1_000_000_000;
-/// Deflate, which PNG uses, makes at most 1032 bytes of one: 258 bytes of two bits.
+/// Default limit: images of more than 256 million pixels are refused. A file of a few kilobytes can
+/// claim any size, and decoding takes some ten bytes a pixel. The limit is above the largest
+/// sensors of consumer cameras: 151 million pixels in medium format (Phase One IQ4, 14,204 ×
+/// 10,652), 200 million in phones (Samsung ISOCELL HP2, 16,320 × 12,240). Mosaics and aerial
+/// cameras exceed it.
+pub const DEFAULT_MAX_PIXELS: u64 = 256_000_000;
+/// Largest limit that a caller may set: a decoder takes ten gigabytes for such an image, and four
+/// bytes a pixel still fit 32 bits.
+pub const ABSOLUTE_MAX_PIXELS: u64 = 1_000_000_000;
+/// Largest compression ratio of Deflate, which PNG uses: 258 bytes from two bits.
 const MAX_DEFLATE_RATIO: u64 = 1032;
-/// Bytes that a file may have for each pixel: four channels of 32 bits, as TIFF has them. And what
-/// may lie beside: previews, and the seconds of video that phones append.
+/// Largest size of a file: bytes per pixel (four channels of 32 bits, as TIFF has them), plus bytes
+/// for other content (previews, and the seconds of video that phones append).
 const MAX_BYTES_PER_PIXEL: u64 = 16;
 const MAX_BYTES_BESIDE: u64 = 64 << 20;
 const MILLION: u64 = 1_000_000;
-/// Little is lost beyond it, and files grow.
+/// Higher qualities preserve little more, and files grow.
 const JPEG_QUALITY: u8 = 95;
 
-/// A grey image, row by row from the top left.
+/// A grey image, by rows from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Luma {
-    /// Columns.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
     /// One byte a pixel.
     pub data: Vec<u8>,
 }
 
-/// A colour image, row by row from the top left.
+/// A colour image, by rows from the top left.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Rgb {
-    /// Columns.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
     /// Three bytes a pixel.
     pub data: Vec<u8>,
 }
 
 impl Luma {
-    /// Reads an image file, turned as its EXIF orientation says. Colours become grey by the weights
-    /// of ITU-R BT.709, as in COLMAP; JPEG's own luma (BT.601) would come without the colours, 16
-    /// ms sooner for 6 megapixels, but gives fewer keypoints (on sceaux 116,214 instead of
-    /// 119,074). 16 bits become 8; transparency is ignored.
+    /// Reads an image file, rotated as its EXIF orientation asks for. Grey is the luma of ITU-R
+    /// BT.709, as in COLMAP. Decoding only the luma plane of JPEG (BT.601) would be 16 ms faster
+    /// for 6 megapixels, but yields fewer keypoints (on sceaux 116,214 instead of 119,074). 16 bits
+    /// are reduced to 8; transparency is ignored.
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is no image, or one of more than [`MAX_PIXELS`].
+    /// If the file cannot be read, is not an image, or has more than [`DEFAULT_MAX_PIXELS`].
     pub fn read(path: &Path) -> Result<Self> {
-        Self::read_within(path, &Allowed::Pixels(MAX_PIXELS))
+        Self::read_within(path, &SizeLimit::Pixels(DEFAULT_MAX_PIXELS))
     }
 
-    pub(crate) fn read_within(path: &Path, allowed: &Allowed) -> Result<Self> {
-        let (width, height, data) = match decode(path, Planes::Luma, allowed)? {
+    pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
+        let (width, height, data) = match decode(path, Planes::Luma, limit)? {
             DynamicImage::ImageLuma8(image) => (image.width(), image.height(), image.into_raw()),
             other => {
                 let luma = other.to_rgb8().as_raw().as_chunks().0.iter().map(luma).collect();
@@ -79,34 +79,38 @@ impl Luma {
 }
 
 impl Rgb {
-    /// Reads an image file, turned as its EXIF orientation says.
+    /// Reads an image file, rotated as its EXIF orientation asks for.
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is no image, or one of more than [`MAX_PIXELS`].
+    /// If the file cannot be read, is not an image, or has more than [`DEFAULT_MAX_PIXELS`].
     pub fn read(path: &Path) -> Result<Self> {
-        Self::read_within(path, &Allowed::Pixels(MAX_PIXELS))
+        Self::read_within(path, &SizeLimit::Pixels(DEFAULT_MAX_PIXELS))
     }
 
-    /// Reads an image of `width` × `height` pixels, however many that are.
+    /// Reads an image of `width` × `height` pixels, without a limit of pixels.
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is no image, or one of another size.
+    /// If the file cannot be read, is not an image, or has another size.
     pub fn read_of_size(path: &Path, width: u32, height: u32) -> Result<Self> {
         Self::read_within(
             path,
-            &Allowed::Size { width, height, what: "the photo", of: "the camera of its model" },
+            &SizeLimit::Size { width, height, what: "the photo", of: "the camera of its model" },
         )
     }
 
-    pub(crate) fn read_within(path: &Path, allowed: &Allowed) -> Result<Self> {
-        let image = decode(path, Planes::Rgb, allowed)?.into_rgb8();
+    pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
+        let image = decode(path, Planes::Rgb, limit)?.into_rgb8();
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
     }
 
-    /// Writes an image file: JPEG (of quality 95), PNG or TIFF, as its name says. The folder must
+    /// Writes an image file: JPEG (quality 95), PNG or TIFF, by the extension. The folder must
     /// exist.
+    ///
+    /// # Errors
+    ///
+    /// If the extension is unknown, and if the file cannot be encoded or written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let format = ImageFormat::from_path(path)
             .map_err(|cause| Error::content(path, cause.to_string()))?;
@@ -122,29 +126,29 @@ impl Rgb {
         AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
     }
 
-    /// The colour of the pixel at column x, row y.
+    /// The colour of the pixel in column x, row y.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let start = 3 * (y as usize * self.width as usize + x as usize);
         [self.data[start], self.data[start + 1], self.data[start + 2]]
     }
 }
 
-/// 0.2126 R + 0.7152 G + 0.0722 B in sixteen bits of fraction, rounded.
+/// Luma 0.2126 R + 0.7152 G + 0.0722 B with 16 fractional bits, rounded.
 fn luma([r, g, b]: &[u8; 3]) -> u8 {
     ((13_933 * u32::from(*r) + 46_871 * u32::from(*g) + 4_732 * u32::from(*b) + (1 << 15)) >> 16)
         as u8
 }
 
-/// Which sizes are decoded.
-pub(crate) enum Allowed<'a> {
-    /// Any with so many pixels.
+/// The permitted sizes of an upright image.
+pub(crate) enum SizeLimit<'a> {
+    /// At most so many pixels.
     Pixels(u64),
-    /// This one, as it is seen.
+    /// Exactly this size; `what` and `of` name the image and the origin of the size in the error.
     Size { width: u32, height: u32, what: &'a str, of: &'a str },
 }
 
-impl Allowed<'_> {
-    /// Whether an image of this size, as it is seen, may be decoded; if not, why.
+impl SizeLimit<'_> {
+    /// Checks the size of an upright image; the error is the end of a sentence about the file.
     pub(crate) fn check(&self, width: u32, height: u32) -> Result<(), String> {
         let pixels = u64::from(width) * u64::from(height);
         match *self {
@@ -152,8 +156,8 @@ impl Allowed<'_> {
             Self::Size { width: w, height: h, what, of } if (w, h) != (width, height) => {
                 Err(format!("{what} has {width} × {height} pixels, {of} has {w} × {h}"))
             }
-            _ if pixels > MOST_PIXELS => {
-                let most = MOST_PIXELS / MILLION;
+            _ if pixels > ABSOLUTE_MAX_PIXELS => {
+                let most = ABSOLUTE_MAX_PIXELS / MILLION;
                 Err(format!(
                     "claims {width} × {height} pixels, and more than {most} million are never \
                     read: make it smaller"
@@ -170,20 +174,20 @@ impl Allowed<'_> {
     }
 }
 
-/// Size of an image as it is seen, that is, turned by its EXIF orientation; from its header alone.
-pub(crate) fn dimensions(
+/// Size of an image after the rotation of its EXIF orientation, from the stored size.
+pub(crate) fn upright_size(
     path: &Path,
     exif: &Exif,
     stored: (u32, u32),
-    allowed: &Allowed,
+    limit: &SizeLimit,
 ) -> Result<(u32, u32)> {
     let (width, height) = if exif.orientation >= 5 { (stored.1, stored.0) } else { stored };
-    allowed.check(width, height).map_err(|what| Error::content(path, what))?;
+    limit.check(width, height).map_err(|what| Error::content(path, what))?;
     Ok((width, height))
 }
 
-/// Size of an image as it is stored, from its header alone: one that the length of the file can
-/// hold.
+/// Stored size of an image, from its header alone; an error if the length of the file is impossible
+/// for that size.
 pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
     let content = |what: String| Error::content(path, what);
     let file = File::open(path).map_err(Error::io(path))?;
@@ -191,10 +195,10 @@ pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
     if length == 0 {
         return Err(Error::content(path, "is empty"));
     }
-    // By content, whatever the name.
+    // The content decides the format, not the extension.
     let reader =
         ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(Error::io(path))?;
-    let format = reader.format().ok_or_else(|| no_image(path))?;
+    let format = reader.format().ok_or_else(|| not_an_image(path))?;
     let (width, height, min_bytes) = if format == ImageFormat::Jpeg {
         let frame = jpeg::frame(&mut reader.into_inner());
         let frame = frame
@@ -203,7 +207,7 @@ pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
     } else {
         let (width, height) =
             reader.into_dimensions().map_err(|cause| content(cause.to_string()))?;
-        // Strips of a TIFF file may be the same bytes.
+        // No lower bound for TIFF: strips may share the same bytes.
         let is_png = format == ImageFormat::Png;
         let min_bytes =
             if is_png { png_bytes(path, width, height)? / MAX_DEFLATE_RATIO } else { 0 };
@@ -224,9 +228,9 @@ pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
     Ok((width, height))
 }
 
-/// Bytes of the rows of a PNG file before compression.
+/// Bytes of the rows of a PNG file after decompression.
 fn png_bytes(path: &Path, width: u32, height: u32) -> Result<u64> {
-    // Behind signature, length, name, width and height.
+    // Offset after signature, length, name, width and height.
     const DEPTH_OFFSET: u64 = 8 + 4 + 4 + 4 + 4;
     let mut kind = [0; 2];
     let mut file = File::open(path).map_err(Error::io(path))?;
@@ -244,19 +248,20 @@ fn png_bytes(path: &Path, width: u32, height: u32) -> Result<u64> {
     Ok(u64::from(height) * (1 + bits.div_ceil(8)))
 }
 
-fn no_image(path: &Path) -> Error {
+fn not_an_image(path: &Path) -> Error {
     Error::content(path, "is no JPEG, PNG or TIFF image")
 }
 
-fn decode(path: &Path, planes: Planes, allowed: &Allowed) -> Result<DynamicImage> {
-    // By its header, before anything is read whole; how it is turned does not matter to its memory.
+fn decode(path: &Path, planes: Planes, limit: &SizeLimit) -> Result<DynamicImage> {
+    // Checks the size in the header before the file is read. The orientation does not change the
+    // memory that decoding takes.
     let (width, height) = stored_size(path)?;
     let either =
-        allowed.check(width, height).or_else(|what| allowed.check(height, width).map_err(|_| what));
+        limit.check(width, height).or_else(|what| limit.check(height, width).map_err(|_| what));
     either.map_err(|what| Error::content(path, what))?;
     let bytes = std::fs::read(path).map_err(Error::io(path))?;
     let exif = Exif::from_bytes(&bytes);
-    dimensions(path, &exif, (width, height), allowed)?;
+    upright_size(path, &exif, (width, height), limit)?;
     let mut image = match image::guess_format(&bytes) {
         Ok(ImageFormat::Jpeg) => {
             let decoded =
@@ -277,12 +282,12 @@ fn decode(path: &Path, planes: Planes, allowed: &Allowed) -> Result<DynamicImage
         Ok(format) => {
             let mut reader = ImageReader::with_format(Cursor::new(&bytes), format);
             let mut limits = image::Limits::default();
-            // Four channels of 16 bits.
+            // Bytes for four channels of 16 bits, and overhead.
             limits.max_alloc = Some(8 * u64::from(width) * u64::from(height) + (64 << 20));
             reader.limits(limits);
             reader.decode().map_err(|cause| Error::content(path, cause.to_string()))?
         }
-        Err(_) => return Err(no_image(path)),
+        Err(_) => return Err(not_an_image(path)),
     };
     image.apply_orientation(
         Orientation::from_exif(exif.orientation).unwrap_or(Orientation::NoTransforms),

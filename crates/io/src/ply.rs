@@ -1,5 +1,5 @@
-//! PLY files (Turk 1994): points with colours. Written binary, little-endian; read in all three
-//! encodings, whatever else is in them.
+//! PLY files (Turk 1994): points with colours. Written as binary little-endian; read in all three
+//! encodings, other elements and properties are skipped.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,21 +14,21 @@ use crate::{AtomicFile, Error, Result};
 /// A point with its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// Where.
+    /// Position, in units of the file.
     pub xyz: Vector3<f64>,
-    /// Red, green, blue; grey where the file has no colours.
+    /// Red, green, blue; grey in files without colours.
     pub color: [u8; 3],
 }
 
 const GREY: [u8; 3] = [128; 3];
-/// Colour of a camera's centre.
+/// Colour of camera centres.
 const RED: [u8; 3] = [255, 0, 0];
-/// Lines of a header longer than this are none.
+/// Longest line of a header, in bytes.
 const MAX_HEADER_LINE_BYTES: u64 = 1 << 12;
-/// More properties than this are a broken header.
+/// Most properties of an element; a header with more is invalid.
 const MAX_PROPERTIES: usize = 256;
 
-/// The points of a reconstruction, in order of their ids.
+/// The points of a reconstruction, in the order of their ids.
 pub fn points(model: &Reconstruction) -> Vec<Vertex> {
     model.tracks().map(|(_, track)| Vertex { xyz: track.xyz, color: track.color }).collect()
 }
@@ -38,7 +38,11 @@ pub fn camera_centres(model: &Reconstruction) -> Vec<Vertex> {
     model.registered().map(|(.., pose)| Vertex { xyz: pose.origin_in_a(), color: RED }).collect()
 }
 
-/// Writes points: single precision, binary, little-endian.
+/// Writes points in single precision, binary little-endian.
+///
+/// # Errors
+///
+/// If the file cannot be written.
 pub fn write(path: &Path, vertices: &[Vertex]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         write!(
@@ -105,7 +109,7 @@ impl Scalar {
         !matches!(self, Self::F32 | Self::F64)
     }
 
-    /// From `self.bytes()` bytes, little-endian.
+    /// The value of `self.bytes()` little-endian bytes.
     fn value(self, b: [u8; 8]) -> f64 {
         match self {
             Self::I8 => f64::from(i8::from_le_bytes([b[0]])),
@@ -120,7 +124,7 @@ impl Scalar {
     }
 }
 
-/// What a property of a vertex is to us.
+/// The meaning of a property of a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     Xyz(usize),
@@ -129,7 +133,7 @@ enum Role {
 }
 
 struct Property {
-    /// The type of a list's length, if it is a list.
+    /// The type of the length of a list; `None` for a scalar property.
     length: Option<Scalar>,
     scalar: Scalar,
     role: Role,
@@ -141,16 +145,20 @@ struct Element {
     properties: Vec<Property>,
 }
 
-/// Reads the vertices of a file. Points that are not finite are left out, as scanners write them
-/// for beams without echo.
+/// Reads the vertices of a file. Points that are not finite are left out: scanners write them for
+/// beams without an echo.
+///
+/// # Errors
+///
+/// If the file cannot be read, violates the format, or has no vertices with x, y and z.
 pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     let mut file = Reader::open(path)?;
     let (encoding, elements) = read_header(&mut file)?;
-    let Some(place) = elements.iter().position(|element| element.name == "vertex") else {
+    let Some(vertex_index) = elements.iter().position(|element| element.name == "vertex") else {
         return Err(file.error("the header names no element `vertex`"));
     };
     for axis in 0..3 {
-        if !elements[place]
+        if !elements[vertex_index]
             .properties
             .iter()
             .any(|p| p.role == Role::Xyz(axis) && p.length.is_none())
@@ -160,15 +168,18 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     }
     let mut words = Vec::new();
     let mut vertices = Vec::new();
-    for element in &elements[..=place] {
-        // In text each value takes two characters at least.
-        let least: u64 =
+    for element in &elements[..=vertex_index] {
+        // In text, a value takes at least two characters.
+        let min_bytes: u64 =
             element.properties.iter().map(|p| p.length.unwrap_or(p.scalar).bytes() as u64).sum();
-        let least =
-            if encoding == Encoding::Ascii { 2 * element.properties.len() as u64 } else { least };
+        let min_bytes = if encoding == Encoding::Ascii {
+            2 * element.properties.len() as u64
+        } else {
+            min_bytes
+        };
         let slack = u64::from(encoding == Encoding::Ascii);
         let count = element.count;
-        if count.checked_mul(least).is_none_or(|bytes| bytes > file.remaining() + slack) {
+        if count.checked_mul(min_bytes).is_none_or(|bytes| bytes > file.remaining() + slack) {
             let left = file.remaining();
             return Err(file.error(format!(
                 "{count} × {} are announced, but {left} bytes follow",
@@ -211,7 +222,7 @@ pub fn read(path: &Path) -> Result<Vec<Vertex>> {
     Ok(vertices)
 }
 
-/// Bytes as they are, shorts by their high byte, floats from 0 to 1.
+/// A colour value as a byte: bytes unchanged, the high byte of shorts, floats from 0 to 1.
 fn color(scalar: Scalar, value: f64) -> u8 {
     match scalar {
         Scalar::F32 | Scalar::F64 => (255.0 * value).round() as u8,
@@ -276,7 +287,7 @@ fn read_header(file: &mut Reader) -> Result<(Encoding, Vec<Element>)> {
             _ => return Err(bad(file)),
         }
     }
-    // An element without properties would take no bytes however often it occurs.
+    // An element without properties takes no bytes, however large its count.
     elements.retain(|element| !element.properties.is_empty() || element.name == "vertex");
     encoding
         .map(|encoding| (encoding, elements))
@@ -293,7 +304,7 @@ fn next_value(file: &mut Reader, encoding: Encoding, scalar: Scalar) -> Result<f
     Ok(scalar.value(bytes))
 }
 
-/// The next word of a text file, as a number.
+/// The next word of a text file as a number.
 fn next_word(file: &mut Reader, word: &mut Vec<u8>, scalar: Scalar) -> Result<f64> {
     word.clear();
     while file.remaining() > 0 {
@@ -308,7 +319,7 @@ fn next_word(file: &mut Reader, word: &mut Vec<u8>, scalar: Scalar) -> Result<f6
     }
     let text = std::str::from_utf8(word).ok();
     let value = text.and_then(|text| text.parse().ok());
-    // `nan` is a number; as an integer it is none.
+    // `nan` is a float but not an integer.
     value.filter(|value: &f64| value.is_finite() || !scalar.is_integer()).ok_or_else(|| {
         file.error(format!("`{}` is no number", Excerpt(&String::from_utf8_lossy(word))))
     })

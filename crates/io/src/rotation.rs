@@ -1,17 +1,17 @@
-//! Rotations from the numbers in files.
+//! Rotations from quaternions and matrices in files.
 
 use tiepoint_geometry::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
 
-/// A quaternion whose squared norm differs from 1 by less is taken as it is, so that what we wrote
-/// is read bit by bit.
+/// A quaternion with a squared norm this close to 1 is not normalised, so that written quaternions
+/// keep all bits.
 const UNIT_TOLERANCE: f64 = 1e-12;
-/// A quaternion shorter than this is no rotation.
+/// Quaternions with a smaller norm are rejected.
 const MIN_QUATERNION_NORM: f64 = 1e-6;
-/// How far a matrix of a file may be from the nearest rotation (Frobenius norm): enough for three
+/// Largest Frobenius distance of a matrix to the nearest rotation: enough for matrices of three
 /// digits.
 const MAX_MATRIX_DEVIATION: f64 = 1e-2;
 
-/// A rotation from a Hamilton quaternion, normalised.
+/// The rotation of a Hamilton quaternion, which is normalised.
 pub(crate) fn from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, String> {
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
@@ -24,10 +24,11 @@ pub(crate) fn from_wxyz([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, S
     Ok(UnitQuaternion::new_normalize(quaternion))
 }
 
-/// The rotation nearest to a matrix that is one but for rounding.
+/// The rotation nearest to a matrix (Frobenius norm); an error if the matrix is not a rotation up
+/// to rounding.
 pub(crate) fn from_matrix(matrix: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, String> {
-    // The decomposition goes round for ever where squares overflow; no entry of a rotation is above
-    // 1. What is no number is nowhere near one.
+    // The SVD does not terminate if squares overflow. Entries of a rotation are at most 1, so NaN
+    // and larger entries are rejected first.
     if matrix.amax().is_nan() || matrix.amax() > 1.0 + MAX_MATRIX_DEVIATION {
         return Err("the matrix is no rotation".to_owned());
     }

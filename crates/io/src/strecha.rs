@@ -1,6 +1,7 @@
-//! The ground truth of Strecha et al. 2008 (fountain-P11, Herz-Jesus-P8 and others): one `.camera`
-//! file an image, with the rows of K, a line `0 0 0`, the rows of R_world_from_cam, the centre, and
-//! width and height. The numbers of K are given as they stand in the file.
+//! The ground truth of Strecha et al. 2008 (fountain-P11, Herz-Jesus-P8 and others). Each image has
+//! a `.camera` file with the rows of K, a line `0 0 0`, the rows of R_world_from_cam, the centre,
+//! and width and height. K is returned as it is in the file, without a change of the pixel
+//! convention.
 
 use std::path::Path;
 
@@ -10,24 +11,28 @@ use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
 use crate::text::Lines;
 use crate::{Error, Result, rotation};
 
-/// The truth about one image.
+/// The ground truth of one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrechaCamera {
-    /// The image: the name of the file without `.camera`.
+    /// Name of the image: the name of the file without `.camera`.
     pub name: String,
-    /// Calibration matrix, in pixels.
+    /// Calibration matrix K, in pixels.
     pub calibration: Matrix3<f64>,
-    /// Pose, in metres.
+    /// Transform from the world to the camera, in metres.
     pub cam_from_world: Rigid3,
-    /// Columns.
+    /// Width of the image, in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image, in pixels.
     pub height: u32,
 }
 
 const SUFFIX: &str = ".camera";
 
 /// Reads all `.camera` files of a folder, in byte order of their names.
+///
+/// # Errors
+///
+/// If the folder has no `.camera` file, and if a file is not as described.
 pub fn read(dir: &Path) -> Result<Vec<StrechaCamera>> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(Error::io(dir))? {

@@ -1,4 +1,4 @@
-//! Lines of text and the words in them.
+//! Text files: lines, the words of a line, and numbers.
 
 use std::fmt;
 use std::fs::File;
@@ -12,8 +12,8 @@ use tiepoint_geometry::nalgebra::Vector3;
 use crate::excerpt::Excerpt;
 use crate::{Error, Result, rotation};
 
-/// The longest line that is read. COLMAP's lines hold all keypoints of an image: 2²⁰ of them at 64
-/// characters.
+/// Longest line that is read, in bytes. A line of COLMAP holds all keypoints of an image: 2²⁰ of
+/// them at 64 characters.
 const MAX_LINE_BYTES: u64 = 1 << 26;
 
 /// A file, line by line.
@@ -39,7 +39,7 @@ impl Lines {
         Error::Line { path: self.path.clone(), line: self.line, what: what.into() }
     }
 
-    /// The next line as it is, without its end.
+    /// The next line, trimmed, also if it is empty or a comment.
     pub(crate) fn next_raw(&mut self) -> Result<Option<Words<'_>>> {
         self.line += 1;
         self.buffer.clear();
@@ -60,8 +60,7 @@ impl Lines {
             match self.next_raw()? {
                 None => return Ok(None),
                 Some(words) if words.rest.is_empty() || words.rest.starts_with('#') => {}
-                // A second borrow of the same line: the loop would hold the first one too long for
-                // the borrow checker.
+                // The borrow checker does not permit to return the words of this borrow.
                 Some(_) => break,
             }
         }
@@ -70,10 +69,10 @@ impl Lines {
 }
 
 impl Lines {
-    /// The next line that is neither empty nor a comment; an error where there is none.
+    /// The next line that is neither empty nor a comment; an error that names `what` at the end of
+    /// the file.
     pub(crate) fn expect(&mut self, what: &str) -> Result<Words<'_>> {
-        // Whether there is one is asked first: the borrow of a line would last into the branch of
-        // the error.
+        // The borrow of a line would extend into the branch of the error.
         if self.next()?.is_none() {
             return Err(self.error(format!("the file ends where {what} should be")));
         }
@@ -85,7 +84,7 @@ impl Lines {
     }
 }
 
-/// What is left of a line.
+/// The rest of a line.
 pub(crate) struct Words<'a> {
     rest: &'a str,
     path: &'a Path,
@@ -97,8 +96,8 @@ impl<'a> Words<'a> {
         Error::Line { path: self.path.to_owned(), line: self.line, what: what.into() }
     }
 
-    /// Other words in place of this line's, for errors to name the line.
-    pub(crate) fn again<'b>(&self, text: &'b str) -> Words<'b>
+    /// Another text in place of the line; errors name the same line.
+    pub(crate) fn with_text<'b>(&self, text: &'b str) -> Words<'b>
     where
         'a: 'b,
     {
@@ -109,11 +108,12 @@ impl<'a> Words<'a> {
         self.rest.is_empty()
     }
 
-    /// All that is left.
+    /// Takes the whole rest.
     pub(crate) fn rest(&mut self) -> &'a str {
         std::mem::take(&mut self.rest)
     }
 
+    /// Takes the next word; an error that names `what` at the end of the line.
     pub(crate) fn word(&mut self, what: &str) -> Result<&'a str> {
         let rest = self.rest;
         if rest.is_empty() {
@@ -146,14 +146,14 @@ impl<'a> Words<'a> {
         Ok(values)
     }
 
-    /// qw qx qy qz tx ty tz.
+    /// A transform as qw qx qy qz tx ty tz.
     pub(crate) fn pose(&mut self, what: &str) -> Result<Rigid3> {
         let rotation = rotation::from_wxyz(self.f64s(what)?)
             .map_err(|cause| self.error(format!("{what}: {cause}")))?;
         Ok(Rigid3::new(rotation, Vector3::from(self.f64s::<3>(what)?)))
     }
 
-    /// Nothing may follow.
+    /// An error unless the line ends here.
     pub(crate) fn end(&self) -> Result<()> {
         if self.rest.is_empty() {
             Ok(())
@@ -163,8 +163,8 @@ impl<'a> Words<'a> {
     }
 }
 
-/// A number with as many digits as bring the same one back, and an exponent where that is shorter
-/// than zeros.
+/// Displays a number with as many digits as identify it, with an exponent if that is shorter than
+/// zeros.
 pub(crate) struct Number(pub(crate) f64);
 
 impl fmt::Display for Number {
@@ -178,7 +178,7 @@ impl fmt::Display for Number {
     }
 }
 
-/// Numbers with spaces between them.
+/// Displays numbers separated by spaces.
 pub(crate) struct Numbers<'a>(pub(crate) &'a [f64]);
 
 impl fmt::Display for Numbers<'_> {

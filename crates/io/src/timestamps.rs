@@ -1,27 +1,27 @@
-//! When each image was taken: a CSV file with the header `image,seconds`.
+//! Times of images: a CSV file with the header `image,seconds`.
 
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
 use crate::excerpt::Excerpt;
-use crate::regular::require_regular_file;
+use crate::regular_file::require_regular_file;
 use crate::text::{Lines, Number};
 use crate::{AtomicFile, Result};
 
 const HEADER: &str = "image,seconds";
 
-/// Reads the times of images, in seconds on their cameras' clocks, by name. A name may hold commas:
-/// the last one divides. White space around it does not count.
+/// Reads the times of images, in seconds on the clocks of their cameras, by name. A name may
+/// contain commas: the last comma of a line separates. White space around the name is trimmed.
 ///
 /// # Errors
 ///
-/// The file cannot be read, or a line of it is none of a name and a number.
+/// If the file cannot be read, and if a line is not a name and a finite number.
 pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
     require_regular_file(path)?;
     let mut lines = Lines::open(path)?;
     let mut times = BTreeMap::new();
-    // A byte order mark is what spreadsheets leave.
+    // Spreadsheets write a byte order mark.
     let header =
         lines.next_raw()?.map(|mut words| words.rest().trim_start_matches('\u{feff}').to_owned());
     if header.as_deref() != Some(HEADER) {
@@ -41,13 +41,17 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, f64>> {
             line.error(format!("the time of {} is not a number of seconds", Excerpt(name)))
         })?;
         if times.insert(name.trim().to_owned(), seconds).is_some() {
-            return Err(line.error(format!("the image {} is there twice", Excerpt(name))));
+            return Err(line.error(format!("the image {} is listed twice", Excerpt(name))));
         }
     }
     Ok(times)
 }
 
-/// Writes the times of images, in the order given.
+/// Writes the times of images in the given order.
+///
+/// # Errors
+///
+/// If the file cannot be written.
 pub fn write<'a>(path: &Path, times: impl IntoIterator<Item = (&'a str, f64)>) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         writeln!(file, "{HEADER}")?;

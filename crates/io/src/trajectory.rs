@@ -1,5 +1,5 @@
-//! Poses in order of time: the formats of the TUM RGB-D, KITTI odometry and EuRoC benchmarks. All
-//! three hold `world_from_cam`; it is turned round at this border.
+//! Trajectories: the formats of the TUM RGB-D, KITTI odometry and EuRoC benchmarks. All three hold
+//! `world_from_cam`; readers and writers convert from and to `cam_from_world`.
 //!
 //! | format | a line |
 //! |---|---|
@@ -16,16 +16,16 @@ use tiepoint_geometry::nalgebra::{Matrix3x4, Vector3};
 use crate::text::{Lines, Number, Numbers, Words};
 use crate::{AtomicFile, Result, rotation};
 
-/// A pose and when it was.
+/// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
-    /// In seconds.
+    /// Time in seconds.
     pub time_s: f64,
-    /// The pose.
+    /// Transform from the world to the camera.
     pub cam_from_world: Rigid3,
 }
 
-/// x y z.
+/// Reads x y z.
 fn vector(words: &mut Words<'_>) -> Result<Vector3<f64>> {
     Ok(Vector3::from(words.f64s::<3>("the position")?))
 }
@@ -36,6 +36,10 @@ fn world_from_cam(words: &Words<'_>, translation: Vector3<f64>, wxyz: [f64; 4]) 
 }
 
 /// Reads a trajectory in the TUM format.
+///
+/// # Errors
+///
+/// If the file cannot be read, and if a line is not a pose in this format.
 pub fn read_tum(path: &Path) -> Result<Vec<TimedPose>> {
     let mut lines = Lines::open(path)?;
     let mut poses = Vec::new();
@@ -51,6 +55,10 @@ pub fn read_tum(path: &Path) -> Result<Vec<TimedPose>> {
 }
 
 /// Writes a trajectory in the TUM format.
+///
+/// # Errors
+///
+/// If the file cannot be written.
 pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         writeln!(file, "# tiepoint: timestamp tx ty tz qx qy qz qw")?;
@@ -67,6 +75,10 @@ pub fn write_tum(path: &Path, poses: &[TimedPose]) -> Result<()> {
 }
 
 /// Reads a trajectory in the KITTI format: `cam_from_world` of each frame.
+///
+/// # Errors
+///
+/// If the file cannot be read, and if a line is not a pose in this format.
 pub fn read_kitti(path: &Path) -> Result<Vec<Rigid3>> {
     let mut lines = Lines::open(path)?;
     let mut poses = Vec::new();
@@ -77,7 +89,7 @@ pub fn read_kitti(path: &Path) -> Result<Vec<Rigid3>> {
     Ok(poses)
 }
 
-/// The rows of [R | t].
+/// Reads the 12 numbers of a matrix \[R | t\], by rows.
 pub(crate) fn matrix_pose(words: &mut Words<'_>) -> Result<Rigid3> {
     let matrix = Matrix3x4::from_row_slice(&words.f64s::<12>("a pose of 12 numbers")?);
     let rotation = rotation::from_matrix(&matrix.fixed_view::<3, 3>(0, 0).into_owned())
@@ -86,49 +98,61 @@ pub(crate) fn matrix_pose(words: &mut Words<'_>) -> Result<Rigid3> {
 }
 
 /// Writes a trajectory in the KITTI format.
+///
+/// # Errors
+///
+/// If the file cannot be written.
 pub fn write_kitti(path: &Path, cam_from_world: &[Rigid3]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         cam_from_world.iter().try_for_each(|pose| {
-            // Transposed, since memory is column by column.
+            // Transposed, because nalgebra stores columns.
             writeln!(file, "{}", Numbers(pose.inverse().to_matrix().transpose().as_slice()))
         })
     })
 }
 
 /// Reads a trajectory in the EuRoC format.
+///
+/// # Errors
+///
+/// If the file cannot be read, and if a line is not a pose in this format.
 pub fn read_euroc(path: &Path) -> Result<Vec<TimedPose>> {
     let mut lines = Lines::open(path)?;
     let mut poses = Vec::new();
     while let Some(mut line) = lines.next()? {
         let text = line.rest().replace(',', " ");
-        let mut words = line.again(&text);
+        let mut words = line.with_text(&text);
         let nanoseconds: i64 = words.number("the time in nanoseconds")?;
         let translation = vector(&mut words)?;
         let wxyz = words.f64s("the quaternion")?;
         let cam_from_world = world_from_cam(&words, translation, wxyz)?.inverse();
-        let (whole, rest) = (nanoseconds.div_euclid(GIGA), nanoseconds.rem_euclid(GIGA));
-        poses.push(TimedPose { time_s: whole as f64 + rest as f64 / GIGA as f64, cam_from_world });
+        let (whole, rest) = (nanoseconds.div_euclid(NS_PER_S), nanoseconds.rem_euclid(NS_PER_S));
+        poses.push(TimedPose {
+            time_s: whole as f64 + rest as f64 / NS_PER_S as f64,
+            cam_from_world,
+        });
     }
     Ok(poses)
 }
 
 /// Nanoseconds in a second.
-const GIGA: i64 = 1_000_000_000;
+const NS_PER_S: i64 = 1_000_000_000;
 
-/// A time as EuRoC has it, where it fits: within 292 years of its origin.
+/// A time in nanoseconds; `None` if it is more than 292 years from its origin.
 fn nanoseconds(time_s: f64) -> Option<i64> {
-    // Whole seconds apart from the rest: nanoseconds since 1970 do not fit an f64.
+    // Whole seconds and the fraction separately: an f64 does not hold the nanoseconds since 1970.
     let whole = time_s.floor();
-    let rest = ((time_s - whole) * GIGA as f64).round() as i64;
-    let fits = whole.abs() < (i64::MAX / GIGA) as f64;
-    fits.then(|| whole as i64 * GIGA + rest)
+    let rest = ((time_s - whole) * NS_PER_S as f64).round() as i64;
+    let fits = whole.abs() < (i64::MAX / NS_PER_S) as f64;
+    fits.then(|| whole as i64 * NS_PER_S + rest)
 }
 
 /// Writes a trajectory in the EuRoC format.
 ///
 /// # Errors
 ///
-/// The file cannot be written, or a time is not finite or farther than 292 years from its origin.
+/// If the file cannot be written, and if a time is not finite or more than 292 years from its
+/// origin.
 pub fn write_euroc(path: &Path, poses: &[TimedPose]) -> Result<()> {
     AtomicFile::write_with(path, |file| {
         writeln!(file, "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []")?;

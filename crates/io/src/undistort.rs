@@ -1,4 +1,5 @@
-//! The same images through pinhole cameras: what dense reconstruction and splatting expect.
+//! Undistortion: images and models with PINHOLE cameras, which dense reconstruction and Gaussian
+//! splatting expect.
 
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
@@ -6,24 +7,24 @@ use tiepoint_scene::{Camera, Image, Observation, Reconstruction, Track};
 
 use crate::Rgb;
 
-/// A pinhole camera of the same size, focal lengths and principal point.
+/// The PINHOLE camera of the same size, focal lengths and principal point.
 pub fn pinhole_of(camera: &Camera) -> Camera {
     let [fx, fy] = focal_lengths(&camera.intrinsics);
-    let middle = camera.intrinsics.principal_point();
-    let params = Intrinsics::new(CameraModelKind::Pinhole, &[fx, fy, middle.x, middle.y]);
-    // Parameters of a valid camera are valid ones of a pinhole; a broken camera stays as it is.
+    let centre = camera.intrinsics.principal_point();
+    let params = Intrinsics::new(CameraModelKind::Pinhole, &[fx, fy, centre.x, centre.y]);
+    // Valid parameters give a valid pinhole; an invalid camera is returned unchanged.
     Camera { intrinsics: params.unwrap_or(camera.intrinsics), ..*camera }
 }
 
-/// fx and fy, one value twice where there is one.
+/// fx and fy in pixels; equal for models with one focal length.
 pub(crate) fn focal_lengths(intrinsics: &Intrinsics) -> [f64; 2] {
     let focal = intrinsics.kind().focal_indices();
     let index = |k: usize| focal[k.min(focal.len() - 1)];
     [intrinsics.params()[index(0)], intrinsics.params()[index(1)]]
 }
 
-/// The image that `to` would have taken in place of `from`; bilinear, black where `from` does not
-/// look.
+/// Resamples the image of camera `from` to camera `to`, bilinearly. Pixels whose ray `from` does
+/// not image are black.
 pub fn undistort_image(image: &Rgb, from: &Camera, to: &Camera) -> Rgb {
     let mut data = Vec::with_capacity(3 * to.width as usize * to.height as usize);
     for row in 0..to.height {
@@ -37,7 +38,8 @@ pub fn undistort_image(image: &Rgb, from: &Camera, to: &Camera) -> Rgb {
     Rgb { width: to.width, height: to.height, data }
 }
 
-/// The colour at a pixel; within half a pixel of the edge, that of the edge.
+/// The colour at a pixel, bilinear between pixel centres; within half a pixel of the border, the
+/// colour of the border. `None` outside of the image.
 fn interpolate(image: &Rgb, pixel: &Vector2<f64>) -> Option<[u8; 3]> {
     let (width, height) = (f64::from(image.width), f64::from(image.height));
     if !(0.0..=width).contains(&pixel.x) || !(0.0..=height).contains(&pixel.y) {
@@ -60,8 +62,8 @@ fn interpolate(image: &Rgb, pixel: &Vector2<f64>) -> Option<[u8; 3]> {
     }))
 }
 
-/// The model with pinhole cameras, its keypoints moved to where these see them. A keypoint that no
-/// ray reaches stays, but sees no point any more.
+/// The model with PINHOLE cameras and undistorted keypoints. A keypoint whose ray the pinhole
+/// cannot image stays at its place but loses its observation.
 pub fn undistort_model(model: &Reconstruction) -> Reconstruction {
     let mut new = Reconstruction::default();
     for (_, camera) in model.cameras() {

@@ -1,9 +1,9 @@
-//! Pictures of a video, decoded by the `ffmpeg` program.
+//! Frames and sound of videos, decoded by the program `ffmpeg`.
 //!
-//! ffmpeg turns each picture as the file says, stretches it where its pixels are not square, and
-//! writes it as a PPM to a pipe; its filter `showinfo` tells the time of each, so that variable
-//! rates are respected. When the recording began, in whole seconds, is read from the file's
-//! metadata; its sound is there too.
+//! ffmpeg rotates each frame as the metadata say, scales non-square pixels to square ones, and
+//! writes PPM images to a pipe. The filter `showinfo` prints the time stamp of each frame, so that
+//! variable frame rates are respected. The start time of the recording is read from the metadata,
+//! in whole seconds.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ffi::OsString;
@@ -16,44 +16,43 @@ use std::thread::JoinHandle;
 use crate::exif::seconds_of_date;
 pub use crate::gopro::is_stabilised;
 use crate::images::has_extension;
-use crate::pixels::{Allowed, MAX_PIXELS};
-use crate::regular::require_regular_file;
+use crate::pixels::{DEFAULT_MAX_PIXELS, SizeLimit};
+use crate::regular_file::require_regular_file;
 use crate::{Error, Result, Rgb};
 
-/// Names of files with these endings, in any case, are taken for videos.
+/// File name extensions of videos, in any case.
 const VIDEO_EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "mkv", "avi", "mts", "m2ts", "webm"];
-/// Lines of ffmpeg's that an error quotes.
+/// Lines of the log of ffmpeg that an error quotes.
 const QUOTED_LINES: usize = 3;
-/// Pixels that are not square are made so by stretching the side that they are too short along;
-/// then the time is told.
+/// Filters of ffmpeg: scale non-square pixels up to square ones, then print the time stamps.
 const FILTERS: &str = "scale=w='iw*max(sar,1)':h='ih/min(sar,1)',setsar=1,showinfo";
-/// ffmpeg took `-vsync` for what it calls `-fps_mode` since 5.1.
+/// First version of ffmpeg with the option `-fps_mode`; earlier versions call it `-vsync`.
 const FIRST_WITH_FPS_MODE: (u32, u32) = (5, 1);
 
-/// Whether a file is taken for a video, by its name.
+/// Whether a file is a video, by its extension.
 pub fn is_video(path: &Path) -> bool {
     has_extension(path, &VIDEO_EXTENSIONS)
 }
 
-/// One recording by one camera: files that follow each other.
+/// One recording of one camera: consecutive files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recording {
-    /// The stem of its first file's name, as the folder of its frames can be called: without white
-    /// space around it, and with `_` for control characters and for a point at its beginning.
+    /// The stem of the name of the first file, made safe as the name of a folder: trimmed, with `_`
+    /// for control characters and for a leading dot.
     pub name: String,
-    /// Its files, the first one first.
+    /// The files in the order of recording.
     pub chapters: Vec<PathBuf>,
 }
 
-/// Joins the chapters into which an action camera cuts its recordings: `GH010042.MP4`,
-/// `GH020042.MP4` and so on, or `GOPR0042.MP4`, `GP010042.MP4` of older ones, in the same folder.
-/// Every other file is a recording of its own.
+/// Groups the chapter files into which action cameras split a recording: `GH010042.MP4`,
+/// `GH020042.MP4` and so on, or `GOPR0042.MP4`, `GP010042.MP4` of older cameras, in the same
+/// folder. Every other file is a recording of its own.
 pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
     let mut chapters: BTreeMap<(PathBuf, String), BTreeMap<u32, PathBuf>> = BTreeMap::new();
     let mut order = Vec::new();
     for (index, file) in files.iter().enumerate() {
         let folder = file.parent().map(Path::to_owned).unwrap_or_default();
-        // What is no chapter has a key of its own.
+        // A file that is not a chapter gets a key of its own.
         let (recording, chapter) = chapter_of(file).unwrap_or_else(|| (format!("#{index}"), 0));
         let key = (folder, recording);
         if !order.contains(&key) {
@@ -72,7 +71,7 @@ pub fn recordings(files: &[PathBuf]) -> Vec<Recording> {
         .collect()
 }
 
-/// A name that images may begin with. A folder that begins with a point would be hidden.
+/// A file stem as the name of a folder of frames. A folder with a leading dot would be hidden.
 fn folder_name(stem: &str) -> String {
     let name: String = stem.trim().chars().map(|c| if c.is_control() { '_' } else { c }).collect();
     match name.strip_prefix('.') {
@@ -82,7 +81,7 @@ fn folder_name(stem: &str) -> String {
     }
 }
 
-/// Which recording a file belongs to, and its place in it.
+/// The key of the recording that a chapter file belongs to, and the number of the chapter.
 fn chapter_of(file: &Path) -> Option<(String, u32)> {
     let stem = file.file_stem()?.to_str()?.to_ascii_uppercase();
     let (head, digits) = stem.split_at_checked(4)?;
@@ -97,41 +96,45 @@ fn chapter_of(file: &Path) -> Option<(String, u32)> {
     matches!(kind, "GH" | "GX" | "GP").then(|| (format!("{kind}{digits}"), chapter))
 }
 
-/// A picture of a video.
+/// A frame of a video.
 #[derive(Clone, Debug)]
 pub struct VideoFrame {
-    /// When it was taken, in seconds since the video began.
+    /// Time since the beginning of the video, in seconds.
     pub time_s: f64,
-    /// The picture, as it is seen.
+    /// The upright image.
     pub image: Rgb,
 }
 
-/// What ffmpeg tells beside the pictures.
-enum Told {
-    /// When the recording began, in seconds since 1970.
+/// An event in the log of ffmpeg.
+enum LogEvent {
+    /// The recording began at this time, in seconds since 1970.
     Created(f64),
-    /// When the next picture was taken.
+    /// Time stamp of the next frame, in seconds.
     Time(f64),
 }
 
-/// Reads the pictures of a video file, one after the other.
+/// Reads the frames of a video file in their order.
 #[derive(Debug)]
 pub struct VideoReader {
     path: PathBuf,
     child: Child,
-    pictures: BufReader<ChildStdout>,
-    told: Receiver<Told>,
-    /// Ends with ffmpeg's last lines.
-    listener: Option<JoinHandle<VecDeque<String>>>,
+    frames: BufReader<ChildStdout>,
+    events: Receiver<LogEvent>,
+    /// Reads the log of ffmpeg; returns its last lines.
+    log_reader: Option<JoinHandle<VecDeque<String>>>,
     created_s: Option<f64>,
     count: usize,
 }
 
 impl VideoReader {
     /// Starts ffmpeg on a file.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be opened or is not a regular file, and if ffmpeg cannot be run.
     pub fn open(path: &Path) -> Result<Self> {
         require_regular_file(path)?;
-        // ffmpeg's own words for this are many.
+        // A file that cannot be opened: the message of ffmpeg would be long.
         std::fs::File::open(path).map_err(Error::io(path))?;
         let passthrough = if version(path)? >= FIRST_WITH_FPS_MODE {
             ["-fps_mode", "passthrough"]
@@ -140,7 +143,7 @@ impl VideoReader {
         };
         let mut child = ffmpeg()
             .args(["-nostdin", "-hide_banner", "-loglevel", "info", "-nostats", "-i"])
-            .arg(input(path))
+            .arg(file_url(path))
             .args(["-map", "0:v:0", "-vf", FILTERS])
             .args(passthrough)
             .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
@@ -148,78 +151,90 @@ impl VideoReader {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .map_err(missing(path))?;
-        let (Some(pictures), Some(log)) = (child.stdout.take(), child.stderr.take()) else {
+            .map_err(ffmpeg_missing(path))?;
+        let (Some(frames), Some(log)) = (child.stdout.take(), child.stderr.take()) else {
             return Err(Error::content(path, "the pipes of ffmpeg could not be opened"));
         };
-        let (tell, told) = channel();
-        let listener = Some(std::thread::spawn(move || listen(BufReader::new(log), &tell)));
+        let (sender, events) = channel();
+        let log_reader = Some(std::thread::spawn(move || read_log(BufReader::new(log), &sender)));
         Ok(Self {
             path: path.to_owned(),
             child,
-            pictures: BufReader::new(pictures),
-            told,
-            listener,
+            frames: BufReader::new(frames),
+            events,
+            log_reader,
             created_s: None,
             count: 0,
         })
     }
 
-    /// When the recording began by the camera's clock, in seconds since 1970, where the file says
-    /// it (in whole seconds); known once a picture was read.
+    /// Start time of the recording by the clock of the camera, in seconds since 1970 (whole
+    /// seconds), if the metadata hold it. Available after the first frame was read.
     pub fn created_s(&self) -> Option<f64> {
         self.created_s
     }
 
-    /// The next picture; `None` after the last one. A file that breaks off gives what comes before.
+    /// Reads the next frame; `None` after the last one. A truncated file gives the frames before
+    /// the truncation.
+    ///
+    /// # Errors
+    ///
+    /// If the file has no frame that ffmpeg can decode, and if ffmpeg prints no time stamp for a
+    /// frame.
     pub fn next_frame(&mut self) -> Result<Option<VideoFrame>> {
-        let image = match read_ppm(&mut self.pictures).map_err(Error::io(&self.path))? {
+        let image = match read_ppm(&mut self.frames).map_err(Error::io(&self.path))? {
             Some((width, height, data)) => Rgb { width, height, data },
             None if self.count > 0 => return Ok(None),
-            None => return Err(self.nothing()),
+            None => return Err(self.no_frames_error()),
         };
         self.count += 1;
         loop {
-            match self.told.recv() {
-                Ok(Told::Created(seconds)) => self.created_s = self.created_s.or(Some(seconds)),
-                Ok(Told::Time(time_s)) => return Ok(Some(VideoFrame { time_s, image })),
+            match self.events.recv() {
+                Ok(LogEvent::Created(seconds)) => self.created_s = self.created_s.or(Some(seconds)),
+                Ok(LogEvent::Time(time_s)) => return Ok(Some(VideoFrame { time_s, image })),
                 Err(_) => {
-                    let what = format!("ffmpeg does not tell the time of picture {}", self.count);
+                    let what = format!("ffmpeg does not tell the time of frame {}", self.count);
                     return Err(Error::content(&self.path, what));
                 }
             }
         }
     }
 
-    /// Why there is no picture at all, in ffmpeg's words.
-    fn nothing(&mut self) -> Error {
-        let lines =
-            self.listener.take().and_then(|listener| listener.join().ok()).unwrap_or_default();
-        let said: Vec<String> = lines.into();
+    /// The error of a file without any frame, with the last lines of the log of ffmpeg.
+    fn no_frames_error(&mut self) -> Error {
+        let lines = self
+            .log_reader
+            .take()
+            .and_then(|log_reader| log_reader.join().ok())
+            .unwrap_or_default();
+        let output: Vec<String> = lines.into();
         Error::content(
             &self.path,
-            format!("no video could be read from it; ffmpeg says: {}", said.join("; ")),
+            format!("no video could be read from it; ffmpeg says: {}", output.join("; ")),
         )
     }
 }
 
 impl Drop for VideoReader {
     fn drop(&mut self) {
-        // It may have ended long ago.
+        // Fails if ffmpeg has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The sound of a video file in one channel at a rate, from when its pictures begin; empty where it
-/// has none.
+/// Reads the sound of a video file: one channel, `rate_hz` samples a second, from the time of the
+/// first frame. Empty without a sound track.
+///
+/// # Errors
+///
+/// If the path leads to something other than a regular file, and if ffmpeg cannot be run.
 pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
     require_regular_file(path)?;
-    let done = ffmpeg()
+    let finished = ffmpeg()
         .args(["-nostdin", "-v", "error", "-i"])
-        .arg(input(path))
-        // Silence takes the place of what is missing, so that the sound keeps time with the
-        // pictures.
+        .arg(file_url(path))
+        // Gaps are filled with silence, so that the sound stays synchronous with the frames.
         .args([
             "-map",
             "0:a:0?",
@@ -233,13 +248,18 @@ pub fn read_sound(path: &Path, rate_hz: u32) -> Result<Vec<i16>> {
         .args(["-f", "s16le", "-"])
         .stdin(Stdio::null())
         .output()
-        .map_err(missing(path))?;
-    // Without a track of sound there is nothing to write, which ffmpeg calls an error.
-    Ok(done.stdout.chunks_exact(2).map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]])).collect())
+        .map_err(ffmpeg_missing(path))?;
+    // ffmpeg exits with an error if there is no sound track: the output is empty then.
+    Ok(finished
+        .stdout
+        .chunks_exact(2)
+        .map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]]))
+        .collect())
 }
 
-/// The program. Ctrl-C on a terminal goes to this process and not to ffmpeg: a stream that ffmpeg
-/// broke off would pass for the whole video. ffmpeg ends when nobody reads its pipe any more.
+/// The command `ffmpeg`, in a process group of its own: Ctrl-C on a terminal would otherwise end
+/// ffmpeg early, and the truncated stream would pass for the whole video. ffmpeg ends when its pipe
+/// is closed.
 fn ffmpeg() -> Command {
     let mut command = Command::new("ffmpeg");
     #[cfg(unix)]
@@ -247,15 +267,15 @@ fn ffmpeg() -> Command {
     command
 }
 
-/// A file as ffmpeg takes it for one, whatever its name: `12:30.mp4` alone would be a protocol, and
-/// `-x.mp4` an option.
-fn input(path: &Path) -> OsString {
+/// The URL of a file for ffmpeg. Without `file:`, `12:30.mp4` would be a protocol and `-x.mp4` an
+/// option.
+fn file_url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
     url
 }
 
-fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
+fn ffmpeg_missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
     move |cause| {
         Error::content(
             video,
@@ -267,25 +287,25 @@ fn missing(video: &Path) -> impl FnOnce(std::io::Error) -> Error {
     }
 }
 
-/// The version of ffmpeg. One built from its repository, which has no number, is newer than any
-/// that matters here.
+/// The version of ffmpeg. A build from the repository has no number and counts as newest.
 fn version(video: &Path) -> Result<(u32, u32)> {
-    let said = ffmpeg().arg("-version").stdin(Stdio::null()).output().map_err(missing(video))?;
-    Ok(parse_version(&String::from_utf8_lossy(&said.stdout)).unwrap_or((u32::MAX, 0)))
+    let output =
+        ffmpeg().arg("-version").stdin(Stdio::null()).output().map_err(ffmpeg_missing(video))?;
+    Ok(parse_version(&String::from_utf8_lossy(&output.stdout)).unwrap_or((u32::MAX, 0)))
 }
 
-fn parse_version(said: &str) -> Option<(u32, u32)> {
-    let mut numbers = said.strip_prefix("ffmpeg version ")?.split(|c: char| !c.is_ascii_digit());
+fn parse_version(text: &str) -> Option<(u32, u32)> {
+    let mut numbers = text.strip_prefix("ffmpeg version ")?.split(|c: char| !c.is_ascii_digit());
     Some((numbers.next()?.parse().ok()?, numbers.next()?.parse().unwrap_or(0)))
 }
 
-/// Sends on what matters; returns the last lines of the rest.
-fn listen(log: impl BufRead, tell: &Sender<Told>) -> VecDeque<String> {
+/// Sends the events of the log; returns the last of the other lines.
+fn read_log(log: impl BufRead, events: &Sender<LogEvent>) -> VecDeque<String> {
     let mut last = VecDeque::new();
     for line in log.split(b'\n').map_while(|line| line.ok()) {
         let line = String::from_utf8_lossy(&line);
-        let told = match told(&line) {
-            Some(told) => told,
+        let event = match parse_log_line(&line) {
+            Some(event) => event,
             None => {
                 last.push_back(line.trim().to_owned());
                 if last.len() > QUOTED_LINES {
@@ -294,13 +314,13 @@ fn listen(log: impl BufRead, tell: &Sender<Told>) -> VecDeque<String> {
                 continue;
             }
         };
-        // Nobody listens any more: the pipe is still to be emptied.
-        let _ = tell.send(told);
+        // A dropped reader is no error: the pipe must be drained.
+        let _ = events.send(event);
     }
     last
 }
 
-fn told(line: &str) -> Option<Told> {
+fn parse_log_line(line: &str) -> Option<LogEvent> {
     if let Some((_, rest)) = line.split_once(" pts_time:") {
         let time_s = rest
             .split_whitespace()
@@ -308,40 +328,40 @@ fn told(line: &str) -> Option<Told> {
             .parse()
             .ok()
             .filter(|time_s: &f64| time_s.is_finite())?;
-        return line.contains("showinfo").then_some(Told::Time(time_s));
+        return line.contains("showinfo").then_some(LogEvent::Time(time_s));
     }
     let (key, value) = line.split_once(':')?;
     if key.trim() != "creation_time" {
         return None;
     }
     let date = value.trim().split(['.', 'Z']).next()?;
-    // Cameras whose clock was never set say 1904 or 1970.
-    seconds_of_date(date).filter(|seconds| *seconds > 0.0).map(Told::Created)
+    // Cameras whose clock was never set write 1904 or 1970.
+    seconds_of_date(date).filter(|seconds| *seconds > 0.0).map(LogEvent::Created)
 }
 
-/// A picture of a stream of PPMs: width, height and bytes; `None` at its end, also where it breaks
-/// off.
+/// Reads an image of a stream of PPM images: width, height and bytes. `None` at the end of the
+/// stream, also within an image.
 fn read_ppm(stream: &mut impl BufRead) -> std::io::Result<Option<(u32, u32, Vec<u8>)>> {
-    let broken =
-        || std::io::Error::new(std::io::ErrorKind::InvalidData, "ffmpeg gave no PPM picture");
+    let invalid =
+        || std::io::Error::new(std::io::ErrorKind::InvalidData, "ffmpeg wrote no PPM image");
     let mut words = Vec::new();
     for _ in 0..3 {
         let mut line = Vec::new();
         if stream.read_until(b'\n', &mut line)? == 0 {
-            return if words.is_empty() { Ok(None) } else { Err(broken()) };
+            return if words.is_empty() { Ok(None) } else { Err(invalid()) };
         }
         words.extend(String::from_utf8_lossy(&line).split_whitespace().map(str::to_owned));
     }
-    let [kind, width, height, depth] = &words[..] else { return Err(broken()) };
+    let [kind, width, height, depth] = &words[..] else { return Err(invalid()) };
     let (Ok(width), Ok(height)) = (width.parse::<u32>(), height.parse::<u32>()) else {
-        return Err(broken());
+        return Err(invalid());
     };
     if kind != "P6" || depth != "255" {
-        return Err(broken());
+        return Err(invalid());
     }
-    // A stream that lies about its size makes ffmpeg write just that.
-    let allowed = Allowed::Pixels(MAX_PIXELS).check(width, height);
-    allowed.map_err(|what| std::io::Error::new(std::io::ErrorKind::InvalidData, what))?;
+    // A video with a wrong size makes ffmpeg write images of that size.
+    let checked = SizeLimit::Pixels(DEFAULT_MAX_PIXELS).check(width, height);
+    checked.map_err(|what| std::io::Error::new(std::io::ErrorKind::InvalidData, what))?;
     let length = 3 * u64::from(width) * u64::from(height);
     let mut data = Vec::new();
     stream.take(length).read_to_end(&mut data)?;
@@ -358,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn chapters_are_joined_and_other_files_are_not() {
+    fn chapter_files_are_grouped() {
         let of = |name: &str, chapters| (name.to_owned(), chapters);
         assert_eq!(
             names(&["a/GH020042.MP4", "a/GH010042.MP4", "b/GH010042.MP4", "a/GH010043.MP4"]),
@@ -371,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn recordings_are_called_as_folders_can_be() {
+    fn recording_names_are_names_of_folders() {
         for (file, expected) in [
             (" a b .mp4", "a b"),
             ("a\nb.mp4", "a_b"),
@@ -384,20 +404,24 @@ mod tests {
     }
 
     #[test]
-    fn what_ffmpeg_says_is_understood() {
+    fn log_lines_and_versions_of_ffmpeg_are_parsed() {
         let line =
             "[Parsed_showinfo_0 @ 0x55] n:   3 pts:   1536 pts_time:0.1 duration: 512 fmt:yuv420p";
-        assert!(matches!(told(line), Some(Told::Time(time_s)) if time_s == 0.1));
+        assert!(matches!(parse_log_line(line), Some(LogEvent::Time(time_s)) if time_s == 0.1));
         let line = "    creation_time   : 2024-02-29T12:34:56.000000Z";
         // `date -u -d '2024-02-29 12:34:56' +%s`
-        assert!(matches!(told(line), Some(Told::Created(seconds)) if seconds == 1_709_210_096.0));
+        let created_s = match parse_log_line(line) {
+            Some(LogEvent::Created(seconds)) => seconds,
+            _ => f64::NAN,
+        };
+        assert_eq!(created_s, 1_709_210_096.0);
         for line in [
             "creation_time : 1904-01-01T00:00:00.000000Z",
             "x pts_time:NOPTS showinfo",
             "title : 5",
             "",
         ] {
-            assert!(told(line).is_none(), "{line}");
+            assert!(parse_log_line(line).is_none(), "{line}");
         }
         assert_eq!(parse_version("ffmpeg version 5.1.9-0+deb12u1 Copyright"), Some((5, 1)));
         assert_eq!(parse_version("ffmpeg version n7.0 Copyright"), None);
@@ -405,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_come_one_by_one_and_a_torn_one_is_the_end() {
+    fn truncated_ppm_ends_the_stream() {
         let mut bytes = b"P6\n2 1\n255\nabcdefP6\n1 1\n255\nxyzP6\n9 9\n255\ntoo little".as_slice();
         assert_eq!(read_ppm(&mut bytes).unwrap(), Some((2, 1, b"abcdef".to_vec())));
         assert_eq!(read_ppm(&mut bytes).unwrap(), Some((1, 1, b"xyz".to_vec())));

@@ -35,7 +35,7 @@ pub struct FeatureOptions {
     /// names or in EXIF.
     pub timestamps: Option<PathBuf>,
     /// Photos with more pixels are skipped, which bounds the memory that a damaged or malicious
-    /// file can request. At most [`MOST_PIXELS`](tiepoint_io::MOST_PIXELS).
+    /// file can request. At most [`ABSOLUTE_MAX_PIXELS`](tiepoint_io::ABSOLUTE_MAX_PIXELS).
     pub max_pixels: u64,
 }
 
@@ -121,7 +121,7 @@ pub fn extract_features(
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable) {
             let ImageInfo { width, height, exif, .. } = photo.info;
-            if let Some(focal_px) = exif.absurd_focal_px(width, height) {
+            if let Some(focal_px) = exif.implausible_focal_px(width, height) {
                 emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }
         }
@@ -156,7 +156,7 @@ pub fn extract_features(
     );
     let found: Vec<usize> = counts.into_iter().flatten().collect();
     if taken.is_err() || found.len() < 2 {
-        database.finish()?;
+        database.close()?;
         taken?;
         return Err(
             photos.too_few(found.len(), skipped.into_iter().map(|photo| photo.why).collect())
@@ -177,7 +177,7 @@ pub fn extract_features(
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.features = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
-    database.finish()?;
+    database.close()?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 

@@ -96,7 +96,7 @@ pub fn map(
     if let Some(error) = unreadable {
         return Err(error.into());
     }
-    database.finish()?;
+    database.close()?;
     if let Err(error) = color_points(
         &workspace.records.inputs,
         models.iter_mut().map(|model| &mut model.reconstruction),
@@ -160,7 +160,7 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
     }
     let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
     let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
-    database.finish()?;
+    database.close()?;
     Ok((graph, scene))
 }
 

@@ -130,7 +130,7 @@ pub fn match_images(
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.matches = Some(report))?;
     database.write_stage_rows(&workspace.records.rows())?;
-    database.finish()?;
+    database.close()?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 

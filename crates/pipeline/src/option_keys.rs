@@ -9,7 +9,7 @@
 //! Stages of existing workspaces become invalid if a value changes its meaning, or if a new key has
 //! a value other than `none`. `crate::legacy_options` reads workspaces without keys.
 
-use tiepoint_io::MAX_PIXELS;
+use tiepoint_io::DEFAULT_MAX_PIXELS;
 use tiepoint_io::features::{
     DomainSizes, Limit, Normalization, Options as DetectorOptions, Orientation,
 };
@@ -127,7 +127,7 @@ pub(crate) fn of_features(
 /// The limit on pixels, an option of the feature stage. The default is `none`, so that workspaces
 /// of versions without a limit stay valid.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
-    (MAX_PIXELS_KEY, or_none((max_pixels != MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
+    (MAX_PIXELS_KEY, or_none((max_pixels != DEFAULT_MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
 
 /// Options of the match stage.
@@ -443,7 +443,7 @@ mod tests {
                 &Default::default(),
                 0,
             ))
-            .chain([of_pixel_limit(MAX_PIXELS)])
+            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)
             .collect();

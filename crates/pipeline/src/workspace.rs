@@ -73,7 +73,7 @@ impl Workspace {
             && let Ok(database) = Database::open(&database)
         {
             // Moves the write-ahead log of an interrupted run into the database.
-            database.finish()?;
+            database.close()?;
         }
         // Read again, because opening the folder may have completed an interrupted transaction.
         let written = Records::read(&root.join(STAGES)).ok().flatten();
@@ -83,7 +83,7 @@ impl Workspace {
                     && let Ok(mut database) = Database::open(&database)
                 {
                     database.write_stage_rows(&records.rows())?;
-                    database.finish()?;
+                    database.close()?;
                 }
                 records
             }

@@ -1,5 +1,5 @@
-//! Time of a frame: 2000 × 1500 through an action lens with a rolling shutter among moving cars,
-//! and 640 × 480.
+//! Time to render an image: 2000 × 1500 and 640 × 480 pixels through an action lens with a rolling
+//! shutter and moving cars.
 
 use std::hint::black_box;
 

@@ -1,4 +1,4 @@
-//! A contact sheet of a loop: what the paper's five mountings see, the street from above, and the
+//! A contact sheet of a loop: images of five viewing directions, the street from above, and the
 //! reference cloud from above, coloured by height.
 //!
 //! cargo run --release -p tiepoint-synth --example sheet -- FILE.jpg [SEED]
@@ -15,7 +15,7 @@ use tiepoint_synth::{
 
 const WIDTH: u32 = 400;
 const HEIGHT: u32 = 300;
-/// The view from above: height of the eye, and the focal length that shows 240 m.
+/// The view from above: height of the camera, and the focal length of a field of 240 m.
 const ALTITUDE_M: f64 = 300.0;
 const FOCAL_PX: f64 = WIDTH as f64 / 240.0 * ALTITUDE_M;
 

@@ -1,5 +1,4 @@
-//! Renders a short drive of a rig with everything switched on, and writes it as cameras would leave
-//! it, with the truth beside.
+//! Renders images of a drive with all effects, and writes them with the ground truth.
 //!
 //! cargo run --release -p tiepoint-synth --example write_drive -- FOLDER [EFFECTS] [SEED]
 //!
@@ -35,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     drive.write_tables(folder)?;
     for (index, camera) in drive.cameras().iter().enumerate() {
         let renderer = drive.renderer(index);
-        // Four images from all over the drive.
+        // Four images, evenly spaced over the drive.
         let step = (camera.exposures.len() / 4).max(1);
         for exposure in camera.exposures.iter().skip(step / 2).step_by(step) {
             drive.write_image(folder, index, exposure, &renderer)?;

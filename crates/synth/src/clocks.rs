@@ -1,40 +1,40 @@
-//! When cameras expose, and what they write down about it.
+//! Exposure times and time stamps of cameras.
 
 use tiepoint_geometry::Rng;
 
 use crate::effects::ClockEffects;
 
-/// A camera's clock against true time: stamp = (1 + drift) · time + offset.
+/// The clock of a camera: stamp = (1 + drift) · time + offset, with the true time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clock {
-    /// What it shows when true time is 0, in seconds.
+    /// Reading at true time 0, in seconds.
     pub offset_s: f64,
-    /// How much faster than true time it runs.
+    /// Relative error of its rate.
     pub drift: f64,
 }
 
-/// A camera's clock with the times of its exposures.
+/// The clock of a camera and its exposures.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Schedule {
     pub(crate) clock: Clock,
-    /// For each exposure, the true time and the stamp.
+    /// True time and time stamp of each exposure, in seconds.
     pub(crate) times_s: Vec<(f64, f64)>,
 }
 
 impl Clock {
-    /// What the clock shows at a true time.
+    /// The reading at a true time.
     pub fn stamp_s(&self, time_s: f64) -> f64 {
         (1.0 + self.drift) * time_s + self.offset_s
     }
 
-    /// The true time at which the clock shows something.
+    /// The true time of a reading.
     pub fn time_s(&self, stamp_s: f64) -> f64 {
         (stamp_s - self.offset_s) / (1.0 + self.drift)
     }
 }
 
-/// A camera that exposes `rate_hz` times a second of its own clock until `duration_s`. The first
-/// camera sets the time: its clock is true and it starts at once.
+/// Schedules the exposures of a camera: `rate_hz` per second of its own clock until `duration_s`.
+/// The first camera is the time reference: its clock is exact and it starts immediately.
 pub(crate) fn schedule(
     effects: &ClockEffects,
     is_first: bool,
@@ -43,12 +43,12 @@ pub(crate) fn schedule(
     rng: &mut Rng,
 ) -> Schedule {
     let scale = if is_first { 0.0 } else { 1.0 };
-    let mut either_way = |most: f64| scale * most * (2.0 * rng.uniform() - 1.0);
+    let mut uniform_symmetric = |bound: f64| scale * bound * (2.0 * rng.uniform() - 1.0);
     let clock = Clock {
-        offset_s: either_way(effects.offset_s),
-        drift: either_way(effects.drift_ppm) * 1e-6,
+        offset_s: uniform_symmetric(effects.offset_s),
+        drift: uniform_symmetric(effects.drift_ppm) * 1e-6,
     };
-    let rate_hz = rate_hz * (1.0 + either_way(effects.rate_spread));
+    let rate_hz = rate_hz * (1.0 + uniform_symmetric(effects.rate_spread));
     let start_s =
         scale * (effects.late_start_s * rng.uniform() + effects.phase * rng.uniform() / rate_hz);
     let period_s = 1.0 / (rate_hz * (1.0 + clock.drift));
@@ -76,7 +76,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_clock_goes_both_ways(
+        fn clock_conversions_are_inverse(
             offset_s in -100.0..100.0,
             drift in -1e-3..1e-3,
             time_s in 0.0..1e4,
@@ -91,13 +91,13 @@ mod tests {
             let made = schedule(&effects, false, 30.0, 60.0, &mut Rng::stream(seed, &[]));
             prop_assert!(made.clock.offset_s.abs() <= effects.offset_s);
             prop_assert!(made.clock.drift.abs() <= effects.drift_ppm * 1e-6);
-            // Six standard deviations of the jitter.
+            // Bound of six standard deviations of the jitter.
             for &(time_s, stamp_s) in &made.times_s {
                 prop_assert!((made.clock.stamp_s(time_s) - stamp_s).abs() < 6.0 * effects.jitter_s);
                 prop_assert!((0.0..=60.0).contains(&time_s));
             }
-            // 1 % of 1800 frames are lost, ± 6 deviations of 4; half a second of start and 0.2 % of
-            // rate are 18.6 more.
+            // 1 % of 1800 frames are lost, with six standard deviations of 4; the late start of up
+            // to half a second and the rate, 0.2 % off, change the number by 18.6.
             prop_assert!(
                 (1800 - 18 - 24 - 19..1800 + 4).contains(&made.times_s.len()),
                 "{}",
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn without_effects_all_cameras_expose_together() {
+    fn cameras_are_synchronous_without_effects() {
         let times = |is_first, seed| {
             schedule(&ClockEffects::default(), is_first, 10.0, 5.05, &mut Rng::stream(seed, &[]))
         };
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_camera_sets_the_time() {
+    fn first_camera_is_the_time_reference() {
         let made = schedule(&Effects::all().clocks, true, 10.0, 5.0, &mut Rng::stream(1, &[]));
         assert_eq!(made.clock, Clock { offset_s: 0.0, drift: 0.0 });
         assert_eq!(made.times_s[0].0, 0.0);

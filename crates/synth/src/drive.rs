@@ -1,5 +1,5 @@
-//! A drive: the street, the vehicle, the cameras with their clocks, and every image that they take,
-//! on demand.
+//! A drive: the street, the vehicle, the cameras with their clocks, and their images, which are
+//! rendered on demand.
 
 use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -8,7 +8,7 @@ use tiepoint_scene::{Camera, Image, Reconstruction};
 
 use crate::clocks::{Clock, schedule};
 use crate::error::{Error, require};
-use crate::photometry::{Development, develop, through_jpeg};
+use crate::photometry::{Development, develop, jpeg_round_trip};
 use crate::render::{Renderer, RowPose, surface_at};
 use crate::{
     ActionLens, Effects, Lens, Motion, Mount, Route, StreetOptions, SurfacePoint, Trajectory, World,
@@ -16,33 +16,34 @@ use crate::{
 
 /// Focal length of the ideal pinhole, in image widths.
 const PINHOLE_FOCAL: f64 = 0.60;
-/// Projection through a rolling shutter ends when the row moves by less than this, in pixels.
+/// Fixed-point iteration of the projection through a rolling shutter: the step of the row at which
+/// it ends, in pixels, and the most iterations.
 const ROW_TOLERANCE_PX: f64 = 1e-9;
 const ROW_ITERATIONS: usize = 50;
-/// Periods of the wandering exposure, in seconds.
+/// Periods of the automatic exposure, in seconds.
 const EXPOSURE_PERIODS_S: [f64; 2] = [9.7, 4.1];
 
-/// Which way the street runs.
+/// The shape of the route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RouteKind {
-    /// Around a block, back to the start and a little further.
+    /// A loop around a block, with an overlap at its end.
     Loop,
-    /// Onwards.
+    /// An open route without a loop.
     Open,
 }
 
-/// What to drive, with what.
+/// Options of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveOptions {
-    /// World, route and every random number follow from it.
+    /// The seed of the world, the route and all random numbers.
     pub seed: u64,
-    /// Which way the street runs.
+    /// The shape of the route.
     pub route: RouteKind,
-    /// How long the street is, in metres.
+    /// Length of the street, in metres.
     pub length_m: f64,
-    /// How the vehicle is driven; suspension and vibration are taken from the effects.
+    /// Motion of the vehicle; suspension and vibration are taken from the effects.
     pub motion: Motion,
-    /// What stands along the street; moving cars are taken from the effects.
+    /// Objects along the street; moving cars are taken from the effects.
     pub street: StreetOptions,
     /// The cameras.
     pub mounts: Vec<Mount>,
@@ -50,15 +51,14 @@ pub struct DriveOptions {
     pub width: u32,
     /// Size of the images, in pixels.
     pub height: u32,
-    /// Images a second.
+    /// Frame rate, in images per second.
     pub rate_hz: f64,
-    /// What is not ideal.
+    /// Effects that make the cameras and the motion realistic.
     pub effects: Effects,
 }
 
 impl Default for DriveOptions {
-    /// A loop of 200 m with a stereo pair that looks ahead, at ten images a second; everything
-    /// ideal.
+    /// A loop of 200 m with a forward-looking stereo pair, ten images per second, without effects.
     fn default() -> Self {
         Self {
             seed: 1,
@@ -75,25 +75,26 @@ impl Default for DriveOptions {
     }
 }
 
-/// One image to be taken.
+/// An image of a camera, not yet rendered.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposure {
     /// Path of the image relative to the input: `camera/000000.png`.
     pub name: String,
-    /// True time of the middle row's exposure, in seconds since the drive began.
+    /// True time of the exposure of the middle row, in seconds since the beginning of the drive.
     pub time_s: f64,
-    /// What the camera writes down as its time, in seconds of its own clock.
+    /// Time stamp, in seconds on the clock of the camera.
     pub stamp_s: f64,
     development: Development,
 }
 
-/// A mount that gives swings slowly, as on rubber when the vehicle brakes and turns.
+/// Period of the swing of a flexible mount, in seconds: slow, as of rubber under braking and
+/// turning.
 const FLEX_PERIOD_S: f64 = 5.0;
 
-/// A camera of the drive, with the truth about it.
+/// A camera of the drive with its ground truth.
 #[derive(Clone, Debug)]
 pub struct DriveCamera {
-    /// Its name, and that of its folder.
+    /// Name of the camera and of the folder of its images.
     pub name: String,
     /// Its lens.
     pub lens: Lens,
@@ -101,16 +102,15 @@ pub struct DriveCamera {
     pub width: u32,
     /// Size of its images, in pixels.
     pub height: u32,
-    /// Where it sits, on average.
+    /// Mean pose in the vehicle frame, in metres.
     pub cam_from_vehicle: Rigid3,
-    /// The rotation by which it swings about that place, as axis-angle, and where in its period it
-    /// begins.
+    /// Amplitude of the swing as an axis-angle vector, and its phase, in radians.
     flex: (Vector3<f64>, f64),
     /// Its clock.
     pub clock: Clock,
-    /// Time from its first row to its last, in seconds.
+    /// Readout time from the first row to the last, in seconds.
     pub readout_s: f64,
-    /// Its images, in order of time.
+    /// Its images in the order of time.
     pub exposures: Vec<Exposure>,
 }
 
@@ -125,7 +125,7 @@ impl DriveCamera {
     }
 }
 
-/// About an axis of any direction.
+/// A random swing of amplitude `rad` about a random axis: axis-angle and phase.
 fn flex(rad: f64, rng: &mut Rng) -> (Vector3<f64>, f64) {
     let height = 2.0 * rng.uniform() - 1.0;
     let [azimuth, phase] = std::array::from_fn(|_| std::f64::consts::TAU * rng.uniform());
@@ -133,7 +133,7 @@ fn flex(rad: f64, rng: &mut Rng) -> (Vector3<f64>, f64) {
     (rad * Vector3::new(level * azimuth.cos(), level * azimuth.sin(), height), phase)
 }
 
-/// A drive with everything known about it. Nothing is rendered until it is asked for.
+/// A drive with its ground truth. Images are rendered on demand.
 #[derive(Clone, Debug)]
 pub struct Drive {
     route: Route,
@@ -144,7 +144,11 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Lays out the street, drives through it and sets the cameras' clocks.
+    /// Generates the street, simulates the vehicle and schedules the exposures.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if an option is out of its range.
     pub fn new(options: &DriveOptions) -> Result<Self, Error> {
         options.effects.validate()?;
         require(!options.mounts.is_empty(), "number of cameras", 0.0, "at least one")?;
@@ -170,7 +174,7 @@ impl Drive {
             vibration_rad: effects.vibration_rad,
             ..options.motion.clone()
         };
-        // Streams of their own: switching an effect changes nothing else.
+        // Independent random streams: an effect does not change the random numbers of the others.
         let trajectory = Trajectory::drive(&route, &motion, &mut Rng::stream(seed, &[11]))?;
         let cameras = options.mounts.iter().enumerate();
         let cameras =
@@ -184,19 +188,19 @@ impl Drive {
         })
     }
 
-    /// Leaves out the images of every camera after its first `frames`.
+    /// Removes the images of every camera after the first `frames`.
     pub fn keep_first(&mut self, frames: usize) {
         for camera in &mut self.cameras {
             camera.exposures.truncate(frames);
         }
     }
 
-    /// The centre line.
+    /// The centre line of the street.
     pub fn route(&self) -> &Route {
         &self.route
     }
 
-    /// Where the vehicle is when.
+    /// The trajectory of the vehicle.
     pub fn trajectory(&self) -> &Trajectory {
         &self.trajectory
     }
@@ -206,22 +210,22 @@ impl Drive {
         &self.world
     }
 
-    /// The cameras, in order of the mounts.
+    /// The cameras, in the order of the mounts.
     pub fn cameras(&self) -> &[DriveCamera] {
         &self.cameras
     }
 
-    /// The camera and the exposure of an image, by its name; `None` for an image of another drive.
+    /// The camera and the exposure of an image by its name; `None` if the drive has no such image.
     pub fn find(&self, image: &str) -> Option<(usize, &Exposure)> {
         self.cameras.iter().enumerate().find_map(|(camera, DriveCamera { exposures, .. })| {
-            // Numbers have leading zeros, so names are in order.
+            // Numbers are zero-padded, so that names are sorted.
             let index =
                 exposures.binary_search_by(|exposure| exposure.name.as_str().cmp(image)).ok()?;
             Some((camera, &exposures[index]))
         })
     }
 
-    /// The rig's calibration: a camera's pose in the frame of the first.
+    /// Ground truth of the rig: cam_from_rig of a camera. The first camera is the reference sensor.
     pub fn cam_from_rig(&self, camera: usize) -> Rigid3 {
         if camera == 0 {
             return Rigid3::identity();
@@ -229,14 +233,14 @@ impl Drive {
         self.cameras[camera].cam_from_vehicle * self.cameras[0].cam_from_vehicle.inverse()
     }
 
-    /// The pose of a camera at a true time.
+    /// cam_from_world of a camera at a true time.
     pub fn cam_from_world(&self, camera: usize, time_s: f64) -> Rigid3 {
         let camera = &self.cameras[camera];
         camera.cam_from_vehicle_at(time_s) * self.trajectory.world_from_vehicle(time_s).inverse()
     }
 
-    /// Where a camera is while it exposes height `y` (pixels) of an image whose middle row is
-    /// exposed at `time_s`.
+    /// Pose of a camera at the exposure of the height `y` (in pixels) of an image, whose middle row
+    /// is exposed at `time_s`.
     pub fn row_pose(&self, camera: usize, time_s: f64, y: f64) -> RowPose {
         let camera = &self.cameras[camera];
         let time_s = time_s + (y / f64::from(camera.height) - 0.5) * camera.readout_s;
@@ -245,9 +249,8 @@ impl Drive {
         RowPose { world_from_cam, time_s }
     }
 
-    /// The pixel at which a camera images a point that stands still, rolling shutter and lens
-    /// included; `None` where it does not. (Pixels may lie off the sensor; what stands in between
-    /// is not looked at.)
+    /// Projects a static point of the world, through rolling shutter and lens; `None` if the lens
+    /// does not image it. The pixel may lie outside of the image, and occlusion is not tested.
     pub fn project(
         &self,
         camera: usize,
@@ -263,8 +266,8 @@ impl Drive {
         if *readout_s == 0.0 {
             return Some(pixel);
         }
-        // The row that sees the point depends on where it is seen: a contraction, since images move
-        // by much less than their height during the readout.
+        // The row of the projection depends on the projection. The fixed-point iteration is a
+        // contraction, because images move by much less than their height during the readout.
         for _ in 0..ROW_ITERATIONS {
             let next = project_from_row(pixel.y)?;
             let moved = (next.y - pixel.y).abs();
@@ -276,7 +279,7 @@ impl Drive {
         None
     }
 
-    /// The true surface point that a pixel sees; `None` for the sky.
+    /// The surface point of a pixel; `None` for the sky.
     pub fn surface_at(
         &self,
         camera: usize,
@@ -287,22 +290,23 @@ impl Drive {
         surface_at(&self.world, &self.cameras[camera].lens, &pose, pixel)
     }
 
-    /// Renders images of a camera; keep it, since it looks up the ray of every pixel once.
+    /// The renderer of a camera. Keep it for several images: it computes the ray of each pixel
+    /// once.
     pub fn renderer(&self, camera: usize) -> Renderer<'_> {
         let DriveCamera { lens, width, height, .. } = &self.cameras[camera];
         Renderer::new(&self.world, lens, *width, *height)
     }
 
-    /// Takes an image as the camera would have: with its exposure, noise and compression.
+    /// Renders an image with exposure, noise and compression.
     pub fn render(&self, camera: usize, exposure: &Exposure, renderer: &Renderer) -> RgbImage {
         let raw = self.render_raw(camera, exposure, renderer);
         match self.jpeg_quality {
-            Some(quality) => through_jpeg(&raw, quality).unwrap_or(raw),
+            Some(quality) => jpeg_round_trip(&raw, quality).unwrap_or(raw),
             None => raw,
         }
     }
 
-    /// The image before compression, and the quality to compress it with.
+    /// Renders an image with exposure and noise, before compression.
     pub(crate) fn render_raw(
         &self,
         camera: usize,
@@ -317,9 +321,10 @@ impl Drive {
         self.jpeg_quality
     }
 
-    /// The poses of all images at their middle rows, with the pinhole that equals each lens on its
-    /// axis (exact for the ideal lens; the action lens is in no family of COLMAP's) and the stamps
-    /// as times; no points. Images are ordered by camera, then time.
+    /// The ground truth as a reconstruction: poses of all images at their middle rows and time
+    /// stamps, without points. The intrinsics are the pinhole that equals the lens at its axis:
+    /// exact for the ideal lens; no camera model of COLMAP equals the action lens. Images are
+    /// ordered by camera, then by time.
     pub fn truth(&self) -> Reconstruction {
         let mut truth = Reconstruction::default();
         for (index, camera) in self.cameras.iter().enumerate() {

@@ -1,62 +1,62 @@
-//! What makes a drive unlike a textbook: each effect can be switched on alone.
+//! Effects that make a drive realistic. Each can be switched on separately.
 
 use std::str::FromStr;
 
 use crate::Error;
 use crate::error::require;
 
-/// How cameras' clocks and triggers differ. Values are the largest; each camera but the first draws
-/// its own.
+/// Differences between the clocks and triggers of the cameras. Values are upper bounds; each camera
+/// but the first draws its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockEffects {
-    /// Clocks are set differently by up to this, in seconds, either way.
+    /// Largest absolute clock offset, in seconds.
     pub offset_s: f64,
-    /// Clocks run differently by up to this, in parts per million, either way.
+    /// Largest absolute clock drift, in parts per million.
     pub drift_ppm: f64,
-    /// Standard deviation of what a stamp says beside the truth, in seconds; of every camera.
+    /// Standard deviation of the noise of time stamps, in seconds; for every camera.
     pub jitter_s: f64,
-    /// Cameras expose up to this much later than the first, in frames.
+    /// Largest phase of the exposures relative to the first camera, in frames.
     pub phase: f64,
-    /// Cameras start up to this much later than the first, in seconds.
+    /// Largest delay of the first exposure relative to the first camera, in seconds.
     pub late_start_s: f64,
-    /// Share of the frames that are lost; of every camera.
+    /// Fraction of lost frames; for every camera.
     pub drop_fraction: f64,
-    /// Frame rates differ by up to this share, either way.
+    /// Largest relative difference of frame rates.
     pub rate_spread: f64,
 }
 
-/// What happens to the light.
+/// Photometric effects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhotometryEffects {
-    /// Automatic exposure wanders by up to this, in stops, either way.
+    /// Amplitude of the automatic exposure, in stops.
     pub exposure_stops: f64,
-    /// Noise at white, relative to white.
+    /// Standard deviation of the noise at white, relative to white.
     pub noise: f64,
-    /// Quality of the JPEG, 1 to 100; `None` for images as they are.
+    /// JPEG quality, 1 to 100; `None` for lossless images.
     pub jpeg_quality: Option<u8>,
 }
 
-/// All effects. The default is none of them.
+/// All effects. The default has none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effects {
-    /// An action camera's lens, each camera its own, instead of the ideal pinhole.
+    /// Lens of an action camera, different for each camera, instead of the ideal pinhole.
     pub has_action_lens: bool,
-    /// Time from the first row to the last, in seconds; 0 is a global shutter.
+    /// Readout time from the first row to the last, in seconds; 0 for a global shutter.
     pub readout_s: f64,
-    /// Body pitch, roll and heave: 1 as a car's.
+    /// Scale of the pitch, roll and heave of the body: 1 for a real car, 0 for none.
     pub suspension: f64,
     /// Amplitude of the 12 Hz vibration, in radians.
     pub vibration_rad: f64,
-    /// Cameras fixed by hand: turned by about 1.5 degrees.
+    /// Misaligned cameras: rotated by about 1.5 degrees about each axis.
     pub is_misaligned: bool,
-    /// Every camera but the first swings about its place by up to this, in radians, either way: a
-    /// mount that gives. In no preset.
+    /// Amplitude of the swing of every camera but the first on a flexible mount, in radians. In no
+    /// preset.
     pub flex_rad: f64,
-    /// Cars that drive through the picture.
+    /// Number of moving cars.
     pub moving_cars: usize,
-    /// Clocks and triggers.
+    /// Clock effects.
     pub clocks: ClockEffects,
-    /// Light.
+    /// Photometric effects.
     pub photometry: PhotometryEffects,
 }
 
@@ -96,15 +96,15 @@ impl Default for Effects {
     }
 }
 
-/// Switches something on.
+/// A function that switches an effect on.
 pub type Switch = fn(&mut Effects);
 
 impl Effects {
-    /// Every preset: its name and what it switches on. `all` is all of them together.
+    /// The presets: name and effect. `all` combines them.
     pub const PRESETS: [(&'static str, Switch); 8] = [
         ("none", |_| {}),
         ("lens", |effects| effects.has_action_lens = true),
-        // 16 ms: between a good and a usual action camera.
+        // 16 ms: between a fast and an average action camera.
         ("rolling-shutter", |effects| effects.readout_s = 0.016),
         ("vibration", |effects| {
             effects.suspension = 1.0;
@@ -112,7 +112,7 @@ impl Effects {
         }),
         ("mounting", |effects| effects.is_misaligned = true),
         ("traffic", |effects| effects.moving_cars = 6),
-        // Set by hand to a fifth of a second; quartz; the jitter of a file's millisecond stamps.
+        // Set by hand to 0.2 s; a quartz; the jitter of millisecond time stamps.
         ("clocks", |effects| {
             effects.clocks = ClockEffects {
                 offset_s: 0.2,
@@ -130,7 +130,7 @@ impl Effects {
         }),
     ];
 
-    /// Every effect together.
+    /// All presets combined.
     pub fn all() -> Self {
         let mut effects = Self::default();
         for (_, switch_on) in Self::PRESETS {
@@ -179,7 +179,7 @@ impl Effects {
     }
 }
 
-/// Names of presets, joined by `+`: `lens+clocks`; or `all`.
+/// Parses names of presets joined by `+`, such as `lens+clocks`, or `all`.
 impl FromStr for Effects {
     type Err = Error;
     fn from_str(names: &str) -> Result<Self, Error> {
@@ -205,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn presets_switch_on_one_thing_each_and_add_up() {
+    fn presets_are_distinct_and_combine_to_all() {
         let mut names: Vec<&str> = Effects::PRESETS.iter().map(|(name, _)| *name).collect();
         assert_eq!("none".parse::<Effects>().unwrap(), Effects::default());
         for name in &names[1..] {

@@ -1,19 +1,19 @@
 use std::path::PathBuf;
 
-/// What can be wrong with a request, or with writing its result.
+/// The error of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A number of the options is out of its range.
+    /// An option is out of its range.
     #[error("{name} = {value} is out of range: {expected}")]
     OutOfRange {
-        /// Which option.
+        /// The option.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What would be right.
+        /// The permitted range.
         expected: &'static str,
     },
-    /// Two corners of a route are too near for the radii of their turns.
+    /// The arcs of two consecutive corners of a route overlap.
     #[error(
         "corners {corner} and the next are {distance_m:.1} m apart, but their turns take \
         {needed_m:.1} m"
@@ -21,40 +21,40 @@ pub enum Error {
     CornersTooClose {
         /// Index of the first corner.
         corner: usize,
-        /// How far they are apart.
+        /// Distance of the corners, in metres.
         distance_m: f64,
-        /// How far they would have to be.
+        /// Length that the arcs take, in metres.
         needed_m: f64,
     },
-    /// A preset of that name does not exist.
+    /// There is no preset or direction of that name.
     #[error("unknown {what} `{name}`: known are {known}")]
     UnknownName {
-        /// What was asked for.
+        /// The kind of name.
         what: &'static str,
         /// The name given.
         name: String,
-        /// The names that exist.
+        /// The known names.
         known: String,
     },
     /// A file could not be written.
     #[error("cannot write {path}: {source}")]
     Write {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// An image could not be encoded.
     #[error("cannot encode {path}: {reason}")]
     Encode {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
 
-/// `Ok` where `ok` holds of an option's value.
+/// An [`Error::OutOfRange`] unless `ok`.
 pub(crate) fn require(
     ok: bool,
     name: &'static str,

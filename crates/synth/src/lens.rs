@@ -1,24 +1,25 @@
-//! How light falls on the sensor: an action camera's lens, and the ideal pinhole.
+//! Lenses: a distorted lens of an action camera, and the ideal pinhole.
 //!
-//! The action lens has a radial profile with even and odd powers of the angle from the axis (as the
-//! maps that GoPro publishes for its lenses have), then decentring (Brown 1966) on the fisheye
-//! plane, then a principal point off the middle. With m(θ) = θ (1 + a₁θ + a₂θ² + a₃θ³ + a₄θ⁴) and
-//! (u, v) the point at distance m in the direction of the ray,
+//! The action lens has a radial profile with even and odd powers of the angle θ from the optical
+//! axis (as the lens maps that GoPro publishes), then decentring distortion (Brown 1966) on the
+//! fisheye plane, then a principal point off the image centre. With m(θ) = θ (1 + a₁θ + a₂θ² + a₃θ³
+//! + a₄θ⁴) and (u, v) the point at distance m in the direction of the ray,
 //!
 //! u' = u + p₁ (m² + 2u²) + 2 p₂ uv,  v' = v + p₂ (m² + 2v²) + 2 p₁ uv,  pixel = c + f (u', v').
 //!
-//! The odd aⱼ (even powers of θ) are in none of COLMAP's families, and decentring on that plane is
-//! in its THIN_PRISM_FISHEYE alone: an estimator is left with a residual, as with a real lens.
+//! No camera model of COLMAP has the coefficients aⱼ of odd index (even powers of θ), and only
+//! THIN_PRISM_FISHEYE has decentring on that plane: an estimator is left with a residual, as with a
+//! real lens.
 
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rng};
 
-/// Newton's iterations end when they move by less than this (radians, or units of the fisheye
-/// plane).
+/// Step at which the Newton iterations end (in radians, or units of the fisheye plane), and the
+/// most iterations.
 const NEWTON_TOLERANCE: f64 = 1e-14;
 const NEWTON_ITERATIONS: usize = 30;
 
-/// An action camera's lens.
+/// The lens of an action camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActionLens {
     /// Focal length on the axis, in pixels.
@@ -27,29 +28,30 @@ pub struct ActionLens {
     pub radial: [f64; 4],
     /// p₁ and p₂, per radian.
     pub decentring: [f64; 2],
-    /// Where the axis meets the sensor, in pixels.
+    /// Principal point, in pixels.
     pub principal_point: Vector2<f64>,
-    /// Rays further from the axis than this, in radians, are not imaged.
+    /// Rays at a larger angle to the axis, in radians, are not imaged.
     pub max_angle_rad: f64,
 }
 
-/// A lens with its sensor: from rays to pixels and back.
+/// A projection between rays and pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lens {
-    /// No distortion at all: pixel = f (x/z, y/z) + c.
+    /// An ideal pinhole: pixel = f (x/z, y/z) + c.
     Pinhole {
         /// Focal length, in pixels.
         focal_px: f64,
-        /// Where the axis meets the sensor, in pixels.
+        /// Principal point, in pixels.
         principal_point: Vector2<f64>,
     },
-    /// An action camera's.
+    /// The lens of an action camera.
     Action(ActionLens),
 }
 
 impl ActionLens {
-    /// A lens as a maker sells it for this image size, and no two alike: all numbers scatter a
-    /// little. The horizontal field of view is about 94°, that of a GoPro's wide setting at 4:3.
+    /// A random lens for an image size, in pixels: the nominal values of a product with
+    /// manufacturing tolerances. The horizontal field of view is about 94°, as the wide setting of
+    /// a GoPro at 4:3.
     pub fn sample(width: u32, height: u32, rng: &mut Rng) -> Self {
         let (width, height) = (f64::from(width), f64::from(height));
         let mut scattered = |value: f64, sigma: f64| value + sigma * rng.normal();
@@ -70,7 +72,7 @@ impl ActionLens {
         }
     }
 
-    /// m(θ) and its derivative.
+    /// m(θ) and its derivative, θ in radians.
     fn radius(&self, angle: f64) -> (f64, f64) {
         let [a1, a2, a3, a4] = self.radial;
         let value = angle * (1.0 + angle * (a1 + angle * (a2 + angle * (a3 + angle * a4))));
@@ -79,7 +81,7 @@ impl ActionLens {
         (value, slope)
     }
 
-    /// The decentred point and the derivative by the point.
+    /// Applies the decentring distortion: the point and the 2 × 2 Jacobian.
     fn decentre(&self, point: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         let ([p1, p2], [u, v]) = (self.decentring, [point.x, point.y]);
         let m2 = u * u + v * v;
@@ -100,7 +102,7 @@ impl ActionLens {
     fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let off_axis = point.xy().norm();
         let angle = off_axis.atan2(point.z);
-        // Written so that NaN is not imaged either.
+        // The comparison also rejects NaN.
         if angle > self.max_angle_rad || angle.is_nan() || point.norm_squared() == 0.0 {
             return None;
         }
@@ -140,14 +142,14 @@ impl ActionLens {
 }
 
 impl Lens {
-    /// An ideal pinhole with the axis in the middle of the image.
+    /// An ideal pinhole with the principal point in the centre of the image.
     pub fn pinhole(focal_px: f64, width: u32, height: u32) -> Self {
         let principal_point = Vector2::new(f64::from(width) / 2.0, f64::from(height) / 2.0);
         Self::Pinhole { focal_px, principal_point }
     }
 
-    /// The pixel of a point in the camera's frame; `None` where the lens does not image it. (Pixels
-    /// may lie off the sensor.)
+    /// Projects a point in the camera frame; `None` if the lens does not image it. The pixel may
+    /// lie outside of the image.
     pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         match self {
             Self::Pinhole { focal_px, principal_point } => (point_in_cam.z > 1e-9)
@@ -156,7 +158,7 @@ impl Lens {
         }
     }
 
-    /// The unit ray, in the camera's frame, that is seen at a pixel.
+    /// The unit ray of a pixel in the camera frame; `None` if no ray is imaged there.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         match self {
             Self::Pinhole { focal_px, principal_point } => {
@@ -174,7 +176,7 @@ impl Lens {
         }
     }
 
-    /// Where the axis meets the sensor, in pixels.
+    /// Principal point, in pixels.
     pub fn principal_point(&self) -> Vector2<f64> {
         match self {
             Self::Pinhole { principal_point, .. } => *principal_point,
@@ -182,8 +184,8 @@ impl Lens {
         }
     }
 
-    /// The pinhole with the same focal length and principal point: exact for a pinhole, right on
-    /// the axis for the action lens, which is in no family.
+    /// PINHOLE intrinsics with the same focal length and principal point: exact for a pinhole,
+    /// correct only at the axis for the action lens.
     pub fn paraxial_intrinsics(&self) -> Intrinsics {
         let (focal, centre) = (self.focal_px(), self.principal_point());
         Intrinsics::new(CameraModelKind::Pinhole, &[focal, focal, centre.x, centre.y])
@@ -198,7 +200,8 @@ mod tests {
     use tiepoint_geometry::Rng;
 
     const SIZE: (u32, u32) = (2000, 1500);
-    /// Round trips through Newton's method in double precision, in pixels and in radians.
+    /// Tolerance of round trips through Newton iterations in double precision, in pixels and in
+    /// radians.
     const PIXEL_TOLERANCE: f64 = 1e-9;
     const RAY_TOLERANCE: f64 = 1e-12;
 
@@ -235,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_behind_is_not_imaged() {
+    fn points_behind_the_camera_are_not_imaged() {
         let action = Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(1, &[])));
         for lens in [Lens::pinhole(900.0, SIZE.0, SIZE.1), action] {
             for point in
@@ -247,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_of_view_is_a_gopros() {
+    fn field_of_view_is_that_of_a_gopro() {
         let lens = Lens::Action(ActionLens::sample(SIZE.0, SIZE.1, &mut Rng::stream(1, &[])));
         let edge = |x: f64| lens.unproject(&Vector2::new(x, 750.0)).unwrap();
         let degrees = edge(0.0).angle(&edge(2000.0)).to_degrees();

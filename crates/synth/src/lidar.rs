@@ -1,8 +1,8 @@
-//! A reference cloud, as a VLP-16 on the roof would sweep it: 16 rings over 30°, 0.2° in azimuth,
-//! up to 100 m, within ±3 cm.
+//! The reference cloud of a VLP-16 laser scanner on the roof: 16 rings over 30°, 0.2° in azimuth,
+//! up to 100 m, with an accuracy of ±3 cm.
 //!
-//! Every ray has the vehicle's pose of its own moment, so the cloud is exact but for its range
-//! noise. Moving cars are left out, as a surveyor would clean them out of a reference.
+//! Each ray starts from the pose of the vehicle at its own time, so that the cloud is exact up to
+//! range noise. Moving cars are left out, as in a cleaned survey.
 
 use std::f64::consts::TAU;
 
@@ -13,32 +13,32 @@ use tiepoint_geometry::{Rigid3, Rng};
 use crate::error::{Error, require};
 use crate::{Drive, Ray};
 
-/// Where it sits, in the vehicle's frame: in the middle of the roof, above the cameras, in metres.
+/// Position in the vehicle frame, in metres: centre of the roof, above the cameras.
 const POSITION_M: [f64; 3] = [0.0, -1.9, 1.1];
 
-/// A spinning laser scanner.
+/// Options of a spinning laser scanner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarOptions {
-    /// Rings, spread evenly over `elevation_range_rad`.
+    /// Number of rings, evenly spaced over `elevation_range_rad`.
     pub rings: usize,
-    /// From the lowest ring to the highest, level in the middle, in radians.
+    /// Angle between the lowest and the highest ring, centred at the horizon, in radians.
     pub elevation_range_rad: f64,
-    /// Between neighbouring rays of a ring, in radians.
+    /// Angle between consecutive rays of a ring, in radians.
     pub azimuth_step_rad: f64,
-    /// Turns a second.
+    /// Rotation rate, in turns per second.
     pub turns_per_s: f64,
-    /// Only every so many turns are recorded.
+    /// Records every n-th turn.
     pub every_turns: usize,
-    /// Range, in metres.
+    /// Largest range, in metres.
     pub max_range_m: f64,
     /// Standard deviation of a range, in metres.
     pub noise_m: f64,
-    /// Names the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
 impl Default for LidarOptions {
-    /// A VLP-16's data sheet; ±3 cm as two standard deviations.
+    /// The data sheet of the VLP-16; ±3 cm are two standard deviations.
     fn default() -> Self {
         Self {
             rings: 16,
@@ -53,7 +53,11 @@ impl Default for LidarOptions {
     }
 }
 
-/// Sweeps the whole drive: points in the world, in order of time.
+/// Scans the whole drive: points in the world, in metres, in the order of time.
+///
+/// # Errors
+///
+/// [`Error::OutOfRange`] if an option is out of its range.
 pub fn reference_cloud(drive: &Drive, options: &LidarOptions) -> Result<Vec<Vector3<f64>>, Error> {
     require(options.turns_per_s > 0.0, "turns_per_s", options.turns_per_s, "more than 0")?;
     require(
@@ -104,7 +108,7 @@ mod tests {
     use crate::{DriveOptions, Effects, RouteKind};
 
     #[test]
-    fn points_lie_on_surfaces_and_noise_is_what_was_asked_for() {
+    fn points_lie_on_surfaces_and_noise_has_its_standard_deviation() {
         let effects = Effects { moving_cars: 4, suspension: 1.0, ..Effects::default() };
         let options = DriveOptions {
             route: RouteKind::Open,
@@ -123,7 +127,7 @@ mod tests {
         assert!(exact.len() > 1000 && exact.len() == noisy.len(), "{} points", exact.len());
         let squares: f64 = exact.iter().zip(&noisy).map(|(a, b)| (a - b).norm_squared()).sum();
         let deviation = (squares / exact.len() as f64).sqrt();
-        // Over 1,000 ranges the deviation is known to 2 %.
+        // With 1,000 ranges the standard deviation is known to 2 %.
         assert!((deviation / scanner.noise_m - 1.0).abs() < 0.1, "{deviation} m");
         assert!(exact.iter().all(|point| drive.world().touches(point, 1e-6)));
         let off = noisy.iter().filter(|point| !drive.world().touches(point, 1e-6)).count();

@@ -1,4 +1,4 @@
-//! From light on the sensor to the numbers of an image: exposure, noise, a tone curve, eight bits,
+//! The photometric pipeline of the camera: exposure, noise, tone curve, quantisation to 8 bits,
 //! JPEG.
 
 use std::io::Cursor;
@@ -9,20 +9,20 @@ use tiepoint_geometry::Rng;
 
 use crate::render::Radiance;
 
-/// Entries of the tone curve's table.
+/// Entries of the look-up table of the tone curve.
 const TONE_STEPS: usize = 1 << 14;
-/// The tone curve's exponent, that of common displays.
+/// Exponent of the tone curve: the gamma of common displays.
 const GAMMA: f64 = 2.2;
 
-/// How an exposure is turned into an image.
+/// Parameters of the photometric pipeline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Development {
-    /// Factor on the light.
+    /// Gain: factor on the linear radiance.
     pub gain: f64,
-    /// Standard deviation of the noise at white, relative to white; it goes with the square root of
-    /// the light, and a tenth of it is there in the dark. 0 for none.
+    /// Standard deviation of the noise at white, relative to white. It is proportional to the
+    /// square root of the radiance (shot noise); a tenth of it remains in the dark. 0 for none.
     pub noise: f64,
-    /// Names the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
@@ -32,7 +32,7 @@ impl Default for Development {
     }
 }
 
-/// Turns light into an eight-bit image. Each row has its own stream of noise.
+/// Converts linear radiance to an 8-bit image. Each row has its own random stream.
 pub fn develop(radiance: &Radiance, development: &Development) -> RgbImage {
     let tone: Vec<u8> = (0..TONE_STEPS)
         .map(|k| (255.0 * ((k as f64 + 0.5) / TONE_STEPS as f64).powf(1.0 / GAMMA)).round() as u8)
@@ -48,7 +48,8 @@ pub fn develop(radiance: &Radiance, development: &Development) -> RgbImage {
             for (byte, light) in bytes.iter_mut().zip(light) {
                 let mut value = gain * light;
                 if noise > 0.0 {
-                    value += noise * (0.01 + value.max(0.0)).sqrt() * near_normal(&mut random);
+                    value +=
+                        noise * (0.01 + value.max(0.0)).sqrt() * approximate_normal(&mut random);
                 }
                 let step = (value * TONE_STEPS as f32) as usize;
                 *byte = tone[step.min(TONE_STEPS - 1)];
@@ -59,26 +60,27 @@ pub fn develop(radiance: &Radiance, development: &Development) -> RgbImage {
         .expect("three bytes a pixel were allocated")
 }
 
-/// Mean 0, variance 1: the sum of four uniform numbers of ten bits each, taken from what is left of
-/// 128 random bits (Irwin 1927, Hall 1927). Twelve draws of a sensor's noise need no better tails.
-fn near_normal(bits: &mut [u64; 2]) -> f32 {
+/// An approximately normal number with mean 0 and variance 1: the sum of four uniform numbers of
+/// ten bits each, taken from the rest of 128 random bits (Irwin 1927, Hall 1927). Its short tails
+/// suffice for sensor noise.
+fn approximate_normal(bits: &mut [u64; 2]) -> f32 {
     let mut sum = 0;
     for word in bits.iter_mut() {
         sum += (*word & 0x3FF) + (*word >> 10 & 0x3FF);
         *word >>= 20;
     }
-    // Each uniform on 0..=1023 has variance (1024² − 1)/12.
+    // The variance of a uniform number on 0..=1023 is (1024² − 1)/12.
     (sum as f32 - 4.0 * 511.5) / (4.0f32 * (1024.0 * 1024.0 - 1.0) / 12.0).sqrt()
 }
 
-/// An image as a JPEG of the given quality (1 to 100) would give it back.
-pub(crate) fn through_jpeg(image: &RgbImage, quality: u8) -> Option<RgbImage> {
+/// The image after JPEG compression with a quality of 1 to 100.
+pub(crate) fn jpeg_round_trip(image: &RgbImage, quality: u8) -> Option<RgbImage> {
     let decoded =
         image::load_from_memory_with_format(&jpeg_bytes(image, quality)?, ImageFormat::Jpeg);
     decoded.ok().map(|image| image.to_rgb8())
 }
 
-/// An image as the bytes of a JPEG file.
+/// The bytes of a JPEG file of the image.
 pub(crate) fn jpeg_bytes(image: &RgbImage, quality: u8) -> Option<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(image).ok()?;
@@ -102,9 +104,9 @@ mod tests {
     }
 
     #[test]
-    fn gain_and_noise_are_what_was_asked_for() {
-        // 60,000 samples: the deviation is known to 0.3 %, the quantisation of eight bits adds less
-        // than 3 %.
+    fn gain_and_noise_have_the_requested_size() {
+        // 60,000 samples: the standard deviation is known to 0.3 %, and quantisation to 8 bits adds
+        // less than 3 %.
         let development = Development { gain: 1.5, noise: 0.03, seed: 1 };
         let (mean, deviation) = mean_and_deviation(&develop(&flat(0.2), &development));
         let expected = 0.03 * (0.01 + 0.3f64).sqrt();
@@ -115,20 +117,20 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_a_matter_of_the_seed() {
+    fn noise_depends_on_the_seed() {
         let with = |seed: u64| develop(&flat(0.2), &Development { gain: 1.0, noise: 0.02, seed });
         assert_eq!(with(1), with(1));
         assert_ne!(with(1), with(2));
     }
 
     #[test]
-    fn jpeg_keeps_the_picture() {
+    fn jpeg_error_is_small() {
         let mut light = flat(0.2);
         for (k, pixel) in light.pixels.iter_mut().enumerate() {
             *pixel = [0.1 + 0.3 * (k % 200) as f32 / 200.0; 3];
         }
         let image = develop(&light, &Development::default());
-        let back = through_jpeg(&image, 90).unwrap();
+        let back = jpeg_round_trip(&image, 90).unwrap();
         let worst = image.as_raw().iter().zip(back.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.unwrap() <= 12, "{worst:?}");
     }

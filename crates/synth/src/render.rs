@@ -1,71 +1,70 @@
-//! From the world to light on the sensor.
+//! Rendering: from the world to the linear radiance on the sensor.
 //!
-//! A first pass asks, for the ray of each pixel (sixteen at a time), what it meets. A pixel whose
-//! neighbours see the same piece of surface is shaded once, its texture averaged over its
-//! footprint; one on an edge is asked again with a grid of 4 × 4 rays, and each surface found is
-//! shaded once, weighted by its share. Every row has a pose and a time of its own: that is all
-//! there is to a rolling shutter. Rows are computed in parallel and depend on nothing but their
-//! number.
+//! The first pass casts the ray of each pixel (sixteen at a time) and stores the key of the
+//! surface. A pixel whose neighbours have the same key is shaded once, with its texture averaged
+//! over its footprint. A pixel on an edge is sampled again with 4 × 4 rays; each surface is shaded
+//! once, weighted by its fraction of the samples. Every row has its own pose and time, which is the
+//! rolling shutter. Rows are computed in parallel, and each depends only on its index.
 
 use rayon::prelude::*;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::Lens;
-use crate::world::{Hit, LANES, MoverPose, NOTHING, Packet, Pixel, Ray, SurfacePoint, World};
+use crate::world::{Hit, LANES, MovingCarPose, NOTHING, Packet, Pixel, Ray, SurfacePoint, World};
 
-/// Side of a tile, and of the grid of samples in a pixel: LANES is its square.
+/// Side of a tile of pixels, and of the grid of samples in a pixel: LANES is its square.
 const TILE: usize = 4;
 const _: () = assert!(TILE * TILE == LANES);
-/// Key of the sky, and of a pixel that no light reaches through the lens.
+/// Key of the sky, and of a pixel whose ray the lens does not image.
 const SKY: u64 = (NOTHING as u64) << 32;
 
-/// Where a camera is while it exposes a row.
+/// Pose and time of a camera at the exposure of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowPose {
-    /// The camera's pose.
+    /// Transform from the camera to the world, in metres.
     pub world_from_cam: Rigid3,
-    /// When, in true seconds.
+    /// True time, in seconds.
     pub time_s: f64,
 }
 
-/// Linear light on a sensor: red, green, blue of each pixel, row by row, white about 1.
+/// Linear radiance of an image: red, green, blue of each pixel by rows; white is about 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Radiance {
-    /// Columns.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
     /// `width * height` pixels.
     pub pixels: Vec<[f32; 3]>,
 }
 
-/// A lens and a sensor, with the ray of each pixel looked up once.
+/// Renders the images of a lens. The ray of each pixel is computed once.
 #[derive(Clone, Debug)]
 pub struct Renderer<'w> {
     world: &'w World,
     width: usize,
     height: usize,
-    /// Unit directions in the camera's frame; zero where the lens lets nothing through.
+    /// Unit rays in the camera frame, by rows; zero where the lens images no ray.
     rays: Vec<[f32; 3]>,
 }
 
-/// A row while it is rendered.
+/// The pose of a row and the poses of the moving cars at its time.
 struct Row {
     index: usize,
     rotation: Matrix3<f64>,
     centre: Vector3<f64>,
-    movers: Vec<(usize, MoverPose)>,
+    moving_cars: Vec<(usize, MovingCarPose)>,
 }
 
 impl Row {
-    fn mover(&self, mover: usize) -> Option<MoverPose> {
-        self.movers.iter().find(|(index, _)| *index == mover).map(|(_, pose)| *pose)
+    fn moving_car(&self, moving_car: usize) -> Option<MovingCarPose> {
+        self.moving_cars.iter().find(|(index, _)| *index == moving_car).map(|(_, pose)| *pose)
     }
 }
 
 impl<'w> Renderer<'w> {
-    /// For images of `width` × `height` pixels through a lens.
+    /// A renderer for images of `width` × `height` pixels through a lens.
     pub fn new(world: &'w World, lens: &Lens, width: u32, height: u32) -> Self {
         let (width, height) = (width as usize, height as usize);
         let row = |y: usize| {
@@ -79,7 +78,8 @@ impl<'w> Renderer<'w> {
         Self { world, width, height, rays }
     }
 
-    /// The ray of a pixel's centre, and its change to the next pixel, in the camera's frame.
+    /// The ray of the centre of a pixel and its differences to the next pixel on the right and
+    /// below, in the camera frame.
     fn ray_in_cam(&self, x: usize, y: usize) -> [Vector3<f64>; 3] {
         let at = |x: usize, y: usize| {
             let [dx, dy, dz] = self.rays[y * self.width + x];
@@ -96,22 +96,24 @@ impl<'w> Renderer<'w> {
         Pixel { ray: Ray { origin: row.centre, direction }, right, down }
     }
 
-    /// Renders an image; `row_pose` gives the camera's pose for a height on the sensor in pixels
-    /// (row r has its middle at r + 0.5).
+    /// Renders an image; `row_pose` gives the pose of the camera for a height on the sensor in
+    /// pixels (the centre of row r is at r + 0.5).
     pub fn render(&self, row_pose: impl Fn(f64) -> RowPose + Sync) -> Radiance {
         let middle = row_pose(0.5 * self.height as f64);
-        let movers = self.world.movers_near(&middle.world_from_cam.translation, middle.time_s);
+        let moving_cars =
+            self.world.moving_cars_near(&middle.world_from_cam.translation, middle.time_s);
         let rows: Vec<Row> = (0..self.height)
             .into_par_iter()
             .map(|index| {
                 let RowPose { world_from_cam, time_s } = row_pose(index as f64 + 0.5);
-                let with_pose =
-                    |&mover: &usize| Some((mover, self.world.mover_pose(mover, time_s)?));
+                let with_pose = |&moving_car: &usize| {
+                    Some((moving_car, self.world.moving_car_pose(moving_car, time_s)?))
+                };
                 Row {
                     index,
                     rotation: world_from_cam.rotation.to_rotation_matrix().into_inner(),
                     centre: world_from_cam.translation,
-                    movers: movers.iter().filter_map(with_pose).collect(),
+                    moving_cars: moving_cars.iter().filter_map(with_pose).collect(),
                 }
             })
             .collect();
@@ -132,8 +134,8 @@ impl<'w> Renderer<'w> {
         Radiance { width: self.width, height: self.height, pixels }
     }
 
-    /// Keys of a tile of pixels. Tiles at the right and lower edge repeat their last column and
-    /// row.
+    /// Computes the keys of a tile of pixels. Tiles at the right and the lower border repeat the
+    /// last column and row.
     fn trace_tile(&self, rows: &[Row], x: usize, keys: &mut [u64]) {
         let place = |lane: usize| {
             (&rows[(lane / TILE).min(rows.len() - 1)], (x + lane % TILE).min(self.width - 1))
@@ -148,38 +150,42 @@ impl<'w> Renderer<'w> {
             *ray = Ray { origin: row.centre, direction };
             packet.set(lane, ray);
         }
-        let spread = (rays[0].direction - rays[LANES - 1].direction).norm();
-        self.cast(&mut packet, &rays[LANES / 2], spread, |lane| place(lane).0);
+        let max_deviation = (rays[0].direction - rays[LANES - 1].direction).norm();
+        self.cast(&mut packet, &rays[LANES / 2], max_deviation, |lane| place(lane).0);
         for (lane, ray) in rays.iter().enumerate() {
             if lane / TILE < rows.len() && x + lane % TILE < self.width {
                 let row = place(lane).0;
-                let key = self.world.key(packet.id[lane], ray, |mover| row.mover(mover));
+                let key =
+                    self.world.key(packet.id[lane], ray, |moving_car| row.moving_car(moving_car));
                 keys[lane / TILE * self.width + x + lane % TILE] = key;
             }
         }
     }
 
-    /// Fills a packet whose rays are at most `spread` per metre from `middle`.
+    /// Casts a packet of rays, which deviate from `middle` by at most `max_deviation` per metre.
     fn cast<'r>(
         &self,
         packet: &mut Packet,
         middle: &Ray,
-        spread: f64,
+        max_deviation: f64,
         row_of: impl Fn(usize) -> &'r Row,
     ) {
-        // A car that enters or leaves the street during the readout is drawn only if it is there in
-        // every row.
+        // A car that enters or leaves the street during the readout is rendered only if it is
+        // present in every row.
         let first = row_of(0);
-        let movers: Vec<(usize, [MoverPose; LANES])> = first
-            .movers
+        let moving_cars: Vec<(usize, [MovingCarPose; LANES])> = first
+            .moving_cars
             .iter()
-            .filter(|(_, pose)| self.world.mover_is_near(pose, middle, spread))
-            .filter(|(mover, _)| row_of(LANES - 1).mover(*mover).is_some())
-            .map(|&(mover, pose)| {
-                (mover, std::array::from_fn(|lane| row_of(lane).mover(mover).unwrap_or(pose)))
+            .filter(|(_, pose)| self.world.moving_car_is_near(pose, middle, max_deviation))
+            .filter(|(moving_car, _)| row_of(LANES - 1).moving_car(*moving_car).is_some())
+            .map(|&(moving_car, pose)| {
+                (
+                    moving_car,
+                    std::array::from_fn(|lane| row_of(lane).moving_car(moving_car).unwrap_or(pose)),
+                )
             })
             .collect();
-        self.world.cast_packet(packet, &movers);
+        self.world.cast_packet(packet, &moving_cars);
     }
 
     fn shade(&self, row: &Row, x: usize, keys: &[u64]) -> [f32; 3] {
@@ -201,10 +207,14 @@ impl<'w> Renderer<'w> {
     }
 
     fn resolve(&self, id: u32, ray: &Ray, row: &Row) -> Option<Hit> {
-        if id == NOTHING { None } else { self.world.resolve(id, ray, |mover| row.mover(mover)) }
+        if id == NOTHING {
+            None
+        } else {
+            self.world.resolve(id, ray, |moving_car| row.moving_car(moving_car))
+        }
     }
 
-    /// A pixel that sees several surfaces.
+    /// Shades a pixel with several surfaces.
     fn shade_edge(&self, row: &Row, pixel: &Pixel) -> [f32; 3] {
         let offset = |k: usize| (k as f64 + 0.5) / TILE as f64 - 0.5;
         let ray = |[right, down]: [f64; 2]| Ray {
@@ -217,10 +227,11 @@ impl<'w> Renderer<'w> {
         for (lane, &offset) in offsets.iter().enumerate() {
             packet.set(lane, &ray(offset));
         }
-        let spread = pixel.right.norm() + pixel.down.norm();
-        self.cast(&mut packet, &pixel.ray, spread, |_| row);
+        let max_deviation = pixel.right.norm() + pixel.down.norm();
+        self.cast(&mut packet, &pixel.ray, max_deviation, |_| row);
         let keys: [u64; LANES] = std::array::from_fn(|lane| {
-            self.world.key(packet.id[lane], &ray(offsets[lane]), |mover| row.mover(mover))
+            self.world
+                .key(packet.id[lane], &ray(offsets[lane]), |moving_car| row.moving_car(moving_car))
         });
         let mut sum = [0.0f32; 3];
         for (first, &key) in keys.iter().enumerate() {
@@ -231,10 +242,12 @@ impl<'w> Renderer<'w> {
             let count = of_key().count();
             let mean: [f64; 2] = [0, 1]
                 .map(|axis| of_key().map(|lane| offsets[lane][axis]).sum::<f64>() / count as f64);
-            // The mean of its samples may miss a bent piece; then the sample nearest to it stands
-            // for it.
+            // The mean ray of the samples of a surface may miss it, if its visible region is not
+            // convex; then the nearest sample is shaded instead.
             let is_met = |offset: [f64; 2]| {
-                self.world.key((key >> 32) as u32, &ray(offset), |mover| row.mover(mover)) == key
+                self.world
+                    .key((key >> 32) as u32, &ray(offset), |moving_car| row.moving_car(moving_car))
+                    == key
             };
             let distance2 = |lane: usize| {
                 (offsets[lane][0] - mean[0]).powi(2) + (offsets[lane][1] - mean[1]).powi(2)
@@ -251,8 +264,7 @@ impl<'w> Renderer<'w> {
     }
 }
 
-/// The surface point that a pixel (not only its centre) sees through a lens, from the pose of its
-/// row.
+/// The surface point at a pixel position (subpixel accurate) of a lens, with the pose of its row.
 pub(crate) fn surface_at(
     world: &World,
     lens: &Lens,

@@ -1,4 +1,4 @@
-//! Where cameras sit on the vehicle.
+//! Extrinsics of the cameras on the vehicle.
 
 use std::str::FromStr;
 
@@ -7,34 +7,34 @@ use tiepoint_geometry::{Rigid3, Rng};
 
 use crate::Error;
 
-/// How inexactly a camera is fixed: 1.5 degrees about each axis. Rigs that nobody calibrated are
-/// not exactly parallel.
+/// Standard deviation of the misalignment about each axis, in radians (1.5 degrees): cameras of
+/// uncalibrated rigs are not exactly parallel.
 const MISALIGNMENT_RAD: f64 = 0.026;
-/// Middle of the roof in the vehicle's frame (right, down, forward of the rear axle on the road),
-/// in metres.
+/// Centre of the roof in the vehicle frame (right, down, forward from the road under the rear
+/// axle), in metres.
 const ROOF_M: [f64; 3] = [0.0, -1.55, 1.1];
 
-/// The paper's mountings: which way a camera looks.
+/// Viewing direction of a camera, as in the experiments of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mounting {
-    /// Ahead.
+    /// Forward.
     Front,
-    /// Half right.
+    /// Forward right, 45°.
     FrontRight,
-    /// At right angles to the right.
+    /// To the right, 90°.
     Right,
-    /// Behind.
+    /// Backward.
     Rear,
-    /// At right angles to the left.
+    /// To the left, 90°.
     Left,
 }
 
 impl Mounting {
-    /// All of them.
+    /// All directions.
     pub const ALL: [Mounting; 5] =
         [Self::Front, Self::FrontRight, Self::Right, Self::Rear, Self::Left];
 
-    /// Its name, also that of the camera's folder.
+    /// The name, which is also the name of the folder of the camera.
     pub fn name(self) -> &'static str {
         match self {
             Self::Front => "front",
@@ -45,7 +45,7 @@ impl Mounting {
         }
     }
 
-    /// Angle of the view from straight ahead, clockwise seen from above, in radians.
+    /// Yaw of the viewing direction relative to forward, clockwise from above, in radians.
     pub fn yaw_rad(self) -> f64 {
         let degrees: f64 = match self {
             Self::Front => 0.0,
@@ -57,7 +57,7 @@ impl Mounting {
         degrees.to_radians()
     }
 
-    /// Where on the roof it sits, in the vehicle's frame.
+    /// Position on the roof in the vehicle frame, in metres.
     fn position_m(self) -> Vector3<f64> {
         let [x, y, z] = ROOF_M;
         match self {
@@ -83,18 +83,19 @@ impl FromStr for Mounting {
     }
 }
 
-/// A camera's place on the vehicle.
+/// A camera with its extrinsics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mount {
-    /// Name of the camera, and of its folder.
+    /// Name of the camera and of its folder.
     pub name: String,
-    /// Its pose; the vehicle's frame is right, down, forward from the road under the rear axle.
+    /// Extrinsics, in metres; the vehicle frame is right, down, forward from the road under the
+    /// rear axle.
     pub cam_from_vehicle: Rigid3,
 }
 
 impl Mount {
-    /// At a position of the vehicle's frame (metres), looking `yaw_rad` clockwise from ahead and
-    /// `pitch_rad` upwards.
+    /// A camera at a position in the vehicle frame (metres), rotated by `yaw_rad` clockwise from
+    /// forward and `pitch_rad` upwards.
     pub fn at(
         name: impl Into<String>,
         position_m: Vector3<f64>,
@@ -106,14 +107,14 @@ impl Mount {
         Self { name: name.into(), cam_from_vehicle: Rigid3::new(rotation, position_m).inverse() }
     }
 
-    /// One of the paper's, exactly aligned.
+    /// The aligned camera of a direction.
     pub fn of(mounting: Mounting) -> Self {
         Self::at(mounting.name(), mounting.position_m(), mounting.yaw_rad(), 0.0)
     }
 
-    /// Two cameras that look the same way, `baseline_m` apart: `left` and `right` of the direction
-    /// of view, which is ahead with [`Mounting::Front`] and sideways, one camera in front of the
-    /// other, with [`Mounting::Right`] (the paper's Experiment II).
+    /// A stereo pair with parallel axes and a baseline of `baseline_m`: `left` and `right` of the
+    /// viewing direction. The pair looks forward with [`Mounting::Front`]; with [`Mounting::Right`]
+    /// it looks sideways, and one camera is in front of the other (Experiment II of the paper).
     pub fn stereo(mounting: Mounting, baseline_m: f64) -> [Self; 2] {
         let middle = Self::of(mounting).cam_from_vehicle;
         [("left", -0.5), ("right", 0.5)].map(|(name, side)| {
@@ -123,8 +124,8 @@ impl Mount {
         })
     }
 
-    /// As hands would have fixed it: turned by about 1.5 degrees about each axis, about its own
-    /// centre.
+    /// The camera with a random misalignment: rotated about its centre by about 1.5 degrees about
+    /// each axis.
     pub fn misaligned(&self, rng: &mut Rng) -> Self {
         let turn = Vector3::from_fn(|_, _| MISALIGNMENT_RAD * rng.normal());
         let cam_from_vehicle =
@@ -140,7 +141,7 @@ mod tests {
     const TOLERANCE: f64 = 1e-12;
 
     #[test]
-    fn cameras_look_where_their_names_say() {
+    fn viewing_directions_match_their_names() {
         for (mounting, axis) in [
             (Mounting::Front, Vector3::z()),
             (Mounting::Right, Vector3::x()),
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn pitch_is_upwards_and_misalignment_keeps_the_centre() {
+    fn pitch_is_upwards_and_misalignment_preserves_the_centre() {
         let mount = Mount::at("up", Vector3::new(1.0, 2.0, 3.0), 0.4, 0.1);
         let view = mount.cam_from_vehicle.inverse().rotation * Vector3::z();
         assert!((view.y + 0.1f64.sin()).abs() < TOLERANCE, "{view}");
@@ -176,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stereo_pair_has_its_baseline_to_the_right() {
+    fn baseline_of_a_stereo_pair_points_right() {
         for mounting in Mounting::ALL {
             let [left, right] = Mount::stereo(mounting, 0.5);
             let right_from_left = right.cam_from_vehicle * left.cam_from_vehicle.inverse();

@@ -1,58 +1,58 @@
-//! The centre line of the street: straight lines and circular arcs, joined without kinks.
+//! The centre line of the street: line segments and circular arcs with continuous direction.
 //!
-//! Lines and arcs have a closed form both ways, from an arc length to a point and from a point to
-//! (arc length, lateral offset), so that the vehicle, the buildings and the paint on the road share
-//! one exact centre line.
+//! Lines and arcs have closed forms from an arc length to a point, and from a point to arc length
+//! and lateral offset. The vehicle, the buildings and the road markings therefore share one exact
+//! centre line.
 
 use tiepoint_geometry::{Rng, nalgebra::Vector2};
 
 use crate::error::{Error, require};
 
-/// Turns of a street corner have radii in this range, in metres: of the centre line, so that the
-/// inner lane stays drivable.
+/// Range of the radii of street corners, in metres, at the centre line: the inner lane stays
+/// drivable.
 const TURN_RADIUS_M: [f64; 2] = [10.0, 14.0];
 /// Radius of a gentle bend within a block, in metres.
 const BEND_RADIUS_M: f64 = 60.0;
-/// A side longer than this, in metres, gets a gentle bend.
+/// Sides longer than this, in metres, get a gentle bend.
 const BEND_MIN_SIDE_M: f64 = 120.0;
-/// How far a bend displaces the middle of its side, in metres.
+/// Range of the lateral displacement of the middle of a side by a bend, in metres.
 const BEND_OFFSET_M: [f64; 2] = [3.0, 8.0];
-/// Blocks of an open street, in metres.
+/// Range of the lengths of the blocks of an open street, in metres.
 const BLOCK_M: [f64; 2] = [70.0, 140.0];
 
-/// A line (curvature 0) or an arc (positive curvature turns left).
+/// A segment of the route: a line (curvature 0) or an arc (positive curvature turns left).
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+struct Segment {
     start: Vector2<f64>,
     heading_rad: f64,
     curvature_per_m: f64,
     length_m: f64,
-    /// Arc length of the route where it begins.
+    /// Arc length of the route at its beginning, in metres.
     offset_m: f64,
-    /// Directions at its beginning, half-way and at its end.
+    /// Unit tangents at its beginning, middle and end.
     direction: Vector2<f64>,
     middle_direction: Vector2<f64>,
     end_direction: Vector2<f64>,
 }
 
-/// A place relative to the centre line.
+/// A position relative to the centre line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoutePosition {
     /// Arc length of the nearest point of the centre line, in metres.
     pub along_m: f64,
-    /// Distance from it, in metres, positive to the left.
+    /// Lateral offset from the centre line, in metres, positive to the left.
     pub left_m: f64,
 }
 
-/// The centre line of a street, seen from above (x east, y north).
+/// The centre line of a street in the plane (x east, y north), in metres.
 #[derive(Clone, Debug)]
 pub struct Route {
-    pieces: Vec<Piece>,
+    segments: Vec<Segment>,
     length_m: f64,
     is_closed: bool,
 }
 
-fn unit(heading_rad: f64) -> Vector2<f64> {
+fn unit_vector(heading_rad: f64) -> Vector2<f64> {
     Vector2::new(heading_rad.cos(), heading_rad.sin())
 }
 
@@ -60,31 +60,32 @@ fn left_of(direction: Vector2<f64>) -> Vector2<f64> {
     Vector2::new(-direction.y, direction.x)
 }
 
-fn in_range(rng: &mut Rng, [low, high]: [f64; 2]) -> f64 {
+fn uniform_in(rng: &mut Rng, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.uniform()
 }
 
-impl Piece {
+impl Segment {
     fn heading_at(&self, s: f64) -> f64 {
         self.heading_rad + self.curvature_per_m * s
     }
 
     fn point_at(&self, s: f64) -> Vector2<f64> {
-        // The chord of an arc: length s·sinc(κs/2), direction half-way.
+        // The chord of an arc of curvature κ has length s·sinc(κs/2) and the direction at its
+        // middle.
         let half = 0.5 * self.curvature_per_m * s;
         let sinc = if half.abs() < 1e-9 { 1.0 } else { half.sin() / half };
-        self.start + unit(self.heading_rad + half) * (s * sinc)
+        self.start + unit_vector(self.heading_rad + half) * (s * sinc)
     }
 
-    /// Nearest point of the piece, the direction there, and the distance from it.
-    fn foot(&self, point: Vector2<f64>) -> (RoutePosition, Vector2<f64>, f64) {
+    /// Nearest point of the segment, the tangent there, and the distance to it.
+    fn closest_point(&self, point: Vector2<f64>) -> (RoutePosition, Vector2<f64>, f64) {
         let from_start = point - self.start;
         let mut tangent = self.direction;
         let s = if self.curvature_per_m == 0.0 {
             from_start.dot(&tangent)
         } else {
-            // On a circle the direction there is at right angles to the radius; the angle from the
-            // arc's middle does not wrap.
+            // The tangent of a circle is perpendicular to the radius; the angle from the middle of
+            // the arc does not wrap.
             let radius = 1.0 / self.curvature_per_m;
             let from_centre = (from_start - left_of(self.direction) * radius) * radius.signum();
             tangent = left_of(from_centre) / from_centre.norm();
@@ -103,20 +104,25 @@ impl Piece {
         (RoutePosition { along_m: self.offset_m + s, left_m }, tangent, distance)
     }
 
-    /// `point_at(s)`, where the direction is known to be `tangent`.
+    /// `point_at(s)` for a known tangent at s.
     fn point_at_towards(&self, s: f64, tangent: Vector2<f64>) -> Vector2<f64> {
         if self.curvature_per_m == 0.0 {
             return self.start + self.direction * s;
         }
-        // p' = t, t' = κ n: the point is the start plus the change of −n over κ.
+        // p' = t, t' = κ n: the point is the start plus the change of −n divided by κ.
         self.start + (left_of(self.direction) - left_of(tangent)) / self.curvature_per_m
     }
 }
 
 impl Route {
-    /// Through corners, each cut by an arc of its radius (metres). A closed route begins in the
-    /// middle of the side from the last corner to the first; the first and last corner of an open
-    /// one are its ends.
+    /// A route through corners (metres), each replaced by an arc of its radius (metres). A closed
+    /// route begins in the middle of the side from the last corner to the first; the first and the
+    /// last corner of an open route are its ends.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] for too few corners, [`Error::CornersTooClose`] if the arcs of two
+    /// corners overlap.
     pub fn from_corners(corners: &[(Vector2<f64>, f64)], is_closed: bool) -> Result<Self, Error> {
         let count = corners.len();
         let least = if is_closed { 3 } else { 2 };
@@ -126,7 +132,7 @@ impl Route {
             count as f64,
             "at least 3 for a loop, 2 for a street",
         )?;
-        let mut route = Self { pieces: Vec::new(), length_m: 0.0, is_closed };
+        let mut route = Self { segments: Vec::new(), length_m: 0.0, is_closed };
         let at = |index: usize| corners[index % count].0;
         let turn = |index: usize| {
             let before = at(index) - at(index + count - 1);
@@ -134,7 +140,7 @@ impl Route {
             before.perp(&after).atan2(before.dot(&after))
         };
         let is_end = |index: usize| !is_closed && (index == 0 || index + 1 == count);
-        // Length of the side that a corner's arc takes away.
+        // Length of a side that the arc of a corner replaces.
         let cut = |index: usize| {
             if is_end(index) { 0.0 } else { corners[index].1 * (0.5 * turn(index)).tan().abs() }
         };
@@ -157,7 +163,7 @@ impl Route {
             if !is_end(corner) && turn(corner) != 0.0 {
                 let angle = turn(corner);
                 route.push(position, heading_rad, angle.signum() / radius, radius * angle.abs());
-                position = vertex + unit(heading_rad + angle) * cut(corner);
+                position = vertex + unit_vector(heading_rad + angle) * cut(corner);
             }
         }
         if is_closed {
@@ -167,24 +173,30 @@ impl Route {
         Ok(route)
     }
 
-    /// A loop of about `length_m` around a block: a quadrangle, gently bent where its sides are
-    /// long; in either sense.
+    /// A loop of about `length_m` around a block: a quadrangle with random orientation and with
+    /// bends in long sides.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if the loop is shorter than 160 m.
     pub fn street_loop(length_m: f64, rng: &mut Rng) -> Result<Self, Error> {
         require(length_m >= 160.0, "loop length_m", length_m, "at least 160 m")?;
-        let aspect = in_range(rng, [0.75, 1.35]);
+        let aspect = uniform_in(rng, [0.75, 1.35]);
         let width = 0.5 * length_m * aspect / (1.0 + aspect);
         let height = 0.5 * length_m - width;
-        let slack = 0.04 * width.min(height);
+        let max_shift = 0.04 * width.min(height);
         let mut corners = Vec::new();
         for (x, y) in [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)] {
-            let shift =
-                Vector2::new(in_range(rng, [-slack, slack]), in_range(rng, [-slack, slack]));
+            let shift = Vector2::new(
+                uniform_in(rng, [-max_shift, max_shift]),
+                uniform_in(rng, [-max_shift, max_shift]),
+            );
             corners.push(Vector2::new(x * width, y * height) + shift);
         }
         if rng.below(2) == 1 {
             corners.reverse();
         }
-        let radii: Vec<f64> = (0..4).map(|_| in_range(rng, TURN_RADIUS_M)).collect();
+        let radii: Vec<f64> = (0..4).map(|_| uniform_in(rng, TURN_RADIUS_M)).collect();
         let mut bent = Vec::new();
         for index in 0..4 {
             bent.push((corners[index], radii[index]));
@@ -193,33 +205,37 @@ impl Route {
         Self::from_corners(&bent, true)
     }
 
-    /// A street of about `length_m` that never comes back: blocks eastwards, northwards and
-    /// southwards.
+    /// A street of about `length_m` without a loop: blocks to the east, north and south.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if the street is shorter than 40 m.
     pub fn open_street(length_m: f64, rng: &mut Rng) -> Result<Self, Error> {
         require(length_m >= 40.0, "street length_m", length_m, "at least 40 m")?;
         let mut corners = vec![(Vector2::zeros(), 0.0)];
         let (mut position, mut left, mut is_eastwards) = (Vector2::zeros(), length_m, true);
         while left > 0.0 {
-            // No rest shorter than a block: its turn would not fit.
-            let block = in_range(rng, BLOCK_M);
+            // The last block is not shorter than the others: its turn would not fit.
+            let block = uniform_in(rng, BLOCK_M);
             let block = if left < block + BLOCK_M[0] { left } else { block };
-            let tilt = in_range(rng, [-0.12, 0.12]);
+            let tilt = uniform_in(rng, [-0.12, 0.12]);
             let side = if rng.below(2) == 0 { 1.0 } else { -1.0 };
             let heading =
                 if is_eastwards { tilt } else { side * std::f64::consts::FRAC_PI_2 + tilt };
-            let end = position + unit(heading) * block;
+            let end = position + unit_vector(heading) * block;
             corners.extend(bend(position, end, rng));
-            corners.push((end, in_range(rng, TURN_RADIUS_M)));
+            corners.push((end, uniform_in(rng, TURN_RADIUS_M)));
             (position, left, is_eastwards) = (end, left - block, !is_eastwards);
         }
         Self::from_corners(&corners, false)
     }
 
+    /// Appends a segment; its arc length begins at the current length of the route.
     fn push(&mut self, start: Vector2<f64>, heading_rad: f64, curvature_per_m: f64, length_m: f64) {
         let middle_rad = heading_rad + 0.5 * curvature_per_m * length_m;
-        let (direction, middle_direction) = (unit(heading_rad), unit(middle_rad));
+        let (direction, middle_direction) = (unit_vector(heading_rad), unit_vector(middle_rad));
         let offset_m = self.length_m;
-        self.pieces.push(Piece {
+        self.segments.push(Segment {
             start,
             heading_rad,
             curvature_per_m,
@@ -227,67 +243,67 @@ impl Route {
             offset_m,
             direction,
             middle_direction,
-            end_direction: unit(heading_rad + curvature_per_m * length_m),
+            end_direction: unit_vector(heading_rad + curvature_per_m * length_m),
         });
         self.length_m += length_m;
     }
 
-    /// Length, in metres.
+    /// Length in metres.
     pub fn length_m(&self) -> f64 {
         self.length_m
     }
 
-    /// Whether its end is its beginning.
+    /// Whether the route is a loop.
     pub fn is_closed(&self) -> bool {
         self.is_closed
     }
 
-    /// The piece at an arc length, and the arc length from its beginning. A loop goes round; an
-    /// open street goes on straight beyond its ends.
-    fn piece_at(&self, along_m: f64) -> (&Piece, f64) {
+    /// The segment at an arc length, and the arc length from its beginning. A loop wraps around; an
+    /// open street continues straight beyond its ends.
+    fn segment_at(&self, along_m: f64) -> (&Segment, f64) {
         let s = if self.is_closed { along_m.rem_euclid(self.length_m) } else { along_m };
-        let index = self.pieces.partition_point(|piece| piece.offset_m <= s).max(1) - 1;
-        (&self.pieces[index], s - self.pieces[index].offset_m)
+        let index = self.segments.partition_point(|segment| segment.offset_m <= s).max(1) - 1;
+        (&self.segments[index], s - self.segments[index].offset_m)
     }
 
-    /// The point of the centre line at an arc length.
+    /// The point of the centre line at an arc length, in metres.
     pub fn point(&self, along_m: f64) -> Vector2<f64> {
-        let (piece, s) = self.piece_at(along_m);
-        piece.point_at(s)
+        let (segment, s) = self.segment_at(along_m);
+        segment.point_at(s)
     }
 
-    /// The point at an arc length and a lateral offset (positive to the left).
+    /// The point at an arc length and a lateral offset, in metres.
     pub fn point_beside(&self, position: RoutePosition) -> Vector2<f64> {
         self.point(position.along_m)
-            + left_of(unit(self.heading_rad(position.along_m))) * position.left_m
+            + left_of(unit_vector(self.heading_rad(position.along_m))) * position.left_m
     }
 
-    /// The heading at an arc length, from east towards north.
+    /// The heading at an arc length: the angle from east towards north, in radians.
     pub fn heading_rad(&self, along_m: f64) -> f64 {
-        let (piece, s) = self.piece_at(along_m);
-        piece.heading_at(s)
+        let (segment, s) = self.segment_at(along_m);
+        segment.heading_at(s)
     }
 
-    /// The curvature at an arc length, positive to the left.
+    /// The curvature at an arc length, in 1/m, positive to the left.
     pub fn curvature_per_m(&self, along_m: f64) -> f64 {
-        self.piece_at(along_m).0.curvature_per_m
+        self.segment_at(along_m).0.curvature_per_m
     }
 
-    /// Where a point lies relative to the centre line.
+    /// The position of a point relative to the centre line.
     pub fn locate(&self, point: Vector2<f64>) -> RoutePosition {
-        self.foot(point, 0..self.pieces.len()).0
+        self.closest_point(point, 0..self.segments.len()).0
     }
 
-    /// The same among some pieces only, with the direction of the centre line there.
-    pub(crate) fn foot(
+    /// The position of a point relative to some segments, and the tangent at the nearest point.
+    pub(crate) fn closest_point(
         &self,
         point: Vector2<f64>,
-        pieces: impl IntoIterator<Item = usize>,
+        segments: impl IntoIterator<Item = usize>,
     ) -> (RoutePosition, Vector2<f64>) {
         let mut best =
             (RoutePosition { along_m: 0.0, left_m: f64::INFINITY }, Vector2::x(), f64::INFINITY);
-        for index in pieces {
-            let found = self.pieces[index].foot(point);
+        for index in segments {
+            let found = self.segments[index].closest_point(point);
             if found.2 < best.2 {
                 best = found;
             }
@@ -295,16 +311,16 @@ impl Route {
         (best.0, best.1)
     }
 
-    /// Distance from a point to each piece.
-    pub(crate) fn piece_distances(&self, point: Vector2<f64>) -> impl Iterator<Item = f64> {
-        self.pieces.iter().map(move |piece| piece.foot(point).2)
+    /// Distance from a point to each segment, in metres.
+    pub(crate) fn segment_distances(&self, point: Vector2<f64>) -> impl Iterator<Item = f64> {
+        self.segments.iter().map(move |segment| segment.closest_point(point).2)
     }
 }
 
-/// The middle of a long side, moved sideways.
+/// A corner that bends a long side: its middle, displaced laterally; `None` for short sides.
 fn bend(from: Vector2<f64>, to: Vector2<f64>, rng: &mut Rng) -> Option<(Vector2<f64>, f64)> {
     let side = if rng.below(2) == 0 { 1.0 } else { -1.0 };
-    let offset = side * in_range(rng, BEND_OFFSET_M);
+    let offset = side * uniform_in(rng, BEND_OFFSET_M);
     let along = to - from;
     (along.norm() > BEND_MIN_SIDE_M)
         .then(|| (0.5 * (from + to) + left_of(along.normalize()) * offset, BEND_RADIUS_M))
@@ -316,12 +332,12 @@ mod tests {
     use proptest::prelude::*;
     use tiepoint_geometry::Rng;
 
-    /// Lengths of metres in double precision, over a few hundred operations.
+    /// Rounding of lengths of metres over a few hundred operations in double precision.
     const CLOSE_M: f64 = 1e-9;
 
     proptest! {
         #[test]
-        fn the_line_has_no_kink_and_locates_its_own_points(
+        fn tangents_are_continuous_and_locate_inverts_point_beside(
             seed in 0u64..1000,
             is_loop: bool,
             fraction in 0.0..1.0,
@@ -334,10 +350,10 @@ mod tests {
                 Route::open_street(400.0, &mut rng)
             };
             let route = route.unwrap();
-            for pair in route.pieces.windows(2) {
+            for pair in route.segments.windows(2) {
                 prop_assert!((pair[0].point_at(pair[0].length_m) - pair[1].start).norm() < CLOSE_M);
-                let kink = pair[0].heading_at(pair[0].length_m) - pair[1].heading_rad;
-                prop_assert!((unit(kink) - unit(0.0)).norm() < CLOSE_M);
+                let turn_rad = pair[0].heading_at(pair[0].length_m) - pair[1].heading_rad;
+                prop_assert!((unit_vector(turn_rad) - unit_vector(0.0)).norm() < CLOSE_M);
             }
             if is_loop {
                 prop_assert!((route.point(route.length_m()) - route.point(0.0)).norm() < CLOSE_M);
@@ -345,13 +361,14 @@ mod tests {
             let position = RoutePosition { along_m: fraction * route.length_m(), left_m };
             let found = route.locate(route.point_beside(position));
             prop_assert!((found.left_m - left_m).abs() < 1e-6, "{found:?} {position:?}");
-            let gap = (found.along_m - position.along_m).abs();
-            prop_assert!(gap.min(route.length_m() - gap) < 1e-6, "{found:?} {position:?}");
+            let difference = (found.along_m - position.along_m).abs();
+            let along_error_m = difference.min(route.length_m() - difference);
+            prop_assert!(along_error_m < 1e-6, "{found:?} {position:?}");
         }
     }
 
     #[test]
-    fn turns_that_do_not_fit_are_refused() {
+    fn overlapping_turns_are_refused() {
         let corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
             .map(|(x, y)| (Vector2::new(x, y), 6.0));
         assert!(matches!(Route::from_corners(&corners, true), Err(Error::CornersTooClose { .. })));

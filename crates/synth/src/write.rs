@@ -1,4 +1,4 @@
-//! A drive on disk: the images as cameras would leave them, and beside them the truth as tables.
+//! Writes a drive: images and time stamps as input, the ground truth as tables.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,7 +11,7 @@ use crate::error::Error;
 use crate::photometry::jpeg_bytes;
 use crate::{Exposure, Lens, Renderer};
 
-/// A file that is there is whole: it gets its name last.
+/// Writes a file under a temporary name and renames it, so that no incomplete file has the name.
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let part = path.with_extension("part");
     let written = path.parent().map_or(Ok(()), fs::create_dir_all);
@@ -21,7 +21,7 @@ fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 }
 
 impl Drive {
-    /// What the cameras say about time: `image,seconds`, one line an image.
+    /// The time stamps: `image,seconds`, one line for each image.
     pub fn timestamps_csv(&self) -> String {
         let mut text = String::from("image,seconds\n");
         for exposure in self.cameras().iter().flat_map(|camera| &camera.exposures) {
@@ -31,7 +31,8 @@ impl Drive {
         text
     }
 
-    /// The true poses: `image,true_seconds,qw,qx,qy,qz,tx,ty,tz`, cam_from_world at the middle row.
+    /// The true poses: `image,true_seconds,qw,qx,qy,qz,tx,ty,tz` with cam_from_world at the middle
+    /// row.
     pub fn poses_csv(&self) -> String {
         let mut text = String::from("image,true_seconds,qw,qx,qy,qz,tx,ty,tz\n");
         for (index, camera) in self.cameras().iter().enumerate() {
@@ -46,8 +47,8 @@ impl Drive {
         text
     }
 
-    /// The trajectory of a camera's images as TUM has it: `seconds tx ty tz qx qy qz qw`, true
-    /// time, world_from_cam.
+    /// The trajectory of a camera in the TUM format: `seconds tx ty tz qx qy qz qw` with true time
+    /// and world_from_cam.
     pub fn trajectory_tum(&self, camera: usize) -> String {
         let mut text = String::new();
         for exposure in &self.cameras()[camera].exposures {
@@ -60,9 +61,9 @@ impl Drive {
         text
     }
 
-    /// The true cameras: name and number, one a line. Lens (`focal_px`, `cx`, `cy`, and for the
-    /// action lens `a1`..`a4`, `p1`, `p2`), clock, readout, and place on the rig (cam_from_rig, the
-    /// first camera being the rig).
+    /// The true cameras: `camera,quantity,value`. Quantities are the lens (`focal_px`, `cx`, `cy`,
+    /// and for the action lens `a1`..`a4`, `p1`, `p2`), the clock, the readout time, and
+    /// cam_from_rig (the first camera is the reference sensor).
     pub fn cameras_csv(&self) -> String {
         let mut text = String::from("camera,quantity,value\n");
         for (index, camera) in self.cameras().iter().enumerate() {
@@ -97,8 +98,12 @@ impl Drive {
         text
     }
 
-    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and one TUM
-    /// trajectory a camera.
+    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and a TUM trajectory
+    /// of each camera.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`] if a file cannot be written.
     pub fn write_tables(&self, folder: &Path) -> Result<(), Error> {
         write_file(&folder.join("timestamps.csv"), self.timestamps_csv().as_bytes())?;
         write_file(&folder.join("truth/poses.csv"), self.poses_csv().as_bytes())?;
@@ -111,6 +116,11 @@ impl Drive {
     }
 
     /// Renders an image and writes it under its name in `folder`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Encode`] if the image cannot be encoded, [`Error::Write`] if the file cannot be
+    /// written.
     pub fn write_image(
         &self,
         folder: &Path,
@@ -142,7 +152,11 @@ impl Drive {
     }
 }
 
-/// Writes points as a binary PLY.
+/// Writes points as a PLY file in single precision, binary little-endian.
+///
+/// # Errors
+///
+/// [`Error::Write`] if the file cannot be written.
 pub fn write_ply(path: &Path, points: &[Vector3<f64>]) -> Result<(), Error> {
     let mut bytes = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\

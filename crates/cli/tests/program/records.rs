@@ -24,7 +24,7 @@ fn pairs(dir: &Path) -> usize {
 fn with_earlier_record(dir: &Path, begin: impl FnOnce(&mut Database)) {
     let mut database = Database::open(&dir.join("ws/database.db")).unwrap();
     begin(&mut database);
-    database.finish().unwrap();
+    database.close().unwrap();
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn damaged_record_is_restored_and_damaged_database_is_an_error() {
     assert_eq!(pairs(dir), COUNT * (COUNT - 1) / 2);
     // A foreign database in its place.
     let theirs = dir.join("theirs.db");
-    Database::create(&theirs).unwrap().finish().unwrap();
+    Database::create(&theirs).unwrap().close().unwrap();
     fs::copy(&theirs, dir.join("ws/database.db")).unwrap();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo features")
         .failed(1, &["database.db", "did not make it"]);

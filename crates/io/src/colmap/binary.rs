@@ -1,4 +1,4 @@
-//! The binary files: counts and records, little-endian, no header.
+//! The binary files: a count and that many records, little-endian, without a header.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -7,14 +7,14 @@ use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
-use super::layout::{FrameRow, Layout, RigRow, file_id};
-use super::names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+use super::file_names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+use super::rig_tables::{FrameRow, RigRow, RigTables, file_id};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::{Reader, WriteLe, pose_numbers};
 use crate::{Error, Result};
 
-/// COLMAP's number for a camera among the kinds of sensors.
+/// Value of COLMAP for cameras among the types of sensors.
 const SENSOR_CAMERA: i32 = 0;
 const POSE_BYTES: u64 = 7 * 8;
 const MIN_CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 3 * 8;
@@ -30,13 +30,13 @@ const OBSERVATION_BYTES: u64 = 4 + 4;
 pub(super) fn write(
     name: &str,
     model: &Reconstruction,
-    layout: &Layout,
+    rig_tables: &RigTables,
     out: &mut impl Write,
 ) -> io::Result<()> {
     match name {
         CAMERAS => write_cameras(model, out),
-        RIGS => write_rigs(layout, out),
-        FRAMES => write_frames(layout, out),
+        RIGS => write_rigs(rig_tables, out),
+        FRAMES => write_frames(rig_tables, out),
         IMAGES => write_images(model, out),
         _ => write_points(model, out),
     }
@@ -54,9 +54,9 @@ fn write_cameras(model: &Reconstruction, out: &mut impl Write) -> io::Result<()>
     Ok(())
 }
 
-fn write_rigs(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
-    out.u64(layout.rigs.len() as u64)?;
-    for rig in &layout.rigs {
+fn write_rigs(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> {
+    out.u64(rig_tables.rigs.len() as u64)?;
+    for rig in &rig_tables.rigs {
         out.u32(rig.id)?;
         out.u32(rig.cameras.len() as u32)?;
         for (k, (camera, cam_from_rig)) in rig.cameras.iter().enumerate() {
@@ -71,9 +71,9 @@ fn write_rigs(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-fn write_frames(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
-    out.u64(layout.frames.len() as u64)?;
-    for frame in &layout.frames {
+fn write_frames(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> {
+    out.u64(rig_tables.frames.len() as u64)?;
+    for frame in &rig_tables.frames {
         out.u32(frame.id)?;
         out.u32(frame.rig)?;
         out.f64s(&pose_numbers(&frame.rig_from_world))?;
@@ -166,7 +166,7 @@ fn read_cameras<R: Read>(file: &mut Reader<R>) -> Result<Vec<(u32, Camera)>> {
     Ok(cameras)
 }
 
-/// A sensor's number if it is a camera, else `None`.
+/// The id of a sensor if it is a camera, else `None`.
 fn read_sensor<R: Read>(file: &mut Reader<R>) -> Result<Option<u32>> {
     let kind = file.i32("a sensor's kind")?;
     let id = file.u32("a sensor's id")?;
@@ -256,8 +256,8 @@ fn read_points<R: Read>(file: &mut Reader<R>) -> Result<Vec<PointRow>> {
         let id = file.u64("a point's id")?;
         let xyz = file.vector3("a point's position")?;
         let color = file.bytes("a point's colour")?;
-        // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it
-        // has none.
+        // The reprojection error is computed from poses and keypoints instead; COLMAP writes −1 or
+        // NaN where it has none.
         file.raw_f64("a point's error")?;
         let observations = file.count(OBSERVATION_BYTES, "the length of a track")?;
         let mut track = Vec::with_capacity(observations);

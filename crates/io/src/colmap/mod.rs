@@ -1,20 +1,20 @@
-//! COLMAP's models: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and
+//! Models of COLMAP: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and
 //! frames; binary or text.
 //!
-//! Ids on disk are ours plus one, so that images and cameras have the same ids as in `database.db`.
-//! Only registered images are written. What a model does not hold is lost on the way: keypoint
-//! scales (1 when read), image times, hold-out flags, and where a focal length came from.
+//! Ids in the files are indices of [`tiepoint_scene`] plus one, as in `database.db`. Only
+//! registered images are written. The format does not hold keypoint scales (1 after reading), image
+//! times, hold-out flags, and the origin of a focal length.
 //!
-//! COLMAP wants every image in a frame and every camera on a rig. Frames and rigs of the
-//! [`Reconstruction`] are written as such; an image outside of them gets a frame of its own, and a
-//! camera outside of them a rig of its own. When read, rigs of one camera vanish again.
+//! COLMAP requires a frame for every image and a rig for every camera. Rigs and frames of the
+//! [`Reconstruction`] are written as they are; an image in no frame gets a frame of its own, and a
+//! camera in no rig gets a rig of its own. The reader drops rigs of one camera.
 //!
 //! Format: <https://colmap.github.io/format.html>; the rig files as
 //! `src/colmap/scene/reconstruction_io*.cc` of COLMAP 4.2.
 
 mod binary;
-mod layout;
-mod names;
+mod file_names;
+mod rig_tables;
 mod tables;
 mod text;
 
@@ -26,24 +26,25 @@ use tiepoint_scene::Reconstruction;
 
 use crate::disk::{self, WrittenFile};
 use crate::{AtomicFile, Error, Result};
-use layout::Layout;
-pub use names::MODEL_FILES;
-use names::{IMAGES, REQUIRED};
+use rig_tables::RigTables;
 
-/// How a model is written.
+pub use file_names::MODEL_FILES;
+use file_names::{IMAGES, REQUIRED};
+
+/// The encoding of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// `*.bin`, little-endian; every number bit by bit.
+    /// `*.bin`, little-endian; numbers keep all bits.
     Binary,
-    /// `*.txt`; every number with as many digits as bring it back.
+    /// `*.txt`; numbers with as many digits as identify them.
     Text,
 }
 
 impl Format {
-    /// Both, the one first that readers prefer.
+    /// Both formats, in the order in which readers look for them.
     pub const ALL: [Self; 2] = [Self::Binary, Self::Text];
 
-    /// What the names of its files end in, without the dot.
+    /// Extension of the files, without the dot.
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Binary => "bin",
@@ -59,33 +60,33 @@ impl Format {
     }
 }
 
-/// Writes a model into a folder, which is made if need be. A new folder appears with all of its
-/// files; in one that is there, the list of images goes first and comes last, so that nobody reads
-/// parts of two models.
+/// Writes a model into a folder, which is created if necessary. A new folder is renamed into place
+/// with all of its files. In an existing folder, `images` is removed first and written last, so
+/// that no reader sees files of two models.
 ///
 /// # Errors
 ///
-/// Where the model is not valid ([`Reconstruction::validate`]); where an image in no frame is of a
-/// camera that has no pose on its rig, since COLMAP wants every image in a frame; where the folder
-/// holds a model in the other format, since readers would choose for themselves, and where the
-/// system refuses.
+/// If the model is not valid ([`Reconstruction::validate`]); if an image in no frame has a camera
+/// without a pose in its rig, because COLMAP requires a frame for every image; if the folder holds
+/// a model in the other format, because readers would prefer one of the two; and if the system
+/// reports an error.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
-    let layout = Layout::new(dir, model)?;
+    let rig_tables = RigTables::new(dir, model)?;
     let write = |name: &str, mut file: &mut dyn Write| match format {
-        Format::Binary => binary::write(name, model, &layout, &mut file),
-        Format::Text => text::write(name, model, &layout, &mut file),
+        Format::Binary => binary::write(name, model, &rig_tables, &mut file),
+        Format::Text => text::write(name, model, &rig_tables, &mut file),
     };
     let target = disk::end_of_links(dir).map_err(Error::io(dir))?;
     let is_new = target.file_name().is_some()
         && fs::symlink_metadata(&target)
             .is_err_and(|cause| cause.kind() == io::ErrorKind::NotFound);
     if is_new {
-        let part = disk::part_of(&target);
-        let written = write_new_folder(&part, &target, format, write);
+        let temporary = disk::temporary_path(&target);
+        let written = write_new_folder(&temporary, &target, format, write);
         if written.is_err() {
-            // The first error is the one to report, or nobody is left to tell.
-            let _ = disk::remove_own_folder(&part);
+            // An earlier error is the one to report.
+            let _ = disk::remove_own_folder(&temporary);
         }
         written.map_err(Error::io(dir))
     } else {
@@ -93,29 +94,29 @@ pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result
     }
 }
 
-/// Writes all files under a temporary name of the folder, and gives it its name.
+/// Writes all files into a folder with a temporary name and renames the folder.
 fn write_new_folder(
-    part: &Path,
+    temporary: &Path,
     target: &Path,
     format: Format,
     write: impl Fn(&str, &mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
     disk::create_folders(disk::folder_of(target))?;
-    // What a killed run left.
-    disk::remove_own_folder(part)?;
-    disk::create_folders(part)?;
+    // The temporary folder of a killed run.
+    disk::remove_own_folder(temporary)?;
+    disk::create_folders(temporary)?;
     for name in MODEL_FILES {
-        let path = part.join(name).with_extension(format.suffix());
+        let path = temporary.join(name).with_extension(format.suffix());
         let mut file = BufWriter::new(WrittenFile::create_new(&path)?);
         write(name, &mut file)?;
         file.into_inner().map_err(io::IntoInnerError::into_error)?.sync()?;
     }
-    disk::sync_folder(part)?;
-    disk::rename(part, target)?;
+    disk::sync_folder(temporary)?;
+    disk::rename(temporary, target)?;
     disk::sync_folder(disk::folder_of(target))
 }
 
-/// Writes all files under temporary names in a folder, and replaces those that are there.
+/// Writes all files under temporary names into an existing folder and renames them.
 fn write_into_folder(
     dir: &Path,
     format: Format,
@@ -132,24 +133,30 @@ fn write_into_folder(
         let path = dir.join(name).with_extension(format.suffix());
         let mut file = AtomicFile::create(&path)?;
         write(name, &mut file).map_err(Error::io(&path))?;
-        // What is in the buffer might not fit any more once the old images are gone.
+        // The flush must succeed before the old `images` is removed: the disk may be full.
         file.flush().map_err(Error::io(&path))?;
         files.push(file);
     }
     let images = dir.join(IMAGES).with_extension(format.suffix());
     let old = disk::end_of_links(&images).map_err(Error::io(&images))?;
-    // A device has no part, and is written through.
-    if old.is_file() && disk::part_of(&old).is_file() {
+    // A device has no temporary file: it is written directly.
+    if old.is_file() && disk::temporary_path(&old).is_file() {
         disk::remove_file(&old).map_err(Error::io(&images))?;
         disk::sync_folder(disk::folder_of(&old)).map_err(Error::io(&images))?;
     }
     files.into_iter().try_for_each(AtomicFile::commit)
 }
 
-/// Reads a model from a folder: the binary files where there are all of cameras, images and
-/// points3D, else the text files.
+/// Reads a model from a folder: the binary files if cameras, images and points3D are all there,
+/// else the text files.
 ///
-/// Images, cameras and points get ids in the order of those in the files. The result is valid.
+/// Images, cameras and points get indices in the order of their ids in the files. The result is
+/// valid ([`Reconstruction::validate`]).
+///
+/// # Errors
+///
+/// If the folder holds no complete model, if a file violates its format, and if the files
+/// contradict each other.
 pub fn read_model(dir: &Path) -> Result<Reconstruction> {
     let format = Format::ALL.into_iter().find(|format| {
         REQUIRED.iter().all(|name| dir.join(name).with_extension(format.suffix()).is_file())
@@ -158,7 +165,7 @@ pub fn read_model(dir: &Path) -> Result<Reconstruction> {
         Some(Format::Binary) => binary::read(dir)?,
         Some(Format::Text) => text::read(dir)?,
         None => {
-            // Says so if the folder itself is the trouble.
+            // Reports an error of the folder itself.
             fs::read_dir(dir).map_err(Error::io(dir))?;
             return Err(Error::content(
                 dir,

@@ -1,4 +1,4 @@
-//! What stands in the files of a model, and how it becomes a reconstruction.
+//! The records of the files of a model, and their conversion to a reconstruction.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ use tiepoint_scene::{
     RigSensor, Track, is_same_pose,
 };
 
-use super::layout::{FrameRow, RigRow};
+use super::rig_tables::{FrameRow, RigRow};
 use crate::excerpt::Excerpt;
 use crate::{Error, Result};
 
-/// Scale of a keypoint of which the file does not tell it, in pixels: each counts the same.
+/// Scale of a keypoint, in pixels, since the files hold none: all keypoints have equal weight.
 pub(super) const UNKNOWN_SCALE_PX: f32 = 1.0;
-/// Point of a keypoint that sees none.
+/// Point id of a keypoint without a point.
 pub(super) const NO_POINT: u64 = u64::MAX;
 
 pub(super) struct ImageRow {
@@ -24,7 +24,7 @@ pub(super) struct ImageRow {
     pub(super) camera: u32,
     pub(super) name: String,
     pub(super) keypoints: Vec<Keypoint>,
-    /// One a keypoint, or [`NO_POINT`].
+    /// Point id of each keypoint, or [`NO_POINT`].
     pub(super) points: Vec<u64>,
 }
 
@@ -32,7 +32,7 @@ pub(super) struct PointRow {
     pub(super) id: u64,
     pub(super) xyz: Vector3<f64>,
     pub(super) color: [u8; 3],
-    /// Image and keypoint.
+    /// Image id and index of the keypoint.
     pub(super) track: Vec<(u32, u32)>,
 }
 
@@ -45,7 +45,7 @@ pub(super) struct Tables {
     pub(super) points: Vec<PointRow>,
 }
 
-/// Sorts rows by id and returns the ids; an error if one occurs twice.
+/// Sorts rows by id and returns the ids; an error if an id occurs twice.
 fn sort<T, I: Ord + Copy + std::fmt::Display>(
     dir: &Path,
     kind: &str,
@@ -54,21 +54,23 @@ fn sort<T, I: Ord + Copy + std::fmt::Display>(
 ) -> Result<Vec<I>> {
     rows.sort_by_key(&id);
     match rows.windows(2).find(|pair| id(&pair[0]) == id(&pair[1])) {
-        Some(pair) => Err(Error::content(dir, format!("{kind} {} is there twice", id(&pair[0])))),
+        Some(pair) => Err(Error::content(dir, format!("{kind} {} is listed twice", id(&pair[0])))),
         None => Ok(rows.iter().map(id).collect()),
     }
 }
 
-/// The position of an id among sorted ones.
+/// The index of an id in a sorted list; `referrer` names the record that refers to it, for the
+/// error.
 fn find<I: Ord + Copy + std::fmt::Display>(
     dir: &Path,
     kind: &str,
     ids: &[I],
     id: I,
-    by: impl FnOnce() -> String,
+    referrer: impl FnOnce() -> String,
 ) -> Result<usize> {
-    ids.binary_search(&id)
-        .map_err(|_| Error::content(dir, format!("{} names {kind} {id}, which there is not", by())))
+    ids.binary_search(&id).map_err(|_| {
+        Error::content(dir, format!("{} names {kind} {id}, which does not exist", referrer()))
+    })
 }
 
 impl Tables {
@@ -79,9 +81,9 @@ impl Tables {
             model.add_camera(camera);
         }
         let images = sort(dir, "image", &mut self.images, |row| row.id)?;
-        // The points that the keypoints name, in the order of the images; emptied as the tracks
-        // claim them.
-        let mut claims = Vec::with_capacity(self.images.len());
+        // Point ids of the keypoints of each image; set to `NO_POINT` when the track of the point
+        // lists the keypoint.
+        let mut point_ids = Vec::with_capacity(self.images.len());
         for row in self.images {
             let camera = find(dir, "camera", &cameras, row.camera, || {
                 format!("image {}", Excerpt(&row.name))
@@ -89,7 +91,7 @@ impl Tables {
             let image =
                 model.add_image(Image::new(row.name, CameraId::from_index(camera), row.keypoints));
             model.register(image, row.cam_from_world);
-            claims.push(row.points);
+            point_ids.push(row.points);
         }
         add_rigs(dir, &mut model, self.rigs, self.frames, &cameras, &images)?;
         sort(dir, "point", &mut self.points, |row| row.id)?;
@@ -97,8 +99,8 @@ impl Tables {
             let mut observations = Vec::with_capacity(row.track.len());
             for (image, keypoint) in row.track {
                 let index = find(dir, "image", &images, image, || format!("point {}", row.id))?;
-                match claims[index].get_mut(keypoint as usize) {
-                    Some(claim) if *claim == row.id => *claim = NO_POINT,
+                match point_ids[index].get_mut(keypoint as usize) {
+                    Some(point_id) if *point_id == row.id => *point_id = NO_POINT,
                     Some(_) => {
                         return Err(Error::content(
                             dir,
@@ -116,7 +118,7 @@ impl Tables {
                                 "point {} is seen by keypoint {keypoint} of image {image}, which \
                                 has {} keypoints",
                                 row.id,
-                                claims[index].len()
+                                point_ids[index].len()
                             ),
                         ));
                     }
@@ -125,14 +127,14 @@ impl Tables {
             }
             model.add_track(Track { color: row.color, ..Track::new(row.xyz, observations) });
         }
-        for (id, claims) in images.iter().zip(&claims) {
-            if let Some(keypoint) = claims.iter().position(|claim| *claim != NO_POINT) {
+        for (id, point_ids) in images.iter().zip(&point_ids) {
+            if let Some(keypoint) = point_ids.iter().position(|point_id| *point_id != NO_POINT) {
                 return Err(Error::content(
                     dir,
                     format!(
                         "keypoint {keypoint} of image {id} names point {}, whose track does not \
                         hold it",
-                        claims[keypoint]
+                        point_ids[keypoint]
                     ),
                 ));
             }
@@ -141,9 +143,9 @@ impl Tables {
     }
 }
 
-/// Puts the rigs of several cameras and their frames into the model. Where an image's pose is not
-/// the one that its frame gives it, the frame's is taken, as COLMAP does. Where the frame gives
-/// none, since the camera has no pose on the rig, the image keeps its own and is in no frame.
+/// Adds the rigs of several cameras and their frames to the model. If the pose of an image differs
+/// from the pose that its frame gives, the pose of the frame is used, as in COLMAP. If the camera
+/// has no pose in the rig, the image keeps its pose and is in no frame.
 fn add_rigs(
     dir: &Path,
     model: &mut Reconstruction,
@@ -154,14 +156,14 @@ fn add_rigs(
 ) -> Result<()> {
     let rig_ids = sort(dir, "rig", &mut rigs, |row| row.id)?;
     sort(dir, "frame", &mut frames, |row| row.id)?;
-    // The id of each rig that is kept; its sensors in any case.
+    // For each rig its index in the model, if it is kept, and its sensors.
     let mut sensors_of = Vec::with_capacity(rigs.len());
-    let mut on_rig = vec![false; cameras.len()];
+    let mut is_on_rig = vec![false; cameras.len()];
     for row in rigs {
         let mut sensors = Vec::with_capacity(row.cameras.len());
         for (k, (camera, cam_from_rig)) in row.cameras.into_iter().enumerate() {
             let index = find(dir, "camera", cameras, camera, || format!("rig {}", row.id))?;
-            if std::mem::replace(&mut on_rig[index], true) {
+            if std::mem::replace(&mut is_on_rig[index], true) {
                 return Err(Error::content(
                     dir,
                     format!("camera {camera} is on two rigs, or twice on one"),
@@ -170,7 +172,7 @@ fn add_rigs(
             let cam_from_rig = if k == 0 { Some(Rigid3::identity()) } else { cam_from_rig };
             sensors.push(RigSensor { camera: CameraId::from_index(index), cam_from_rig });
         }
-        // A camera without a pose on its rig is rigidly connected to none.
+        // A camera without a pose in its rig is not rigidly connected.
         let posed: Vec<RigSensor> =
             sensors.iter().filter(|sensor| sensor.cam_from_rig.is_some()).copied().collect();
         let kept = (posed.len() > 1).then(|| {
@@ -179,14 +181,14 @@ fn add_rigs(
         });
         sensors_of.push((kept, sensors));
     }
-    let mut in_frame = vec![false; images.len()];
+    let mut is_in_frame = vec![false; images.len()];
     let mut new_frames = Vec::new();
     for row in frames {
-        let by = || format!("frame {}", row.id);
-        let (kept, sensors) = &sensors_of[find(dir, "rig", &rig_ids, row.rig, by)?];
+        let referrer = || format!("frame {}", row.id);
+        let (kept, sensors) = &sensors_of[find(dir, "rig", &rig_ids, row.rig, referrer)?];
         let mut members = Vec::with_capacity(row.images.len());
         for (_, image) in row.images {
-            let id = ImageId::from_index(find(dir, "image", images, image, by)?);
+            let id = ImageId::from_index(find(dir, "image", images, image, referrer)?);
             let camera = model.image(id).camera;
             let sensor =
                 sensors.iter().find(|sensor| sensor.camera == camera).ok_or_else(|| {
@@ -198,14 +200,18 @@ fn add_rigs(
                         ),
                     )
                 })?;
-            if std::mem::replace(&mut in_frame[id.index()], true) {
+            if std::mem::replace(&mut is_in_frame[id.index()], true) {
                 return Err(Error::content(dir, format!("image {image} is in two frames")));
             }
-            // A camera alone on its rig is the reference, whose pose is known.
+            // A single camera of a rig is its reference sensor, whose pose is known.
             let Some(cam_from_rig) = sensor.cam_from_rig else { continue };
-            let of_frame = cam_from_rig * row.rig_from_world;
-            if model.image(id).cam_from_world().is_some_and(|own| !is_same_pose(own, &of_frame)) {
-                model.register(id, of_frame);
+            let cam_from_world = cam_from_rig * row.rig_from_world;
+            if model
+                .image(id)
+                .cam_from_world()
+                .is_some_and(|own| !is_same_pose(own, &cam_from_world))
+            {
+                model.register(id, cam_from_world);
             }
             members.push(id);
         }

@@ -1,4 +1,4 @@
-//! The text files: one line a record, two for an image; `#` starts a comment.
+//! The text files: one line for each record, two for an image; `#` begins a comment.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -7,8 +7,8 @@ use tiepoint_geometry::Intrinsics;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
-use super::layout::{FrameRow, Layout, RigRow, file_id};
-use super::names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+use super::file_names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
+use super::rig_tables::{FrameRow, RigRow, RigTables, file_id};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::pose_numbers;
@@ -16,19 +16,19 @@ use crate::excerpt::Excerpt;
 use crate::text::{Lines, Number, Numbers, Words};
 use crate::{Error, Result};
 
-/// COLMAP's name and number for a camera among the kinds of sensors.
+/// Name and number of COLMAP for cameras among the types of sensors.
 const SENSOR_CAMERA: [&str; 2] = ["CAMERA", "0"];
 
 pub(super) fn write(
     name: &str,
     model: &Reconstruction,
-    layout: &Layout,
+    rig_tables: &RigTables,
     out: &mut impl Write,
 ) -> io::Result<()> {
     match name {
         CAMERAS => write_cameras(model, out),
-        RIGS => write_rigs(layout, out),
-        FRAMES => write_frames(layout, out),
+        RIGS => write_rigs(rig_tables, out),
+        FRAMES => write_frames(rig_tables, out),
         IMAGES => write_images(model, out),
         _ => write_points(model, out),
     }
@@ -46,15 +46,15 @@ fn write_cameras(model: &Reconstruction, out: &mut impl Write) -> io::Result<()>
     Ok(())
 }
 
-fn write_rigs(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
+fn write_rigs(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "# Rig calib list with one line of data per calib:")?;
     writeln!(
         out,
         "#   RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, \
          SENSORS[] as (SENSOR_TYPE, SENSOR_ID, HAS_POSE, [QW, QX, QY, QZ, TX, TY, TZ])"
     )?;
-    writeln!(out, "# Number of rigs: {}", layout.rigs.len())?;
-    for rig in &layout.rigs {
+    writeln!(out, "# Number of rigs: {}", rig_tables.rigs.len())?;
+    for rig in &rig_tables.rigs {
         write!(out, "{} {}", rig.id, rig.cameras.len())?;
         for (k, (camera, cam_from_rig)) in rig.cameras.iter().enumerate() {
             write!(out, " {} {camera}", SENSOR_CAMERA[0])?;
@@ -69,15 +69,15 @@ fn write_rigs(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-fn write_frames(layout: &Layout, out: &mut impl Write) -> io::Result<()> {
+fn write_frames(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "# Frame list with one line of data per frame:")?;
     writeln!(
         out,
         "#   FRAME_ID, RIG_ID, RIG_FROM_WORLD[QW, QX, QY, QZ, TX, TY, TZ], NUM_DATA_IDS, \
          DATA_IDS[] as (SENSOR_TYPE, SENSOR_ID, DATA_ID)"
     )?;
-    writeln!(out, "# Number of frames: {}", layout.frames.len())?;
-    for frame in &layout.frames {
+    writeln!(out, "# Number of frames: {}", rig_tables.frames.len())?;
+    for frame in &rig_tables.frames {
         let pose = pose_numbers(&frame.rig_from_world);
         write!(out, "{} {} {} {}", frame.id, frame.rig, Numbers(&pose), frame.images.len())?;
         for (camera, image) in &frame.images {
@@ -158,7 +158,7 @@ pub(super) fn read(dir: &Path) -> Result<Tables> {
     })
 }
 
-/// One record a line.
+/// Reads one record from each line.
 fn records<T>(mut lines: Lines, record: impl Fn(&mut Words<'_>) -> Result<T>) -> Result<Vec<T>> {
     let mut records = Vec::new();
     while let Some(mut words) = lines.next()? {
@@ -181,7 +181,7 @@ fn read_camera(words: &mut Words<'_>) -> Result<(u32, Camera)> {
     Ok((id, Camera { intrinsics, width, height, has_focal_prior: false }))
 }
 
-/// A sensor's number if it is a camera, else `None`.
+/// The id of a sensor if it is a camera, else `None`.
 fn read_sensor(words: &mut Words<'_>) -> Result<Option<u32>> {
     let is_camera = SENSOR_CAMERA.contains(&words.word("a sensor's kind")?);
     let id = words.number("a sensor's id")?;
@@ -247,7 +247,7 @@ fn read_images(mut lines: Lines) -> Result<Vec<ImageRow>> {
         }
         let mut keypoints = Vec::new();
         let mut points = Vec::new();
-        // The line of keypoints follows at once and may be empty.
+        // The line of keypoints follows immediately and may be empty.
         if let Some(mut words) = lines.next_raw()? {
             while !words.is_empty() {
                 let [x, y] = words.f64s("a keypoint's x or y")?;
@@ -269,8 +269,8 @@ fn read_point(words: &mut Words<'_>) -> Result<PointRow> {
     let id = words.number("the point's id")?;
     let xyz = Vector3::from(words.f64s::<3>("the point's position")?);
     let color = [words.number("red")?, words.number("green")?, words.number("blue")?];
-    // The error is worked out anew from poses and keypoints; COLMAP writes −1 or NaN where it has
-    // none.
+    // The reprojection error is computed from poses and keypoints instead; COLMAP writes −1 or NaN
+    // where it has none.
     words.word("the point's error")?;
     let mut track = Vec::new();
     while !words.is_empty() {

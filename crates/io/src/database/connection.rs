@@ -1,4 +1,4 @@
-//! An open database: its cameras and images, and what its tables have in common.
+//! An open database: cameras, images and helpers for all tables.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,8 @@ use super::schema;
 use crate::disk::{self, Operation};
 use crate::{Error, Result};
 
-/// COLMAP numbers a pair of images as MAX_IMAGE_ID · (smaller id) + (larger id); ids are below it.
+/// Upper bound of image ids. COLMAP numbers a pair of images MAX_IMAGE_ID · (smaller id) + (larger
+/// id).
 pub(super) const MAX_IMAGE_ID: i64 = 2_147_483_647;
 
 /// An open database.
@@ -19,78 +20,93 @@ pub(super) const MAX_IMAGE_ID: i64 = 2_147_483_647;
 pub struct Database {
     pub(super) connection: Connection,
     pub(super) path: PathBuf,
-    /// The file's ids of the cameras, sorted.
+    /// Ids of the cameras in the file, ascending; the position is the [`CameraId`].
     pub(super) cameras: Vec<i64>,
-    /// The file's ids of the images, sorted.
+    /// Ids of the images in the file, ascending; the position is the [`ImageId`].
     pub(super) images: Vec<i64>,
     /// The camera of each image.
     pub(super) camera_of: Vec<CameraId>,
     pub(super) guard: Guard,
 }
 
-/// The images of one moment, taken by the cameras of one rig; their poses are not known yet.
+/// A frame as the database holds it: images that one rig took at one instant, without a pose.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Moment {
-    /// Which rig.
+pub struct DatabaseFrame {
+    /// The rig.
     pub rig: tiepoint_scene::RigId,
-    /// Its images, one a camera at most.
+    /// The images; at most one of each camera.
     pub images: Vec<ImageId>,
 }
 
 impl Database {
-    /// Opens a database that exists.
+    /// Opens an existing database.
+    ///
+    /// # Errors
+    ///
+    /// If the file does not exist, is not a database of COLMAP, or has views, virtual tables,
+    /// triggers or generated columns in place of tables.
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path))?;
-        let mut this = Self::with(connect(path, path)?, path)?;
-        // Before anything else is read: a view of that name could be without end.
-        schema::check(&this.connection).map_err(error(path))?.map_err(|what| this.content(what))?;
-        // Ignored where the file cannot be written: reading goes on.
-        let _ = this.connection.pragma_update(None, "journal_mode", "WAL");
-        this.run("PRAGMA synchronous = NORMAL;")?;
-        this.keep_rows_apart()?;
+        let mut database = Self::with(connect(path, path)?, path)?;
+        // Checked first: a view could yield rows without end.
+        schema::check(&database.connection)
+            .map_err(error(path))?
+            .map_err(|what| database.content(what))?;
+        // Fails for a read-only file, which can still be read.
+        let _ = database.connection.pragma_update(None, "journal_mode", "WAL");
+        database.run("PRAGMA synchronous = NORMAL;")?;
+        database.disable_foreign_keys()?;
         for table in schema::REQUIRED {
-            if this.columns(table)?.is_empty() {
+            if database.columns(table)?.is_empty() {
                 return Err(Error::content(
                     path,
-                    format!("is no COLMAP database: it has no table `{table}`"),
+                    format!("is not a COLMAP database: it has no table `{table}`"),
                 ));
             }
         }
-        this.cameras =
-            this.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
-        this.index_images()?;
-        Ok(this)
+        database.cameras =
+            database.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
+        database.index_images()?;
+        Ok(database)
     }
 
-    /// Without cameras and images; the errors name `path`.
+    /// A database without cameras and images; errors name `path`.
     pub(super) fn with(mut connection: Connection, path: &Path) -> Result<Self> {
         let guard = Guard::new(&mut connection).map_err(error(path))?;
         let path = path.to_owned();
         Ok(Self { connection, path, cameras: vec![], images: vec![], camera_of: vec![], guard })
     }
 
-    /// As in COLMAP: replacing an image must not take its keypoints along.
-    pub(super) fn keep_rows_apart(&self) -> Result<()> {
+    /// Switches foreign keys off, as COLMAP does: replacing an image must not delete its keypoints.
+    pub(super) fn disable_foreign_keys(&self) -> Result<()> {
         self.run("PRAGMA foreign_keys = OFF;")
     }
 
-    /// Folds the write-ahead log into the file and closes it.
-    pub fn finish(self) -> Result<()> {
-        fold_log(&self.connection).map_err(error(&self.path))?;
+    /// Checkpoints the write-ahead log and closes the file.
+    ///
+    /// # Errors
+    ///
+    /// If the log cannot be written into the file.
+    pub fn close(self) -> Result<()> {
+        checkpoint_log(&self.connection).map_err(error(&self.path))?;
         self.connection.close().map_err(|(_, cause)| error(&self.path)(cause))
     }
 
-    /// How many cameras.
+    /// Number of cameras.
     pub fn num_cameras(&self) -> usize {
         self.cameras.len()
     }
 
-    /// How many images.
+    /// Number of images.
     pub fn num_images(&self) -> usize {
         self.images.len()
     }
 
-    /// Writes all cameras, in order of their ids; those that are there are replaced.
+    /// Writes all cameras in the order of their ids. Replaces the cameras in the file.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
     pub fn write_cameras(&mut self, cameras: &[Camera]) -> Result<()> {
         self.transaction(|db| {
             db.run("DELETE FROM cameras")?;
@@ -111,8 +127,12 @@ impl Database {
         Ok(())
     }
 
-    /// Writes all images, in order of their ids; those that are there are replaced, while keypoints
-    /// and matches stay with the ids. The cameras must be there.
+    /// Writes all images in the order of their ids. Replaces the images in the file; keypoints and
+    /// matches stay with the ids. The cameras must be in the file.
+    ///
+    /// # Errors
+    ///
+    /// If an image refers to a camera that is not in the file, and if the file cannot be written.
     pub fn write_images(&mut self, images: &[Image]) -> Result<()> {
         if let Some(image) = images.iter().find(|image| image.camera.index() >= self.cameras.len())
         {
@@ -137,7 +157,11 @@ impl Database {
         Ok(())
     }
 
-    /// Reads all cameras, in order of their ids.
+    /// Reads all cameras in the order of their ids.
+    ///
+    /// # Errors
+    ///
+    /// If a camera has an unknown model or invalid parameters, and if the file cannot be read.
     pub fn read_cameras(&self) -> Result<Vec<Camera>> {
         let sql = "SELECT camera_id, model, width, height, params, prior_focal_length FROM \
         cameras ORDER BY camera_id";
@@ -160,7 +184,11 @@ impl Database {
         })
     }
 
-    /// Reads all images, in order of their ids, without keypoints.
+    /// Reads all images in the order of their ids, without keypoints.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
     pub fn read_images(&self) -> Result<Vec<Image>> {
         let names: Vec<String> =
             self.rows("SELECT name FROM images ORDER BY image_id", |row| row.get(0))?;
@@ -181,7 +209,7 @@ impl Database {
                 return Err(self.content(format!("the id of image {image} is out of range")));
             }
             let camera = self.cameras.binary_search(&camera).map_err(|_| {
-                self.content(format!("image {image} names camera {camera}, which there is not"))
+                self.content(format!("image {image} names camera {camera}, which does not exist"))
             })?;
             self.images.push(image);
             self.camera_of.push(CameraId::from_index(camera));
@@ -189,7 +217,7 @@ impl Database {
         Ok(())
     }
 
-    /// The file's id of an image.
+    /// The id in the file of an image.
     pub(super) fn file_id(&self, image: ImageId) -> Result<i64> {
         self.images.get(image.index()).copied().ok_or_else(|| {
             self.content(format!(
@@ -200,10 +228,14 @@ impl Database {
         })
     }
 
-    /// Our id of an image of the file.
-    pub(super) fn image_id(&self, file_id: i64, by: impl FnOnce() -> String) -> Result<ImageId> {
+    /// The image with an id in the file; `referrer` names the row that refers to it, for the error.
+    pub(super) fn image_id(
+        &self,
+        file_id: i64,
+        referrer: impl FnOnce() -> String,
+    ) -> Result<ImageId> {
         self.images.binary_search(&file_id).map(ImageId::from_index).map_err(|_| {
-            self.content(format!("{} names image {file_id}, which there is not", by()))
+            self.content(format!("{} names image {file_id}, which does not exist", referrer()))
         })
     }
 
@@ -211,7 +243,7 @@ impl Database {
         Error::Content { path: self.path.clone(), what }
     }
 
-    /// The names of a table's columns; none where there is no such table.
+    /// The names of the columns of a table; empty if there is no such table.
     pub(super) fn columns(&self, table: &str) -> Result<Vec<String>> {
         self.rows(&format!("SELECT name FROM pragma_table_info('{table}')"), |row| row.get(0))
     }
@@ -227,14 +259,15 @@ impl Database {
         statement.execute(params).map(drop).map_err(error(&self.path))
     }
 
-    /// All that `work` writes, or nothing.
+    /// Runs `work` in a transaction: all of its writes are committed, or none.
     pub(super) fn transaction(&self, work: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         let transaction = self.connection.unchecked_transaction().map_err(error(&self.path))?;
         work(self)?;
-        disk::before(Operation::Commit, &self.path).map_err(Error::io(&self.path))?;
+        disk::check_fault(Operation::Commit, &self.path).map_err(Error::io(&self.path))?;
         transaction.commit().map_err(error(&self.path))
     }
 
+    /// Maps the rows of a query.
     pub(super) fn rows<T>(
         &self,
         sql: &str,
@@ -246,7 +279,7 @@ impl Database {
         rows.collect::<rusqlite::Result<_>>().map_err(error(&self.path))
     }
 
-    /// The same for rows that may be wrong in our terms.
+    /// Maps the rows of a query by a function that may reject a row with an error of this crate.
     pub(super) fn try_rows<T>(
         &self,
         sql: &str,
@@ -263,8 +296,8 @@ impl Database {
     }
 }
 
-/// Opens `file` to read and write; the errors name `path`. SQLite takes names that begin with
-/// `file:` for addresses, and absolute paths do not.
+/// Opens `file` for reading and writing; errors name `path`. The path is made absolute, because
+/// SQLite takes names that begin with `file:` for URIs.
 pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
     let file = std::path::absolute(file).map_err(Error::io(path))?;
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -273,21 +306,22 @@ pub(super) fn connect(file: &Path, path: &Path) -> Result<Connection> {
     #[cfg(not(feature = "faults"))]
     let connection = Connection::open_with_flags(file, flags);
     let connection = connection.map_err(error(path))?;
-    guard::distrust(&connection).map_err(error(path))?;
+    guard::restrict_schema(&connection).map_err(error(path))?;
     Ok(connection)
 }
 
-/// Brings the write-ahead log into the file and removes it.
-pub(super) fn fold_log(connection: &Connection) -> rusqlite::Result<()> {
+/// Checkpoints the write-ahead log into the file and removes it.
+pub(super) fn checkpoint_log(connection: &Connection) -> rusqlite::Result<()> {
     for sql in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA journal_mode = DELETE"] {
         let mut statement = connection.prepare(sql)?;
         let mut rows = statement.query([])?;
-        // A failure may come after the first row.
+        // An error may follow the first row.
         while rows.next()?.is_some() {}
     }
     Ok(())
 }
 
+/// Converts an error of SQLite; an interrupted statement exceeded its limit of steps.
 pub(super) fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
     move |cause| {
         let is_stopped = cause.sqlite_error_code() == Some(ErrorCode::OperationInterrupted);
@@ -296,7 +330,7 @@ pub(super) fn error(path: &Path) -> impl Fn(rusqlite::Error) -> Error {
     }
 }
 
-/// `count` little-endian numbers, if the bytes are just that and the numbers finite.
+/// Little-endian numbers; `None` unless there are exactly `count` and all are finite.
 pub(super) fn numbers(bytes: &[u8], count: usize) -> Option<Vec<f64>> {
     let (chunks, rest) = bytes.as_chunks::<8>();
     let values: Vec<f64> = chunks.iter().map(|chunk| f64::from_le_bytes(*chunk)).collect();
@@ -304,6 +338,7 @@ pub(super) fn numbers(bytes: &[u8], count: usize) -> Option<Vec<f64>> {
         .then_some(values)
 }
 
+/// Little-endian bytes of numbers.
 pub(super) fn bytes(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }

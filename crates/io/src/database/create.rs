@@ -1,4 +1,4 @@
-//! New databases: complete or not at all.
+//! Creation of databases. A new database replaces the old one only when it is complete.
 
 use std::fs::{self, OpenOptions, TryLockError};
 use std::io;
@@ -6,33 +6,33 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, ErrorCode};
 
-use super::connection::{Database, connect, error, fold_log};
-use super::guard::beside;
+use super::connection::{Database, checkpoint_log, connect, error};
+use super::guard::side_file;
 use super::schema;
 use crate::disk::{self, WrittenFile};
 use crate::{Error, Result};
 
-/// The ends of the names of files that SQLite keeps beside a database.
-const BESIDE: [&str; 3] = ["-wal", "-shm", "-journal"];
+/// Suffixes of the files that SQLite keeps beside a database.
+const SIDE_FILE_SUFFIXES: [&str; 3] = ["-wal", "-shm", "-journal"];
 
 impl Database {
-    /// Makes a new, empty database; one of that name is replaced.
+    /// Creates an empty database; replaces a database of that name.
     ///
     /// # Errors
     ///
-    /// Those of [`Database::create_with`].
+    /// The errors of [`Database::create_with`].
     pub fn create(path: &Path) -> Result<Self> {
         Self::create_with(path, |_| Ok(()))
     }
 
-    /// Makes a new database: `fill` writes its first content, and only then does it take its name
-    /// and replace the one that was there. The folder must exist; symbolic links are followed. What
-    /// a killed run left under the temporary name goes.
+    /// Creates a database under a temporary name, lets `fill` write its first content, and renames
+    /// it to `path`, replacing the database there. The folder must exist; symbolic links are
+    /// followed. A temporary database of a killed run is removed.
     ///
     /// # Errors
     ///
-    /// Where `fill` fails, where another run is making the database or has the old one open, and
-    /// where the system refuses. The old database is then as it was.
+    /// If `fill` fails, if another run creates the database or has the old one open, and if the
+    /// system reports an error. The old database is then unchanged.
     pub fn create_with(path: &Path, fill: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         if path.file_name().is_none() {
             return Err(Error::content(path, "is not the name of a file"));
@@ -40,53 +40,53 @@ impl Database {
         let target = disk::end_of_links(path).map_err(Error::io(path))?;
         let is_there = match fs::metadata(&target) {
             Ok(found) if !found.is_file() => {
-                return Err(Error::content(path, "is there and is no file"));
+                return Err(Error::content(path, "exists and is not a regular file"));
             }
             Ok(_) => true,
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => false,
             Err(cause) => return Err(Error::io(path)(cause)),
         };
-        let part = Part::claim(path, disk::part_of(&target))?;
-        let mut this = Self::with(connect(&part.path, path)?, path)?;
-        // A run that is killed throws the part away, so nothing of it need be kept in order on the
-        // disk before its end.
-        this.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
-        this.keep_rows_apart()?;
-        this.transaction(|db| db.run(schema::CREATE))?;
-        fill(&mut this)?;
-        this.connection.close().map_err(|(_, cause)| error(path)(cause))?;
-        part.file.sync().map_err(Error::io(path))?;
+        let temporary = TemporaryDatabase::claim(path, disk::temporary_path(&target))?;
+        let mut database = Self::with(connect(&temporary.path, path)?, path)?;
+        // A killed run discards the temporary database, so that its durability does not matter
+        // before the rename.
+        database.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
+        database.disable_foreign_keys()?;
+        database.transaction(|db| db.run(schema::CREATE))?;
+        fill(&mut database)?;
+        database.connection.close().map_err(|(_, cause)| error(path)(cause))?;
+        temporary.file.sync().map_err(Error::io(path))?;
         if is_there {
-            fold(&target, path)?;
+            checkpoint_if_needed(&target, path)?;
         }
-        for suffix in BESIDE {
-            // SQLite would take them for files of the new database.
-            remove_if_there(&beside(&target, suffix)).map_err(Error::io(path))?;
+        for suffix in SIDE_FILE_SUFFIXES {
+            // SQLite would take them for the log or journal of the new database.
+            remove_if_there(&side_file(&target, suffix)).map_err(Error::io(path))?;
         }
-        part.take_name(&target).map_err(Error::io(path))?;
+        temporary.rename_to(&target).map_err(Error::io(path))?;
         Self::open(path)
     }
 }
 
-/// Brings what is in the log or journal of a database into its file; a file that is no database
-/// stays as it is.
-fn fold(file: &Path, path: &Path) -> Result<()> {
-    if !BESIDE.iter().any(|suffix| beside(file, suffix).exists()) {
+/// Merges the log or journal of a database into its file. A file that is not a database stays as it
+/// is.
+fn checkpoint_if_needed(file: &Path, path: &Path) -> Result<()> {
+    if !SIDE_FILE_SUFFIXES.iter().any(|suffix| side_file(file, suffix).exists()) {
         return Ok(());
     }
-    let fold = |connection: &Connection| {
-        // Reading rolls back what a killed transaction left.
+    let checkpoint = |connection: &Connection| {
+        // The first read rolls a journal of a killed transaction back.
         connection.query_row("SELECT count(*) FROM sqlite_master", [], |_| Ok(()))?;
-        fold_log(connection)
+        checkpoint_log(connection)
     };
     let connection = connect(file, path)?;
-    match fold(&connection) {
+    match checkpoint(&connection) {
         Err(cause)
             if matches!(
                 cause.sqlite_error_code(),
                 Some(ErrorCode::NotADatabase | ErrorCode::DatabaseCorrupt)
             ) => {}
-        folded => folded.map_err(error(path))?,
+        result => result.map_err(error(path))?,
     }
     connection.close().map_err(|(_, cause)| error(path)(cause))
 }
@@ -98,59 +98,61 @@ fn remove_if_there(path: &Path) -> io::Result<()> {
     }
 }
 
-/// A database under its temporary name; dropped, it goes.
-struct Part {
+/// A database under its temporary name; removed on drop unless it was renamed.
+struct TemporaryDatabase {
     path: PathBuf,
-    /// Is open until SQLite has closed the database: to close it ends all of the process's locks on
-    /// it.
+    /// Must stay open until SQLite has closed the database: closing any handle of a file releases
+    /// all POSIX locks of the process on it.
     file: WrittenFile,
-    has_name: bool,
+    is_renamed: bool,
 }
 
-impl Part {
-    /// Makes an empty file and locks it. One that is there and not locked was left by a run that
-    /// was killed.
-    fn claim(path: &Path, part: PathBuf) -> Result<Self> {
+impl TemporaryDatabase {
+    /// Creates and locks an empty file. An existing file without a lock was left by a killed run
+    /// and is replaced.
+    fn claim(path: &Path, temporary: PathBuf) -> Result<Self> {
         let busy = || Error::content(path, "is being written by another run: wait for it to end");
-        match fs::symlink_metadata(&part) {
+        match fs::symlink_metadata(&temporary) {
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
             Err(cause) => return Err(Error::io(path)(cause)),
             Ok(found) if !found.is_file() => {
-                return Err(Error::content(&part, "is in the way: move it away"));
+                return Err(Error::content(&temporary, "is in the way: move it away"));
             }
             Ok(_) => {
-                let left = OpenOptions::new().write(true).open(&part).map_err(Error::io(path))?;
+                let left =
+                    OpenOptions::new().write(true).open(&temporary).map_err(Error::io(path))?;
                 if let Err(TryLockError::WouldBlock) = left.try_lock() {
                     return Err(busy());
                 }
-                disk::remove_file(&part).map_err(Error::io(path))?;
+                disk::remove_file(&temporary).map_err(Error::io(path))?;
             }
         }
-        for suffix in BESIDE {
-            remove_if_there(&beside(&part, suffix)).map_err(Error::io(path))?;
+        for suffix in SIDE_FILE_SUFFIXES {
+            remove_if_there(&side_file(&temporary, suffix)).map_err(Error::io(path))?;
         }
-        let file = match WrittenFile::create_new(&part) {
+        let file = match WrittenFile::create_new(&temporary) {
             Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => return Err(busy()),
             made => made.map_err(Error::io(path))?,
         };
         if !cfg!(windows) {
-            // Locks bind SQLite on Windows; systems without locks go without.
+            // Locks are mandatory on Windows and would block SQLite. File systems without locks are
+            // accepted.
             let _ = file.file().try_lock();
         }
-        Ok(Self { path: part, file, has_name: false })
+        Ok(Self { path: temporary, file, is_renamed: false })
     }
 
-    fn take_name(mut self, target: &Path) -> io::Result<()> {
+    fn rename_to(mut self, target: &Path) -> io::Result<()> {
         disk::rename(&self.path, target)?;
-        self.has_name = true;
+        self.is_renamed = true;
         disk::sync_folder(disk::folder_of(target))
     }
 }
 
-impl Drop for Part {
+impl Drop for TemporaryDatabase {
     fn drop(&mut self) {
-        if !self.has_name {
-            // The first error is the one to report, or nobody is left to tell.
+        if !self.is_renamed {
+            // An earlier error is the one to report.
             let _ = disk::remove_file(&self.path);
         }
     }

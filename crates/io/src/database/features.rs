@@ -7,12 +7,12 @@ use tiepoint_scene::ImageId;
 use super::connection::{Database, error};
 use crate::Result;
 
-/// COLMAP's number for SIFT among the kinds of descriptors.
+/// Value of the column `type` for SIFT descriptors.
 const SIFT: i64 = 0;
 const DESCRIPTOR_BYTES: usize = std::mem::size_of::<Descriptor>();
 
-/// x, y and the affine shape that maps the unit circle to the keypoint: scale times the rotation by
-/// its orientation.
+/// The columns of a keypoint: x, y and the affine shape (a11, a12, a21, a22) that maps the unit
+/// circle to the keypoint, which is the scale times the rotation by the orientation.
 fn to_columns(keypoint: &Keypoint) -> [f32; 6] {
     let (sin, cos) = f64::from(keypoint.orientation).sin_cos();
     let (sin, cos) =
@@ -20,7 +20,8 @@ fn to_columns(keypoint: &Keypoint) -> [f32; 6] {
     [keypoint.x, keypoint.y, cos, -sin, sin, cos]
 }
 
-/// COLMAP has written three layouts: x y; x y scale orientation; x y and the affine shape.
+/// Inverse of [`to_columns`] for the three layouts of COLMAP: x y; x y scale orientation; x y and
+/// the affine shape.
 fn from_columns(columns: &[f32]) -> Option<Keypoint> {
     if !columns.iter().all(|value| value.is_finite()) {
         return None;
@@ -39,10 +40,14 @@ fn from_columns(columns: &[f32]) -> Option<Keypoint> {
 }
 
 impl Database {
-    /// Writes the keypoints and descriptors of images; those that are there are replaced.
+    /// Writes the keypoints and descriptors of images; replaces those in the file.
     ///
-    /// COLMAP's columns hold scale and orientation as an affine shape: read back, they may differ
-    /// in the last digits.
+    /// Scale and orientation are stored as an affine shape: after reading, the last digits may
+    /// differ.
+    ///
+    /// # Errors
+    ///
+    /// If an image is not in the database, and if the file cannot be written.
     pub fn write_features<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImageId, &'a Features)>,
@@ -66,12 +71,20 @@ impl Database {
         })
     }
 
-    /// Forgets all keypoints and descriptors.
+    /// Deletes all keypoints and descriptors.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
     pub fn clear_features(&mut self) -> Result<()> {
         self.transaction(|db| db.run("DELETE FROM keypoints; DELETE FROM descriptors;"))
     }
 
-    /// How many keypoints each image has; `None` where none were ever written.
+    /// The number of keypoints of each image; `None` if none were written.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist, and if the file cannot be read.
     pub fn keypoint_counts(&self) -> Result<Vec<Option<usize>>> {
         let mut counts = vec![None; self.num_images()];
         let rows: Vec<(i64, i64)> = self
@@ -83,9 +96,14 @@ impl Database {
         Ok(counts)
     }
 
-    /// Reads the keypoints of an image; none where none were written.
+    /// Reads the keypoints of an image; empty if none were written.
+    ///
+    /// # Errors
+    ///
+    /// If the image is not in the database, if its row has an unknown layout or a value that is not
+    /// finite, and if the file cannot be read.
     pub fn read_keypoints(&self, image: ImageId) -> Result<Vec<Keypoint>> {
-        let Some((_, cols, data)) = self.table_of("keypoints", "0", image)? else {
+        let Some((_, cols, data)) = self.feature_row("keypoints", "0", image)? else {
             return Ok(Vec::new());
         };
         let values: Vec<f32> =
@@ -102,13 +120,18 @@ impl Database {
             .ok_or_else(|| self.content(format!("a keypoint of image {} is not finite", image.0)))
     }
 
-    /// Reads the keypoints and descriptors of an image; none where none were written.
+    /// Reads the keypoints and descriptors of an image; empty if none were written.
+    ///
+    /// # Errors
+    ///
+    /// The errors of [`Database::read_keypoints`], descriptors other than SIFT, and different
+    /// numbers of keypoints and descriptors.
     pub fn read_features(&self, image: ImageId) -> Result<Features> {
         let keypoints = self.read_keypoints(image)?;
-        // Before COLMAP 4, all descriptors were SIFT and there was no such column.
+        // Before COLMAP 4, all descriptors were SIFT and the column `type` did not exist.
         let has_kind = self.columns("descriptors")?.iter().any(|name| name == "type");
         let kind = if has_kind { "type" } else { "0" };
-        let descriptors: Vec<Descriptor> = match self.table_of("descriptors", kind, image)? {
+        let descriptors: Vec<Descriptor> = match self.feature_row("descriptors", kind, image)? {
             None => Vec::new(),
             Some((SIFT, DESCRIPTOR_BYTES, data)) => data.as_chunks::<DESCRIPTOR_BYTES>().0.to_vec(),
             Some((kind, cols, _)) => {
@@ -130,8 +153,9 @@ impl Database {
         Ok(Features { keypoints, descriptors })
     }
 
-    /// Kind, columns and data of an image's row, once rows · columns fit the data.
-    fn table_of(
+    /// Type, number of columns and data of the row of an image. The data have the length that rows
+    /// · columns give.
+    fn feature_row(
         &self,
         table: &str,
         kind: &str,

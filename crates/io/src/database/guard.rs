@@ -1,9 +1,9 @@
-//! Databases of strangers: SQLite executes what stands in their schema, and follows what stands in
-//! their pages.
+//! Protection against malicious databases: SQLite executes code in the schema, and follows pointers
+//! in the pages.
 //!
 //! Views, triggers and functions of the schema are switched off
-//! (<https://www.sqlite.org/security.html>). What is left, tables read from end to end, takes steps
-//! in proportion to the file; more than that means pages that lead in circles.
+//! (<https://www.sqlite.org/security.html>). Full scans of tables remain; their number of steps is
+//! proportional to the length of the file. More steps mean cyclic pages.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -13,18 +13,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rusqlite::Connection;
 use rusqlite::config::DbConfig;
 
-/// What a statement says that was stopped.
+/// Error of a statement that was stopped.
 pub(super) const STOPPED: &str = "reading it takes more steps than a database of its length can \
 need: it is damaged, or made to take for ever";
-/// Steps of SQLite's machine between two looks at the count: some ten milliseconds.
+/// Instructions of the virtual machine between two calls of the progress handler: some ten
+/// milliseconds.
 const STEPS: u64 = 1 << 20;
-/// Steps that any statement may take, and as many for each byte of the file: a row has four bytes
-/// or more, and takes a dozen steps.
+/// Limit of instructions of a statement: a constant, plus a number for each byte of the file. A row
+/// has four bytes or more and takes a dozen instructions.
 const FREE_STEPS: u64 = 16 << 20;
 const STEPS_PER_BYTE: u64 = 64;
 
-/// Switches off what a schema can do beyond holding rows.
-pub(super) fn distrust(connection: &Connection) -> rusqlite::Result<()> {
+/// Switches off all features of a schema other than tables.
+pub(super) fn restrict_schema(connection: &Connection) -> rusqlite::Result<()> {
     for (config, is_on) in [
         (DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false),
         (DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false),
@@ -49,7 +50,7 @@ impl Guard {
         let is_too_much = move || {
             let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
             let bytes =
-                file.as_deref().map_or(0, |file| length(file) + length(&beside(file, "-wal")));
+                file.as_deref().map_or(0, |file| length(file) + length(&side_file(file, "-wal")));
             let allowed = STEPS_PER_BYTE.saturating_mul(bytes).saturating_add(FREE_STEPS);
             counted.fetch_add(STEPS, Ordering::Relaxed) > allowed
         };
@@ -57,14 +58,14 @@ impl Guard {
         Ok(Self { steps })
     }
 
-    /// Another statement begins.
+    /// Resets the count at the beginning of a statement.
     pub(super) fn begin(&self) {
         self.steps.store(0, Ordering::Relaxed);
     }
 }
 
-/// A file that SQLite keeps beside a database.
-pub(super) fn beside(file: &Path, suffix: &str) -> PathBuf {
+/// Path of a file that SQLite keeps beside a database.
+pub(super) fn side_file(file: &Path, suffix: &str) -> PathBuf {
     let mut name: OsString = file.as_os_str().to_owned();
     name.push(suffix);
     name.into()

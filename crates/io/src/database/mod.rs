@@ -1,14 +1,15 @@
-//! COLMAP's database: one SQLite file with cameras, rigs, images, frames, keypoints, descriptors,
-//! matches and two-view geometries. Written with the schema of COLMAP 4.2.1; read from any version.
+//! The database of COLMAP: one SQLite file with cameras, rigs, images, frames, keypoints,
+//! descriptors, matches and two-view geometries. Written with the schema of COLMAP 4.2.1; read from
+//! any version.
 //!
-//! An id in the file is ours plus one where the file is ours. In a file of somebody else, the ids
-//! of images and cameras are numbered in their order.
+//! In a file of this program, an id is the index of [`tiepoint_scene`] plus one. The images and
+//! cameras of a file of another program get indices in the order of their ids.
 //!
-//! Every `write_*` is one transaction. While it runs, the file has a write-ahead log beside it;
-//! [`Database::finish`] folds the log in, so that one file remains.
+//! Each `write_*` is one transaction. An open file has a write-ahead log beside it;
+//! [`Database::close`] checkpoints the log, so that one file remains.
 //!
-//! One table is not COLMAP's: `tiepoint_stages`, which tells what the rest was made from. COLMAP
-//! passes it by.
+//! One table is not in COLMAP's schema: `tiepoint_stages` records the inputs of the stages that
+//! filled the other tables. COLMAP ignores it.
 
 mod connection;
 mod create;
@@ -19,5 +20,5 @@ mod rigs;
 mod schema;
 mod stages;
 
-pub use connection::{Database, Moment};
+pub use connection::{Database, DatabaseFrame};
 pub use stages::{StageRow, read_stage_rows};

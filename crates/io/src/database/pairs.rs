@@ -21,21 +21,25 @@ const KINDS: [TwoViewKind; 9] = [
     TwoViewKind::Watermark,
     TwoViewKind::Multiple,
 ];
-/// COLMAP: an essential matrix from the poses of a calibrated rig.
+/// Configuration of COLMAP: the relative pose follows from a calibrated rig.
 const CALIBRATED_RIG: i64 = 9;
 
 fn match_bytes(matches: &[Match]) -> Vec<u8> {
     matches.iter().flat_map(|m| [m.a, m.b]).flat_map(u32::to_le_bytes).collect()
 }
 
-/// Matrices lie row by row in the file and column by column in memory.
+/// The file stores matrices by rows, nalgebra by columns.
 fn matrix_bytes(matrix: Option<&Matrix3<f64>>) -> Option<Vec<u8>> {
     matrix.map(|matrix| bytes(matrix.transpose().as_slice()))
 }
 
 impl Database {
-    /// Writes the matches of pairs; those that are there are replaced. The first column of COLMAP's
-    /// table belongs to the image with the smaller id, as in [`ImagePair`].
+    /// Writes the matches of pairs; replaces those in the file. The first column belongs to the
+    /// image with the smaller id, as in [`ImagePair`].
+    ///
+    /// # Errors
+    ///
+    /// If a pair has an image that is not in the database, and if the file cannot be written.
     pub fn write_matches<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a [Match])>,
@@ -45,7 +49,11 @@ impl Database {
         })
     }
 
-    /// Writes two-view geometries of pairs; those that are there are replaced.
+    /// Writes two-view geometries of pairs; replaces those in the file.
+    ///
+    /// # Errors
+    ///
+    /// If a pair has an image that is not in the database, and if the file cannot be written.
     pub fn write_two_views<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
@@ -55,12 +63,12 @@ impl Database {
         })
     }
 
-    /// Writes the matches and the two-view geometries of pairs in one transaction, so that no pair
-    /// has one without the other; those that are there are replaced.
+    /// Writes matches and two-view geometries of pairs in one transaction, so that every pair has
+    /// both or neither; replaces those in the file.
     ///
     /// # Errors
     ///
-    /// Where a pair names an image that the database lacks, and where the file cannot be written.
+    /// If a pair has an image that is not in the database, and if the file cannot be written.
     pub fn write_pairs<'a>(
         &mut self,
         batch: impl IntoIterator<Item = (ImagePair, &'a [Match], &'a TwoView)>,
@@ -78,7 +86,7 @@ impl Database {
             "INSERT OR REPLACE INTO matches(pair_id, rows, cols, data) VALUES (?1, ?2, 2, ?3)";
         self.execute(
             sql,
-            params![self.pair_number(pair)?, matches.len() as i64, match_bytes(matches)],
+            params![self.pair_id_of(pair)?, matches.len() as i64, match_bytes(matches)],
         )
     }
 
@@ -90,7 +98,7 @@ impl Database {
         self.execute(
             sql,
             params![
-                self.pair_number(pair)?,
+                self.pair_id_of(pair)?,
                 view.matches.len() as i64,
                 match_bytes(&view.matches),
                 view.kind as i64,
@@ -103,17 +111,21 @@ impl Database {
         )
     }
 
-    /// Forgets all matches and two-view geometries.
+    /// Deletes all matches and two-view geometries.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
     pub fn clear_matches(&mut self) -> Result<()> {
         self.transaction(Self::delete_matches)
     }
 
-    /// Forgets all matches and two-view geometries and replaces the rows on stages, in one
+    /// Deletes all matches and two-view geometries and replaces the records of stages, in one
     /// transaction.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be written.
+    /// If the file cannot be written.
     pub fn clear_matches_for(&mut self, rows: &[StageRow]) -> Result<()> {
         self.transaction(|db| {
             db.delete_matches()?;
@@ -125,19 +137,33 @@ impl Database {
         self.run("DELETE FROM matches; DELETE FROM two_view_geometries;")
     }
 
-    /// Forgets all two-view geometries.
+    /// Deletes all two-view geometries.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
     pub fn clear_two_views(&mut self) -> Result<()> {
         self.transaction(|db| db.run("DELETE FROM two_view_geometries"))
     }
 
-    /// The pairs that have been matched, sorted.
+    /// The pairs with a row of matches, sorted.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist or has invalid content, and if the file
+    /// cannot be read.
     pub fn matched_pairs(&self) -> Result<Vec<ImagePair>> {
         let numbers =
             self.rows("SELECT pair_id FROM matches ORDER BY pair_id", |row| row.get(0))?;
         numbers.into_iter().map(|number| self.pair(number)).collect()
     }
 
-    /// How many matches each pair has, sorted by pair; the matches themselves are not read.
+    /// The number of matches of each pair, sorted by pair, without reading the matches.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist or has invalid content, and if the file
+    /// cannot be read.
     pub fn match_counts(&self) -> Result<Vec<(ImagePair, usize)>> {
         let counts = self.rows("SELECT pair_id, rows FROM matches ORDER BY pair_id", |row| {
             Ok((row.get::<_, i64>(0)?, row.get::<_, i64>(1)?))
@@ -148,8 +174,13 @@ impl Database {
             .collect()
     }
 
-    /// How many matches each two-view geometry has if it is a relation at all, else none; sorted by
-    /// pair.
+    /// The number of inlier matches of each two-view geometry, sorted by pair; `None` if the
+    /// geometry is not verified.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist or has invalid content, and if the file
+    /// cannot be read.
     pub fn inlier_counts(&self) -> Result<Vec<(ImagePair, Option<usize>)>> {
         let sql = "SELECT pair_id, rows, config FROM two_view_geometries ORDER BY pair_id";
         let counts = self.rows(sql, |row| {
@@ -163,6 +194,11 @@ impl Database {
     }
 
     /// Reads all matches, sorted by pair.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist or has invalid content, and if the file
+    /// cannot be read.
     pub fn read_matches(&self) -> Result<Vec<(ImagePair, Vec<Match>)>> {
         let sql = "SELECT pair_id, rows, cols, data FROM matches ORDER BY pair_id";
         self.try_rows(sql, |row| {
@@ -171,6 +207,11 @@ impl Database {
     }
 
     /// Reads all two-view geometries, sorted by pair.
+    ///
+    /// # Errors
+    ///
+    /// If a row belongs to an image that does not exist or has invalid content, and if the file
+    /// cannot be read.
     pub fn read_two_views(&self) -> Result<Vec<(ImagePair, TwoView)>> {
         // Older files lack the pose.
         let has_pose = self.columns("two_view_geometries")?.iter().any(|name| name == "qvec");
@@ -224,7 +265,7 @@ impl Database {
         })
     }
 
-    fn pair_number(&self, pair: ImagePair) -> Result<i64> {
+    fn pair_id_of(&self, pair: ImagePair) -> Result<i64> {
         Ok(MAX_IMAGE_ID * self.file_id(pair.a)? + self.file_id(pair.b)?)
     }
 
@@ -237,7 +278,7 @@ impl Database {
             .ok_or_else(|| self.content(format!("pair {number} is of images {} and {}", a.0, b.0)))
     }
 
-    /// From the columns rows, cols, data at 1, 2, 3.
+    /// Matches of a row with the columns pair_id, rows, cols, data.
     fn matches(&self, row: &Row<'_>) -> Result<Vec<Match>> {
         let get = || Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?));
         let (number, rows, cols, data): (i64, i64, i64, Option<Vec<u8>>) =

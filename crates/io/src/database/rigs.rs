@@ -1,4 +1,4 @@
-//! Rigs and the moments at which they took images.
+//! Rigs and frames.
 
 use std::collections::BTreeMap;
 
@@ -7,18 +7,23 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{CameraId, ImageId, Rig, RigId, RigSensor};
 
-use super::connection::{Database, Moment, bytes, numbers};
+use super::connection::{Database, DatabaseFrame, bytes, numbers};
 use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 
-/// COLMAP's number for a camera among the kinds of sensors.
+/// Value of COLMAP for cameras among the types of sensors.
 const SENSOR_CAMERA: i64 = 0;
 
 impl Database {
-    /// Writes the rigs and moments; those that are there are replaced. A camera on no rig gets one
-    /// of its own, and an image in no moment too, since COLMAP wants both: `write_rigs(&[], &[])`
-    /// for cameras that do not ride together. Cameras and images must be there.
-    pub fn write_rigs(&mut self, rigs: &[Rig], moments: &[Moment]) -> Result<()> {
+    /// Writes the rigs and frames; replaces those in the file. A camera in no rig gets a rig of its
+    /// own, and an image in no frame gets a frame of its own, because COLMAP requires both:
+    /// `write_rigs(&[], &[])` is for independent cameras. Cameras and images must be in the file.
+    ///
+    /// # Errors
+    ///
+    /// If a camera is in two rigs, if an image is in two frames or in a frame of a rig without its
+    /// camera, if a camera or an image is not in the file, and if the file cannot be written.
+    pub fn write_rigs(&mut self, rigs: &[Rig], frames: &[DatabaseFrame]) -> Result<()> {
         let mut rig_of: Vec<Option<usize>> = vec![None; self.num_cameras()];
         for (index, rig) in rigs.iter().enumerate() {
             for sensor in &rig.sensors {
@@ -37,18 +42,16 @@ impl Database {
                 }
             }
         }
-        let mut moment_of: Vec<Option<usize>> = vec![None; self.num_images()];
-        for (index, moment) in moments.iter().enumerate() {
-            for image in &moment.images {
+        let mut frame_of: Vec<Option<usize>> = vec![None; self.num_images()];
+        for (index, frame) in frames.iter().enumerate() {
+            for image in &frame.images {
                 self.file_id(*image)?;
-                if rig_of[self.camera_of[image.index()].index()] != Some(moment.rig.index()) {
-                    return Err(self.content(format!(
-                        "moment {index} holds image {} of another rig",
-                        image.0
-                    )));
+                if rig_of[self.camera_of[image.index()].index()] != Some(frame.rig.index()) {
+                    return Err(self
+                        .content(format!("frame {index} holds image {} of another rig", image.0)));
                 }
-                if moment_of[image.index()].replace(index).is_some() {
-                    return Err(self.content(format!("image {} is in two moments", image.0)));
+                if frame_of[image.index()].replace(index).is_some() {
+                    return Err(self.content(format!("image {} is in two frames", image.0)));
                 }
             }
         }
@@ -96,36 +99,42 @@ impl Database {
                 }
                 Ok(())
             };
-            for (index, moment) in moments.iter().enumerate() {
-                new_frame(index, moment.rig.index(), &moment.images)?;
+            for (index, frame) in frames.iter().enumerate() {
+                new_frame(index, frame.rig.index(), &frame.images)?;
             }
-            for (image, _) in moment_of.iter().enumerate().filter(|(_, moment)| moment.is_none()) {
+            for (image, _) in frame_of.iter().enumerate().filter(|(_, frame)| frame.is_none()) {
                 let camera = db.camera_of[image].index();
                 let rig = rig_of[camera].unwrap_or(rigs.len() + camera);
-                new_frame(moments.len() + image, rig, &[ImageId::from_index(image)])?;
+                new_frame(frames.len() + image, rig, &[ImageId::from_index(image)])?;
             }
             Ok(())
         })
     }
 
-    /// Reads the rigs of more than one camera, and the moments at which they took images.
-    pub fn read_rigs(&self) -> Result<(Vec<Rig>, Vec<Moment>)> {
+    /// Reads the rigs of several cameras and their frames.
+    ///
+    /// # Errors
+    ///
+    /// If a rig or a frame is listed twice, refers to a camera or an image that does not exist, or
+    /// has an invalid pose, and if the file cannot be read.
+    pub fn read_rigs(&self) -> Result<(Vec<Rig>, Vec<DatabaseFrame>)> {
         if self.columns("rig_sensors")?.is_empty() {
             return Ok((Vec::new(), Vec::new())); // a file older than COLMAP 3.12
         }
         let camera = |file_id: i64| {
             let found = self.cameras.binary_search(&file_id).map(CameraId::from_index);
             found.map_err(|_| {
-                self.content(format!("a rig names camera {file_id}, which there is not"))
+                self.content(format!("a rig names camera {file_id}, which does not exist"))
             })
         };
-        // Two plain queries and no join: where a hostile file lists a rig twice, a join would
+        // Two queries instead of a join: if a malicious file lists a rig twice, a join would
         // multiply its sensors.
-        let references: BTreeMap<i64, i64> = self.pairs(&format!(
+        let references: BTreeMap<i64, i64> = self.unique_rows(&format!(
             "SELECT rig_id, ref_sensor_id FROM rigs WHERE ref_sensor_type = {SENSOR_CAMERA} ORDER \
             BY rig_id"
         ))?;
-        // Rigs are listed by those sensors that are not the reference: a rig of one does not occur.
+        // The table holds the sensors other than the reference, so that a rig of one camera does
+        // not occur.
         type SensorRow = (i64, i64, Option<Vec<u8>>);
         let rows: Vec<SensorRow> = self.rows(
             &format!(
@@ -164,7 +173,7 @@ impl Database {
             }
         }
         let rig_of: BTreeMap<i64, i64> =
-            self.pairs("SELECT frame_id, rig_id FROM frames ORDER BY frame_id")?;
+            self.unique_rows("SELECT frame_id, rig_id FROM frames ORDER BY frame_id")?;
         let rows: Vec<(i64, i64)> = self.rows(
             &format!(
                 "SELECT frame_id, data_id FROM frame_data WHERE sensor_type = {SENSOR_CAMERA} \
@@ -172,30 +181,32 @@ impl Database {
             ),
             |row| Ok((row.get(0)?, row.get(1)?)),
         )?;
-        let mut moments: Vec<Moment> = Vec::new();
+        let mut frames: Vec<DatabaseFrame> = Vec::new();
         let mut last = None;
-        for (frame, image) in rows {
-            let Some(Ok(rig)) = rig_of.get(&frame).map(|rig| ids.binary_search(rig)) else {
+        for (frame_id, image) in rows {
+            let Some(Ok(rig)) = rig_of.get(&frame_id).map(|rig| ids.binary_search(rig)) else {
                 continue;
             };
-            let image = self.image_id(image, || format!("frame {frame}"))?;
-            match moments.last_mut().filter(|_| last == Some(frame)) {
-                Some(moment) => moment.images.push(image),
-                None => moments.push(Moment { rig: RigId::from_index(rig), images: vec![image] }),
+            let image = self.image_id(image, || format!("frame {frame_id}"))?;
+            match frames.last_mut().filter(|_| last == Some(frame_id)) {
+                Some(frame) => frame.images.push(image),
+                None => {
+                    frames.push(DatabaseFrame { rig: RigId::from_index(rig), images: vec![image] })
+                }
             }
-            last = Some(frame);
+            last = Some(frame_id);
         }
-        Ok((rigs, moments))
+        Ok((rigs, frames))
     }
 
-    /// The rows of two numbers, of which the first must differ from row to row.
-    fn pairs(&self, sql: &str) -> Result<BTreeMap<i64, i64>> {
+    /// Rows of a unique key and a value.
+    fn unique_rows(&self, sql: &str) -> Result<BTreeMap<i64, i64>> {
         let rows: Vec<(i64, i64)> = self.rows(sql, |row| Ok((row.get(0)?, row.get(1)?)))?;
         let count = rows.len();
-        let pairs: BTreeMap<i64, i64> = rows.into_iter().collect();
-        if pairs.len() < count {
+        let unique: BTreeMap<i64, i64> = rows.into_iter().collect();
+        if unique.len() < count {
             return Err(self.content("a rig or a frame is listed twice".to_owned()));
         }
-        Ok(pairs)
+        Ok(unique)
     }
 }

@@ -1,18 +1,18 @@
-//! The tables, as COLMAP 4.2.1 makes them.
+//! The tables of COLMAP 4.2.1.
 
 use rusqlite::Connection;
 
-/// What a database of any version has.
+/// Tables of every version.
 pub(super) const REQUIRED: [&str; 6] =
     ["cameras", "images", "keypoints", "descriptors", "matches", "two_view_geometries"];
 
-/// What newer ones have, too; and our own.
+/// Tables of newer versions, and our own.
 const OPTIONAL: [&str; 6] =
     ["rigs", "rig_sensors", "frames", "frame_data", "pose_priors", "tiepoint_stages"];
 
-/// Whether all that is read is plain tables: a view under such a name may be without end, a virtual
-/// table may be anything, a generated column computes, and a trigger would write what nobody asked
-/// for. If not, why.
+/// Checks that all tables that are read are ordinary tables; the inner error names the first one
+/// that is not. A view may be without end, a virtual table may run any code, a generated column
+/// computes, and a trigger would write.
 pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), String>> {
     let mut statement =
         connection.prepare("SELECT type, name, tbl_name, rootpage FROM sqlite_master")?;
@@ -50,8 +50,7 @@ pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), Stri
     Ok(Ok(()))
 }
 
-/// `user_version` is 1000000 · major + 10000 · minor + 100 · patch of the COLMAP version whose
-/// schema this is.
+/// Version `user_version` of the schema: 1000000 · major + 10000 · minor + 100 · patch of COLMAP.
 pub(super) const CREATE: &str = "
 CREATE TABLE rigs (
     rig_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,

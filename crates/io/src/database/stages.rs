@@ -1,4 +1,5 @@
-//! What the database was made from: a table of ours, which COLMAP passes by.
+//! The table `tiepoint_stages`: the inputs from which the content of the database was computed.
+//! COLMAP ignores it.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
@@ -8,7 +9,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags, params};
 
 use super::connection::{Database, connect, error};
-use super::guard::{self, Guard, beside};
+use super::guard::{self, Guard, side_file};
 use super::schema;
 use crate::{Error, Result, disk};
 
@@ -18,45 +19,46 @@ const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \
 const FIND: &str =
     "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'tiepoint_stages'";
 const READ: &str = "SELECT stage, is_complete, recipe FROM tiepoint_stages ORDER BY rowid";
-/// Bytes 18 and 19 of a database tell how it is written and read: 2 with a write-ahead log.
+/// Range of the file format versions for writing and reading in the header of a database, and their
+/// values in WAL mode (<https://www.sqlite.org/fileformat.html>, section 1.3).
 const VERSIONS: std::ops::Range<usize> = 18..20;
-const WITH_LOG: [u8; 2] = [2, 2];
-/// SQLite's file system without locks.
+const WAL: [u8; 2] = [2, 2];
+/// SQLite's VFS without locks.
 const LOCKLESS: &str = if cfg!(windows) { "win32-none" } else { "unix-none" };
 
-/// What a stage of the pipeline left in the database.
+/// The record of a stage of the pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageRow {
-    /// Its name; no two rows have the same.
+    /// Name of the stage; unique.
     pub stage: String,
-    /// Whether it ran to its end.
+    /// Whether the stage is complete.
     pub is_complete: bool,
-    /// What it was made from, in the words of the one who writes it.
+    /// The inputs of the stage, in the format of the caller.
     pub recipe: String,
 }
 
 impl Database {
-    /// Reads the rows on stages, in the order in which they were written; `None` where nobody wrote
-    /// any.
+    /// Reads the records of the stages in the order in which they were written; `None` if the table
+    /// does not exist.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read.
+    /// If the file cannot be read.
     pub fn stage_rows(&self) -> Result<Option<Vec<StageRow>>> {
         self.guard.begin();
         read(&self.connection).map_err(error(&self.path))
     }
 
-    /// Replaces all rows on stages.
+    /// Replaces all records of stages.
     ///
     /// # Errors
     ///
-    /// Where two rows have the same name, and where the file cannot be written.
+    /// If two records have the same name, and if the file cannot be written.
     pub fn write_stage_rows(&mut self, rows: &[StageRow]) -> Result<()> {
         self.transaction(|db| db.replace_stage_rows(rows))
     }
 
-    /// The same inside of a transaction.
+    /// Replaces all records of stages inside of a transaction.
     pub(super) fn replace_stage_rows(&self, rows: &[StageRow]) -> Result<()> {
         self.run(CREATE)?;
         self.run("DELETE FROM tiepoint_stages")?;
@@ -68,13 +70,13 @@ impl Database {
     }
 }
 
-/// Reads the rows on stages of a database, in the order in which they were written; `None` where
-/// nobody wrote any. Neither the file nor its folder need be writable; files beside the database
-/// stay as they are, and none are added.
+/// Reads the records of the stages of a database without opening it for writing, in the order in
+/// which they were written; `None` if the table does not exist. The file and its folder may be
+/// read-only; files beside the database are neither changed nor created.
 ///
 /// # Errors
 ///
-/// Where there is no database, and where it cannot be read.
+/// If there is no database, and if it cannot be read.
 pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     let file = std::path::absolute(disk::end_of_links(path).map_err(Error::io(path))?);
     let file = file.map_err(Error::io(path))?;
@@ -82,54 +84,54 @@ pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     let whole =
         |rows: std::result::Result<_, String>| rows.map_err(|what| Error::content(path, what));
     match rows {
-        // What a killed transaction of somebody else left must be rolled back, which is a change.
-        Err(cause) if is_read_only(&cause) && beside(&file, "-journal").exists() => {
+        // A journal of a killed transaction must be rolled back, which writes to the file.
+        Err(cause) if is_read_only(&cause) && side_file(&file, "-journal").exists() => {
             read_guarded(&mut connect(&file, path)?).map_err(error(path)).and_then(whole)
         }
         rows => rows.map_err(error(path)).and_then(whole),
     }
 }
 
-/// Opens a database so that reading it changes no file.
+/// Opens a database such that reading changes no file.
 fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>> {
     std::fs::metadata(file).map_err(Error::io(path))?;
-    let has_log = std::fs::metadata(beside(file, "-wal")).is_ok_and(|found| found.len() > 0);
-    // Who has the database and its log open has the index of the log, too.
-    let has_index = beside(file, "-shm").exists();
-    let would_make_log = !has_log && !has_index && wants_log(file).map_err(Error::io(path))?;
+    let has_wal = std::fs::metadata(side_file(file, "-wal")).is_ok_and(|found| found.len() > 0);
+    // A process with an open database in WAL mode keeps the index of the log (`-shm`).
+    let has_shm = side_file(file, "-shm").exists();
+    let would_create_wal = !has_wal && !has_shm && uses_wal(file).map_err(Error::io(path))?;
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let open = || -> rusqlite::Result<Connection> {
-        let connection = if would_make_log {
-            Connection::open_with_flags(unchanging(file), flags | OpenFlags::SQLITE_OPEN_URI)?
-        } else if has_log && !has_index {
-            // Alone with the log, SQLite keeps the index in memory. Locks would need a file that
-            // can be written.
+        let connection = if would_create_wal {
+            Connection::open_with_flags(immutable_uri(file), flags | OpenFlags::SQLITE_OPEN_URI)?
+        } else if has_wal && !has_shm {
+            // In exclusive mode SQLite keeps the index of the log in memory. Locks would need a
+            // writable file.
             let connection = Connection::open_with_flags_and_vfs(file, flags, LOCKLESS)?;
             connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
             connection
         } else {
             Connection::open_with_flags(file, flags)?
         };
-        guard::distrust(&connection)?;
-        // The log stays for the next one who writes.
+        guard::restrict_schema(&connection)?;
+        // No checkpoint on close: it would write to the file.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
         Ok(connection)
     };
     Ok(open())
 }
 
-/// Whether a database is written with a log. Only for one that this process does not have open: to
-/// close a file ends all of the process's locks on it.
-fn wants_log(file: &Path) -> std::io::Result<bool> {
+/// Whether a database is in WAL mode. Only for a database that this process does not have open:
+/// closing a file releases all POSIX locks of the process on it.
+fn uses_wal(file: &Path) -> std::io::Result<bool> {
     let mut header = [0; VERSIONS.end];
     match File::open(file)?.read_exact(&mut header) {
         Err(cause) if cause.kind() == ErrorKind::UnexpectedEof => Ok(false),
-        read => read.map(|()| header[VERSIONS] == WITH_LOG),
+        read => read.map(|()| header[VERSIONS] == WAL),
     }
 }
 
-/// The same of a database that nobody has looked at; why not, where its tables are not what they
-/// seem.
+/// Checks the schema of a database and reads its stages; the inner error says why a table is
+/// refused.
 fn read_guarded(
     connection: &mut Connection,
 ) -> rusqlite::Result<std::result::Result<Option<Vec<StageRow>>, String>> {
@@ -155,8 +157,8 @@ fn is_read_only(cause: &rusqlite::Error) -> bool {
     matches!(cause.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen))
 }
 
-/// SQLite's address of an absolute path, as that of a file that does not change.
-fn unchanging(file: &Path) -> String {
+/// The URI of an absolute path with `immutable=1`: SQLite then takes no locks and looks for no log.
+fn immutable_uri(file: &Path) -> String {
     #[cfg(unix)]
     let bytes = std::os::unix::ffi::OsStrExt::as_bytes(file.as_os_str()).to_vec();
     #[cfg(not(unix))]

@@ -1,5 +1,5 @@
-//! Faults of the file system, for tests: under a folder, one change can be made to fail, and all
-//! can be recorded.
+//! Injected faults of the file system, for tests: one change under a folder can be made to fail,
+//! and all changes can be recorded.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,25 +9,25 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use super::operation::Operation;
 use super::paths::folder_of;
 
-/// The system's numbers for an error of a disk and for a full one.
+/// Error codes of the system for a device error and for a full disk.
 const BROKEN: i32 = if cfg!(windows) { 1117 } else { 5 };
 const FULL: i32 = if cfg!(windows) { 112 } else { 28 };
 
 /// How a change fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// As if the program was killed: this change and all later ones fail and do nothing, but that
-    /// half of this write is done.
+    /// The program is killed: this change and all later ones fail without an effect. If this change
+    /// is a write, half of its bytes are written.
     Stop,
-    /// The disk is full from here on: nothing can be made or written, while names can be changed
-    /// and removed.
+    /// The disk is full from this change on: files and folders can be neither created nor written;
+    /// renames and removals work.
     Full,
     /// This change alone fails.
     Fail,
 }
 
-/// Watches the changes under a folder until it is dropped. Tests that run at the same time have
-/// folders of their own.
+/// Watches the changes under a folder until it is dropped. Tests that run at the same time use
+/// different folders.
 #[derive(Debug)]
 pub struct Faults {
     id: u64,
@@ -39,14 +39,14 @@ struct Watch {
     at: Option<(usize, Kind)>,
     log: Vec<(Operation, PathBuf)>,
     hit: bool,
-    /// The path of a write that failed, until its half is written.
+    /// The path of a failed write of which half is still to be written.
     half: Option<PathBuf>,
 }
 
 static WATCHES: Mutex<Vec<Watch>> = Mutex::new(Vec::new());
 
 impl Faults {
-    /// Records the changes under `root`, a folder that exists.
+    /// Records the changes under `root`, which exists.
     pub fn count(root: &Path) -> Self {
         Self::watch(root, None)
     }
@@ -64,7 +64,7 @@ impl Faults {
         Self { id }
     }
 
-    /// All changes so far, with those that were made to fail.
+    /// All changes so far, including the failed ones.
     pub fn log(&self) -> Vec<(Operation, PathBuf)> {
         self.with(|watch| watch.log.clone())
     }
@@ -89,7 +89,7 @@ fn watches() -> MutexGuard<'static, Vec<Watch>> {
     WATCHES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
+pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     let mut watches = watches();
     if watches.is_empty() {
         return Ok(());
@@ -99,11 +99,11 @@ pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
         let index = watch.log.len();
         watch.log.push((operation, path.clone()));
         let Some((n, kind)) = watch.at.filter(|(n, _)| *n <= index) else { return Ok(()) };
-        let grows =
+        let needs_space =
             matches!(operation, Operation::Create | Operation::Write | Operation::CreateFolder);
         let failed = match kind {
             Kind::Stop => io::Error::other("stopped"),
-            Kind::Full if grows => io::Error::from_raw_os_error(FULL),
+            Kind::Full if needs_space => io::Error::from_raw_os_error(FULL),
             Kind::Fail if index == n => io::Error::from_raw_os_error(BROKEN),
             Kind::Full | Kind::Fail => return Ok(()),
         };
@@ -114,15 +114,15 @@ pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
     })
 }
 
-/// How many bytes of a write that failed reach the file.
-pub(crate) fn torn(path: &Path, length: usize) -> usize {
+/// Number of bytes of a failed write that reach the file.
+pub(crate) fn partial_write_len(path: &Path, length: usize) -> usize {
     let path = resolved(path);
-    let was_half =
+    let is_partial =
         watches().iter_mut().any(|watch| watch.half.take_if(|half| *half == path).is_some());
-    if was_half { length / 2 } else { 0 }
+    if is_partial { length / 2 } else { 0 }
 }
 
-/// The absolute path without links above the last name, whether anything is there or not.
+/// The absolute path with the links of its folders resolved; nothing need exist there.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let Some(name) = path.file_name() else { return path };

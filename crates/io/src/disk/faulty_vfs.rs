@@ -1,5 +1,5 @@
-//! SQLite's way to the disk, with faults: the usual one behind [`before`], for databases, journals
-//! and logs. The index of a log is memory that processes share, and is passed through.
+//! A VFS of SQLite with injected faults: the default VFS behind [`check_fault`], for databases,
+//! journals and logs. The index of a log (`-shm`) is shared memory and is passed through.
 
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::io;
@@ -9,49 +9,49 @@ use std::sync::Once;
 
 use rusqlite::ffi::{self, sqlite3_file, sqlite3_int64, sqlite3_io_methods, sqlite3_vfs};
 
-use super::{Operation, before, faults};
+use super::{Operation, check_fault, faults};
 
 const NAME: &CStr = c"tiepoint-faults";
 const WATCHED: c_int =
     ffi::SQLITE_OPEN_MAIN_DB | ffi::SQLITE_OPEN_MAIN_JOURNAL | ffi::SQLITE_OPEN_WAL;
-/// Bytes before the usual file; a multiple of every alignment.
+/// Offset of the file of the default VFS; a multiple of every alignment.
 const INNER: usize = size_of::<OuterFile>().next_multiple_of(16);
 
-/// What SQLite takes for its file; the usual file follows.
+/// The file of SQLite; the file of the default VFS follows in memory.
 #[repr(C)]
 struct OuterFile {
     base: sqlite3_file,
-    /// From `Box::into_raw`; null where the file is not watched.
+    /// From `Box::into_raw`; null for a file that is not watched.
     path: *mut PathBuf,
 }
 
-/// The name of the way, which is registered with SQLite.
+/// The name of the VFS, which is registered with SQLite at the first call.
 pub(crate) fn name() -> &'static CStr {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
-        // SAFETY: SQLite's own way to the disk lives as long as the program, and its description
-        // may be copied; the copy is leaked, so that it lives as long. The functions that are
-        // copied do not look at the description they are given; those that do are replaced and give
-        // the usual one.
+        // SAFETY: the default VFS lives as long as the program, and its description may be copied;
+        // the copy is leaked, so that it lives as long. The copied functions do not use the
+        // description that they are given; the functions that do are replaced and pass on the
+        // default one.
         unsafe {
-            let usual = ffi::sqlite3_vfs_find(ptr::null());
-            if usual.is_null() {
+            let default_vfs = ffi::sqlite3_vfs_find(ptr::null());
+            if default_vfs.is_null() {
                 return;
             }
-            let faulty = Box::leak(Box::new(*usual));
-            faulty.szOsFile += INNER as c_int;
-            faulty.pNext = ptr::null_mut();
-            faulty.zName = NAME.as_ptr();
-            faulty.pAppData = usual.cast();
-            faulty.xOpen = Some(open);
-            faulty.xDelete = Some(delete);
-            ffi::sqlite3_vfs_register(faulty, 0);
+            let faulty_vfs = Box::leak(Box::new(*default_vfs));
+            faulty_vfs.szOsFile += INNER as c_int;
+            faulty_vfs.pNext = ptr::null_mut();
+            faulty_vfs.zName = NAME.as_ptr();
+            faulty_vfs.pAppData = default_vfs.cast();
+            faulty_vfs.xOpen = Some(open);
+            faulty_vfs.xDelete = Some(delete);
+            ffi::sqlite3_vfs_register(faulty_vfs, 0);
         }
     });
     NAME
 }
 
-/// SQLite's number for an error.
+/// Error code of SQLite.
 fn code(error: &io::Error, otherwise: c_int) -> c_int {
     if error.kind() == io::ErrorKind::StorageFull { ffi::SQLITE_FULL } else { otherwise }
 }
@@ -63,7 +63,7 @@ unsafe fn path_of(name: *const c_char) -> Option<PathBuf> {
     if name.is_null() {
         return None;
     }
-    // SAFETY: as said above.
+    // SAFETY: the contract of this function.
     let name = unsafe { CStr::from_ptr(name) };
     #[cfg(unix)]
     let path =
@@ -75,9 +75,9 @@ unsafe fn path_of(name: *const c_char) -> Option<PathBuf> {
 
 /// # Safety
 ///
-/// `file` has the size that we told SQLite.
+/// `file` has the size that we registered with SQLite.
 unsafe fn inner(file: *mut sqlite3_file) -> *mut sqlite3_file {
-    // SAFETY: the usual file lies behind ours.
+    // SAFETY: the default file follows ours in memory.
     unsafe { file.byte_add(INNER) }
 }
 
@@ -85,7 +85,7 @@ unsafe fn inner(file: *mut sqlite3_file) -> *mut sqlite3_file {
 ///
 /// `file` was opened by [`open`].
 unsafe fn outer_path<'a>(file: *mut sqlite3_file) -> Option<&'a Path> {
-    // SAFETY: `open` has filled it, and `close` alone ends it.
+    // SAFETY: `open` initialised it, and only `close` frees it.
     unsafe { (*file.cast::<OuterFile>()).path.as_ref().map(PathBuf::as_path) }
 }
 
@@ -96,8 +96,8 @@ unsafe extern "C" fn open(
     flags: c_int,
     out_flags: *mut c_int,
 ) -> c_int {
-    // SAFETY: SQLite gives a description that is ours, a name or null, and room of the size that we
-    // told.
+    // SAFETY: SQLite passes our description, a name or null, and memory of the size that we
+    // registered.
     unsafe {
         let outer = file.cast::<OuterFile>();
         ptr::write(
@@ -107,13 +107,13 @@ unsafe extern "C" fn open(
         let path = path_of(name).filter(|_| flags & WATCHED != 0);
         if let Some(path) =
             path.as_ref().filter(|path| flags & ffi::SQLITE_OPEN_CREATE != 0 && !path.exists())
-            && let Err(error) = before(Operation::Create, path)
+            && let Err(error) = check_fault(Operation::Create, path)
         {
             return code(&error, ffi::SQLITE_CANTOPEN);
         }
-        let usual = (*vfs).pAppData.cast::<sqlite3_vfs>();
-        let Some(usual_open) = (*usual).xOpen else { return ffi::SQLITE_CANTOPEN };
-        let result = usual_open(usual, name, inner(file), flags, out_flags);
+        let default_vfs = (*vfs).pAppData.cast::<sqlite3_vfs>();
+        let Some(default_open) = (*default_vfs).xOpen else { return ffi::SQLITE_CANTOPEN };
+        let result = default_open(default_vfs, name, inner(file), flags, out_flags);
         if result == ffi::SQLITE_OK {
             (*outer).base.pMethods = &raw const METHODS;
             (*outer).path = path.map_or(ptr::null_mut(), |path| Box::into_raw(Box::new(path)));
@@ -123,28 +123,30 @@ unsafe extern "C" fn open(
 }
 
 unsafe extern "C" fn delete(vfs: *mut sqlite3_vfs, name: *const c_char, sync: c_int) -> c_int {
-    // SAFETY: SQLite gives a description that is ours, and a name.
+    // SAFETY: SQLite passes our description and a name.
     unsafe {
         if let Some(path) = path_of(name)
-            && let Err(error) = before(Operation::Remove, &path)
+            && let Err(error) = check_fault(Operation::Remove, &path)
         {
             return code(&error, ffi::SQLITE_IOERR_DELETE);
         }
-        let usual = (*vfs).pAppData.cast::<sqlite3_vfs>();
-        (*usual).xDelete.map_or(ffi::SQLITE_IOERR_DELETE, |delete| delete(usual, name, sync))
+        let default_vfs = (*vfs).pAppData.cast::<sqlite3_vfs>();
+        (*default_vfs)
+            .xDelete
+            .map_or(ffi::SQLITE_IOERR_DELETE, |delete| delete(default_vfs, name, sync))
     }
 }
 
 unsafe extern "C" fn close(file: *mut sqlite3_file) -> c_int {
-    // SAFETY: the file is open, and SQLite does not use it after that.
+    // SAFETY: the file is open, and SQLite does not use it after this call.
     unsafe {
         let outer = file.cast::<OuterFile>();
         let path = std::mem::replace(&mut (*outer).path, ptr::null_mut());
         if !path.is_null() {
             drop(Box::from_raw(path));
         }
-        let usual = inner(file);
-        (*(*usual).pMethods).xClose.map_or(ffi::SQLITE_OK, |close| close(usual))
+        let default_file = inner(file);
+        (*(*default_file).pMethods).xClose.map_or(ffi::SQLITE_OK, |close| close(default_file))
     }
 }
 
@@ -154,20 +156,22 @@ unsafe extern "C" fn write(
     count: c_int,
     offset: sqlite3_int64,
 ) -> c_int {
-    // SAFETY: the file is open, and `bytes` are `count`; half of them are no more.
+    // SAFETY: the file is open, and `bytes` holds `count` bytes.
     unsafe {
-        let usual = inner(file);
-        let Some(write) = (*(*usual).pMethods).xWrite else { return ffi::SQLITE_IOERR_WRITE };
+        let default_file = inner(file);
+        let Some(write) = (*(*default_file).pMethods).xWrite else {
+            return ffi::SQLITE_IOERR_WRITE;
+        };
         if let Some(path) = outer_path(file)
-            && let Err(error) = before(Operation::Write, path)
+            && let Err(error) = check_fault(Operation::Write, path)
         {
-            let half = faults::torn(path, count as usize) as c_int;
+            let half = faults::partial_write_len(path, count as usize) as c_int;
             if half > 0 {
-                let _ = write(usual, bytes, half, offset);
+                let _ = write(default_file, bytes, half, offset);
             }
             return code(&error, ffi::SQLITE_IOERR_WRITE);
         }
-        write(usual, bytes, count, offset)
+        write(default_file, bytes, count, offset)
     }
 }
 
@@ -175,16 +179,16 @@ unsafe extern "C" fn truncate(file: *mut sqlite3_file, size: sqlite3_int64) -> c
     // SAFETY: the file is open.
     unsafe {
         if let Some(path) = outer_path(file)
-            && let Err(error) = before(Operation::Write, path)
+            && let Err(error) = check_fault(Operation::Write, path)
         {
-            // There is no half of a size.
-            let _ = faults::torn(path, 0);
+            // A truncation has no partial effect.
+            let _ = faults::partial_write_len(path, 0);
             return code(&error, ffi::SQLITE_IOERR_TRUNCATE);
         }
-        let usual = inner(file);
-        (*(*usual).pMethods)
+        let default_file = inner(file);
+        (*(*default_file).pMethods)
             .xTruncate
-            .map_or(ffi::SQLITE_IOERR_TRUNCATE, |truncate| truncate(usual, size))
+            .map_or(ffi::SQLITE_IOERR_TRUNCATE, |truncate| truncate(default_file, size))
     }
 }
 
@@ -192,24 +196,27 @@ unsafe extern "C" fn sync(file: *mut sqlite3_file, flags: c_int) -> c_int {
     // SAFETY: the file is open.
     unsafe {
         if let Some(path) = outer_path(file)
-            && let Err(error) = before(Operation::Sync, path)
+            && let Err(error) = check_fault(Operation::Sync, path)
         {
             return code(&error, ffi::SQLITE_IOERR_FSYNC);
         }
-        let usual = inner(file);
-        (*(*usual).pMethods).xSync.map_or(ffi::SQLITE_IOERR_FSYNC, |sync| sync(usual, flags))
+        let default_file = inner(file);
+        (*(*default_file).pMethods)
+            .xSync
+            .map_or(ffi::SQLITE_IOERR_FSYNC, |sync| sync(default_file, flags))
     }
 }
 
-/// Functions that hand on their arguments to those of the usual file.
+/// Defines functions that forward to the functions of the default file.
 macro_rules! pass_through {
     ($($name:ident = $method:ident($($argument:ident: $type:ty),*);)*) => {$(
         unsafe extern "C" fn $name(file: *mut sqlite3_file, $($argument: $type),*) -> c_int {
-            // SAFETY: the file is open, and the arguments are as the usual function wants them.
+            // SAFETY: the file is open, and the arguments fulfil the contract of the default
+            // function.
             unsafe {
-                let usual = inner(file);
-                let method = (*(*usual).pMethods).$method;
-                method.map_or(ffi::SQLITE_ERROR, |method| method(usual, $($argument),*))
+                let default_file = inner(file);
+                let method = (*(*default_file).pMethods).$method;
+                method.map_or(ffi::SQLITE_ERROR, |method| method(default_file, $($argument),*))
             }
         }
     )*};
@@ -232,9 +239,9 @@ pass_through! {
 unsafe extern "C" fn shm_barrier(file: *mut sqlite3_file) {
     // SAFETY: the file is open.
     unsafe {
-        let usual = inner(file);
-        if let Some(barrier) = (*(*usual).pMethods).xShmBarrier {
-            barrier(usual);
+        let default_file = inner(file);
+        if let Some(barrier) = (*(*default_file).pMethods).xShmBarrier {
+            barrier(default_file);
         }
     }
 }

@@ -1,8 +1,7 @@
-//! Every change of a file system that the workspace makes: the few functions through which all
-//! writers go.
+//! The functions through which this workspace makes every change of the file system.
 //!
-//! With the feature `faults`, each call is counted and can be made to fail (module `faults`); that
-//! is for tests only.
+//! With the feature `faults`, each change is counted and can be made to fail (module `faults`). The
+//! feature is for tests.
 
 #[cfg(feature = "faults")]
 pub mod faults;
@@ -22,45 +21,48 @@ use std::time::{Duration, Instant};
 pub use operation::Operation;
 pub use paths::folder_of;
 
-/// Ends the name of a file or folder that is being written.
-const PART: &str = ".tiepoint-part";
-/// Bytes of a name that are kept in the name of its part; names of files have 255 bytes at most.
+/// Suffix of the name of a file or folder that is being written.
+const TEMPORARY_SUFFIX: &str = ".tiepoint-part";
+/// Longest file name that a temporary name repeats, in bytes; file systems allow 255.
 const MAX_NAME_BYTES: usize = 200;
-/// Links are followed so far, as Linux does.
+/// Longest chain of symbolic links, as in Linux.
 const MAX_LINKS: usize = 40;
 
-/// How long a change is tried again, and how long between: scanners of Windows have a new file open
-/// for so long.
-const PATIENCE: Duration = Duration::from_secs(2);
-const PAUSE: Duration = Duration::from_millis(10);
+/// Duration of the retries of a change, and the pause between two. Virus scanners of Windows hold a
+/// new file open for a short time.
+const RETRY_DURATION: Duration = Duration::from_secs(2);
+const RETRY_PAUSE: Duration = Duration::from_millis(10);
 
-/// Makes a change that somebody may hold up who has the file, or one in the folder, open: on
-/// Windows such a file can be neither renamed nor removed, nor the folder that it is in.
-fn patiently<T>(is_held_up: bool, mut change: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+/// Makes a change; retries it while permission is denied if `may_be_denied`. On Windows, a file
+/// that another process has open can be neither renamed nor removed, nor can its folder.
+fn retry_while_denied<T>(
+    may_be_denied: bool,
+    mut change: impl FnMut() -> io::Result<T>,
+) -> io::Result<T> {
     let start = Instant::now();
     loop {
         match change() {
             Err(cause)
-                if is_held_up
+                if may_be_denied
                     && cause.kind() == io::ErrorKind::PermissionDenied
-                    && start.elapsed() < PATIENCE =>
+                    && start.elapsed() < RETRY_DURATION =>
             {
-                thread::sleep(PAUSE);
+                thread::sleep(RETRY_PAUSE);
             }
             done => return done,
         }
     }
 }
 
-/// Called before each change.
+/// Called before each change; returns the error that a test asks for.
 #[cfg_attr(
     not(feature = "faults"),
     expect(clippy::unnecessary_wraps, reason = "only tests make it fail")
 )]
 #[inline]
-pub(crate) fn before(operation: Operation, path: &Path) -> io::Result<()> {
+pub(crate) fn check_fault(operation: Operation, path: &Path) -> io::Result<()> {
     #[cfg(feature = "faults")]
-    faults::before(operation, path)?;
+    faults::check_fault(operation, path)?;
     #[cfg(not(feature = "faults"))]
     let _ = (operation, path);
     Ok(())
@@ -74,18 +76,18 @@ pub struct WrittenFile {
 }
 
 impl WrittenFile {
-    /// Makes a new file; that there is none yet is part of the call.
+    /// Creates a file; fails if the path exists.
     ///
     /// # Errors
     ///
-    /// Where something of that name is there, and where the system refuses.
+    /// If the path exists, and if the system reports an error.
     pub fn create_new(path: &Path) -> io::Result<Self> {
-        before(Operation::Create, path)?;
+        check_fault(Operation::Create, path)?;
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
         Ok(Self { file, path: path.to_owned() })
     }
 
-    /// Opens what is there and no regular file: a device, or a pipe.
+    /// Opens an existing device or pipe for writing.
     pub(crate) fn open_special(path: &Path) -> io::Result<Self> {
         let file = OpenOptions::new().write(true).open(path)?;
         Ok(Self { file, path: path.to_owned() })
@@ -96,13 +98,13 @@ impl WrittenFile {
         &self.file
     }
 
-    /// Waits until the content is on the disk.
+    /// Waits until the content is on the disk (fsync).
     ///
     /// # Errors
     ///
-    /// Where the system refuses.
+    /// If the system reports an error.
     pub fn sync(&self) -> io::Result<()> {
-        before(Operation::Sync, &self.path)?;
+        check_fault(Operation::Sync, &self.path)?;
         self.file.sync_all()
     }
 }
@@ -110,9 +112,9 @@ impl WrittenFile {
 impl Write for WrittenFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         #[cfg(feature = "faults")]
-        if let Err(error) = before(Operation::Write, &self.path) {
-            // A write that is cut off leaves a part.
-            let _ = self.file.write(&bytes[..faults::torn(&self.path, bytes.len())]);
+        if let Err(error) = check_fault(Operation::Write, &self.path) {
+            // An interrupted write leaves a part of its bytes.
+            let _ = self.file.write(&bytes[..faults::partial_write_len(&self.path, bytes.len())]);
             return Err(error);
         }
         self.file.write(bytes)
@@ -127,7 +129,7 @@ impl Write for WrittenFile {
 ///
 /// # Errors
 ///
-/// Where something of that name is there, and where the system refuses.
+/// If the path exists, and if the system reports an error.
 pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = WrittenFile::create_new(path)?;
     file.write_all(bytes)?;
@@ -138,7 +140,7 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
 ///
 /// # Errors
 ///
-/// Where something is at `to`, and where the system refuses.
+/// If `to` exists, and if the system reports an error.
 pub fn copy_new(from: &Path, to: &Path) -> io::Result<()> {
     let mut source = File::open(from)?;
     let mut file = WrittenFile::create_new(to)?;
@@ -146,38 +148,38 @@ pub fn copy_new(from: &Path, to: &Path) -> io::Result<()> {
     file.sync()
 }
 
-/// Gives a file or folder another name; a file of that name is replaced. Call [`sync_folder`] for
-/// it to last.
+/// Renames a file or folder; replaces a file at `to`. Call [`sync_folder`] afterwards to make the
+/// rename durable.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
-    before(Operation::Rename, to)?;
-    patiently(cfg!(windows), || fs::rename(from, to))
+    check_fault(Operation::Rename, to)?;
+    retry_while_denied(cfg!(windows), || fs::rename(from, to))
 }
 
-/// Removes a file, if it is there.
+/// Removes a file if it exists.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn remove_file(path: &Path) -> io::Result<()> {
-    before(Operation::Remove, path)?;
-    match patiently(cfg!(windows), || fs::remove_file(path)) {
+    check_fault(Operation::Remove, path)?;
+    match retry_while_denied(cfg!(windows), || fs::remove_file(path)) {
         Err(cause) if cause.kind() != io::ErrorKind::NotFound => Err(cause),
         _ => Ok(()),
     }
 }
 
-/// Removes a folder, if it is there and empty.
+/// Removes a folder if it exists and is empty.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn remove_empty_folder(path: &Path) -> io::Result<()> {
-    before(Operation::Remove, path)?;
-    match patiently(cfg!(windows), || fs::remove_dir(path)) {
+    check_fault(Operation::Remove, path)?;
+    match retry_while_denied(cfg!(windows), || fs::remove_dir(path)) {
         Err(cause)
             if !matches!(
                 cause.kind(),
@@ -190,12 +192,12 @@ pub fn remove_empty_folder(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Removes a folder with all that is in it, if it is there; links are removed and not followed.
-/// Only for folders that this program made under a name of its own.
+/// Removes a folder with its content if it exists; symbolic links are removed and not followed.
+/// Only for folders that this program created under a name of its own.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn remove_own_folder(path: &Path) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Err(cause) if cause.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -214,11 +216,11 @@ pub fn remove_own_folder(path: &Path) -> io::Result<()> {
     remove_empty_folder(path)
 }
 
-/// Makes a folder and those above it, where they are missing.
+/// Creates a folder and its missing parents.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     if path.is_dir() {
         return Ok(());
@@ -226,32 +228,32 @@ pub fn create_folders(path: &Path) -> io::Result<()> {
     if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         create_folders(parent)?;
     }
-    before(Operation::CreateFolder, path)?;
+    check_fault(Operation::CreateFolder, path)?;
     match fs::create_dir(path) {
-        // Another thread or process was faster.
+        // Another thread or process created it meanwhile.
         Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists && path.is_dir() => Ok(()),
         made => made,
     }
 }
 
-/// Waits until the names in a folder are on the disk. Systems that cannot open folders as files
-/// keep names in order by themselves.
+/// Waits until the entries of a folder are on the disk (fsync). Systems that cannot open folders as
+/// files order these writes themselves.
 ///
 /// # Errors
 ///
-/// Where the system refuses.
+/// If the system reports an error.
 pub fn sync_folder(path: &Path) -> io::Result<()> {
-    before(Operation::SyncFolder, path)?;
+    check_fault(Operation::SyncFolder, path)?;
     #[cfg(unix)]
     File::open(if path.as_os_str().is_empty() { Path::new(".") } else { path })?.sync_all()?;
     Ok(())
 }
 
-/// The path that symbolic links lead to, whether anything is there or not.
+/// The path at the end of a chain of symbolic links; nothing need exist there.
 ///
 /// # Errors
 ///
-/// Where links lead to each other.
+/// If the links form a cycle.
 pub(crate) fn end_of_links(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
@@ -263,13 +265,13 @@ pub(crate) fn end_of_links(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("symbolic links lead to each other"))
 }
 
-/// The name under which a file or folder is written: hidden, and in the same folder.
-pub(crate) fn part_of(target: &Path) -> PathBuf {
+/// The temporary path of a file or folder while it is written: hidden, in the same folder.
+pub(crate) fn temporary_path(target: &Path) -> PathBuf {
     let name = target.file_name().unwrap_or_default();
-    let mut part = OsString::from(".");
+    let mut temporary = OsString::from(".");
     match name.to_str() {
         Some(text) if text.len() > MAX_NAME_BYTES => {
-            // FNV-1a of the whole name keeps the parts of two long names apart.
+            // The FNV-1a hash of the whole name separates two long names with a common beginning.
             let hash = text.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
                 (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
             });
@@ -277,15 +279,15 @@ pub(crate) fn part_of(target: &Path) -> PathBuf {
                 .rev()
                 .find(|end| text.is_char_boundary(*end))
                 .unwrap_or(0);
-            part.push(format!("{}{hash:016x}", &text[..end]));
+            temporary.push(format!("{}{hash:016x}", &text[..end]));
         }
-        _ => part.push(name),
+        _ => temporary.push(name),
     }
-    part.push(PART);
-    target.with_file_name(part)
+    temporary.push(TEMPORARY_SUFFIX);
+    target.with_file_name(temporary)
 }
 
-/// What tells whether two paths lead to one file: device and inode, or else the canonical path.
+/// Identity of a file, to compare paths: device and inode, or else the canonical path.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct FileId(Identity);
 
@@ -295,7 +297,7 @@ type Identity = (u64, u64);
 type Identity = PathBuf;
 
 impl FileId {
-    /// Of the file that a path leads to, through all links; `None` where there is none.
+    /// The identity of the file at the end of all links; `None` if there is none.
     pub fn of(path: &Path) -> Option<Self> {
         #[cfg(unix)]
         {
@@ -313,11 +315,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_holds_a_file_open_is_waited_for() {
+    fn denied_changes_are_retried() {
         let mut tries = 0;
-        let mut change = |is_held_up, kind, passes: usize| {
+        let mut change = |may_be_denied, kind, passes: usize| {
             tries = 0;
-            patiently(is_held_up, || {
+            retry_while_denied(may_be_denied, || {
                 tries += 1;
                 if tries > passes { Ok(tries) } else { Err(io::Error::from(kind)) }
             })

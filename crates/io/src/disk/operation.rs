@@ -1,20 +1,20 @@
 /// A change of the file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Operation {
-    /// A new, empty file.
+    /// An empty file is created.
     Create,
-    /// Bytes of a file.
+    /// Bytes are written to a file.
     Write,
-    /// A file's content reaches the disk.
+    /// The content of a file is synchronised (fsync).
     Sync,
-    /// A file or folder takes another name.
+    /// A file or folder is renamed.
     Rename,
-    /// A file or an empty folder goes.
+    /// A file or an empty folder is removed.
     Remove,
-    /// A new folder.
+    /// A folder is created.
     CreateFolder,
-    /// The names in a folder reach the disk.
+    /// The entries of a folder are synchronised (fsync).
     SyncFolder,
-    /// A transaction of a database.
+    /// A transaction of a database is committed.
     Commit,
 }

@@ -1,24 +1,23 @@
-//! What the header of a LAS or LAZ file claims, held against the length of the file: the `las` and
-//! `laz` packages set memory aside for whatever a header says, and panic where parts of it
-//! contradict each other.
+//! Check of the header of a LAS or LAZ file against the length of the file: the packages `las` and
+//! `laz` allocate whatever a header claims, and panic if its parts contradict each other.
 //!
 //! Offsets are those of the public header block of LAS 1.4 R15 (ASPRS 2019, table 3) and of the
 //! laszip record (Isenburg 2013, "LASzip: lossless compression of LiDAR data"; the layered chunks
-//! as in `laszip`'s lasreaditemcompressed_v3).
+//! as in lasreaditemcompressed_v3 of `laszip`).
 
 use std::io::{Read, Seek, SeekFrom};
 
-/// The public header block up to version 1.2; later versions append to it.
+/// Length of the public header block up to version 1.2; later versions append to it.
 const HEADER_BYTES: usize = 227;
-/// The same of version 1.4.
+/// Length of the public header block of version 1.4.
 const HEADER_BYTES_1_4: usize = 375;
-/// Before the data of a variable length record, and of an extended one.
+/// Length of the header of a variable length record, and of an extended one.
 const VLR_BYTES: u64 = 54;
 const EVLR_BYTES: u64 = 60;
-/// Bytes of a point of each format, without extra ones (LAS 1.4 R15, table 6).
+/// Bytes of a point of each format, without extra bytes (LAS 1.4 R15, table 6).
 const POINT_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
-/// Whether points of each format have a time, colours, near infrared and a wave packet, which LAZ
-/// compresses one by one.
+/// Whether points of each format have a time, colours, near infrared and a wave packet: LAZ
+/// compresses them as separate items.
 const HAS_TIME: [bool; 6] = [false, true, false, true, true, true];
 const HAS_COLOR: [bool; 11] =
     [false, false, true, true, false, true, false, true, true, false, true];
@@ -28,26 +27,26 @@ const HAS_WAVE: [bool; 11] =
     [false, false, false, false, true, true, false, false, false, true, true];
 /// The first format that LAZ compresses in layers.
 const FIRST_LAYERED: usize = 6;
-/// Bytes of a point beyond its format. Each costs the decompressor some kilobytes of models;
+/// Most extra bytes of a compressed point. Each costs the decompressor some kilobytes of models;
 /// scanners append a dozen.
 const MAX_EXTRA_BYTES: u16 = 256;
-/// Points in a byte of compressed data. Clouds of scanners take one byte to five a point; only
-/// points in a pattern take less.
+/// Most points in a byte of compressed data. Clouds of scanners take one to five bytes a point;
+/// only regular patterns of points take less.
 const MAX_POINTS_PER_BYTE: u64 = 64;
-/// User and number of the record that says how a file is compressed.
+/// User id and record id of the laszip record.
 const LASZIP_USER: &[u8] = b"laszip encoded\0\0";
 const LASZIP_RECORD: u16 = 22_204;
 /// Layers of a point of format 6: place, height, class, flags, intensity, angle, user data, source,
 /// time.
 const POINT_LAYERS: u64 = 9;
-/// Kinds of items in the laszip record.
+/// Types of items in the laszip record.
 const ITEM_BYTES: [u16; 2] = [0, 14];
 const ITEM_POINT: [u16; 2] = [6, 10];
 const ITEM_COLOR: [u16; 2] = [8, 11];
 const ITEM_TIME: u16 = 7;
 const ITEM_COLOR_NIR: u16 = 12;
 const ITEM_WAVE: [u16; 2] = [9, 13];
-/// Kinds of compression.
+/// Types of compression.
 const POINT_WISE_CHUNKED: u16 = 2;
 const LAYERED_CHUNKED: u16 = 3;
 const VARIABLE_CHUNKS: [u32; 2] = [0, u32::MAX];
@@ -58,12 +57,12 @@ pub(super) struct Claims<R> {
     length: u64,
 }
 
-/// What the public header says.
+/// The fields of the public header that are used.
 struct Header {
     header_bytes: u64,
     data_offset: u64,
     num_vlrs: u32,
-    /// Of the points.
+    /// Format of the points.
     format: usize,
     is_compressed: bool,
     record_bytes: u16,
@@ -76,7 +75,7 @@ impl<R: Read + Seek> Claims<R> {
         Ok(Self { file, length })
     }
 
-    /// Says what cannot be true, or gives the number of points and the bytes of each.
+    /// Returns the number of points and the bytes of each, or the claim that cannot be true.
     pub(super) fn check(mut self) -> Result<(u64, u64), String> {
         let header = self.header()?;
         let data_bytes = self.length.checked_sub(header.data_offset).ok_or_else(|| {
@@ -132,7 +131,7 @@ impl<R: Read + Seek> Claims<R> {
             }
             self.check_extended_records(long(235), word(243))?;
         }
-        // LAZ marks a format as compressed by either of the two high bits.
+        // LAZ sets either of the two high bits of the format of compressed points.
         let (format, is_compressed) = (usize::from(byte(104) & 0x3F), byte(104) & 0xC0 != 0);
         let least = *POINT_BYTES
             .get(format)
@@ -154,7 +153,7 @@ impl<R: Read + Seek> Claims<R> {
         })
     }
 
-    /// Extended records lie behind the points; they are no longer than the file.
+    /// Checks that the extended records, which follow the points, end within the file.
     fn check_extended_records(&mut self, mut offset: u64, count: u32) -> Result<(), String> {
         for _ in 0..count {
             let length: [u8; 8] = self.bytes(offset.saturating_add(20))?;
@@ -171,7 +170,7 @@ impl<R: Read + Seek> Claims<R> {
         Ok(())
     }
 
-    /// The data of the record that says how the points are compressed.
+    /// The data of the laszip record.
     fn laszip_record(&mut self, header: &Header) -> Result<Vec<u8>, String> {
         let mut offset = header.header_bytes;
         for _ in 0..header.num_vlrs {
@@ -229,8 +228,8 @@ impl<R: Read + Seek> Claims<R> {
         if !is_layered {
             return Ok(());
         }
-        // The decompressor goes from chunk to chunk by the number of points that the table gives,
-        // or else by a fixed one.
+        // The decompressor divides the points into chunks by the numbers in the chunk table, or
+        // else by a fixed number.
         let chunks = match (is_variable, chunks) {
             (false, _) => header.points.div_ceil(u64::from(chunk_points)),
             (true, Some(chunks)) => chunks,
@@ -241,11 +240,12 @@ impl<R: Read + Seek> Claims<R> {
         self.check_layers(header, extra, chunks)
     }
 
-    /// How many chunks the table lists, if there is one. A chunk holds one whole point at least.
+    /// The number of chunks in the chunk table, if there is one. A chunk holds at least one
+    /// uncompressed point.
     fn num_chunks(&mut self, header: &Header) -> Result<Option<u64>, String> {
         let mut offset = i64::from_le_bytes(self.bytes(header.data_offset)?);
         if offset <= header.data_offset as i64 {
-            // Writers that cannot go back leave it at the end.
+            // Writers that cannot seek store the offset at the end of the file.
             offset = i64::from_le_bytes(self.bytes(self.length.saturating_sub(8))?);
         }
         if offset <= header.data_offset as i64 {
@@ -258,14 +258,13 @@ impl<R: Read + Seek> Claims<R> {
         Ok(Some(u64::from(count)))
     }
 
-    /// A chunk in layers: its first point, how many points it has, the length of each layer, and
-    /// the layers.
+    /// Checks the layered chunks: first point, number of points, lengths of the layers, layers.
     fn check_layers(&mut self, header: &Header, extra: u16, chunks: u64) -> Result<(), String> {
         let format = header.format;
         let others = [HAS_COLOR[format], HAS_NIR[format], HAS_WAVE[format]];
         let layers = POINT_LAYERS + others.map(u64::from).iter().sum::<u64>() + u64::from(extra);
         let mut sizes = vec![0; 4 * layers as usize];
-        // The offset of the table comes first.
+        // The offset of the chunk table precedes the first chunk.
         let mut offset = header.data_offset + 8;
         for _ in 0..chunks {
             let sizes_at = offset + u64::from(header.record_bytes) + 4;
@@ -297,7 +296,7 @@ impl<R: Read + Seek> Claims<R> {
     }
 }
 
-/// The items of which LAZ makes points of a format, by kind.
+/// The types of the items of points of a format.
 fn expected_items(format: usize, extra: u16) -> Vec<u16> {
     let is_layered = usize::from(format >= FIRST_LAYERED);
     let mut kinds = vec![ITEM_POINT[is_layered]];

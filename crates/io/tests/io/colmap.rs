@@ -1,4 +1,4 @@
-//! COLMAP models: what is written is read back; what is broken is refused with its name and place.
+//! COLMAP models: round trips, and errors of invalid files.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -13,10 +13,10 @@ use tiepoint_scene::{
     Camera, Frame, Image, Keypoint, Observation, Reconstruction, Rig, RigId, RigSensor, Track,
 };
 
-use crate::common::{Riding, random_model};
+use crate::common::{RigKind, random_model};
 
 const FORMATS: [Format; 2] = [Format::Binary, Format::Text];
-/// Poses that go through a frame are products of two: a few roundings of numbers of size 10.
+/// Poses of images in frames are products of two transforms: a few roundings of numbers of size 10.
 const POSE_TOLERANCE: f64 = 1e-12;
 
 fn round_trip(model: &Reconstruction, format: Format) -> Reconstruction {
@@ -32,22 +32,25 @@ proptest! {
         ..Default::default()
     })]
 
-    /// Bit by bit: all numbers are f64 on both sides, and text has the digits that identify them.
+    /// Equal to the last bit: all numbers are f64 in both formats, and text has the digits that
+    /// identify them.
     #[test]
     fn model_is_read_as_written(seed: u64, together: bool) {
-        let model = random_model(seed, if together { Riding::Together } else { Riding::Alone });
+        let rig_kind = if together { RigKind::SeveralCameras } else { RigKind::SingleCameras };
+        let model = random_model(seed, rig_kind);
         for format in FORMATS {
             let read = round_trip(&model, format);
-            // A frame without a rig of several cameras is not kept: nothing is lost with it.
+            // A frame of a single camera is dropped by the reader.
             prop_assert_eq!(&read, &model);
         }
     }
 
-    /// A binary file cut anywhere is refused, and never panics.
+    /// A truncated binary file is refused without a panic.
     #[test]
     fn truncated_binary_is_refused(seed: u64, file in 0..5usize, cut in 0.0..1.0) {
         let dir = tempfile::tempdir().unwrap();
-        write_model(dir.path(), &random_model(seed, Riding::Together), Format::Binary).unwrap();
+        let model = random_model(seed, RigKind::SeveralCameras);
+        write_model(dir.path(), &model, Format::Binary).unwrap();
         let path = dir
             .path()
             .join(["cameras", "rigs", "frames", "images", "points3D"][file])
@@ -60,7 +63,7 @@ proptest! {
         }
     }
 
-    /// Any damage ends in a valid model or in an error.
+    /// Damaged files give a valid model or an error.
     #[test]
     fn damaged_files_never_panic(
         seed: u64,
@@ -71,7 +74,7 @@ proptest! {
     ) {
         let dir = tempfile::tempdir().unwrap();
         let (format, suffix) = if text { (Format::Text, "txt") } else { (Format::Binary, "bin") };
-        write_model(dir.path(), &random_model(seed, Riding::Together), format).unwrap();
+        write_model(dir.path(), &random_model(seed, RigKind::SeveralCameras), format).unwrap();
         let path = dir
             .path()
             .join(["cameras", "rigs", "frames", "images", "points3D"][file])
@@ -97,7 +100,7 @@ fn keypoint() -> Keypoint {
     Keypoint { pixel: Vector2::new(1.5, 2.5), scale_px: 3.0 }
 }
 
-/// Two registered images around one that is not; a point between deleted ones.
+/// Two registered images and one without a pose between them; a point between deleted ones.
 fn model_with_gaps() -> Reconstruction {
     let mut model = Reconstruction::default();
     let camera = model.add_camera(camera());
@@ -167,11 +170,11 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
         assert_eq!(read.frames[1].images, [lone]);
         let given = cam_from_rig * read.frames[1].rig_from_world;
         assert!((given.translation - elsewhere.translation).norm() < POSE_TOLERANCE);
-        // acos near 1 loses half the digits.
+        // acos near 1 loses half of the digits.
         assert!(given.rotation.angle_to(&elsewhere.rotation) < 1e-7);
     }
 
-    // A pose that the frame does not give cannot be told to COLMAP.
+    // A pose that no frame can give cannot be written for COLMAP.
     model.frames[0].rig_from_world = elsewhere;
     let error =
         write_model(tempfile::tempdir().unwrap().path(), &model, Format::Binary).unwrap_err();
@@ -179,9 +182,9 @@ fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
 }
 
 #[test]
-fn an_image_whose_place_on_its_rig_is_not_known_keeps_its_pose_and_is_in_no_frame() {
+fn image_of_a_sensor_without_pose_keeps_its_pose_and_is_in_no_frame() {
     let dir = tempfile::tempdir().unwrap();
-    let model = random_model(1, Riding::Together);
+    let model = random_model(1, RigKind::SeveralCameras);
     write_model(dir.path(), &model, Format::Text).unwrap();
     let others: String =
         (2..=model.rigs[0].sensors.len()).map(|id| format!(" CAMERA {id} 0")).collect();
@@ -194,13 +197,13 @@ fn an_image_whose_place_on_its_rig_is_not_known_keeps_its_pose_and_is_in_no_fram
     let poses =
         |model: &Reconstruction| model.registered().map(|(.., pose)| *pose).collect::<Vec<_>>();
     assert_eq!(poses(&read), poses(&model));
-    // What is left of the rig is one camera, which is none.
+    // One camera remains, which is not a rig.
     assert_eq!((read.rigs.len(), read.frames.len()), (0, 0));
-    // So it can be written again.
+    // The model can be written again.
     assert_eq!(poses(&round_trip(&read, Format::Text)), poses(&model));
 }
 
-/// COLMAP's mapper makes such tracks.
+/// The mapper of COLMAP makes such tracks.
 #[test]
 fn a_track_may_hold_two_keypoints_of_an_image() {
     let mut model = model_with_gaps();
@@ -225,7 +228,7 @@ fn with_files(files: &[(&str, &str)]) -> Result<Reconstruction, Error> {
 }
 
 #[test]
-fn each_fault_is_named() {
+fn errors_name_the_violation() {
     let points = "1 0 0 1 9 9 9 0.5 1 0 2 0\n";
     for (files, expected) in [
         (vec![("cameras.txt", "1 NO_SUCH 640 480 1")], "line 1: unknown camera model `NO_SUCH`"),
@@ -234,7 +237,7 @@ fn each_fault_is_named() {
             "line 2: camera model PINHOLE takes 4",
         ),
         (vec![("cameras.txt", "1 PINHOLE 640 480 NaN 500 320 240")], "a parameter is NaN"),
-        (vec![("cameras.txt", "")], "image a.png names camera 1, which there is not"),
+        (vec![("cameras.txt", "")], "image a.png names camera 1, which does not exist"),
         (
             vec![("images.txt", "1 0 0 0 0 0 0 0 1 a.png\n\n")],
             "a quaternion of norm 0 is no rotation",
@@ -258,7 +261,7 @@ fn each_fault_is_named() {
 }
 
 #[test]
-fn frames_win_over_image_poses_as_in_colmap() {
+fn poses_of_frames_override_poses_of_images() {
     // COLMAP 4.2.1 ignores the poses of images.txt where there are frames.
     let frames = "1 1 1 0 0 0 5 0 0 1 CAMERA 1 1\n3 1 1 0 0 0 6 0 0 1 CAMERA 1 3\n";
     let model = with_files(&[("frames.txt", frames)]).unwrap();
@@ -267,7 +270,7 @@ fn frames_win_over_image_poses_as_in_colmap() {
 }
 
 #[test]
-fn models_without_rigs_and_empty_folders() {
+fn models_without_rigs_are_read_and_empty_folders_refused() {
     let dir = tempfile::tempdir().unwrap();
     let error = read_model(dir.path()).unwrap_err().to_string();
     assert!(error.contains("holds no COLMAP model"), "{error}");
@@ -284,7 +287,7 @@ fn models_without_rigs_and_empty_folders() {
 }
 
 #[test]
-fn nothing_is_left_behind_when_writing_fails() {
+fn failed_write_leaves_no_files() {
     let dir = tempfile::tempdir().unwrap();
     let mut model = model_with_gaps();
     let camera = tiepoint_scene::CameraId(0);

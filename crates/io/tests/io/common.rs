@@ -1,4 +1,4 @@
-//! Random but consistent reconstructions, for the round trips.
+//! Random consistent reconstructions for round trips.
 #![allow(dead_code)] // each test binary uses a part
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -10,9 +10,9 @@ use tiepoint_scene::{
 
 /// Whether the model has a rig of several cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Riding {
-    Alone,
-    Together,
+pub(crate) enum RigKind {
+    SingleCameras,
+    SeveralCameras,
 }
 
 pub(crate) fn vector(rng: &mut Rng, scale: f64) -> Vector3<f64> {
@@ -23,9 +23,9 @@ pub(crate) fn pose(rng: &mut Rng) -> Rigid3 {
     Rigid3::from_axis_angle(vector(rng, 1.0), vector(rng, 10.0))
 }
 
-/// A model whose keypoints see what its tracks say, at places that mean nothing. The poses of
-/// images on the rig are those that rig and frame give.
-pub(crate) fn random_model(seed: u64, riding: Riding) -> Reconstruction {
+/// A model with random geometry and consistent observations. The poses of images in frames are
+/// cam_from_rig · rig_from_world.
+pub(crate) fn random_model(seed: u64, rig_kind: RigKind) -> Reconstruction {
     let mut rng = Rng::stream(seed, &[]);
     let mut model = Reconstruction::default();
     let cameras = 3 + rng.below(2);
@@ -38,19 +38,19 @@ pub(crate) fn random_model(seed: u64, riding: Riding) -> Reconstruction {
         model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: false });
     }
     let num_frames = 1 + rng.below(4);
-    // The last camera never rides with the others.
-    let on_rig = match riding {
-        Riding::Alone => 0,
-        Riding::Together => cameras - 1,
+    // The last camera is never in the rig.
+    let num_rig_cameras = match rig_kind {
+        RigKind::SingleCameras => 0,
+        RigKind::SeveralCameras => cameras - 1,
     };
-    if on_rig > 0 {
-        let sensors = (0..on_rig).map(|camera| RigSensor {
+    if num_rig_cameras > 0 {
+        let sensors = (0..num_rig_cameras).map(|camera| RigSensor {
             camera: CameraId::from_index(camera),
             cam_from_rig: Some(if camera == 0 { Rigid3::identity() } else { pose(&mut rng) }),
         });
         model.rigs.push(Rig { sensors: sensors.collect() });
     }
-    for moment in 0..num_frames {
+    for frame_index in 0..num_frames {
         let rig_from_world = pose(&mut rng);
         let mut members = Vec::new();
         for camera in 0..cameras {
@@ -58,10 +58,10 @@ pub(crate) fn random_model(seed: u64, riding: Riding) -> Reconstruction {
                 pixel: Vector2::new(640.0 * rng.uniform(), 480.0 * rng.uniform()),
                 scale_px: 1.0,
             });
-            let name = format!("{camera} é/{moment:06}.png");
+            let name = format!("{camera} é/{frame_index:06}.png");
             let image = Image::new(name, CameraId::from_index(camera), keypoints.collect());
             let id = model.add_image(image);
-            if camera < on_rig {
+            if camera < num_rig_cameras {
                 let sensor = model.rigs[0].sensors[camera];
                 model.register(id, sensor.cam_from_rig.expect("set above") * rig_from_world);
                 members.push(id);

@@ -1,4 +1,4 @@
-//! COLMAP's database: what is written is read back, also in layouts that older versions wrote.
+//! Database of COLMAP: round trips, and layouts of older versions.
 #![cfg(feature = "database")]
 #![allow(clippy::unwrap_used)]
 
@@ -9,14 +9,14 @@ use proptest::prelude::*;
 use tiepoint_features::{Features, Keypoint};
 use tiepoint_geometry::nalgebra::Matrix3;
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3, Rng};
-use tiepoint_io::database::{Database, Moment, StageRow, read_stage_rows};
+use tiepoint_io::database::{Database, DatabaseFrame, StageRow, read_stage_rows};
 use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Rig, RigId, RigSensor, TwoView, TwoViewKind,
 };
 
 use crate::common;
 
-/// Scale and orientation pass through four products in f32: a few units in the last place.
+/// Scale and orientation are computed from four f32 columns: a few units in the last place.
 const SHAPE_TOLERANCE: f32 = 1e-6;
 
 fn cameras() -> Vec<Camera> {
@@ -97,7 +97,7 @@ proptest! {
         db.write_matches(pairs.iter().zip(&views).map(|(pair, view)| (*pair, &view.matches[..])))
             .unwrap();
         db.write_two_views(pairs.iter().copied().zip(&views)).unwrap();
-        db.finish().unwrap();
+        db.close().unwrap();
         let files: Vec<_> = std::fs::read_dir(dir.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name())
@@ -139,7 +139,7 @@ proptest! {
         prop_assert_eq!(db.read_two_views().unwrap(), order.map(|k| (pairs[k], views[k].clone())));
     }
 
-    /// A database with any bytes overwritten ends in an error or in values, not in a panic.
+    /// A database with overwritten bytes gives an error or values, and does not panic.
     #[test]
     fn damaged_database_never_panics(place in 0.0..1.0, damage: [u8; 16]) {
         let dir = tempfile::tempdir().unwrap();
@@ -152,7 +152,7 @@ proptest! {
             &random_two_view(&mut rng),
         )])
         .unwrap();
-        db.finish().unwrap();
+        db.close().unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let start = ((bytes.len() - damage.len()) as f64 * place) as usize;
         bytes[start..start + damage.len()].copy_from_slice(&damage);
@@ -172,7 +172,7 @@ proptest! {
 }
 
 #[test]
-fn rigs_and_moments_are_read_as_written_and_the_rest_rides_alone() {
+fn rigs_and_frames_are_read_as_written_and_other_cameras_get_their_own() {
     let dir = tempfile::tempdir().unwrap();
     let mut db = filled(&dir.path().join("database.db"));
     db.write_rigs(&[], &[]).unwrap();
@@ -186,12 +186,12 @@ fn rigs_and_moments_are_read_as_written_and_the_rest_rides_alone() {
                 RigSensor { camera: CameraId(0), cam_from_rig },
             ],
         };
-        let moment = Moment { rig: RigId(0), images: vec![ImageId(0), ImageId(1)] };
-        db.write_rigs(std::slice::from_ref(&rig), std::slice::from_ref(&moment)).unwrap();
-        let (rigs, moments) = db.read_rigs().unwrap();
+        let frame = DatabaseFrame { rig: RigId(0), images: vec![ImageId(0), ImageId(1)] };
+        db.write_rigs(std::slice::from_ref(&rig), std::slice::from_ref(&frame)).unwrap();
+        let (rigs, frames) = db.read_rigs().unwrap();
         assert_eq!(rigs, [rig]);
-        let alone = |id| Moment { rig: RigId(0), images: vec![ImageId(id)] };
-        assert_eq!(moments, [moment, alone(2), alone(3)]);
+        let alone = |id| DatabaseFrame { rig: RigId(0), images: vec![ImageId(id)] };
+        assert_eq!(frames, [frame, alone(2), alone(3)]);
     }
 }
 
@@ -199,9 +199,8 @@ fn rigs_and_moments_are_read_as_written_and_the_rest_rides_alone() {
 fn layouts_of_other_versions_are_read() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
-    filled(&path).finish().unwrap();
-    // Ids with holes, keypoints of two and four columns, no rigs, no poses, no kinds of
-    // descriptors.
+    filled(&path).close().unwrap();
+    // Ids with gaps, keypoints of two and four columns, no rigs, no poses, no types of descriptors.
     let sql = rusqlite::Connection::open(&path).unwrap();
     sql.execute_batch(
         "PRAGMA foreign_keys = OFF; UPDATE images SET image_id = image_id * 10; DROP TABLE \
@@ -244,7 +243,7 @@ fn layouts_of_other_versions_are_read() {
 }
 
 #[test]
-fn what_is_no_database_is_refused() {
+fn files_of_other_formats_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     assert!(Database::open(&path).is_err());
@@ -278,24 +277,24 @@ fn names(dir: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_path_is_never_an_address() {
+fn paths_are_not_interpreted_as_uris() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("file:w");
     std::fs::create_dir(&folder).unwrap();
     let path = folder.join("a ?mode=memory#%41ä.db");
     let mut db = filled(&path);
     db.write_stage_rows(&[stage("features", true)]).unwrap();
-    db.finish().unwrap();
+    db.close().unwrap();
     assert_eq!(names(&folder), ["a ?mode=memory#%41ä.db"]);
     assert_eq!(Database::open(&path).unwrap().num_images(), 4);
     assert_eq!(read_stage_rows(&path).unwrap(), Some(vec![stage("features", true)]));
 }
 
 #[test]
-fn a_new_database_replaces_the_old_one_once_it_is_filled() {
+fn complete_database_replaces_the_old_one() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
-    filled(&path).finish().unwrap();
+    filled(&path).close().unwrap();
     let part = dir.path().join(".database.db.tiepoint-part");
     let error = Database::create_with(&path, |db| {
         db.write_cameras(&cameras())?;
@@ -307,7 +306,7 @@ fn a_new_database_replaces_the_old_one_once_it_is_filled() {
     assert_eq!(names(dir.path()), ["database.db"]);
     assert_eq!(Database::open(&path).unwrap().read_images().unwrap(), images());
 
-    // A run that is killed leaves its log and a half-made database.
+    // A killed run leaves its log and an incomplete temporary database.
     let mut db = Database::open(&path).unwrap();
     db.write_images(&images()[..1]).unwrap();
     let copy = dir.path().join("killed");
@@ -323,23 +322,23 @@ fn a_new_database_replaces_the_old_one_once_it_is_filled() {
     let failed = Database::create_with(&path, |db| db.write_images(&images()));
     assert!(failed.is_err());
     assert_eq!(Database::open(&path).unwrap().num_images(), 1);
-    Database::create_with(&path, |db| db.write_cameras(&cameras())).unwrap().finish().unwrap();
+    Database::create_with(&path, |db| db.write_cameras(&cameras())).unwrap().close().unwrap();
     assert_eq!(names(&copy), ["database.db"]);
     let db = Database::open(&path).unwrap();
     assert_eq!((db.num_cameras(), db.num_images()), (2, 0));
     drop(db);
 
-    // What stands beside something that is no database goes with it.
+    // Files beside a file that is not a database are removed with it.
     for suffix in ["", "-wal", "-shm", "-journal"] {
         std::fs::write(copy.join(format!("database.db{suffix}")), "x".repeat(5000)).unwrap();
     }
-    Database::create(&path).unwrap().finish().unwrap();
+    Database::create(&path).unwrap().close().unwrap();
     assert_eq!(names(&copy), ["database.db"]);
     #[cfg(unix)]
     {
         let link = dir.path().join("link.db");
         std::os::unix::fs::symlink(&path, &link).unwrap();
-        Database::create_with(&link, |db| db.write_cameras(&cameras())).unwrap().finish().unwrap();
+        Database::create_with(&link, |db| db.write_cameras(&cameras())).unwrap().close().unwrap();
         assert!(link.is_symlink());
         assert_eq!(Database::open(&path).unwrap().num_cameras(), 2);
         std::os::unix::fs::symlink(&path, &part).unwrap();
@@ -349,7 +348,7 @@ fn a_new_database_replaces_the_old_one_once_it_is_filled() {
 }
 
 #[test]
-fn rows_on_stages_go_with_what_they_are_of() {
+fn stage_rows_are_written_with_their_data() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("database.db");
     let mut db = filled(&path);
@@ -362,14 +361,15 @@ fn rows_on_stages_go_with_what_they_are_of() {
     db.write_pairs([(pair, &[Match { a: 1, b: 2 }][..], &view)]).unwrap();
     assert_eq!(db.read_matches().unwrap(), [(pair, vec![Match { a: 1, b: 2 }])]);
     assert_eq!(db.read_two_views().unwrap(), [(pair, view)]);
-    // Two rows of one name: nothing is done.
+    // Two records with the same name: nothing is written.
     assert!(db.clear_matches_for(&[stage("x", true), stage("x", false)]).is_err());
     assert_eq!(db.matched_pairs().unwrap(), [pair]);
     assert_eq!(db.stage_rows().unwrap(), Some(rows.to_vec()));
     db.clear_matches_for(&rows[1..]).unwrap();
     assert!(db.matched_pairs().unwrap().is_empty() && db.read_two_views().unwrap().is_empty());
 
-    // While it is open, after a kill with and without the index of the log, and closed.
+    // While the database is open, after a kill with and without the index of the log, and after
+    // closing.
     let expected = Some(rows[1..].to_vec());
     assert_eq!(read_stage_rows(&path).unwrap(), expected);
     for (index, suffixes) in [&["", "-wal", "-shm"][..], &["", "-wal"]].into_iter().enumerate() {
@@ -397,7 +397,7 @@ fn rows_on_stages_go_with_what_they_are_of() {
             expected
         );
     }
-    // Closed by others, a database may say that it has a log and have none.
+    // A database that another program closed may be in WAL mode without a log.
     drop(db);
     let alone = dir.path().join("alone");
     std::fs::create_dir(&alone).unwrap();
@@ -408,7 +408,7 @@ fn rows_on_stages_go_with_what_they_are_of() {
         assert_eq!(names(&alone), ["database.db"]);
     }
     set_read_only(&alone, false);
-    Database::open(&path).unwrap().finish().unwrap();
+    Database::open(&path).unwrap().close().unwrap();
     assert_eq!(read_stage_rows(&path).unwrap(), expected);
     assert!(names(dir.path()).iter().all(|name| !name.contains('-')));
     assert!(read_stage_rows(&dir.path().join("none.db")).is_err());

@@ -1,5 +1,5 @@
-//! What other programs are given: read with readers of their own, each point must be seen where our
-//! cameras see it.
+//! Exports: parsed by independent readers, the projections of the points equal those of our
+//! cameras.
 #![allow(clippy::unwrap_used)]
 
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector2, Vector3, Vector4};
@@ -8,13 +8,13 @@ use tiepoint_io::undistort::{pinhole_of, undistort_image, undistort_model};
 use tiepoint_io::{Rgb, nerfstudio, openmvs};
 use tiepoint_scene::{Camera, Image, Keypoint, Observation, Reconstruction, Track};
 
-use crate::common::{Riding, random_model};
+use crate::common::{RigKind, random_model};
 
-/// A chain of a dozen products of numbers up to 1000, in pixels; points and their depth are f32 in
-/// OpenMVS.
+/// Error in pixels of a dozen products of numbers up to 1000; OpenMVS stores points and their depth
+/// as f32.
 const TOLERANCE_PX: f64 = 1e-6;
 
-/// The bytes of an OpenMVS scene, taken one by one as Interface.h of version 7 says.
+/// A reader of OpenMVS scenes after Interface.h, version 7.
 struct Mvs<'a>(&'a [u8]);
 
 impl Mvs<'_> {
@@ -53,9 +53,9 @@ type Platform =
     (Vec<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)>, Vec<(Matrix3<f64>, Vector3<f64>)>);
 
 #[test]
-fn openmvs_sees_the_points_where_we_do() {
-    let mut model = undistort_model(&random_model(11, Riding::Together));
-    // Where the reference is on its rig goes without saying.
+fn openmvs_scenes_project_points_to_the_same_pixels() {
+    let mut model = undistort_model(&random_model(11, RigKind::SeveralCameras));
+    // The reference sensor needs no pose.
     model.rigs[0].sensors[0].cam_from_rig = None;
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.mvs");
@@ -163,7 +163,7 @@ fn openmvs_refuses_distortion() {
 }
 
 #[test]
-fn nerfstudio_sees_the_points_where_we_do() {
+fn nerfstudio_cameras_project_points_to_the_same_pixels() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("transforms.json");
     for (kind, params, name) in [
@@ -201,7 +201,7 @@ fn nerfstudio_sees_the_points_where_we_do() {
                 .collect();
             let point = Matrix4::from_row_slice(&values).try_inverse().unwrap()
                 * Vector4::new(0.3, 0.4, 0.5, 1.0);
-            // It looks along −z, y up; OpenCV's formulas.
+            // The camera looks along −z with y up; formulas of OpenCV.
             let (x, y) = (point.x / -point.z, -point.y / -point.z);
             let (k1, k2, k3, k4) = (number("k1"), number("k2"), number("k3"), number("k4"));
             let (p1, p2) = (number("p1"), number("p2"));
@@ -240,8 +240,7 @@ fn undistorted_models_have_no_error() {
     assert!(model.mean_reprojection_error_px() < 1e-6);
 }
 
-/// A picture whose colour tells the ray: after undistortion each pixel has the colour of its own
-/// ray.
+/// An image whose colours encode the rays: after undistortion each pixel has the colour of its ray.
 #[test]
 fn undistorted_images_show_the_rays_of_their_camera() {
     let intrinsics = Intrinsics::new(RADIAL.0, &[50.0, 32.0, 24.0, -0.1, 0.02]).unwrap();
@@ -263,11 +262,11 @@ fn undistorted_images_show_the_rays_of_their_camera() {
             black += 1;
             continue;
         }
-        // Rounding of the picture, and its edge pixels which stand for half a pixel beyond.
+        // Rounding of the colours, and half a pixel at the border.
         for (found, expected) in found.into_iter().zip(color(&to, x, y)) {
             assert!(found.abs_diff(expected) <= 2, "at {x} {y}: {found} for {expected}");
         }
     }
-    // A barrel-distorted camera sees more than the pinhole: nothing is missing.
+    // A camera with barrel distortion covers the whole pinhole image.
     assert_eq!(black, 0);
 }

@@ -1,5 +1,5 @@
-//! What a kill, a full disk or a broken one leaves at any moment: the old or the new, never a mix,
-//! and nothing for good.
+//! Atomicity of writers: after a kill, a full disk or a device error at any change, the old or the
+//! new content is there, and a later run succeeds.
 #![cfg(all(feature = "database", feature = "faults"))]
 #![allow(clippy::unwrap_used)]
 
@@ -18,10 +18,10 @@ use tiepoint_scene::{
     Camera, CameraId, Image, ImageId, ImagePair, Match, Reconstruction, TwoView, TwoViewKind,
 };
 
-use crate::common::{Riding, random_model};
+use crate::common::{RigKind, random_model};
 
 const KINDS: [Kind; 3] = [Kind::Stop, Kind::Full, Kind::Fail];
-/// Keypoints of an image: so many that their descriptors do not fit into a page.
+/// Keypoints of an image; their descriptors take more than a page of the database.
 const KEYPOINTS: usize = 40;
 
 fn names(dir: &Path) -> Vec<String> {
@@ -32,9 +32,9 @@ fn names(dir: &Path) -> Vec<String> {
     names
 }
 
-/// Runs `work` with a fault at each of its changes in turn, each time in a fresh folder that
-/// `prepare` fills, and then checks the folder; returns how many changes there are.
-fn sweep(
+/// Runs `work` with a fault at each of its changes in turn, each time in a new folder that
+/// `prepare` fills, then checks the folder. Returns the number of changes.
+fn test_every_fault(
     parent: &Path,
     prepare: impl Fn(&Path),
     work: impl Fn(&Path) -> Result<()>,
@@ -53,7 +53,7 @@ fn sweep(
             prepare(dir.path());
             let faults = Faults::at(dir.path(), n, kind);
             let done = work(dir.path());
-            // A disk may be full once all is written.
+            // With a full disk, changes that need no space succeed.
             assert!(
                 faults.hit() || (kind == Kind::Full && done.is_ok()),
                 "{kind:?} at {n} of {count}"
@@ -116,7 +116,7 @@ fn write_database(dir: &Path) -> Result<()> {
     for pair in pairs() {
         db.write_pairs([(pair, &matches()[..], &view)])?;
     }
-    db.finish()
+    db.close()
 }
 
 /// How far the new database got; `None` for the old one. Panics where it is neither.
@@ -151,7 +151,7 @@ fn progress(path: &Path, old: &str) -> Option<usize> {
     Some(with_features + usize::from(rows.is_some()) + of_views.len())
 }
 
-/// A database as a run leaves it that was killed: with a log that holds all of its content.
+/// A database of a killed run: its log holds all of its content.
 fn old_database(dir: &Path) {
     let made = tempfile::tempdir().unwrap();
     let path = made.path().join("database.db");
@@ -165,7 +165,7 @@ fn old_database(dir: &Path) {
 }
 
 #[test]
-fn a_database_is_old_or_new() {
+fn databases_are_replaced_atomically() {
     let check = |dir: &Path, kind: Kind, is_done: bool, is_first: bool| {
         let path = dir.join("database.db");
         if is_first && !path.exists() {
@@ -176,30 +176,30 @@ fn a_database_is_old_or_new() {
             assert!(!is_first || progress.is_some());
         }
         if kind == Kind::Full {
-            // Names can be removed on a full disk.
+            // Files can be removed from a full disk.
             assert!(!names(dir).iter().any(|name| name.starts_with('.')), "{:?}", names(dir));
         }
         write_database(dir).unwrap();
         assert_eq!(names(dir), ["database.db"]);
         assert_eq!(progress(&path, "old"), Some(6));
     };
-    // In memory where there is such a folder: thousands of files are brought to the disk.
+    // In a memory file system if there is one: thousands of files are synchronised.
     let memory = Path::new("/dev/shm");
     let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
-    let first = sweep(
+    let first = test_every_fault(
         &parent,
         |_| {},
         write_database,
         |dir, kind, is_done| check(dir, kind, is_done, true),
     );
-    let again = sweep(&parent, old_database, write_database, |dir, kind, is_done| {
+    let again = test_every_fault(&parent, old_database, write_database, |dir, kind, is_done| {
         check(dir, kind, is_done, false)
     });
     assert!(first > 30 && again > first, "{first} {again}");
 }
 
 #[test]
-fn changes_of_a_database_are_seen() {
+fn changes_of_a_database_are_recorded() {
     let dir = tempfile::tempdir().unwrap();
     let faults = Faults::count(dir.path());
     write_database(dir.path()).unwrap();
@@ -209,12 +209,12 @@ fn changes_of_a_database_are_seen() {
     let place =
         |operation, path: &Path| log.iter().rposition(|seen| *seen == (operation, path.to_owned()));
     assert!(log.contains(&(Operation::Create, part.clone())));
-    // The part is on the disk before it takes its name.
+    // The temporary database is synchronised before the rename.
     let renamed = place(Operation::Rename, &path).unwrap();
     assert!(place(Operation::Write, &part).unwrap() < place(Operation::Sync, &part).unwrap());
     assert!(place(Operation::Sync, &part).unwrap() < renamed);
     assert_eq!(log[renamed + 1], (Operation::SyncFolder, root.clone()));
-    // Then each transaction goes to the log, and the log into the file.
+    // Then each transaction is written to the log, and the log is checkpointed.
     assert_eq!(
         log[renamed..].iter().filter(|(operation, _)| *operation == Operation::Commit).count(),
         6
@@ -228,8 +228,8 @@ fn changes_of_a_database_are_seen() {
 }
 
 #[test]
-fn a_file_is_old_or_new() {
-    // More than the buffer of a writer.
+fn files_are_replaced_atomically() {
+    // More bytes than the buffer of a writer.
     let new = "new ".repeat(5000);
     let write = |dir: &Path| {
         AtomicFile::write_with(dir.join("file"), |file| file.write_all(new.as_bytes()))
@@ -251,16 +251,17 @@ fn a_file_is_old_or_new() {
             assert_eq!(names(dir), ["file"]);
             assert_eq!(fs::read_to_string(dir.join("file")).unwrap(), new);
         };
-        assert!(sweep(&std::env::temp_dir(), prepare, write, check) >= 5);
+        assert!(test_every_fault(&std::env::temp_dir(), prepare, write, check) >= 5);
     }
     let dir = tempfile::tempdir().unwrap();
     let faults = Faults::count(dir.path());
     write(dir.path()).unwrap();
-    assert_lasting(&faults.log(), |to| disk::folder_of(to).join(".file.tiepoint-part"));
+    assert_durable(&faults.log(), |to| disk::folder_of(to).join(".file.tiepoint-part"));
 }
 
-/// Each renamed file was on the disk under its temporary name, and its new name gets there.
-fn assert_lasting(log: &[(Operation, PathBuf)], part_of: impl Fn(&Path) -> PathBuf) {
+/// Checks that each renamed file was synchronised under its temporary name, and its folder after
+/// the rename.
+fn assert_durable(log: &[(Operation, PathBuf)], part_of: impl Fn(&Path) -> PathBuf) {
     let renames: Vec<usize> =
         (0..log.len()).filter(|index| log[*index].0 == Operation::Rename).collect();
     assert!(!renames.is_empty());
@@ -278,8 +279,9 @@ fn assert_lasting(log: &[(Operation, PathBuf)], part_of: impl Fn(&Path) -> PathB
 }
 
 #[test]
-fn a_model_is_old_or_new() {
-    let (old, new) = (random_model(1, Riding::Together), random_model(2, Riding::Together));
+fn models_are_replaced_atomically() {
+    let (old, new) =
+        (random_model(1, RigKind::SeveralCameras), random_model(2, RigKind::SeveralCameras));
     for format in [Format::Binary, Format::Text] {
         let write = |dir: &Path| write_model(&dir.join("above/model"), &new, format);
         let check = |dir: &Path, is_done: bool, is_there: bool| {
@@ -302,24 +304,31 @@ fn a_model_is_old_or_new() {
             assert_eq!(names(&dir.join("above")), ["model"]);
             assert!(!names(&model).iter().any(|name| name.starts_with('.')), "{:?}", names(&model));
         };
-        sweep(&std::env::temp_dir(), |_| {}, write, |dir, _, is_done| check(dir, is_done, false));
+        test_every_fault(
+            &std::env::temp_dir(),
+            |_| {},
+            write,
+            |dir, _, is_done| check(dir, is_done, false),
+        );
         let prepare = |dir: &Path| write_model(&dir.join("above/model"), &old, format).unwrap();
-        sweep(&std::env::temp_dir(), prepare, write, |dir, _, is_done| check(dir, is_done, true));
+        test_every_fault(&std::env::temp_dir(), prepare, write, |dir, _, is_done| {
+            check(dir, is_done, true)
+        });
         let dir = tempfile::tempdir().unwrap();
         prepare(dir.path());
         let faults = Faults::count(dir.path());
         write(dir.path()).unwrap();
-        assert_lasting(&faults.log(), |to| {
+        assert_durable(&faults.log(), |to| {
             to.with_file_name(format!(".{}.tiepoint-part", to.file_name().unwrap().display()))
         });
     }
 }
 
 #[test]
-fn a_model_is_not_written_beside_one_in_the_other_format() {
+fn model_beside_one_in_the_other_format_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (old, new): (Reconstruction, _) =
-        (random_model(1, Riding::Alone), random_model(2, Riding::Alone));
+        (random_model(1, RigKind::SingleCameras), random_model(2, RigKind::SingleCameras));
     write_model(dir.path(), &old, Format::Binary).unwrap();
     let error = write_model(dir.path(), &new, Format::Text).unwrap_err().to_string();
     assert!(error.contains("cameras.bin: holds a model as .bin too"), "{error}");

@@ -24,7 +24,7 @@ fn database(path: &Path, sql: &str) {
     db.write_rigs(&[], &[]).unwrap();
     let row = StageRow { stage: "features".to_owned(), is_complete: true, recipe: "{}".to_owned() };
     db.write_stage_rows(&[row]).unwrap();
-    db.finish().unwrap();
+    db.close().unwrap();
     // Strangers need not keep the rules of the schema.
     let sql = format!("PRAGMA foreign_keys = OFF; {sql}");
     Connection::open(path).unwrap().execute_batch(&sql).unwrap();

@@ -5,7 +5,7 @@ use std::fs;
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, RgbImage};
-use tiepoint_io::{ImageFolder, ImageSource, Luma, MAX_PIXELS, MOST_PIXELS, Rgb};
+use tiepoint_io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, ImageFolder, ImageSource, Luma, Rgb};
 
 fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -93,9 +93,9 @@ fn the_limit_can_be_raised_to_the_largest_cameras_and_no_farther() {
     // Phase One's IQ4 and the largest sensors in telephones.
     const {
         assert!(
-            MAX_PIXELS > 14_204 * 10_652
-                && MAX_PIXELS > 16_320 * 12_240
-                && MAX_PIXELS < MOST_PIXELS
+            DEFAULT_MAX_PIXELS > 14_204 * 10_652
+                && DEFAULT_MAX_PIXELS > 16_320 * 12_240
+                && DEFAULT_MAX_PIXELS < ABSOLUTE_MAX_PIXELS
         )
     };
 }

@@ -1,4 +1,4 @@
-//! Folders of images: which there are, what is in them, and what is said of broken ones.
+//! Folders of images: names, cameras, pixels and EXIF data, and errors of damaged files.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -13,7 +13,7 @@ use tiepoint_io::{ImageFolder, ImageSource, Luma, MANIFEST, Rgb, timestamps};
 /// JPEG at quality 95 of a smooth image: a few grey levels.
 const JPEG_TOLERANCE: i32 = 6;
 
-/// 24 × 16, brighter to the right, redder downwards.
+/// An image of 24 × 16 pixels, brighter to the right, redder downwards.
 fn gradient() -> RgbImage {
     RgbImage::from_fn(24, 16, |x, y| Pixel([(10 * x) as u8, (10 * x) as u8, (15 * y) as u8]))
 }
@@ -30,7 +30,7 @@ fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     bytes
 }
 
-/// The same JPEG with an EXIF segment after its first two bytes.
+/// Inserts an EXIF segment after the first two bytes of a JPEG file.
 fn with_exif(jpeg: &[u8], fields: &[(Tag, Value)]) -> Vec<u8> {
     let fields: Vec<exif::Field> = fields
         .iter()
@@ -89,7 +89,7 @@ fn cameras_are_folders_and_names_are_in_byte_order() {
     );
     assert_eq!(source.camera_names(), ["left", "right"]);
 
-    // Each folder given alone: the same names.
+    // Each folder as an input of its own: the same names.
     let source = ImageFolder::open(&[rig.path().join("right"), rig.path().join("left")], None);
     assert!(source.is_ok_and(|source| names(&source).last() == Some(&("right/1.png", 1))));
 
@@ -108,7 +108,7 @@ fn manifest(names: &[&str]) -> Vec<u8> {
 }
 
 #[test]
-fn images_that_this_program_made_are_passed_over() {
+fn images_of_this_program_are_ignored() {
     let names = |dir: &Path| -> Vec<String> {
         open(dir).unwrap().images().iter().map(|image| image.name.clone()).collect()
     };
@@ -130,7 +130,7 @@ fn images_that_this_program_made_are_passed_over() {
 
     let dir = with(vec![], of_ws(), manifest(&["images/1.png"]));
     assert_eq!(names(dir.path()), [cam[0], cam[1], theirs]);
-    // By whoever is above.
+    // Also from the folder above.
     let dir = with(vec![], manifest(&["frames/a/1.jpg", "export/images/1.png"]), vec![]);
     assert_eq!(names(dir.path()), [cam[0], cam[1], theirs]);
     for foreign in [
@@ -143,7 +143,7 @@ fn images_that_this_program_made_are_passed_over() {
         assert_eq!(names(dir.path()), [cam[0], cam[1], export, theirs]);
     }
 
-    // An input's own manifest counts as long as it leaves images.
+    // The manifest of the input itself applies unless it names all images.
     let dir = with(manifest(&["cam/1.png"]), of_ws(), vec![]);
     assert_eq!(names(dir.path()), [cam[1], export, theirs]);
     let error = open(&dir.path().join("ws")).unwrap_err().to_string();
@@ -153,14 +153,14 @@ fn images_that_this_program_made_are_passed_over() {
 }
 
 #[test]
-fn an_input_of_nothing_but_made_images_is_meant() {
+fn input_with_only_images_of_this_program_is_used() {
     let dir = folder(&[
         (MANIFEST, manifest(&["a/1.png", "a/2.png"])),
         ("a/1.png", vec![]),
         ("a/2.png", vec![]),
     ]);
     assert_eq!(names(&open(dir.path()).unwrap()), [("a/1.png", 0), ("a/2.png", 0)]);
-    // From above they are not.
+    // From the folder above, they are ignored.
     let above = folder(&[
         ("cam/1.png", vec![]),
         (&format!("ws/{MANIFEST}"), manifest(&["a/1.png"])),
@@ -171,7 +171,7 @@ fn an_input_of_nothing_but_made_images_is_meant() {
 
 #[test]
 #[cfg(unix)]
-fn what_is_skipped_has_a_name_and_a_reason() {
+fn skipped_files_have_names_and_reasons() {
     let dir = folder(&[
         ("l/1.png", vec![]),
         ("l/a\u{7f}.png", vec![]),
@@ -187,7 +187,7 @@ fn what_is_skipped_has_a_name_and_a_reason() {
         why.contains("/ r: its name begins with white space, with 1 image below it: rename"),
         "{why}"
     );
-    // Behind the name of an input, a space is within.
+    // After the prefix of an input, a leading space is in the middle of the name.
     let inputs = [dir.path().join(" r"), dir.path().join("l")];
     let error = ImageFolder::open(&inputs, None).unwrap_err().to_string();
     assert!(error.contains("/ r: its name begins with white space"), "{error}");
@@ -216,7 +216,7 @@ fn formats_agree_on_pixels() {
         ("rgb.tif", &colours, ImageFormat::Tiff),
         ("rgb16.tiff", &rgb16, ImageFormat::Tiff),
         ("rgb.jpg", &colours, ImageFormat::Jpeg),
-        // The content counts, not the name.
+        // The content decides the format, not the extension.
         ("png_named.jpg", &colours, ImageFormat::Png),
     ] {
         let dir = folder(&[(name, encoded(image, format))]);
@@ -233,7 +233,7 @@ fn formats_agree_on_pixels() {
                 "{name} {x} {y}: {found}"
             );
             for (found, expected) in rgb.pixel(x, y).into_iter().zip(gradient().get_pixel(x, y).0) {
-                // Blue of JPEG's chroma at half resolution is off by more.
+                // The blue channel of JPEG with subsampled chroma has a larger error.
                 assert!(
                     (i32::from(found) - i32::from(expected)).abs() <= 3 * tolerance,
                     "{name} {x} {y}"
@@ -257,7 +257,7 @@ fn formats_agree_on_pixels() {
 }
 
 #[test]
-fn foreign_jpegs() {
+fn jpeg_files_of_other_programs_are_decoded() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
     // Written by Pillow, in CMYK as Adobe does it.
     let red = Rgb::read(&data.join("red_cmyk.jpg")).unwrap().pixel(3, 3);
@@ -271,7 +271,7 @@ fn foreign_jpegs() {
     assert!((f64::from(luma.data[33 * 8 + 10]) - expected).abs() < f64::from(JPEG_TOLERANCE));
 }
 
-/// What the first stage makes of a file.
+/// The grey image and the features of a file.
 fn extracted(bytes: Vec<u8>) -> (Luma, Features) {
     let dir = folder(&[("a", bytes)]);
     let luma = Luma::read(&dir.path().join("a")).unwrap();
@@ -282,7 +282,7 @@ fn extracted(bytes: Vec<u8>) -> (Luma, Features) {
 
 #[test]
 fn images_of_any_shape_go_from_file_to_features() {
-    /// The longest side that JPEG can say.
+    /// The longest side of a JPEG image.
     const JPEG_SIDE: u32 = 65_535;
     for (width, height) in
         [(1, 1), (2, 1), (1, 2), (2, 2), (1, 100_000), (100_000, 1), (1, JPEG_SIDE), (160, 120)]
@@ -348,8 +348,8 @@ fn images_of_any_kind_go_from_file_to_features() {
 fn orientation_turns_pixels_and_sizes() {
     let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
     let stored = gradient();
-    // Where the stored pixel (x, y) is seen, from the definition of each value: which sides row 0
-    // and column 0 are.
+    // The position of the stored pixel (x, y) in the upright image, from the definition of each
+    // value: the sides of row 0 and column 0.
     type Seen = fn(u32, u32) -> (u32, u32);
     let seen: [Seen; 8] = [
         |x, y| (x, y),
@@ -410,7 +410,7 @@ fn exif_gives_focal_length_and_time() {
     let info = |name: &str| {
         source.info(source.images().iter().position(|image| image.name == name).unwrap()).unwrap()
     };
-    // 18 mm · 100 px/mm on 48 pixels, of which 24 are left.
+    // 18 mm · 100 px/mm for 48 pixels, of which 24 remain.
     assert_eq!(info("a.jpg").exif.focal_px(24, 16, None), Some(900.0));
     assert_eq!(info("a.jpg").time_s, Some(1_709_210_096.25));
     assert_eq!(info("1403636579763555584.jpg").time_s, Some(1_403_636_579.763_555_6));
@@ -421,7 +421,7 @@ fn exif_gives_focal_length_and_time() {
 }
 
 #[test]
-fn broken_images_are_named() {
+fn errors_name_damaged_images() {
     let jpeg = encoded(&gradient().into(), ImageFormat::Jpeg);
     let png = encoded(&gradient().into(), ImageFormat::Png);
     let tiff = encoded(&gradient().into(), ImageFormat::Tiff);
@@ -452,7 +452,7 @@ fn broken_images_are_named() {
 }
 
 #[test]
-fn masks_go_by_name_and_must_fit() {
+fn masks_are_found_by_name_and_have_the_size_of_the_image() {
     let png = encoded(&gradient().into(), ImageFormat::Png);
     let images =
         folder(&["l/1.png", "l/2.jpg", "l/3.jpg", "l/4.png"].map(|name| (name, png.clone())));
@@ -492,7 +492,7 @@ fn timestamps_are_read_as_written() {
         ("image,seconds\na\n", "line 2: `a` has no comma"),
         ("image,seconds\n\na,x\n", "line 3: the time of a is not a number of seconds"),
         ("image,seconds\na,NaN\n", "line 2: the time of a is not"),
-        ("image,seconds\na,1\na,2\n", "line 3: the image a is there twice"),
+        ("image,seconds\na,1\na,2\n", "line 3: the image a is listed twice"),
     ] {
         fs::write(&path, content).unwrap();
         let error = timestamps::read(&path).unwrap_err().to_string();

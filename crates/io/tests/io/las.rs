@@ -1,4 +1,4 @@
-//! LAS and LAZ: what is written is read back.
+//! LAS and LAZ: round trips.
 #![cfg(feature = "las")]
 #![allow(clippy::unwrap_used)]
 
@@ -8,7 +8,7 @@ use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_io::las;
 use tiepoint_io::ply::Vertex;
 
-/// Half the resolution of the file, and rounding of coordinates of some millions.
+/// Half of the resolution of the file, and the rounding of coordinates of some millions.
 const TOLERANCE: f64 = 0.6e-4;
 
 fn cloud(seed: u64, count: usize) -> Vec<Vertex> {
@@ -50,7 +50,7 @@ proptest! {
 }
 
 #[test]
-fn broken_files_are_named() {
+fn errors_name_damaged_files() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("cloud.las");
     assert!(las::read(&path).unwrap_err().to_string().contains("cloud.las"));

@@ -1,4 +1,4 @@
-//! LAS and LAZ files of a few kilobytes that claim gigabytes are refused, and soon.
+//! LAS and LAZ files of a few kilobytes that claim gigabytes are refused without large allocations.
 #![cfg(feature = "las")]
 
 use las::point::Format;
@@ -48,15 +48,15 @@ fn data_offset(bytes: &[u8]) -> usize {
     u32::from_le_bytes(bytes[DATA_OFFSET..DATA_OFFSET + 4].try_into().unwrap()) as usize
 }
 
-fn refused(dir: &Path, bytes: &[u8], says: &str) {
+fn refused(dir: &Path, bytes: &[u8], message: &str) {
     let path = dir.join("cloud.laz");
     std::fs::write(&path, bytes).unwrap();
     let error = read(&path).unwrap_err().to_string();
-    assert!(error.contains("cloud.laz") && error.contains(says), "{error}");
+    assert!(error.contains("cloud.laz") && error.contains(message), "{error}");
 }
 
 #[test]
-fn clouds_of_every_format_are_still_read() {
+fn clouds_of_every_format_are_read() {
     let dir = tempfile::tempdir().unwrap();
     for (format, compressed, extra) in [
         (0, true, 0),
@@ -78,15 +78,15 @@ fn clouds_of_every_format_are_still_read() {
 }
 
 #[test]
-fn more_points_than_bytes() {
+fn more_points_than_bytes_are_refused() {
     let dir = tempfile::tempdir().unwrap();
-    for (compressed, says) in
+    for (compressed, message) in
         [(false, "announces 4000000000 points of 36 bytes"), (true, "4000000000 points")]
     {
         let mut bytes = file(7, compressed, 0, 100);
         put(&mut bytes, LEGACY_POINTS, &[0; 4]);
         put(&mut bytes, POINTS, &4_000_000_000u64.to_le_bytes());
-        refused(dir.path(), &bytes, says);
+        refused(dir.path(), &bytes, message);
     }
     // Records of 65,535 bytes: 2¹⁶ of them at a time were 4 GB.
     let mut bytes = file(7, false, 0, 100);
@@ -95,18 +95,18 @@ fn more_points_than_bytes() {
 }
 
 #[test]
-fn layers_longer_than_the_file() {
+fn layers_longer_than_the_file_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut bytes = file(7, true, 0, 100);
-    // Behind the offset of the table of chunks, the first point and the number of points: ten
-    // layers.
+    // After the offset of the chunk table, the first point and the number of points follow the
+    // lengths of ten layers.
     let sizes = data_offset(&bytes) + 8 + 36 + 4;
     (0..10).for_each(|layer| put(&mut bytes, sizes + 4 * layer, &u32::MAX.to_le_bytes()));
     refused(dir.path(), &bytes, "claims 42949672950 bytes");
 }
 
 #[test]
-fn a_table_of_more_chunks_than_bytes() {
+fn table_of_more_chunks_than_bytes_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     for format in [3, 7] {
         let mut bytes = file(format, true, 0, 100);
@@ -118,7 +118,7 @@ fn a_table_of_more_chunks_than_bytes() {
 }
 
 #[test]
-fn an_extended_record_longer_than_the_file() {
+fn extended_record_longer_than_the_file_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut bytes = file(7, false, 0, 100);
     let end = bytes.len() as u64;
@@ -130,7 +130,7 @@ fn an_extended_record_longer_than_the_file() {
 }
 
 #[test]
-fn a_record_on_compression_that_names_other_items() {
+fn laszip_record_with_other_items_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let good = file(3, true, 1, 100);
     let at = good.windows(14).position(|w| w == b"laszip encoded").unwrap() - 2 + 54 + 34;

@@ -1,5 +1,5 @@
-//! Matches between the images of a scene: mostly right, some wrong, with the two-view geometries
-//! that a verification would find.
+//! Matches between the images of a scene, correct and wrong, with the two-view geometries that a
+//! geometric verification would find.
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Matrix3, Vector3};
@@ -11,45 +11,46 @@ use tiepoint_scene::{
 
 use super::scene::FeatureScene;
 
-/// Cameras nearer to each other than this, in metres, have only turned.
+/// Baselines shorter than this, in metres, are pure rotations.
 const MIN_BASELINE_M: f64 = 1e-3;
 
-/// How images are matched.
+/// Options of the matching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchOptions {
-    /// Only pairs with at least so many points in common.
+    /// Fewest common points of a pair.
     pub min_common: usize,
-    /// Only pairs of images at most so many images apart in time (counted within each camera), or
-    /// so many times that many: the ends of a loop. `None` for all.
+    /// Largest difference of the indices of a pair in the sequences of their cameras. Pairs that
+    /// are more than ten windows apart are matched, too: the ends of a loop. `None` matches all
+    /// pairs.
     pub window: Option<usize>,
-    /// Share of the common points that are matched.
+    /// Fraction of the common points that are matched.
     pub recall: f64,
-    /// Share of the unverified matches that are wrong.
-    pub wrong_fraction: f64,
-    /// Wrong matches within this of their epipolar line, in pixels, pass the verification.
+    /// Fraction of the unverified matches that are wrong.
+    pub outlier_ratio: f64,
+    /// Largest Sampson error of a wrong match that passes the verification, in pixels.
     pub max_error_px: f64,
 }
 
 impl Default for MatchOptions {
     fn default() -> Self {
-        Self { min_common: 20, window: None, recall: 0.8, wrong_fraction: 0.2, max_error_px: 4.0 }
+        Self { min_common: 20, window: None, recall: 0.8, outlier_ratio: 0.2, max_error_px: 4.0 }
     }
 }
 
-/// What matching two images gives.
+/// The matches of a pair of images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairMatches {
-    /// Which images.
+    /// The pair.
     pub pair: ImagePair,
-    /// All matches, right and wrong.
+    /// All matches, correct and wrong.
     pub matches: Vec<Match>,
-    /// The true relation (of a pair that only looks alike: the one that it pretends), with the
-    /// matches that agree with it.
+    /// The true two-view geometry with its inlier matches; for a visually aliased pair, the wrong
+    /// geometry that its matches support.
     pub two_view: TwoView,
 }
 
 impl FeatureScene {
-    /// What a mapper is given beside [`FeatureScene::without_poses`]: the verified matches.
+    /// The verified matches, the input of a mapper together with [`FeatureScene::without_poses`].
     pub fn graph(&self, options: &MatchOptions) -> CorrespondenceGraph {
         let counts: Vec<usize> =
             self.truth().images().map(|(_, image)| image.keypoints.len()).collect();
@@ -57,16 +58,16 @@ impl FeatureScene {
         CorrespondenceGraph::new(&counts, found.map(|found| (found.pair, found.two_view)))
     }
 
-    /// Matches every pair of images that sees enough in common, sorted by pair.
+    /// Matches every pair of images with enough points in common, sorted by pair.
     pub fn matches(&self, options: &MatchOptions) -> Vec<PairMatches> {
         let truth = self.truth();
-        let rank = ranks(truth);
-        let count = rank.len();
-        let is_wanted = |a: usize, b: usize| {
-            // Twice the window apart begins a loop's other end; what lies between is left out.
+        let sequence_index = sequence_indices(truth);
+        let count = sequence_index.len();
+        let is_in_window = |a: usize, b: usize| {
+            // Pairs more than ten windows apart are the ends of a loop; pairs between are left out.
             options.window.is_none_or(|window| {
-                let apart = rank[a].abs_diff(rank[b]);
-                apart <= window || apart > 10 * window
+                let difference = sequence_index[a].abs_diff(sequence_index[b]);
+                difference <= window || difference > 10 * window
             })
         };
         let of_image = |a: usize| {
@@ -75,7 +76,7 @@ impl FeatureScene {
             for (keypoint, point) in image.points().iter().enumerate() {
                 let Some(track) = point.and_then(|point| truth.track(point)) else { continue };
                 for &Observation { image, keypoint: other } in &track.observations {
-                    if image.index() > a && is_wanted(a, image.index()) {
+                    if image.index() > a && is_in_window(a, image.index()) {
                         common.push((image.0, Match { a: keypoint as u32, b: other }));
                     }
                 }
@@ -88,11 +89,11 @@ impl FeatureScene {
         let found: Vec<Vec<PairMatches>> = (0..count).into_par_iter().map(of_image).collect();
         let mut found: Vec<PairMatches> = found.into_iter().flatten().collect();
         for wrong in &self.wrong_pairs {
-            let mut two_view = relation(truth, wrong.pair, &wrong.cam2_from_cam1);
+            let mut two_view = two_view_geometry(truth, wrong.pair, &wrong.cam2_from_cam1);
             two_view.matches.clone_from(&wrong.matches);
             let made = PairMatches { pair: wrong.pair, matches: wrong.matches.clone(), two_view };
             match found.binary_search_by_key(&wrong.pair, |known| known.pair) {
-                // The two do see something in common: what they pretend outweighs it.
+                // The wrong matches outnumber the few common points of this pair.
                 Ok(at) => found[at] = made,
                 Err(at) => found.insert(at, made),
             }
@@ -100,7 +101,7 @@ impl FeatureScene {
         found
     }
 
-    /// Which pairs only look alike.
+    /// The visually aliased pairs.
     pub fn wrong_pairs(&self) -> impl Iterator<Item = ImagePair> {
         self.wrong_pairs.iter().map(|wrong| wrong.pair)
     }
@@ -114,13 +115,13 @@ impl FeatureScene {
         let pose = |image: ImageId| {
             *truth.image(image).cam_from_world().expect("the truth has every pose")
         };
-        let mut two_view = relation(truth, pair, &(pose(pair.b) * pose(pair.a).inverse()));
+        let mut two_view = two_view_geometry(truth, pair, &(pose(pair.b) * pose(pair.a).inverse()));
         let mut matches: Vec<Match> =
             common.iter().filter(|_| rng.uniform() < options.recall).map(|(_, m)| *m).collect();
         two_view.matches.clone_from(&matches);
-        let share = options.wrong_fraction.clamp(0.0, 0.99);
+        let share = options.outlier_ratio.clamp(0.0, 0.99);
         let wrong = (matches.len() as f64 * share / (1.0 - share)).round() as usize;
-        // A keypoint has one match: wrong ones take keypoints that are left.
+        // Each keypoint has at most one match: wrong ones use unmatched keypoints.
         let left_over = |count: usize, taken: &dyn Fn(&Match) -> u32| {
             let mut is_taken = vec![false; count];
             matches.iter().for_each(|m| is_taken[taken(m) as usize] = true);
@@ -147,18 +148,18 @@ impl FeatureScene {
     }
 }
 
-/// The place of each image in its camera's sequence.
-fn ranks(truth: &Reconstruction) -> Vec<usize> {
+/// The index of each image in the sequence of its camera.
+fn sequence_indices(truth: &Reconstruction) -> Vec<usize> {
     let mut next = vec![0; truth.cameras().count()];
-    let mut rank = |camera: usize| {
+    let mut sequence_index = |camera: usize| {
         next[camera] += 1;
         next[camera] - 1
     };
-    truth.images().map(|(_, image)| rank(image.camera.index())).collect()
+    truth.images().map(|(_, image)| sequence_index(image.camera.index())).collect()
 }
 
-/// The relation of two images with a known relative pose; no matches yet.
-fn relation(truth: &Reconstruction, pair: ImagePair, cam2_from_cam1: &Rigid3) -> TwoView {
+/// The two-view geometry of a known relative pose, without matches.
+fn two_view_geometry(truth: &Reconstruction, pair: ImagePair, cam2_from_cam1: &Rigid3) -> TwoView {
     let calibration = |image: ImageId| {
         let intrinsics: &Intrinsics = &truth.camera_of(image).intrinsics;
         let (focal, centre) = (intrinsics.mean_focal_px(), intrinsics.principal_point());
@@ -188,7 +189,7 @@ fn relation(truth: &Reconstruction, pair: ImagePair, cam2_from_cam1: &Rigid3) ->
     }
 }
 
-/// Sampson's distance, or that of the homography.
+/// Sampson error in pixels, or the transfer error of the homography.
 fn error_px(two_view: &TwoView, x1: Vector3<f64>, x2: Vector3<f64>) -> f64 {
     if let Some(f) = &two_view.fundamental {
         let (line2, line1) = (f * x1, f.transpose() * x2);

@@ -1,11 +1,11 @@
-//! Scenes of features from the same street, without rendering: keypoints, tracks and matches with
-//! truth, of any size.
+//! Feature-level scenes of the same street without rendering: keypoints, tracks and matches with
+//! ground truth, of any size.
 //!
-//! A point is what a random pixel of a random image sees, so points lie as densely as features do
-//! in pictures. Its blob has a size in metres; an image sees it where nothing is in front, where
-//! the blob is a few pixels wide, and from directions from which it looks alike, as the invariance
-//! of descriptors allows (Mikolajczyk & Schmid 2005). Tracks therefore begin, end, skip images and
-//! close loops by themselves.
+//! A point is the surface point of a random pixel of a random image, so that the density of points
+//! is that of features in images. Its blob has a size in metres. An image observes it where nothing
+//! occludes it, where the blob is a few pixels wide, and from directions within the invariance of
+//! descriptors (Mikolajczyk & Schmid 2005). Tracks therefore begin, end, skip images and close
+//! loops as real ones.
 
 mod matches;
 mod options;

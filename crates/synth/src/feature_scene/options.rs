@@ -1,25 +1,25 @@
-//! What a caller may choose of a scene of features.
+//! Options of a feature-level scene.
 
-/// What to see, and how well.
+/// Options of a feature-level scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions {
-    /// Every random number follows from it.
+    /// The seed of all random numbers.
     pub seed: u64,
-    /// About so many observations in tracks, over all images.
+    /// Approximate number of observations in tracks, over all images.
     pub observations: usize,
-    /// Standard deviation of a keypoint of scale 2 px, along each axis, in pixels; it goes with the
-    /// root of the scale.
+    /// Standard deviation of the noise of a keypoint of scale 2 px, along each axis, in pixels;
+    /// proportional to the square root of the scale.
     pub noise_px: f64,
-    /// Chance that an image detects a feature that it could.
+    /// Probability that an image detects a visible feature.
     pub detection: f64,
-    /// How far features are seen, in metres.
+    /// Largest distance of an observed feature, in metres.
     pub max_range_m: f64,
-    /// Largest angle between the directions from which a feature looks alike, in radians.
+    /// Largest angle between the viewing directions of a feature with matching descriptors, in
+    /// radians.
     pub max_view_angle_rad: f64,
-    /// Keypoints of each image that nothing else corresponds to.
+    /// Number of keypoints of each image without a track.
     pub clutter: usize,
-    /// Pairs of images that look alike without seeing the same: consistent matches with a wrong
-    /// geometry.
+    /// Number of visually aliased image pairs: consistent matches with a wrong geometry.
     pub wrong_pairs: usize,
 }
 

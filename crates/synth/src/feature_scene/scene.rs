@@ -1,4 +1,4 @@
-//! Points that images see, put together to a reconstruction with its truth.
+//! Assembly of points and observations to a reconstruction with ground truth.
 
 use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -6,18 +6,18 @@ use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{ImageId, ImagePair, Keypoint, Match, Observation, Reconstruction, Track};
 
 use super::options::FeatureOptions;
-use super::visibility::{SceneImages, Sighting, sample_scale_px};
+use super::visibility::{KeypointObservation, SceneImages, sample_scale_px};
 use crate::Drive;
 use crate::error::{Error, require};
 
-/// Points of each image that are tried out to learn how many observations a point has.
-const PILOT_POINTS: usize = 12;
-/// A wrong pair borrows at most so many keypoints, and not from an image nearer than this, in
-/// metres.
+/// Rounds of the pilot sample, which estimates the number of observations of a point.
+const PILOT_ROUNDS: usize = 12;
+/// Most keypoints that a visually aliased pair copies, and the smallest distance between its
+/// images, in metres.
 const WRONG_PAIR_MATCHES: usize = 80;
 const WRONG_PAIR_DISTANCE_M: f64 = 25.0;
 
-/// A pair that looks alike but is not: its matches, and the relative pose that they agree with.
+/// A visually aliased pair: its matches, and the wrong relative pose that they support.
 #[derive(Clone, Debug)]
 pub(super) struct WrongPair {
     pub(super) pair: ImagePair,
@@ -25,7 +25,7 @@ pub(super) struct WrongPair {
     pub(super) cam2_from_cam1: Rigid3,
 }
 
-/// A scene of features with its truth.
+/// A feature-level scene with ground truth.
 #[derive(Clone, Debug)]
 pub struct FeatureScene {
     truth: Reconstruction,
@@ -33,11 +33,16 @@ pub struct FeatureScene {
     pub(super) seed: u64,
 }
 
-/// One point as it was found: where, and how many of the sightings that follow are its own.
+/// A point: its position in the world, and the number of its consecutive observations.
 type Point = (Vector3<f64>, usize);
 
 impl FeatureScene {
-    /// Sees the street of a drive. Images are those of [`Drive::truth`], in that order.
+    /// Simulates the features of the images of a drive. Images are those of [`Drive::truth`], in
+    /// that order.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if an option is out of its range.
     pub fn new(drive: &Drive, options: &FeatureOptions) -> Result<Self, Error> {
         require(
             (0.0..=1.0).contains(&options.detection),
@@ -61,22 +66,23 @@ impl FeatureScene {
         require((0.0..=1.5).contains(&angle), "max_view_angle_rad", angle, "0 to 1.5")?;
         let posed = drive.truth();
         let images = SceneImages::new(drive, options.max_range_m);
-        let (mut points, mut sightings) = sample(&images, options, 0..PILOT_POINTS);
-        let per_round = sightings.len().max(1) as f64 / PILOT_POINTS as f64;
+        let (mut points, mut observations) = sample(&images, options, 0..PILOT_ROUNDS);
+        let per_round = observations.len().max(1) as f64 / PILOT_ROUNDS as f64;
         let rounds = (options.observations as f64 / per_round).round() as usize;
-        let (more, their) = sample(&images, options, PILOT_POINTS..rounds.max(PILOT_POINTS));
+        let (more, more_observations) =
+            sample(&images, options, PILOT_ROUNDS..rounds.max(PILOT_ROUNDS));
         points.extend(more);
-        sightings.extend(their);
-        Ok(assemble(&posed, &points, &sightings, options))
+        observations.extend(more_observations);
+        Ok(assemble(&posed, &points, &observations, options))
     }
 
-    /// Everything as it is: keypoints, poses, points, tracks. The intrinsics equal the lens only if
-    /// that is ideal, and poses hold for every row only with a global shutter.
+    /// The ground truth: keypoints, poses, points and tracks. The intrinsics are exact only for the
+    /// ideal lens, and the poses hold for every row only with a global shutter.
     pub fn truth(&self) -> &Reconstruction {
         &self.truth
     }
 
-    /// What a mapper is given: cameras, and images with times and keypoints; neither poses nor
+    /// The input of a mapper: cameras, and images with times and keypoints, without poses and
     /// points.
     pub fn without_poses(&self) -> Reconstruction {
         let mut blank = Reconstruction::default();
@@ -96,34 +102,35 @@ impl FeatureScene {
     }
 }
 
-/// The points of some rounds: in each, every image contributes what one of its pixels sees.
+/// Samples the points of some rounds; in each round every image contributes the surface point of
+/// one pixel.
 fn sample(
     images: &SceneImages,
     options: &FeatureOptions,
     rounds: std::ops::Range<usize>,
-) -> (Vec<Point>, Vec<Sighting>) {
-    let found: Vec<(Vec<Point>, Vec<Sighting>)> = (0..images.len())
+) -> (Vec<Point>, Vec<KeypointObservation>) {
+    let found: Vec<(Vec<Point>, Vec<KeypointObservation>)> = (0..images.len())
         .into_par_iter()
         .map(|image| {
-            let (mut points, mut sightings) = (Vec::new(), Vec::new());
+            let (mut points, mut observations) = (Vec::new(), Vec::new());
             for round in rounds.clone() {
                 let mut rng = Rng::stream(options.seed, &[30, image as u64, round as u64]);
-                let first = sightings.len();
-                if let Some(xyz) = images.see(image, options, &mut rng, &mut sightings)
-                    && sightings.len() >= first + 2
+                let first = observations.len();
+                if let Some(xyz) = images.sample_point(image, options, &mut rng, &mut observations)
+                    && observations.len() >= first + 2
                 {
-                    points.push((xyz, sightings.len() - first));
+                    points.push((xyz, observations.len() - first));
                 } else {
-                    sightings.truncate(first);
+                    observations.truncate(first);
                 }
             }
-            (points, sightings)
+            (points, observations)
         })
         .collect();
     let mut all = (Vec::new(), Vec::new());
-    for (points, sightings) in found {
+    for (points, observations) in found {
         all.0.extend(points);
-        all.1.extend(sightings);
+        all.1.extend(observations);
     }
     all
 }
@@ -131,20 +138,20 @@ fn sample(
 fn assemble(
     posed: &Reconstruction,
     points: &[Point],
-    sightings: &[Sighting],
+    observations: &[KeypointObservation],
     options: &FeatureOptions,
 ) -> FeatureScene {
     let count = posed.images().count();
     let mut keypoints: Vec<Vec<Keypoint>> = vec![Vec::new(); count];
     let mut tracks = Vec::with_capacity(points.len());
-    let mut rest = sightings;
+    let mut rest = observations;
     for &(xyz, length) in points {
         let (mine, others) = rest.split_at(length);
         rest = others;
-        let observe = |sighting: &Sighting| {
-            let of_image = &mut keypoints[sighting.image as usize];
-            of_image.push(sighting.keypoint);
-            Observation { image: ImageId(sighting.image), keypoint: of_image.len() as u32 - 1 }
+        let observe = |observation: &KeypointObservation| {
+            let of_image = &mut keypoints[observation.image as usize];
+            of_image.push(observation.keypoint);
+            Observation { image: ImageId(observation.image), keypoint: of_image.len() as u32 - 1 }
         };
         tracks.push(Track::new(xyz, mine.iter().map(observe).collect()));
     }
@@ -179,8 +186,8 @@ fn assemble(
     FeatureScene { truth, wrong_pairs, seed: options.seed }
 }
 
-/// Lets an image somewhere else show what the neighbour of an image shows, so that the two agree on
-/// a wrong geometry.
+/// Makes visually aliased pairs: copies keypoints of the neighbour of an image into a distant
+/// image, so that the image and the distant one agree on a wrong geometry.
 fn wrong_pairs(
     posed: &Reconstruction,
     tracks: &[Track],
@@ -190,25 +197,26 @@ fn wrong_pairs(
     let mut rng = Rng::stream(options.seed, &[32]);
     let poses: Vec<Rigid3> = posed.registered().map(|(_, _, pose)| *pose).collect();
     let mut pairs = Vec::new();
-    // Not every draw has a neighbour with enough in common, or a place far enough away.
+    // Some draws have no neighbour with enough common points, or no distant image.
     for _ in 0..20 * options.wrong_pairs {
         if pairs.len() == options.wrong_pairs {
             break;
         }
-        let (image, elsewhere) = (rng.below(poses.len()), rng.below(poses.len()));
+        let (image, distant_image) = (rng.below(poses.len()), rng.below(poses.len()));
         let neighbour = image + 1;
         let is_same_camera = |other: usize| {
             let camera = |index: usize| posed.image(ImageId::from_index(index)).camera;
             camera(image) == camera(other)
         };
-        let distance_m = (poses[image].origin_in_a() - poses[elsewhere].origin_in_a()).norm();
+        let distance_m = (poses[image].origin_in_a() - poses[distant_image].origin_in_a()).norm();
         if neighbour >= poses.len()
             || !is_same_camera(neighbour)
             || distance_m < WRONG_PAIR_DISTANCE_M
         {
             continue;
         }
-        let Some(pair) = ImagePair::new(ImageId::from_index(image), ImageId::from_index(elsewhere))
+        let Some(pair) =
+            ImagePair::new(ImageId::from_index(image), ImageId::from_index(distant_image))
         else {
             continue;
         };
@@ -227,8 +235,8 @@ fn wrong_pairs(
         let mut matches = Vec::new();
         for (mine, theirs) in common {
             let copy = keypoints[neighbour][theirs as usize];
-            keypoints[elsewhere].push(copy);
-            let copied = keypoints[elsewhere].len() as u32 - 1;
+            keypoints[distant_image].push(copy);
+            let copied = keypoints[distant_image].len() as u32 - 1;
             matches.push(if is_first {
                 Match { a: mine, b: copied }
             } else {

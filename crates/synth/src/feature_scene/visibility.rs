@@ -1,4 +1,4 @@
-//! Which images see a point.
+//! Visibility: the images that observe a point.
 
 use std::collections::BTreeMap;
 
@@ -11,23 +11,22 @@ use crate::Drive;
 use crate::render::surface_at;
 use crate::world::Ray;
 
-/// Scales of keypoints, in pixels: SIFT's smallest, and the largest of interest.
+/// Range of keypoint scales, in pixels: the smallest of SIFT, and the largest of interest.
 const SCALE_PX: [f64; 2] = [1.2, 16.0];
-/// A descriptor survives a change of scale up to this factor.
+/// Largest ratio of scales with matching descriptors.
 const MAX_SCALE_RATIO: f64 = 2.5;
-/// Surfaces seen more obliquely than this (cosine to their normal) show nothing that can be
-/// matched.
+/// Smallest cosine between surface normal and viewing direction of an observation.
 const MIN_INCIDENCE: f64 = 0.25;
-/// Nothing nearer than this is looked at, in metres.
+/// Smallest distance of an observed point, in metres.
 const MIN_RANGE_M: f64 = 1.5;
-/// How far before the point a ray may meet something and still see it, as a share of its length.
+/// Tolerance of the occlusion test, as a fraction of the length of the ray.
 const SLACK: f64 = 2e-3;
-/// The scale at which the noise is as given, in pixels.
+/// Scale of a keypoint with noise of the given standard deviation, in pixels.
 const NOISE_SCALE_PX: f64 = 2.0;
 
-/// An image that sees a point, and where.
+/// An observation of a point: image index and keypoint.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sighting {
+pub(super) struct KeypointObservation {
     pub(super) image: u32,
     pub(super) keypoint: Keypoint,
 }
@@ -40,16 +39,17 @@ struct SceneImage {
     focal_px: f64,
 }
 
-/// All images of a drive, found by place.
+/// All images of a drive with a spatial index.
 pub(super) struct SceneImages<'d> {
     drive: &'d Drive,
     images: Vec<SceneImage>,
-    /// Images by cells of `cell_m`.
+    /// Image indices by cells of a grid in the plane, of side `cell_m`.
     cells: BTreeMap<(i32, i32), Vec<u32>>,
     cell_m: f64,
 }
 
-/// Blobs become rarer with the square of their scale.
+/// A random keypoint scale in pixels, with P(scale > s) proportional to s⁻², truncated at the
+/// largest scale.
 pub(super) fn sample_scale_px(rng: &mut Rng) -> f64 {
     (SCALE_PX[0] / (1.0 - rng.uniform()).sqrt()).min(SCALE_PX[1])
 }
@@ -80,14 +80,14 @@ impl<'d> SceneImages<'d> {
         self.images.len()
     }
 
-    /// Takes what a random pixel of an image sees for a feature, and appends every image that sees
-    /// it, in order.
-    pub(super) fn see(
+    /// Samples the surface point of a random pixel of an image, and appends its observations in all
+    /// images, ordered by image. `None` if the pixel sees no static surface within range.
+    pub(super) fn sample_point(
         &self,
         source: usize,
         options: &FeatureOptions,
         rng: &mut Rng,
-        sightings: &mut Vec<Sighting>,
+        observations: &mut Vec<KeypointObservation>,
     ) -> Option<Vector3<f64>> {
         let from = &self.images[source];
         let camera = &self.drive.cameras()[from.camera];
@@ -108,34 +108,34 @@ impl<'d> SceneImages<'d> {
         let view = (from.centre - xyz).normalize();
         let min_cosine = options.max_view_angle_rad.cos();
         let cell = [xyz.x, xyz.y].map(|x| (x / self.cell_m).floor() as i32);
-        let first = sightings.len();
+        let first = observations.len();
         for x in cell[0] - 1..=cell[0] + 1 {
             let column = self.cells.range((x, cell[1] - 1)..=(x, cell[1] + 1));
             for &image in column.flat_map(|(_, images)| images) {
                 let candidate = &self.images[image as usize];
-                let towards = candidate.centre - xyz;
-                let distance = towards.norm();
+                let to_camera = candidate.centre - xyz;
+                let distance = to_camera.norm();
                 let seen_px = size_m * candidate.focal_px / distance;
                 let ratio = seen_px / scale_px;
                 if !(MIN_RANGE_M..options.max_range_m).contains(&distance)
                     || !(1.0 / MAX_SCALE_RATIO..MAX_SCALE_RATIO).contains(&ratio)
                     || !(SCALE_PX[0]..=SCALE_PX[1]).contains(&seen_px)
-                    || towards.dot(&view) < min_cosine * distance
-                    || towards.dot(&surface.normal) < MIN_INCIDENCE * distance
+                    || to_camera.dot(&view) < min_cosine * distance
+                    || to_camera.dot(&surface.normal) < MIN_INCIDENCE * distance
                 {
                     continue;
                 }
                 if let Some(pixel) = self.observe(candidate, &xyz, options, seen_px, rng) {
                     let keypoint = Keypoint { pixel, scale_px: seen_px as f32 };
-                    sightings.push(Sighting { image, keypoint });
+                    observations.push(KeypointObservation { image, keypoint });
                 }
             }
         }
-        sightings[first..].sort_by_key(|sighting| sighting.image);
+        observations[first..].sort_by_key(|observation| observation.image);
         Some(xyz)
     }
 
-    /// The noisy pixel at which an image sees a point, if it detects it.
+    /// The noisy keypoint position of a point in an image; `None` if it is not detected.
     fn observe(
         &self,
         image: &SceneImage,
@@ -153,8 +153,8 @@ impl<'d> SceneImages<'d> {
             centre =
                 self.drive.row_pose(image.camera, image.time_s, pixel.y).world_from_cam.translation;
         }
-        // Everything random is drawn before anything is looked at, so that what is in the way
-        // changes one image only.
+        // All random numbers are drawn before the occlusion test, so that an occlusion changes only
+        // this image.
         let is_detected = rng.uniform() < options.detection;
         let noise_px = options.noise_px * (scale_px / NOISE_SCALE_PX).sqrt();
         let noise = Vector2::new(rng.normal(), rng.normal()) * noise_px;

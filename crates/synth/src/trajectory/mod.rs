@@ -1,9 +1,9 @@
-//! Where the vehicle is at any time: the dense output of its own integration.
+//! The trajectory of the vehicle: the dense output of its numerical integration.
 //!
-//! The car is integrated at 1 kHz (`vehicle`); between two steps the pose follows the cubic Hermite
-//! polynomial of the states and their rates, which is the integrator's dense output. A millisecond
-//! is far below anything that moves here, so this is exact to well under a micrometre, and it
-//! shares nothing with the splines that estimators put through image times.
+//! The vehicle is integrated at 1 kHz (`vehicle`). Between two steps the pose is the cubic Hermite
+//! polynomial of states and rates, which is the dense output of the integrator. A millisecond is
+//! far below the periods of all motions, so that the interpolation is exact to well under a
+//! micrometre; it shares nothing with the splines that estimators fit to image times.
 //!
 //! Frames: the world has x east, y north, z up; the vehicle, as cameras do, x right, y down, z
 //! forward, with its origin on the road under the rear axle.
@@ -19,20 +19,20 @@ use crate::route::Route;
 pub use motion::Motion;
 use vehicle::{HEAVE, PITCH, ROLL, STEP_S, State, TRAVELLED, X, Y, YAW};
 
-/// The engine's frequency, and how slowly its strength comes and goes.
+/// Frequency of the engine vibration, and of the modulation of its amplitude.
 const VIBRATION_HZ: f64 = 12.0;
 const VIBRATION_BEAT_HZ: f64 = 0.37;
 
-/// How the vehicle moves at a moment.
+/// Linear and angular velocity of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Velocity {
-    /// Of the vehicle's origin, seen in the world, in m/s.
+    /// Velocity of the origin of the vehicle in world axes, in m/s.
     pub linear_in_world: Vector3<f64>,
-    /// Seen in the vehicle, in rad/s.
+    /// Angular velocity in vehicle axes, in rad/s.
     pub angular_in_vehicle: Vector3<f64>,
 }
 
-/// A finished drive.
+/// A simulated drive.
 #[derive(Clone, Debug)]
 pub struct Trajectory {
     states: Vec<State>,
@@ -42,7 +42,11 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Drives a route from end to end, or once round and a little further.
+    /// Simulates a drive along a route from end to end, or once around a loop plus the overlap.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if an option of the motion is out of its range.
     pub fn drive(route: &Route, motion: &Motion, rng: &mut Rng) -> Result<Self, Error> {
         require(
             (1.0..=40.0).contains(&motion.speed_mps),
@@ -69,13 +73,13 @@ impl Trajectory {
         })
     }
 
-    /// How long it takes, in seconds: poses are defined from 0 to here, and clamped outside.
+    /// Duration in seconds: poses are defined from 0 to it, and constant outside.
     pub fn duration_s(&self) -> f64 {
         (self.states.len() - 1) as f64 * STEP_S
     }
 
-    /// The states around a time, and where between them it lies, in 0..=1.
-    fn bracket(&self, time_s: f64) -> (&State, &State, f64) {
+    /// The states before and after a time, and its fraction of the step between them, 0 to 1.
+    fn bracketing_states(&self, time_s: f64) -> (&State, &State, f64) {
         let steps = (time_s / STEP_S).clamp(0.0, (self.states.len() - 1) as f64);
         let index = (steps as usize).min(self.states.len().saturating_sub(2));
         (
@@ -87,7 +91,7 @@ impl Trajectory {
 
     /// x, y, yaw, pitch, roll, heave and their rates.
     fn body(&self, time_s: f64) -> ([f64; 6], [f64; 6]) {
-        let (before, after, u) = self.bracket(time_s);
+        let (before, after, u) = self.bracketing_states(time_s);
         let (rates0, rates1) = (vehicle::pose_rates(before), vehicle::pose_rates(after));
         let (mut values, mut rates) = ([0.0; 6], [0.0; 6]);
         for (k, &channel) in [X, Y, YAW, PITCH, ROLL, HEAVE].iter().enumerate() {
@@ -101,7 +105,7 @@ impl Trajectory {
         (values, rates)
     }
 
-    /// The vibration's axis-angle and its rate.
+    /// Axis-angle vector of the vibration and its rate.
     fn vibration(&self, time_s: f64) -> (Vector3<f64>, Vector3<f64>) {
         let (omega, beat) =
             (std::f64::consts::TAU * VIBRATION_HZ, std::f64::consts::TAU * VIBRATION_BEAT_HZ);
@@ -116,20 +120,20 @@ impl Trajectory {
         (angle, rate)
     }
 
-    /// The vehicle's pose at a time.
+    /// world_from_vehicle at a time, in metres.
     pub fn world_from_vehicle(&self, time_s: f64) -> Rigid3 {
         let ([x, y, yaw, pitch, roll, heave], _) = self.body(time_s);
         let (vibration, _) = self.vibration(time_s);
-        let rotation = upright(yaw) * about_x(pitch) * about_z(roll) * so3::exp(&vibration);
+        let rotation = level_rotation(yaw) * about_x(pitch) * about_z(roll) * so3::exp(&vibration);
         Rigid3::new(rotation, Vector3::new(x, y, heave))
     }
 
-    /// How the vehicle moves at a time: the derivative of [`Trajectory::world_from_vehicle`].
+    /// Velocity at a time: the derivative of [`Trajectory::world_from_vehicle`].
     pub fn velocity(&self, time_s: f64) -> Velocity {
         let (values, rates) = self.body(time_s);
         let (vibration, vibration_rate) = self.vibration(time_s);
-        // Yaw turns about the world's z, which is the upright vehicle's −y; then outwards through
-        // the other rotations.
+        // Yaw is about the z axis of the world, which is −y of the level vehicle. The rates of
+        // pitch, roll and vibration are added in the order of the rotations.
         let in_pitched = about_x(values[3]).inverse() * Vector3::new(0.0, -rates[2], 0.0)
             + Vector3::x() * rates[3];
         let in_rolled = about_z(values[4]).inverse() * in_pitched + Vector3::z() * rates[4];
@@ -138,27 +142,28 @@ impl Trajectory {
         Velocity { linear_in_world: Vector3::new(rates[0], rates[1], rates[5]), angular_in_vehicle }
     }
 
-    /// Speed over ground, in m/s.
+    /// Horizontal speed, in m/s.
     pub fn speed_mps(&self, time_s: f64) -> f64 {
         self.velocity(time_s).linear_in_world.xy().norm()
     }
 
-    /// Distance travelled since the start, in metres.
+    /// Distance travelled since the beginning, in metres.
     pub fn travelled_m(&self, time_s: f64) -> f64 {
-        let (before, after, u) = self.bracket(time_s);
+        let (before, after, u) = self.bracketing_states(time_s);
         before[TRAVELLED] + u * (after[TRAVELLED] - before[TRAVELLED])
     }
 }
 
-/// Value and rate of the cubic through two values with given rates, `u` of a step after the first.
+/// Value and rate of the cubic Hermite polynomial through two values with given rates, at the
+/// fraction `u` of a step.
 fn hermite(value0: f64, value1: f64, rate0: f64, rate1: f64, u: f64) -> (f64, f64) {
     let (slope0, slope1, rise) = (rate0 * STEP_S, rate1 * STEP_S, value1 - value0);
     let (c, d) = (3.0 * rise - 2.0 * slope0 - slope1, slope0 + slope1 - 2.0 * rise);
     (value0 + u * (slope0 + u * (c + u * d)), (slope0 + u * (2.0 * c + 3.0 * u * d)) / STEP_S)
 }
 
-/// World from a vehicle that stands level: its axes are right, down, forward.
-fn upright(yaw: f64) -> UnitQuaternion<f64> {
+/// The rotation world_from_vehicle of a level vehicle (right, down, forward).
+fn level_rotation(yaw: f64) -> UnitQuaternion<f64> {
     let (sin, cos) = yaw.sin_cos();
     let axes = Matrix3::new(sin, 0.0, cos, -cos, 0.0, sin, 0.0, -1.0, 0.0);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
@@ -205,8 +210,8 @@ mod tests {
         const TOLERANCE: f64 = 1e-5;
         for (_, trajectory) in drives() {
             for k in 1..200 {
-                // Mid-step, so that no difference reaches across a step (the third derivative jumps
-                // there).
+                // In the middle of a step: a difference across two steps would see the jump of the
+                // third derivative.
                 let time = (trajectory.duration_s() * k as f64 / 200.0 / STEP_S).floor() * STEP_S
                     + 0.5 * STEP_S;
                 let (before, after) = (
@@ -230,7 +235,7 @@ mod tests {
 
     #[test]
     fn pose_and_velocity_are_continuous_across_steps() {
-        // 1 ns around a step: at 40 m/s² and 20 rad/s² nothing changes by more than this.
+        // 1 ns before and after a step: at 40 m/s² and 20 rad/s² nothing changes by more than this.
         const DT_S: f64 = 1e-9;
         const TOLERANCE: f64 = 1e-6;
         for (_, trajectory) in drives() {

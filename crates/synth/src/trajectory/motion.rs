@@ -1,27 +1,27 @@
-//! How a vehicle is to be driven.
+//! Options of the motion of the vehicle.
 
-/// How the vehicle is driven.
+/// Options of the motion of the vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
     /// Cruising speed, in m/s.
     pub speed_mps: f64,
-    /// How many times it stops on the way.
+    /// Number of stops.
     pub stops: usize,
-    /// How long each stop takes, in seconds.
+    /// Duration of each stop, in seconds.
     pub stop_duration_s: f64,
-    /// The lane: metres to the left of the centre line.
+    /// Lateral position of the lane, in metres to the left of the centre line.
     pub lane_left_m: f64,
-    /// A loop is driven this much further than once round, so that its ends see the same, in
-    /// metres.
+    /// Length of a loop that is driven a second time, in metres, so that the ends of the drive see
+    /// the same street.
     pub overlap_m: f64,
-    /// How far body pitch, roll and heave go: 1 as a car's, 0 not at all.
+    /// Scale of the pitch, roll and heave of the body: 1 for a real car, 0 for none.
     pub suspension: f64,
     /// Amplitude of the 12 Hz vibration about each axis, in radians.
     pub vibration_rad: f64,
 }
 
 impl Default for Motion {
-    /// 25 mph in the right lane, two stops; the body still.
+    /// 25 mph in the right lane with two stops; no pitch, roll, heave and vibration.
     fn default() -> Self {
         Self {
             speed_mps: 11.0,

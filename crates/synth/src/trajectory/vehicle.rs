@@ -1,13 +1,13 @@
-//! The car: a kinematic bicycle that a driver steers along the route, on springs over an uneven
-//! road.
+//! The vehicle model: a kinematic bicycle, steered along the route by a driver model, with a
+//! suspension on an uneven road.
 //!
-//! State and forces are integrated by Runge-Kutta of order 4 at 1 kHz; what the driver commands is
-//! held within a step.
-//! - Bicycle (rear axle): ẋ = v cos ψ, ẏ = v sin ψ, ψ̇ = v tan δ / L, with lags between command and
-//!   steering angle or acceleration.
-//! - Steering: pure pursuit (Coulter 1992), of a lane that wanders a little, as drivers do.
-//! - Speed: what the curvature ahead, the next stop and the driver's mood allow.
-//! - Body: damped springs for pitch, roll and heave, moved by acceleration and by the road under
+//! The state is integrated by the Runge-Kutta method of order 4 at 1 kHz; the commands of the
+//! driver are constant within a step.
+//! - Bicycle (rear axle): ẋ = v cos ψ, ẏ = v sin ψ, ψ̇ = v tan δ / L, with first-order lags of the
+//!   steering angle and the acceleration.
+//! - Steering: pure pursuit (Coulter 1992) of a lane with a slow random lateral deviation.
+//! - Speed: limited by the curvature ahead, the next stop and a slow variation.
+//! - Body: damped springs for pitch, roll and heave, excited by acceleration and by the road under
 //!   the axles.
 
 use tiepoint_geometry::{Rng, nalgebra::SVector};
@@ -19,28 +19,28 @@ use crate::route::{Route, RoutePosition};
 pub(super) const STEP_S: f64 = 1e-3;
 /// Distance between the axles, in metres.
 const WHEELBASE_M: f64 = 2.7;
-/// Time constants of steering and throttle, in seconds.
+/// Time constants of the steering and the acceleration, in seconds.
 const STEERING_LAG_S: f64 = 0.15;
 const THROTTLE_LAG_S: f64 = 0.25;
-/// Comfortable limits, in m/s².
+/// Limits of longitudinal and lateral acceleration, in m/s²: a comfortable ride.
 const MAX_ACCELERATION: f64 = 1.8;
 const MAX_BRAKING: f64 = 2.5;
 const MAX_LATERAL: f64 = 2.5;
-/// Body resonance (rad/s) and damping ratio of a family car.
+/// Natural frequency (rad/s) and damping ratio of the body of a family car.
 const BODY_OMEGA: f64 = 1.3 * std::f64::consts::TAU;
 const BODY_DAMPING: f64 = 0.35;
-/// Pitch and roll per acceleration, in radians per m/s²: 0.4 and 0.5 degrees.
+/// Pitch and roll per acceleration, in radians per m/s² (0.4 and 0.5 degrees).
 const PITCH_PER_ACCELERATION: f64 = 0.007;
 const ROLL_PER_ACCELERATION: f64 = 0.009;
-/// The road's waves: wavelength and amplitude, in metres.
+/// Waves of the road: wavelength and amplitude, in metres.
 const ROAD_WAVES_M: [(f64, f64); 6] =
     [(23.0, 0.010), (11.0, 0.006), (5.3, 0.003), (2.9, 0.0020), (1.7, 0.0012), (0.9, 0.0006)];
-/// How far the driver wanders off the middle of the lane, in metres, and over which distances.
+/// Lateral deviation of the driver from the lane and its wavelengths, in metres.
 const WANDER_M: f64 = 0.12;
 const WANDER_WAVELENGTHS_M: [f64; 3] = [71.0, 43.0, 29.0];
 
 /// x, y, yaw, speed, acceleration, steering angle, travelled distance, then value and rate of
-/// pitch, roll, heave.
+/// pitch, roll and heave (metres, radians, seconds).
 pub(super) type State = SVector<f64, 13>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
@@ -53,20 +53,20 @@ pub(super) const PITCH: usize = 7;
 pub(super) const ROLL: usize = 9;
 pub(super) const HEAVE: usize = 11;
 
-/// What the driver wants during one step.
+/// The command of the driver during one step.
 #[derive(Clone, Copy)]
 struct Command {
     acceleration: f64,
     steering_rad: f64,
 }
 
-/// The springs and the road that they stand on.
+/// The vehicle with the phases of the waves of the road.
 pub(super) struct Car {
     road_phases: [f64; 6],
 }
 
 impl Car {
-    /// Height of the road and its slope along the way, with the phases of one side.
+    /// Height of the road and its slope along the route at a travelled distance.
     fn road(&self, travelled_m: f64) -> (f64, f64) {
         let mut sums = (0.0, 0.0);
         for (&(wavelength, amplitude), phase) in ROAD_WAVES_M.iter().zip(self.road_phases) {
@@ -84,18 +84,18 @@ impl Car {
         rate[X] = speed * yaw.cos();
         rate[Y] = speed * yaw.sin();
         rate[YAW] = yaw_rate;
-        // Brakes hold a standing car; they do not push it backwards.
+        // Brakes stop the car but do not accelerate it backwards.
         rate[SPEED] = if speed <= 0.0 { acceleration.max(0.0) } else { acceleration };
         rate[ACCELERATION] = (command.acceleration - acceleration) / THROTTLE_LAG_S;
         rate[STEERING] = (command.steering_rad - state[STEERING]) / STEERING_LAG_S;
         rate[TRAVELLED] = speed;
         let (rear, rear_slope) = self.road(state[TRAVELLED]);
         let (front, front_slope) = self.road(state[TRAVELLED] + WHEELBASE_M);
-        // The side to side difference of the road is that of two places a track width apart.
-        let (beside, _) = self.road(1.31 * state[TRAVELLED] + 7.0);
+        // Pseudo-random height for the roll: the road at an unrelated distance.
+        let (roll_height, _) = self.road(1.31 * state[TRAVELLED] + 7.0);
         let targets = [
             (PITCH, PITCH_PER_ACCELERATION * rate[SPEED] + (front - rear) / WHEELBASE_M, 0.0),
-            (ROLL, ROLL_PER_ACCELERATION * speed * yaw_rate + 0.3 * beside, 0.0),
+            (ROLL, ROLL_PER_ACCELERATION * speed * yaw_rate + 0.3 * roll_height, 0.0),
             (HEAVE, 0.5 * (front + rear), 0.5 * speed * (front_slope + rear_slope)),
         ];
         for (value, target, target_rate) in targets {
@@ -118,29 +118,29 @@ impl Car {
     }
 }
 
-/// Looks at the route and the next stop, and commands.
+/// The driver model.
 struct Driver<'a> {
     route: &'a Route,
     motion: &'a Motion,
-    /// Travelled distances at which to stop, the next one last.
+    /// Travelled distances of the stops, in metres; the next one is last.
     stops_m: Vec<f64>,
-    standing_s: f64,
+    stopped_s: f64,
     phases: [f64; 6],
-    /// Arc length of the point of the route beside the car; goes on growing over laps.
+    /// Arc length of the nearest point of the route; increases over laps.
     along_m: f64,
 }
 
 impl Driver<'_> {
-    /// Highest speed that the curvature ahead and the driver's mood allow.
-    fn cruise_mps(&self) -> f64 {
-        let mood = 0.9 + 0.1 * (self.along_m / 37.0 + self.phases[0]).sin();
-        let mut speed = self.motion.speed_mps * mood;
-        let reach = self.motion.speed_mps.powi(2) / (2.0 * MAX_BRAKING) + 2.0;
+    /// Highest speed for the curvature ahead, with a slow variation.
+    fn max_speed_mps(&self) -> f64 {
+        let speed_factor = 0.9 + 0.1 * (self.along_m / 37.0 + self.phases[0]).sin();
+        let mut speed = self.motion.speed_mps * speed_factor;
+        let look_ahead_m = self.motion.speed_mps.powi(2) / (2.0 * MAX_BRAKING) + 2.0;
         let mut ahead = 0.0;
-        while ahead < reach {
+        while ahead < look_ahead_m {
             let curvature = self.route.curvature_per_m(self.along_m + ahead).abs();
-            let there2 = MAX_LATERAL / curvature.max(1e-6);
-            speed = speed.min((there2 + 2.0 * 0.7 * MAX_BRAKING * ahead).sqrt());
+            let curve_speed2 = MAX_LATERAL / curvature.max(1e-6);
+            speed = speed.min((curve_speed2 + 2.0 * 0.7 * MAX_BRAKING * ahead).sqrt());
             ahead += 1.0;
         }
         speed
@@ -148,7 +148,8 @@ impl Driver<'_> {
 
     fn command(&mut self, state: &State) -> Command {
         let position = tiepoint_geometry::nalgebra::Vector2::new(state[X], state[Y]);
-        // One Newton step a millisecond keeps the foot point, since the car moves by millimetres.
+        // One Newton step per millisecond tracks the nearest point of the route: the car moves by
+        // millimetres.
         let heading = self.route.heading_rad(self.along_m);
         let offset = position - self.route.point(self.along_m);
         let along = offset.x * heading.cos() + offset.y * heading.sin();
@@ -156,22 +157,24 @@ impl Driver<'_> {
         self.along_m += along / (1.0 - self.route.curvature_per_m(self.along_m) * left).max(0.2);
 
         let speed = state[SPEED];
-        let mut wanted = self.cruise_mps();
+        let mut target_speed = self.max_speed_mps();
         let mut acceleration = None;
         if let Some(&stop) = self.stops_m.last() {
-            let to_go = stop - state[TRAVELLED];
-            wanted = wanted.min((2.0 * 0.7 * MAX_BRAKING * to_go.max(0.0)).sqrt());
-            if to_go < 1.0 && speed < 0.3 {
+            let remaining_m = stop - state[TRAVELLED];
+            target_speed =
+                target_speed.min((2.0 * 0.7 * MAX_BRAKING * remaining_m.max(0.0)).sqrt());
+            if remaining_m < 1.0 && speed < 0.3 {
                 acceleration = Some(-speed / 0.2);
-                self.standing_s += STEP_S;
-                if self.standing_s > self.motion.stop_duration_s {
+                self.stopped_s += STEP_S;
+                if self.stopped_s > self.motion.stop_duration_s {
                     self.stops_m.pop();
-                    self.standing_s = 0.0;
+                    self.stopped_s = 0.0;
                 }
             }
         }
-        let acceleration = acceleration
-            .unwrap_or_else(|| (1.5 * (wanted - speed)).clamp(-MAX_BRAKING, MAX_ACCELERATION));
+        let acceleration = acceleration.unwrap_or_else(|| {
+            (1.5 * (target_speed - speed)).clamp(-MAX_BRAKING, MAX_ACCELERATION)
+        });
 
         let look_ahead = 4.0 + 0.35 * speed;
         let along_m = self.along_m + look_ahead;
@@ -188,23 +191,24 @@ impl Driver<'_> {
     }
 }
 
-/// Drives until `distance_m` of the route are behind the car (or for an hour): the states at 1 kHz.
+/// Simulates until the car has passed `distance_m` of the route, or for an hour: the states at 1
+/// kHz.
 pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut Rng) -> Vec<State> {
     let mut phase = || std::f64::consts::TAU * rng.uniform();
     let car = Car { road_phases: std::array::from_fn(|_| phase()) };
     let phases = std::array::from_fn(|_| phase());
-    // Stops lie within equal shares of the way, away from its ends.
+    // Stops are at random places around equal fractions of the distance, away from its ends.
     let share = distance_m / (motion.stops + 1) as f64;
     let mut stops_m: Vec<f64> =
         (1..=motion.stops).map(|k| share * (k as f64 + 0.4 * (rng.uniform() - 0.5))).collect();
     stops_m.reverse();
-    let mut driver = Driver { route, motion, stops_m, standing_s: 0.0, phases, along_m: 0.0 };
+    let mut driver = Driver { route, motion, stops_m, stopped_s: 0.0, phases, along_m: 0.0 };
     let start = route.point_beside(RoutePosition { along_m: 0.0, left_m: motion.lane_left_m });
     let mut state = State::zeros();
     (state[X], state[Y], state[YAW]) = (start.x, start.y, route.heading_rad(0.0));
-    state[SPEED] = driver.cruise_mps();
-    // Let the springs and the steering settle before the clock starts: otherwise the drive begins
-    // with a jolt.
+    state[SPEED] = driver.max_speed_mps();
+    // The suspension starts at the height of the road, so that the drive does not begin with a
+    // jolt.
     (state[HEAVE], _) = car.road(0.0);
     let max_steps = (3600.0 / STEP_S) as usize;
     let mut states = vec![state];
@@ -216,7 +220,7 @@ pub(super) fn drive(route: &Route, motion: &Motion, distance_m: f64, rng: &mut R
     states
 }
 
-/// Rates of the pose: x, y, yaw, pitch, roll, heave; all are functions of the state alone.
+/// Rates of x, y, yaw, pitch, roll and heave, as functions of the state alone.
 pub(super) fn pose_rates(state: &State) -> [f64; 6] {
     let speed = state[SPEED];
     [

@@ -1,19 +1,19 @@
-//! Putting quads together: boxes, discs and whatever stands on the street.
+//! Construction of objects from quads: boxes, ellipses, and copies of objects.
 
 use tiepoint_geometry::nalgebra::{Rotation3, Vector2, Vector3};
 
 use super::material::Surface;
 use super::quad::Quad;
 
-/// Quads and what they look like, growing.
+/// A growing list of quads and their surfaces.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Builder {
     pub(crate) quads: Vec<Quad>,
     pub(crate) surfaces: Vec<Surface>,
 }
 
-/// A box that stands upright: its front left bottom corner as seen from its front, the direction to
-/// the right and the one towards the beholder, and width, depth, height in metres.
+/// An upright box: its front left bottom corner as seen from its front, the unit vectors to the
+/// right and out of the front, and width, depth, height in metres.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Block {
     pub(crate) corner: Vector3<f64>,
@@ -22,7 +22,7 @@ pub(crate) struct Block {
     pub(crate) size: [f64; 3],
 }
 
-/// Surfaces of the front, the other sides and the top.
+/// Surface indices of the front, the other sides and the top of a box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cladding {
     pub(crate) front: u32,
@@ -41,13 +41,13 @@ pub(crate) fn on_ground(place: Vector2<f64>, height: f64) -> Vector3<f64> {
 }
 
 impl Block {
-    /// A point by its offsets to the right, upwards and outwards from the corner.
+    /// The point at offsets to the right, upwards and outwards from the corner, in metres.
     pub(crate) fn point(&self, right: f64, up: f64, out: f64) -> Vector3<f64> {
         self.corner + self.right * right + Vector3::z() * up + self.out * out
     }
 
-    /// A box on the front of this one, or near it: offsets of its corner as in [`Block::point`],
-    /// and its size.
+    /// A box with the same orientation, on or near the front: offsets of its corner as in
+    /// [`Block::point`], and its size.
     pub(crate) fn attached(&self, right: f64, up: f64, out: f64, size: [f64; 3]) -> Self {
         Self { corner: self.point(right, up, out), size, ..*self }
     }
@@ -70,7 +70,7 @@ impl Builder {
         self.quads.push(Quad { origin, u, v, size, is_ellipse: false, surface });
     }
 
-    /// An ellipse by its centre.
+    /// Adds an ellipse, given by its centre.
     pub(crate) fn disc(
         &mut self,
         centre: Vector3<f64>,
@@ -83,7 +83,7 @@ impl Builder {
         self.quads.push(Quad { origin, u, v, size, is_ellipse: true, surface });
     }
 
-    /// All sides of a box but its bottom.
+    /// Adds all faces of a box except its bottom.
     pub(crate) fn block(&mut self, block: &Block, cladding: Cladding) {
         let ([width, depth, height], up) = (block.size, Vector3::z());
         let (right, out) = (block.right, block.out);
@@ -94,13 +94,13 @@ impl Builder {
         self.quad(block.point(0.0, height, 0.0), right, -out, [width, depth], cladding.top);
     }
 
-    /// The bottom of a box: of what hangs on a wall.
+    /// Adds the bottom of a box, for parts that hang on a wall.
     pub(crate) fn underside(&mut self, block: &Block, surface: u32) {
         let [width, depth, _] = block.size;
         self.quad(block.point(0.0, 0.0, -depth), block.right, block.out, [width, depth], surface);
     }
 
-    /// Adds what another builder made, turned by `yaw_rad` about the vertical and moved.
+    /// Adds a copy of another object, rotated by `yaw_rad` about the vertical and translated.
     pub(crate) fn place(&mut self, other: &Builder, yaw_rad: f64, to: Vector3<f64>) {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw_rad);
         let first = self.surfaces.len() as u32;

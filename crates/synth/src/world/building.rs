@@ -1,4 +1,4 @@
-//! Houses: a box with windows and doors cut into its walls, and what is fixed to its front.
+//! Houses: boxes with windows and doors in their walls, and parts attached to the front.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::Vector3;
@@ -20,7 +20,7 @@ const WALLS: [(Material, [f32; 3]); 9] = [
     (Material::Boards, [0.30, 0.36, 0.38]),
 ];
 
-/// How a house looks: equal styles give equal houses, down to the last spot.
+/// The appearance of a house: equal styles give identical houses.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Style {
     pub(crate) seed: u64,
@@ -33,8 +33,7 @@ impl Style {
     }
 }
 
-/// Builds a house on a lot: `lot` gives its place, width and depth; the height follows from the
-/// style.
+/// Builds a house on a lot, which gives place, width and depth; the height follows from the style.
 pub(crate) fn house(world: &mut Builder, lot: &Block, style: Style) {
     let mut rng = Rng::stream(style.seed, &[]);
     let (material, color) = WALLS[rng.below(WALLS.len())];
@@ -84,7 +83,7 @@ pub(crate) fn house(world: &mut Builder, lot: &Block, style: Style) {
         world.block(&part, Cladding::all(surface));
         world.underside(&part, surface);
     };
-    // A cornice around the roof, and a band above the ground floor.
+    // A cornice around the roof, and a ledge above the ground floor.
     let cornice = in_range(&mut rng, 0.15, 0.45);
     let eaves = block.attached(-0.05, height, cornice, [width + 0.1, depth + cornice, 0.28]);
     world.block(&eaves, Cladding::all(trim));
@@ -142,12 +141,12 @@ pub(crate) fn house(world: &mut Builder, lot: &Block, style: Style) {
         world.block(&board, Cladding { front: sign, sides: trim, top: trim });
         world.underside(&board, trim);
         if rng.below(2) == 0 {
-            // A sign that sticks out, read by those who come along the street.
+            // A projecting sign, perpendicular to the front.
             let arm = block.attached(left + 0.5 * length, ground_m + 0.2, 0.95, [0.1, 0.8, 0.7]);
             world.block(&arm, Cladding { front: trim, sides: sign, top: trim });
         }
     }
-    // Something painted or pasted on the side walls and on large plain fronts.
+    // A painted or pasted advertisement on the side wall.
     if rng.below(3) == 0 && depth > 5.0 {
         let color = [[0.45, 0.12, 0.1], [0.1, 0.2, 0.4], [0.5, 0.42, 0.12]][rng.below(3)];
         let bill = world.surface(Surface::new(Material::Sign, color, seed(&mut rng) | 1));

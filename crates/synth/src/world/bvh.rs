@@ -1,23 +1,23 @@
-//! Finding what a ray meets first: a tree of boxes over the quads, built by the surface area
-//! heuristic (Wald 2007, "On fast construction of SAH-based bounding volume hierarchies"), walked
-//! by one ray in double precision, or by sixteen at once in single precision, whose arithmetic the
-//! compiler turns into vector instructions.
+//! A bounding volume hierarchy over the quads, built by the surface area heuristic (Wald 2007, "On
+//! fast construction of SAH-based bounding volume hierarchies"). It is traversed by one ray in
+//! double precision, or by sixteen rays in single precision, whose arithmetic the compiler
+//! vectorises.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
 use super::quad::{Quad, Ray};
 
-/// Rays of a packet: the pixels of a 4 × 4 tile, or the samples of one pixel.
+/// Number of rays of a packet: the pixels of a 4 × 4 tile, or the samples of one pixel.
 pub(crate) const LANES: usize = 16;
-/// A leaf holds at most this many quads.
+/// Most quads of a leaf.
 const LEAF: usize = 4;
 const BINS: usize = 12;
-/// No side of a split has less than an eighth of the quads, so 2³² of them make a tree of at most
-/// log 2³² / log 8/7 = 166 levels.
+/// Size of the traversal stack. Each child has at least an eighth of the quads, so that a tree of
+/// 2³² quads has at most log 2³² / log 8/7 = 166 levels.
 const STACK: usize = 168;
-/// Quads nearer than this to the eye, in units of the ray's direction, are not seen.
+/// Smallest distance of a hit, in units of the direction of the ray.
 const NEAREST: f32 = 0.05;
-/// Id of what a ray meets that meets nothing.
+/// Id of a ray without a hit.
 pub(crate) const NOTHING: u32 = u32::MAX;
 
 type Bounds = [[f32; 3]; 2];
@@ -26,14 +26,15 @@ const EMPTY: Bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
 #[derive(Clone, Copy, Debug)]
 struct Node {
     bounds: Bounds,
-    /// First quad of a leaf; the right child of an inner node, whose left child follows it.
+    /// First quad of a leaf; for an inner node its right child (the left child is the next node).
     first: u32,
-    /// Quads of a leaf; 0 for an inner node.
+    /// Number of quads of a leaf; 0 for an inner node.
     count: u32,
     axis: u32,
 }
 
-/// A quad as packets see it: plane n·p = d, and a = A·p − a₀, b = B·p − b₀ in 0..1 inside.
+/// A quad for packets: the plane n·p = d; inside of the quad, a = A·p − a₀ and b = B·p − b₀ are in
+/// 0..1.
 #[derive(Clone, Copy, Debug)]
 struct Plane {
     normal: [f32; 3],
@@ -45,16 +46,16 @@ struct Plane {
     is_ellipse: bool,
 }
 
-/// The tree.
+/// The hierarchy.
 #[derive(Clone, Debug)]
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
-    /// Quad indices, in the order of the leaves.
+    /// Quad indices in the order of the leaves.
     order: Vec<u32>,
     planes: Vec<Plane>,
 }
 
-/// Sixteen rays and the nearest thing that each has met.
+/// Sixteen rays with the nearest hit of each.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Packet {
     pub(crate) origin: [[f32; LANES]; 3],
@@ -67,7 +68,7 @@ fn bounds_of(quad: &Quad) -> Bounds {
     let mut bounds = EMPTY;
     for corner in quad.corners() {
         for axis in 0..3 {
-            // Outwards by more than single precision rounds.
+            // Enlarged by more than the rounding of single precision.
             let (value, slack) = (corner[axis], 1e-6 * corner[axis].abs() + 1e-5);
             bounds[0][axis] = bounds[0][axis].min((value - slack) as f32);
             bounds[1][axis] = bounds[1][axis].max((value + slack) as f32);
@@ -113,7 +114,7 @@ fn dot(a: &[f32; 3], b: &[[f32; LANES]; 3], lane: usize) -> f32 {
 }
 
 impl Packet {
-    /// Rays that have met nothing yet.
+    /// Rays without a hit.
     pub(crate) fn new(origin: [[f32; LANES]; 3], direction: [[f32; LANES]; 3]) -> Self {
         Self { origin, direction, nearest: [f32::INFINITY; LANES], id: [NOTHING; LANES] }
     }
@@ -126,13 +127,13 @@ impl Packet {
     }
 
     #[inline(always)]
-    fn meet(&mut self, plane: &Plane, id: u32) {
+    fn intersect(&mut self, plane: &Plane, id: u32) {
         let mut distance = [0.0f32; LANES];
         let mut is_nearer = [0u32; LANES];
         for lane in 0..LANES {
             let towards = dot(&plane.normal, &self.direction, lane);
             distance[lane] = (plane.offset - dot(&plane.normal, &self.origin, lane)) / towards;
-            // Where it meets the plane; written so that NaN and infinity are no hit.
+            // Intersection with the plane; the comparisons reject NaN and infinity.
             let t = distance[lane];
             let a = dot(&plane.a, &self.origin, lane) + t * dot(&plane.a, &self.direction, lane)
                 - plane.a0;
@@ -165,18 +166,17 @@ impl Bvh {
         Self { nodes, order, planes }
     }
 
-    /// The first quad that a ray meets between the distances `least` and `most`: its index, the
-    /// distance, (u, v).
+    /// The first hit of a ray between two distances: quad index, distance, (u, v) in metres.
     pub(crate) fn cast(
         &self,
         quads: &[Quad],
         ray: &Ray,
-        least: f64,
-        most: f64,
+        min_distance: f64,
+        max_distance: f64,
     ) -> Option<(u32, f64, [f64; 2])> {
         let inverse = ray.direction.map(|d| 1.0 / d);
         let mut best: Option<(u32, f64, [f64; 2])> = None;
-        let mut limit = most;
+        let mut limit = max_distance;
         if self.nodes.is_empty() {
             return None;
         }
@@ -186,11 +186,11 @@ impl Bvh {
             depth -= 1;
             let index = stack[depth];
             let node = &self.nodes[index as usize];
-            let (mut near, mut far) = (least, limit);
+            let (mut near, mut far) = (min_distance, limit);
             for axis in 0..3 {
                 let low = (f64::from(node.bounds[0][axis]) - ray.origin[axis]) * inverse[axis];
                 let high = (f64::from(node.bounds[1][axis]) - ray.origin[axis]) * inverse[axis];
-                // `min` and `max` drop the NaN of a ray that runs within a face of the box.
+                // `min` and `max` drop the NaN of a ray in a face of the box.
                 near = near.max(low.min(high));
                 far = far.min(low.max(high));
             }
@@ -206,7 +206,7 @@ impl Bvh {
                 continue;
             }
             for &quad in &self.order[node.first as usize..(node.first + node.count) as usize] {
-                if let Some((distance, uv)) = quads[quad as usize].intersect(ray, least)
+                if let Some((distance, uv)) = quads[quad as usize].intersect(ray, min_distance)
                     && distance < limit
                 {
                     (best, limit) = (Some((quad, distance, uv)), distance);
@@ -216,9 +216,9 @@ impl Bvh {
         best
     }
 
-    /// What each ray of a packet meets before what it has met already; ids are quad indices plus
-    /// `first_id`. The same source is compiled for wider vectors too; nothing is contracted or
-    /// reordered, so every processor gets the same bits.
+    /// Updates the nearest hits of a packet; ids are quad indices plus `first_id`. The same source
+    /// is compiled for wider vectors; no operations are fused or reordered, so that every processor
+    /// computes the same bits.
     pub(crate) fn cast_packet(&self, packet: &mut Packet, first_id: u32) {
         if self.nodes.is_empty() {
             return;
@@ -258,7 +258,7 @@ impl Bvh {
             depth -= 1;
             let index = stack[depth];
             let node = &self.nodes[index as usize];
-            let mut is_met = [0u32; LANES];
+            let mut is_hit = [0u32; LANES];
             for lane in 0..LANES {
                 let (mut near, mut far) = (NEAREST, packet.nearest[lane]);
                 for axis in 0..3 {
@@ -268,9 +268,9 @@ impl Bvh {
                     near = if first > near { first } else { near };
                     far = if last < far { last } else { far };
                 }
-                is_met[lane] = u32::from(near <= far);
+                is_hit[lane] = u32::from(near <= far);
             }
-            if is_met.iter().fold(0, |any, &met| any | met) == 0 {
+            if is_hit.iter().fold(0, |any, &met| any | met) == 0 {
                 continue;
             }
             if node.count == 0 {
@@ -282,13 +282,14 @@ impl Bvh {
                 continue;
             }
             for k in node.first..node.first + node.count {
-                packet.meet(&self.planes[k as usize], first_id + self.order[k as usize]);
+                packet.intersect(&self.planes[k as usize], first_id + self.order[k as usize]);
             }
         }
     }
 }
 
-/// Appends the tree over `order`, whose first element is number `start` of all, to `nodes`.
+/// Appends the hierarchy over `order` to `nodes`; `start` is the position of `order` in the list of
+/// all quads.
 fn build(bounds: &[Bounds], order: &mut [u32], start: usize, nodes: &mut Vec<Node>) {
     let whole = order.iter().fold(EMPTY, |sum, &index| union(&sum, &bounds[index as usize]));
     let here = nodes.len();
@@ -331,7 +332,7 @@ fn build(bounds: &[Bounds], order: &mut [u32], start: usize, nodes: &mut Vec<Nod
     }
     let (_, axis, at) = best;
     order.sort_by(|&a, &b| centre(a, axis).total_cmp(&centre(b, axis)).then(a.cmp(&b)));
-    // Neither side below an eighth: the depth stays bounded, whatever the scene.
+    // Each child has at least an eighth of the quads, which bounds the depth.
     let middle = order.partition_point(|&index| centre(index, axis) < at);
     let middle = middle.clamp(order.len() / 8 + 1, order.len() - order.len() / 8 - 1);
     nodes[here].axis = axis as u32;
@@ -367,9 +368,9 @@ mod tests {
     }
 
     #[test]
-    fn one_ray_and_sixteen_meet_what_a_search_of_all_quads_finds() {
-        // Single precision may decide differently within this of an edge or of an equally near
-        // quad, in metres.
+    fn rays_and_packets_agree_with_a_linear_search() {
+        // Distance of hits from an edge or another quad within which single precision may decide
+        // differently, in metres.
         const SINGLE_M: f64 = 1e-4;
         let mut rng = Rng::stream(11, &[]);
         let quads = scene(&mut rng);
@@ -393,13 +394,13 @@ mod tests {
             bvh.cast_packet(&mut packet, 100);
             assert_eq!((packet.id, packet.nearest), (portable.id, portable.nearest));
             for (lane, ray) in rays.iter().enumerate() {
-                let least = f64::from(NEAREST);
+                let min_distance = f64::from(NEAREST);
                 let slow = (0..QUADS as u32)
                     .filter_map(|k| {
-                        quads[k as usize].intersect(ray, least).map(|(t, uv)| (k, t, uv))
+                        quads[k as usize].intersect(ray, min_distance).map(|(t, uv)| (k, t, uv))
                     })
                     .min_by(|a, b| a.1.total_cmp(&b.1));
-                assert_eq!(bvh.cast(&quads, ray, least, f64::INFINITY), slow);
+                assert_eq!(bvh.cast(&quads, ray, min_distance, f64::INFINITY), slow);
                 let fast = (packet.id[lane] != NOTHING).then(|| packet.id[lane] - 100);
                 let agrees = fast == slow.map(|hit| hit.0)
                     && slow.is_none_or(|hit| {
@@ -412,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_world_is_empty() {
+    fn empty_hierarchy_has_no_hits() {
         let ray = Ray { origin: Vector3::zeros(), direction: Vector3::z() };
         assert_eq!(Bvh::new(&[]).cast(&[], &ray, 0.0, f64::INFINITY), None);
     }

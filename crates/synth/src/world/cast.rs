@@ -1,51 +1,51 @@
-//! What a ray meets first.
+//! Ray casting: the first hit of a ray.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
 use super::bvh::{LANES, Packet};
 use super::hit::Hit;
-use super::model::{GROUND, MOVER_QUADS, MOVERS, World};
-use super::mover::MoverPose;
+use super::model::{GROUND, MOVING_CAR_IDS, MOVING_CAR_QUADS, World};
+use super::moving_car::MovingCarPose;
 use super::quad::Ray;
 
-/// Nothing is seen beyond this distance but the sky, in metres.
+/// Largest distance of a hit, in metres; beyond it is the sky.
 const HORIZON_M: f64 = 3000.0;
-/// What is nearer to the eye than this is not seen, in metres.
+/// Smallest distance of a hit, in metres.
 const NEAREST_M: f64 = 0.05;
 
-/// What a ray met.
+/// The hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
-    /// Where, in the world.
+    /// Position in the world, in metres.
     pub point_in_world: Vector3<f64>,
-    /// Unit normal, towards the eye.
+    /// Unit normal, towards the camera.
     pub normal: Vector3<f64>,
-    /// Distance from the ray's origin, in units of the ray's direction.
+    /// Distance from the origin of the ray, in units of the length of its direction.
     pub distance: f64,
-    /// Whether it belongs to something that moves.
+    /// Whether the surface belongs to a moving car.
     pub is_moving: bool,
 }
 
 impl World {
-    /// What a ray meets first at a time; `None` for the sky.
+    /// The first hit of a ray at a time; `None` for the sky.
     pub fn cast(&self, ray: &Ray, time_s: f64) -> Option<SurfacePoint> {
         let hit = self.cast_within(ray, time_s, HORIZON_M)?;
         Some(SurfacePoint {
             point_in_world: hit.point,
             normal: hit.normal,
             distance: hit.distance,
-            is_moving: (MOVERS..GROUND).contains(&hit.id),
+            is_moving: (MOVING_CAR_IDS..GROUND).contains(&hit.id),
         })
     }
 
-    /// Whether nothing lies between the origin of a ray and the end of its direction, but for
-    /// `slack` of its length.
+    /// Whether nothing occludes the end point of a ray (origin + direction); `slack` is a tolerance
+    /// as a fraction of its length.
     pub(crate) fn is_clear(&self, ray: &Ray, time_s: f64, slack: f64) -> bool {
         self.cast_within(ray, time_s, 1.0).is_none_or(|hit| hit.distance > 1.0 - slack)
     }
 
-    fn cast_within(&self, ray: &Ray, time_s: f64, most: f64) -> Option<Hit> {
-        let mut limit = most;
+    fn cast_within(&self, ray: &Ray, time_s: f64, max_distance: f64) -> Option<Hit> {
+        let mut limit = max_distance;
         let mut best = None;
         if self.ground.is_some() && ray.direction.z < 0.0 {
             let distance = -ray.origin.z / ray.direction.z;
@@ -56,18 +56,24 @@ impl World {
         if let Some((quad, distance, _)) = self.bvh.cast(&self.quads, ray, NEAREST_M, limit) {
             (best, limit) = (Some(quad), distance);
         }
-        for (index, mover) in self.movers.iter().enumerate() {
-            let Some(pose) = mover.pose(time_s) else { continue };
-            if let Some((quad, distance)) = mover.cast(&pose.ray_in_car(ray), NEAREST_M, limit) {
-                (best, limit) = (Some(MOVERS + index as u32 * MOVER_QUADS + quad), distance);
+        for (index, moving_car) in self.moving_cars.iter().enumerate() {
+            let Some(pose) = moving_car.pose(time_s) else { continue };
+            if let Some((quad, distance)) = moving_car.cast(&pose.ray_in_car(ray), NEAREST_M, limit)
+            {
+                (best, limit) =
+                    (Some(MOVING_CAR_IDS + index as u32 * MOVING_CAR_QUADS + quad), distance);
             }
         }
-        self.resolve(best?, ray, |mover| self.movers[mover].pose(time_s))
+        self.resolve(best?, ray, |moving_car| self.moving_cars[moving_car].pose(time_s))
     }
 
-    /// What sixteen rays meet: ids for [`World::resolve`]. `movers` are the moving cars to look at,
-    /// with their poses by lane.
-    pub(crate) fn cast_packet(&self, packet: &mut Packet, movers: &[(usize, [MoverPose; LANES])]) {
+    /// Casts sixteen rays: ids for [`World::resolve`]. `moving_cars` are the moving cars to test,
+    /// with their poses for each ray.
+    pub(crate) fn cast_packet(
+        &self,
+        packet: &mut Packet,
+        moving_cars: &[(usize, [MovingCarPose; LANES])],
+    ) {
         if self.ground.is_some() {
             for lane in 0..LANES {
                 let distance = -packet.origin[2][lane] / packet.direction[2][lane];
@@ -79,8 +85,12 @@ impl World {
                 }
             }
         }
-        for (mover, poses) in movers {
-            self.movers[*mover].cast_packet(packet, poses, MOVERS + *mover as u32 * MOVER_QUADS);
+        for (moving_car, poses) in moving_cars {
+            self.moving_cars[*moving_car].cast_packet(
+                packet,
+                poses,
+                MOVING_CAR_IDS + *moving_car as u32 * MOVING_CAR_QUADS,
+            );
         }
         self.bvh.cast_packet(packet, 0);
     }

@@ -1,4 +1,4 @@
-//! What stands along the street: cars, trees, hedges, lamps, signs.
+//! Objects along the street: cars, trees, hedges, lamps, signs.
 
 use std::f64::consts::TAU;
 
@@ -17,7 +17,7 @@ const CAR_COLORS: [[f32; 3]; 7] = [
     [0.22, 0.24, 0.25],
     [0.05, 0.16, 0.09],
 ];
-/// A family car: length, width, and the heights of its body and its roof, in metres.
+/// Length and width of a car, in metres.
 pub(crate) const CAR_LENGTH_M: f64 = 4.3;
 const CAR_WIDTH_M: f64 = 1.76;
 
@@ -29,7 +29,7 @@ pub(crate) fn seed(rng: &mut Rng) -> u32 {
     (rng.next_u64() >> 32) as u32
 }
 
-/// A car that looks along +x, its middle at the origin.
+/// A car with the heading +x, centred at the origin.
 pub(crate) fn car(rng: &mut Rng) -> Builder {
     let mut car = Builder::default();
     let color = CAR_COLORS[rng.below(CAR_COLORS.len())];
@@ -43,7 +43,7 @@ pub(crate) fn car(rng: &mut Rng) -> Builder {
     let (half, side) = (0.5 * CAR_LENGTH_M, 0.5 * CAR_WIDTH_M);
     let body_height = in_range(rng, 0.82, 0.95);
     let roof_height = in_range(rng, 1.4, 1.65);
-    // Boxes seen from behind: right is −y, outwards −x.
+    // Boxes as seen from behind: right is −y, outwards −x.
     let slab = |back: f64, front: f64, low: f64, high: f64, side: f64| Block {
         corner: Vector3::new(back, side, low),
         right: -Vector3::y(),
@@ -66,7 +66,7 @@ pub(crate) fn car(rng: &mut Rng) -> Builder {
         }
         car.quad(at(-0.26, 0.5), right, Vector3::z(), [0.52, 0.12], plate);
         for along in [-1.3, 1.35] {
-            // A wheel's face, seen from its side of the car.
+            // The face of a wheel, seen from its side of the car.
             let outwards = Vector3::y() * face;
             let forward = Vector3::x() * -face;
             let centre = Vector3::new(along, 0.0, 0.32) + outwards * (side + 0.01);
@@ -94,7 +94,7 @@ pub(crate) fn tree(rng: &mut Rng) -> Builder {
     let mut tree = Builder::default();
     let (trunk, radius) = (in_range(rng, 2.2, 3.2), in_range(rng, 1.3, 2.2));
     let bark = tree.surface(Surface::new(Material::Bark, [0.16, 0.12, 0.09], seed(rng)));
-    // Two crossed boxes look rounder than one.
+    // Two boxes, rotated by 45°, approximate a round trunk.
     for turn in [0.0, TAU / 8.0] {
         let right = Vector3::new(turn.cos(), turn.sin(), 0.0);
         let out = Vector3::new(turn.sin(), -turn.cos(), 0.0);
@@ -136,7 +136,7 @@ pub(crate) fn hedge(length_m: f64, rng: &mut Rng) -> Builder {
     hedge
 }
 
-/// Clusters of leaves, turned anyhow.
+/// Adds clusters of leaves with random orientations.
 fn foliage(
     plant: &mut Builder,
     rng: &mut Rng,
@@ -159,7 +159,7 @@ fn foliage(
     }
 }
 
-/// A lamp post at the origin, its arm along +x.
+/// A lamp post at the origin with its arm along +x.
 pub(crate) fn lamp(rng: &mut Rng) -> Builder {
     let mut lamp = Builder::default();
     let steel = lamp.surface(Surface::new(Material::Plain, [0.24, 0.26, 0.25], seed(rng)));

@@ -1,6 +1,6 @@
-//! The ground: a plane at height 0 that carries the street's paint, all of it a function of where a
-//! place lies relative to the centre line, which is exact (lines and arcs). An index of cells says
-//! which pieces of the route can be nearest.
+//! The ground: the plane z = 0 with the texture of the street, a function of the position relative
+//! to the centre line, which is exact (lines and arcs). A grid of cells lists the segments of the
+//! route that can be nearest.
 
 use tiepoint_geometry::nalgebra::Vector2;
 
@@ -10,12 +10,13 @@ use super::noise::{
 };
 use crate::route::{Route, RoutePosition};
 
-/// Distances from the centre line, in metres: where the lane ends, the parking strip, and the
-/// pavement.
+/// Distances of the edge of the lane, the kerb, and the outer edge of the pavement from the centre
+/// line, in metres.
 const LANE_M: f64 = 3.6;
 pub(crate) const KERB_M: f64 = 5.8;
 pub(crate) const PAVEMENT_M: f64 = 8.6;
-/// Side of a cell of the index, in metres, and beyond which distance there is only grass.
+/// Side of a cell of the grid, and the distance from the street beyond which there is only grass,
+/// in metres.
 const CELL_M: f64 = 8.0;
 const REACH_M: f64 = 40.0;
 /// Albedos.
@@ -26,7 +27,7 @@ const KERB: [f32; 3] = [0.42, 0.41, 0.40];
 const PAINT: [f32; 3] = [0.72, 0.72, 0.70];
 const GRASS: [f32; 3] = [0.10, 0.16, 0.055];
 const SOIL: [f32; 3] = [0.24, 0.19, 0.13];
-/// Zebra crossings come about every so many metres.
+/// Mean distance of zebra crossings, in metres.
 const CROSSING_M: f64 = 90.0;
 
 /// The ground of a street.
@@ -36,8 +37,8 @@ pub(crate) struct Ground {
     seed: u32,
     corner: Vector2<f64>,
     columns: usize,
-    /// For each cell, the pieces of the route that may be nearest to a place in it; empty far from
-    /// the street.
+    /// For each cell, the segments of the route that may be nearest to a point in it; empty far
+    /// from the street.
     cells: Vec<Vec<u16>>,
 }
 
@@ -55,10 +56,10 @@ impl Ground {
         for k in 0..columns * rows {
             let centre =
                 low + Vector2::new((k % columns) as f64 + 0.5, (k / columns) as f64 + 0.5) * CELL_M;
-            let distances: Vec<f64> = route.piece_distances(centre).collect();
+            let distances: Vec<f64> = route.segment_distances(centre).collect();
             let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-            // A piece that is nearest somewhere in the cell is at most a diagonal further from its
-            // centre than the nearest.
+            // A segment that is nearest somewhere in the cell is at most a diagonal further from
+            // its centre than the nearest segment.
             let candidates =
                 (0..distances.len()).filter(|&p| distances[p] <= nearest + CELL_M * 1.4143);
             let candidates = candidates.map(|p| p as u16).collect();
@@ -67,21 +68,24 @@ impl Ground {
         Self { route: route.clone(), seed, corner: low, columns, cells: index }
     }
 
-    /// Where a place lies relative to the street, and the street's direction there; `None` far from
-    /// it.
-    fn foot(&self, place: Vector2<f64>) -> Option<(RoutePosition, Vector2<f64>)> {
+    /// The position of a point relative to the street, and the tangent of the street there; `None`
+    /// far from it.
+    fn closest_point(&self, place: Vector2<f64>) -> Option<(RoutePosition, Vector2<f64>)> {
         let cell = (place - self.corner) / CELL_M;
         if cell.x < 0.0 || cell.y < 0.0 || cell.x as usize >= self.columns {
             return None;
         }
-        let pieces = self.cells.get(cell.y as usize * self.columns + cell.x as usize)?;
-        (!pieces.is_empty()).then(|| self.route.foot(place, pieces.iter().map(|&p| usize::from(p))))
+        let segments = self.cells.get(cell.y as usize * self.columns + cell.x as usize)?;
+        (!segments.is_empty())
+            .then(|| self.route.closest_point(place, segments.iter().map(|&p| usize::from(p))))
     }
 
     /// Mean albedo over the footprint of a pixel.
     pub(crate) fn albedo(&self, place: Vector2<f64>, footprint: &Footprint) -> [f32; 3] {
         let at = [place.x, place.y];
-        let Some((position, tangent)) = self.foot(place) else { return self.grass(at, footprint) };
+        let Some((position, tangent)) = self.closest_point(place) else {
+            return self.grass(at, footprint);
+        };
         let (beside, width) = (position.left_m.abs(), footprint.reach());
         let grain = Fractal { coarsest: 0.25, octaves: 4, persistence: 1.0 }.at(
             at,
@@ -107,8 +111,8 @@ impl Ground {
         } else {
             0.0
         };
-        // The rest is made of straight edges: along the street and across it, which is locally a
-        // turned copy of the plane.
+        // The other patterns have straight edges along and across the street, in coordinates that
+        // are locally a rotation of the plane.
         let color = footprint.mean(0.0, |offset, width, _| {
             let along = position.along_m + offset[0] * tangent.x + offset[1] * tangent.y;
             let left = position.left_m + offset[1] * tangent.x - offset[0] * tangent.y;
@@ -137,7 +141,7 @@ impl Ground {
         scale(mix(GRASS, SOIL, 0.7 * soil), (1.0 + 0.35 * blades).max(0.15))
     }
 
-    /// The carriageway and the pavement at (metres along the street, metres to its left).
+    /// Albedo of the carriageway and the pavement at (metres along the street, metres to its left).
     fn paved(
         &self,
         asphalt: [f32; 3],
@@ -146,11 +150,11 @@ impl Ground {
         width: f64,
     ) -> [f32; 3] {
         let (beside, seed) = (left.abs(), self.seed);
-        // Share of the footprint beyond a distance from the centre line.
+        // Fraction of the footprint beyond a distance from the centre line.
         let beyond = |edge: f64| ((beside - edge) / width + 0.5).clamp(0.0, 1.0) as f32;
         let mut color = asphalt;
         if beside - width < KERB_M {
-            // Repairs: rectangles of newer or older asphalt.
+            // Patches of newer or older asphalt.
             let patch =
                 cells([along / 3.1, left / 1.3], [width / 3.1, width / 1.3], 0.0, |x, y| {
                     let bits = hash(x, y, seed ^ 5);
@@ -174,8 +178,8 @@ impl Ground {
         color
     }
 
-    /// Share of the footprint under paint: the middle line, edge lines, parking bays, zebra
-    /// crossings.
+    /// Fraction of the footprint under road markings: the centre line, edge lines, parking bays,
+    /// zebra crossings.
     fn paint(&self, along: f64, left: f64, width: f64) -> f32 {
         let beside = left.abs();
         let middle = lines(along, width, 6.0, 3.0) * interval(beside, width, -0.06, 0.06);
@@ -197,7 +201,7 @@ mod tests {
     use tiepoint_geometry::Rng;
 
     #[test]
-    fn the_index_finds_what_a_search_of_the_whole_route_finds() {
+    fn grid_agrees_with_a_search_of_the_whole_route() {
         let mut rng = Rng::stream(5, &[]);
         for seed in 0..4 {
             let route = Route::street_loop(300.0, &mut Rng::stream(seed, &[])).unwrap();
@@ -206,7 +210,7 @@ mod tests {
             for _ in 0..2000 {
                 let place = Vector2::from_fn(|_, _| 260.0 * (rng.uniform() - 0.5));
                 let slow = route.locate(place);
-                match ground.foot(place) {
+                match ground.closest_point(place) {
                     Some((found, tangent)) => {
                         assert_eq!(found, slow);
                         let heading = route.heading_rad(found.along_m);

@@ -1,27 +1,28 @@
-//! What a ray met, to the last bit.
+//! Exact intersection of a ray with a surface that is known to be hit.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
-use super::model::{GROUND, MOVER_QUADS, MOVERS, World};
-use super::mover::MoverPose;
+use super::model::{GROUND, MOVING_CAR_IDS, MOVING_CAR_QUADS, World};
+use super::moving_car::MovingCarPose;
 use super::quad::{Part, Ray};
 
-/// What a ray met, in double precision.
+/// A ray hit in double precision.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     pub(crate) id: u32,
     pub(crate) distance: f64,
     pub(crate) point: Vector3<f64>,
-    /// Towards the eye.
+    /// Unit normal, towards the camera.
     pub(crate) normal: Vector3<f64>,
     pub(super) part: Part,
-    /// Directions of the surface's coordinates, and where on it the point lies.
+    /// Tangents of the surface, and the position in surface coordinates, in metres.
     pub(super) tangents: [Vector3<f64>; 2],
     pub(super) uv: [f64; 2],
 }
 
 impl Hit {
-    /// Equal for neighbouring pixels exactly where they see the same smooth piece of a surface.
+    /// A key of the surface: neighbouring pixels have equal keys exactly if they see the same
+    /// smooth region of a surface.
     pub(crate) fn key(&self) -> u64 {
         let part = match self.part {
             Part::Face => 0,
@@ -33,12 +34,12 @@ impl Hit {
 }
 
 impl World {
-    /// The point where a ray meets what it is known to meet; `None` if it does not, after all.
+    /// Intersects a ray with the surface `id`; `None` if the ray misses it.
     pub(crate) fn resolve(
         &self,
         id: u32,
         ray: &Ray,
-        mover_pose: impl Fn(usize) -> Option<MoverPose>,
+        moving_car_pose: impl Fn(usize) -> Option<MovingCarPose>,
     ) -> Option<Hit> {
         if id == GROUND {
             let distance = -ray.origin.z / ray.direction.z;
@@ -55,12 +56,15 @@ impl World {
                 uv,
             });
         }
-        if id >= MOVERS {
-            let (mover, quad) = ((id - MOVERS) / MOVER_QUADS, (id - MOVERS) % MOVER_QUADS);
-            let mover = &self.movers[mover as usize];
-            let pose = mover_pose(((id - MOVERS) / MOVER_QUADS) as usize)?;
+        if id >= MOVING_CAR_IDS {
+            let (moving_car, quad) = (
+                (id - MOVING_CAR_IDS) / MOVING_CAR_QUADS,
+                (id - MOVING_CAR_IDS) % MOVING_CAR_QUADS,
+            );
+            let moving_car = &self.moving_cars[moving_car as usize];
+            let pose = moving_car_pose(((id - MOVING_CAR_IDS) / MOVING_CAR_QUADS) as usize)?;
             let local = pose.ray_in_car(ray);
-            let quad = &mover.quads[quad as usize];
+            let quad = &moving_car.quads[quad as usize];
             let (distance, uv) = quad.intersect_plane(&local)?;
             let side = -quad.normal().dot(&local.direction).signum();
             let [normal, u, v] =
@@ -106,16 +110,17 @@ impl World {
         Some(hit)
     }
 
-    /// Key of what a ray is known to meet (see [`Hit::key`]), the id in its upper half.
+    /// Key of the surface `id` at the hit of a ray (see [`Hit::key`]), with the id in its upper
+    /// half.
     pub(crate) fn key(
         &self,
         id: u32,
         ray: &Ray,
-        mover_pose: impl Fn(usize) -> Option<MoverPose>,
+        moving_car_pose: impl Fn(usize) -> Option<MovingCarPose>,
     ) -> u64 {
         let has_parts = (id as usize) < self.quads.len()
             && self.surfaces[self.quads[id as usize].surface as usize].relief.is_some();
-        let hit = if has_parts { self.resolve(id, ray, mover_pose) } else { None };
+        let hit = if has_parts { self.resolve(id, ray, moving_car_pose) } else { None };
         hit.map_or(u64::from(id) << 32, |hit| hit.key())
     }
 }

@@ -1,4 +1,4 @@
-//! What surfaces look like: patterns of `noise`, composed per material, each a mean over the
+//! Textures of surfaces: patterns of `noise`, combined for each material and averaged over the
 //! footprint of the pixel.
 
 use super::noise::{
@@ -6,45 +6,45 @@ use super::noise::{
 };
 use super::quad::{Part, Relief};
 
-/// A kind of surface.
+/// The material of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Material {
     /// Bricks of 24 × 7 cm.
     Brick,
-    /// Rendered walls with stains.
+    /// Plastered walls with stains.
     Plaster,
-    /// Dressed stones of 80 × 40 cm.
+    /// Ashlar of 80 × 40 cm.
     Stone,
-    /// Concrete plates of 1.5 × 3 m.
+    /// Concrete panels of 1.5 × 3 m.
     Concrete,
     /// Horizontal boards.
     Boards,
-    /// Roofs and other dull surfaces.
+    /// Roofs and other matt surfaces.
     Plain,
-    /// Something written: white on a colour, each sign different.
+    /// Lettering: white on a colour, different for each seed.
     Sign,
-    /// A leaf cluster.
+    /// A cluster of leaves.
     Leaves,
-    /// A trunk.
+    /// The bark of a trunk.
     Bark,
-    /// A car's body.
+    /// The paint of a car.
     Paint,
     /// Tinted glass.
     Glass,
-    /// Black and white squares of 25 cm, for measuring.
+    /// A checkerboard with squares of 25 cm, for measurements.
     Checker,
 }
 
-/// What a quad looks like.
+/// The appearance of a quad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// Kind.
+    /// Material.
     pub material: Material,
-    /// Albedo, red, green, blue in 0..1.
+    /// Albedo: red, green, blue in 0..1.
     pub color: [f32; 3],
-    /// Surfaces of equal seed look the same.
+    /// Surfaces with equal seeds look the same.
     pub seed: u32,
-    /// Openings cut into it.
+    /// Openings in the surface.
     pub relief: Option<Relief>,
 }
 
@@ -56,19 +56,19 @@ pub(crate) fn scale(color: [f32; 3], factor: f32) -> [f32; 3] {
     color.map(|c| c * factor)
 }
 
-/// How a wall is put together.
+/// The pattern of a wall of bricks, stones, panels or boards.
 struct Courses {
-    /// Length and height of a piece, in metres.
+    /// Length and height of an element, in metres.
     size: [f64; 2],
-    /// How far each row is shifted, in lengths.
+    /// Shift of each row relative to the one below, in lengths.
     shift: f64,
     /// Thickness of the joints, in metres.
     joint: f64,
-    /// How much the pieces differ.
+    /// Variation of the brightness of the elements.
     tint: f32,
 }
 
-/// Albedo of a narrow joint; wide ones are dark.
+/// Albedo of narrow joints; wide joints are dark.
 const MORTAR: [f32; 3] = [0.52, 0.5, 0.47];
 
 impl Surface {
@@ -77,7 +77,7 @@ impl Surface {
         Self { material, color, seed, relief: None }
     }
 
-    /// Mean albedo over a footprint, and how much of the surroundings is mirrored.
+    /// Mean albedo over a footprint, and the reflectance (fraction of mirrored light).
     pub(crate) fn albedo(
         &self,
         part: &Part,
@@ -102,8 +102,8 @@ impl Surface {
         }
     }
 
-    /// Sharp patterns are averaged over the parts of a long footprint; noise on top of them looks
-    /// after itself.
+    /// Albedo of the surface outside of openings. Patterns with edges are averaged over the parts
+    /// of a long footprint; noise is averaged by its own footprint.
     fn face(&self, at: [f64; 2], footprint: &Footprint) -> [f32; 3] {
         let ([u, v], seed) = (at, self.seed);
         let fine = |coarsest: f64, octaves: u32, persistence: f32, salt: u32| {
@@ -124,7 +124,7 @@ impl Surface {
             Material::Plaster => {
                 let marks =
                     spots(1.3, 0.5, 23) + 0.8 * spots(0.41, 0.45, 24) + 0.8 * spots(0.11, 0.3, 25);
-                // Water runs down from the top of walls.
+                // Streaks of water from the top of the wall.
                 let runs = Fractal { coarsest: 0.35, octaves: 2, persistence: 0.7 };
                 let runs = runs.at([u, 0.12 * v], footprint, seed ^ 26);
                 scale(
@@ -193,7 +193,7 @@ impl Surface {
         }
     }
 
-    /// A wall of bricks, stones, plates or boards: each of its own tint, with joints between.
+    /// Albedo of a wall of elements with individual brightness and joints between them.
     fn courses(&self, [u, v]: [f64; 2], footprint: &Footprint, courses: &Courses) -> [f32; 3] {
         let ([length, height], joint) = (courses.size, courses.joint);
         footprint.mean(0.0, |offset, _, axes| {
@@ -214,7 +214,8 @@ impl Surface {
         })
     }
 
-    /// Share of ink: rows of random letters, 5 × 7 dots each, of two sizes.
+    /// Fraction of the footprint under letters: rows of random letters of 5 × 7 dots, in one of two
+    /// sizes.
     fn ink(&self, [u, v]: [f64; 2], axes: [f64; 2]) -> f32 {
         let seed = self.seed;
         let dot = if seed & 1 == 0 { 0.055 } else { 0.08 };
@@ -222,13 +223,14 @@ impl Surface {
             let (letter_x, letter_y) = (x.rem_euclid(7), y.rem_euclid(10));
             let is_gap = letter_x >= 5 || letter_y >= 7;
             let bits = hash(x.div_euclid(7), y.div_euclid(10), seed) ^ 0x1284_2100;
-            // Strokes rather than dust: neighbouring dots share a bit.
+            // Neighbouring dots share a bit, so that strokes result.
             let bit = bits >> ((letter_x / 2 + 3 * (letter_y / 2) + letter_x % 2) as u32 % 32);
             if is_gap || bit & 1 == 0 { 0.0 } else { 1.0 }
         })
     }
 
-    /// A window (or, on the ground floor, a shop window or a door) at the bottom of an opening.
+    /// Albedo and reflectance of the bottom of an opening: a window, or a shop window or a door on
+    /// the ground floor.
     fn pane(
         &self,
         cell: [i32; 2],

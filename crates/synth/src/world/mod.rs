@@ -1,4 +1,5 @@
-//! A street that can be looked at: quads in a tree, the ground, the sky, and cars that move.
+//! The street that is rendered: quads in a bounding volume hierarchy, the ground, the sky, and
+//! moving cars.
 
 mod builder;
 mod building;
@@ -9,7 +10,7 @@ mod ground;
 mod hit;
 mod material;
 mod model;
-mod mover;
+mod moving_car;
 mod noise;
 mod options;
 mod quad;
@@ -22,7 +23,7 @@ pub use cast::SurfacePoint;
 pub(crate) use hit::Hit;
 pub use material::{Material, Surface};
 pub use model::World;
-pub(crate) use mover::MoverPose;
+pub(crate) use moving_car::MovingCarPose;
 pub use options::StreetOptions;
 pub use quad::{Quad, Ray, Relief};
 pub(crate) use shade::Pixel;

@@ -1,4 +1,4 @@
-//! What there is in a world.
+//! The world: static quads, ground, sky and moving cars.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::Vector3;
@@ -6,34 +6,38 @@ use tiepoint_geometry::nalgebra::Vector3;
 use super::bvh::{Bvh, NOTHING};
 use super::ground::Ground;
 use super::material::Surface;
-use super::mover::{self, Mover, MoverPose};
+use super::moving_car::{self, MovingCar, MovingCarPose};
 use super::options::StreetOptions;
 use super::quad::{Quad, Ray};
 use super::{furniture, street};
 use crate::error::{Error, require};
 use crate::route::Route;
 
-/// Ids of what a ray can meet: quads below, then the quads of each moving car, then the ground.
+/// Ids of the surfaces of ray hits: static quads from 0, then the quads of each moving car, then
+/// the ground.
 pub(super) const GROUND: u32 = NOTHING - 1;
-pub(super) const MOVERS: u32 = 1 << 31;
-/// Quads of one moving car, at most.
-pub(super) const MOVER_QUADS: u32 = 1 << 8;
+pub(super) const MOVING_CAR_IDS: u32 = 1 << 31;
+/// Range of ids of one moving car: most quads of a car.
+pub(super) const MOVING_CAR_QUADS: u32 = 1 << 8;
 
-/// A world to drive through.
+/// A world that can be rendered.
 #[derive(Clone, Debug)]
 pub struct World {
     pub(super) quads: Vec<Quad>,
     pub(super) surfaces: Vec<Surface>,
     pub(super) bvh: Bvh,
     pub(super) ground: Option<Ground>,
-    pub(super) movers: Vec<Mover>,
+    pub(super) moving_cars: Vec<MovingCar>,
     pub(super) sky_seed: u32,
     pub(super) towards_sun: Vector3<f64>,
 }
 
 impl World {
-    /// A street along a route, with everything that stands and drives there; another world for
-    /// every seed.
+    /// A street along a route with static objects and moving cars, which follow from the seed.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OutOfRange`] if a fraction is not in 0..=1.
     pub fn street(route: &Route, options: &StreetOptions, seed: u64) -> Result<Self, Error> {
         for (name, value) in [
             ("repeated_fraction", options.repeated_fraction),
@@ -56,42 +60,53 @@ impl World {
             azimuth.sin() * elevation.cos(),
             elevation.sin(),
         );
-        world.movers = mover::traffic(route, options.moving_cars, &mut rng);
+        world.moving_cars = moving_car::traffic(route, options.moving_cars, &mut rng);
         Ok(world)
     }
 
-    /// Any quads in front of the sky, for targets and tests. Each names its surface by index.
+    /// A world of given quads without ground, for calibration targets and tests. The field
+    /// `surface` of a quad is an index into `surfaces`.
     pub fn from_quads(quads: Vec<Quad>, surfaces: Vec<Surface>) -> Self {
         let bvh = Bvh::new(&quads);
         let towards_sun = Vector3::new(0.4, -0.3, 0.85).normalize();
-        Self { quads, surfaces, bvh, ground: None, movers: Vec::new(), sky_seed: 0, towards_sun }
+        Self {
+            quads,
+            surfaces,
+            bvh,
+            ground: None,
+            moving_cars: Vec::new(),
+            sky_seed: 0,
+            towards_sun,
+        }
     }
 
-    /// How many quads stand still.
+    /// Number of static quads.
     pub fn num_quads(&self) -> usize {
         self.quads.len()
     }
 
-    /// The moving cars that may be seen from a place at a time.
-    pub(crate) fn movers_near(&self, place: &Vector3<f64>, time_s: f64) -> Vec<usize> {
-        let is_near = |mover: &Mover| {
-            mover.pose(time_s).is_some_and(|pose| (pose.place - place.xy()).norm() < mover::SEEN_M)
+    /// Indices of the moving cars that may be visible from a place at a time.
+    pub(crate) fn moving_cars_near(&self, place: &Vector3<f64>, time_s: f64) -> Vec<usize> {
+        let is_near = |moving_car: &MovingCar| {
+            moving_car
+                .pose(time_s)
+                .is_some_and(|pose| (pose.position - place.xy()).norm() < moving_car::MAX_VISIBLE_M)
         };
-        (0..self.movers.len()).filter(|&index| is_near(&self.movers[index])).collect()
+        (0..self.moving_cars.len()).filter(|&index| is_near(&self.moving_cars[index])).collect()
     }
 
-    /// Where a moving car is at a time; `None` where it is not on the street.
-    pub(crate) fn mover_pose(&self, mover: usize, time_s: f64) -> Option<MoverPose> {
-        self.movers[mover].pose(time_s)
+    /// Pose of a moving car at a time; `None` if it is not on the street.
+    pub(crate) fn moving_car_pose(&self, moving_car: usize, time_s: f64) -> Option<MovingCarPose> {
+        self.moving_cars[moving_car].pose(time_s)
     }
 
-    /// Whether rays that differ from this one by at most `slack` per metre may meet a moving car.
-    pub(crate) fn mover_is_near(&self, pose: &MoverPose, ray: &Ray, slack: f64) -> bool {
-        Mover::is_near(pose, ray, slack)
+    /// Whether rays that deviate from this one by at most `slack` per metre may hit a moving car.
+    pub(crate) fn moving_car_is_near(&self, pose: &MovingCarPose, ray: &Ray, slack: f64) -> bool {
+        MovingCar::is_near(pose, ray, slack)
     }
 
-    /// Whether a point lies on something that stands still, or in one of its openings, to within
-    /// `slack_m`: looked up the slow way.
+    /// Whether a point lies on a static surface, or in one of its openings, to within `slack_m`;
+    /// linear search.
     #[cfg(test)]
     pub(crate) fn touches(&self, point: &Vector3<f64>, slack_m: f64) -> bool {
         let is_on_ground = self.ground.is_some() && point.z.abs() < slack_m;

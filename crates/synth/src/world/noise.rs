@@ -1,14 +1,14 @@
-//! Patterns on a plane, averaged over the footprint of a pixel.
+//! Procedural patterns on a plane, averaged over the footprint of a pixel.
 //!
-//! Every pattern takes the width of the footprint and returns its mean over it, exactly where a
-//! closed form exists (lines, cells) and by fading each octave out before it could alias where not
-//! (noise). So textures are anti-aliased at every distance without a texture in memory, and an edge
-//! lies where its geometry says.
+//! Every pattern takes the width of the footprint and returns its mean over it: exactly if there is
+//! a closed form (lines, cells); otherwise (noise) each octave fades out before it aliases.
+//! Textures are therefore anti-aliased at every distance without mipmaps, and edges are at their
+//! exact positions.
 
-/// What stands for "nothing": the mean of patterns in −1..1.
+/// Mean of patterns with values in −1..1.
 const MEAN: f32 = 0.0;
 
-/// 32 well-mixed bits of a lattice point.
+/// A hash of 32 bits of a lattice point.
 pub(crate) fn hash(x: i32, y: i32, seed: u32) -> u32 {
     let mut h = (x as u32).wrapping_mul(0x8DA6_B343)
         ^ (y as u32).wrapping_mul(0xD816_3841)
@@ -33,16 +33,15 @@ pub(crate) fn smoothstep(x: f32) -> f32 {
     x * x * (3.0 - 2.0 * x)
 }
 
-/// `x.floor()` for numbers that fit 32 bits: processors without SSE 4.1 would call a function for
-/// it.
+/// `x.floor()` for numbers that fit 32 bits; without SSE 4.1 the standard function is a library
+/// call.
 #[inline(always)]
 pub(crate) fn floor(x: f64) -> i32 {
     whole(x).0
 }
 
-/// The whole number below `x`, twice: added to a number so large that its last bit counts ones, `x`
-/// is rounded, and the result is among the last bits of the sum. A cast would look for numbers that
-/// do not fit.
+/// The floor of `x` as an integer and as a float. Adding 1.5 · 2⁵² rounds `x` to an integer, which
+/// is then in the low bits of the sum. A cast would check the range.
 #[inline(always)]
 fn whole(x: f64) -> (i32, f64) {
     const LARGE: f64 = 1.5 * (1u64 << 52) as f64;
@@ -58,23 +57,23 @@ fn lattice(x: f64) -> (i32, f32) {
     (whole, (x - below) as f32)
 }
 
-/// A footprint longer than this many times its width is split along its length, into at most so
-/// many parts.
+/// A footprint is split along its length if its length exceeds this multiple of its width, into at
+/// most so many parts.
 const SPLIT: f64 = 2.0;
 const MAX_PARTS: f64 = 4.0;
 
-/// The parallelogram of a surface that a pixel sees, by its longer side.
+/// The footprint of a pixel on a surface: a parallelogram, described by its longer side.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Footprint {
     long: [f64; 2],
     length: f64,
     width: f64,
-    /// The shorter side's extent along each axis.
+    /// Extent of the shorter side along each axis.
     short: [f64; 2],
 }
 
 impl Footprint {
-    /// From the steps on the surface that belong to a pixel to the right and one downwards.
+    /// From the steps on the surface to the next pixel on the right and below, in metres.
     pub(crate) fn new(right: [f64; 2], down: [f64; 2]) -> Self {
         let length = |step: [f64; 2]| (step[0] * step[0] + step[1] * step[1]).sqrt();
         let (mut long, mut short) = ((right, length(right)), (down, length(down)));
@@ -89,13 +88,13 @@ impl Footprint {
         }
     }
 
-    /// How far it reaches, at most.
+    /// Upper bound of its extent.
     pub(crate) fn reach(&self) -> f64 {
         self.length + self.width
     }
 
-    /// Into how many parts along its length it is divided: as many as its shape asks for, but none
-    /// finer than `fineness`. And the width of a part.
+    /// The number of parts along its length, such that no part is finer than `fineness`, and the
+    /// width of a part.
     fn divide(&self, fineness: f64) -> (usize, f64) {
         let undivided = (SPLIT * self.width).max(fineness);
         if self.length <= undivided {
@@ -105,13 +104,12 @@ impl Footprint {
         (parts as usize, (self.length / parts).max(self.width))
     }
 
-    /// Where the middle of a part lies along the length, −½ to ½.
+    /// Centre of a part along the length, −½ to ½.
     fn middle(part: usize, parts: usize) -> f64 {
         (part as f64 + 0.5) / parts as f64 - 0.5
     }
 
-    /// Mean of a function of (offset, width, width along each axis) over the parts of the
-    /// footprint.
+    /// Mean of a function of (offset, width, width along each axis) over the parts.
     #[inline(always)]
     pub(crate) fn mean<const N: usize>(
         &self,
@@ -134,12 +132,12 @@ impl Footprint {
     }
 }
 
-/// One octave: random values at lattice points, interpolated smoothly; in −1..1.
+/// One octave of value noise: random values at lattice points, smoothly interpolated, in −1..1.
 #[inline(always)]
 fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
     let ((ix, fx), (iy, fy)) = (lattice(x), lattice(y));
     let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
-    // One round of mixing will do here: the four corners of a cell share what comes before it.
+    // A shorter hash suffices; the four corners of a cell share its first part.
     let [x0, y0] = [(ix as u32).wrapping_mul(0x8DA6_B343), (iy as u32).wrapping_mul(0xD816_3841)];
     let [x1, y1] = [x0.wrapping_add(0x8DA6_B343), y0.wrapping_add(0xD816_3841)];
     let salt = seed.wrapping_mul(0xCB1A_B31F);
@@ -153,11 +151,11 @@ fn value_noise(x: f64, y: f64, seed: u32) -> f32 {
     (bottom + sy * (top - bottom)) * (2.0 / (1u32 << 24) as f32) - 1.0
 }
 
-/// Places that noise is evaluated at together: a vector of the widest processors.
+/// Number of positions at which noise is evaluated together: the lanes of the widest vectors.
 const LANES: usize = 8;
 
-/// Value noise at eight places. The same source is compiled for wider vectors too; nothing is
-/// contracted or reordered, so every processor gets the same bits.
+/// Value noise at eight positions. The same source is compiled for wider vectors; no operations are
+/// fused or reordered, so that every processor computes the same bits.
 fn value_noises(places: &Places) -> [f32; LANES] {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
@@ -187,7 +185,7 @@ fn value_noises_portable(places: &Places) -> [f32; LANES] {
     std::array::from_fn(|k| value_noise(places.x[k], places.y[k], places.seed[k]))
 }
 
-/// Where and with which seed.
+/// Positions and seeds of an evaluation.
 #[derive(Clone, Copy, Default)]
 struct Places {
     x: [f64; LANES],
@@ -196,31 +194,31 @@ struct Places {
 }
 
 const MAX_OCTAVES: usize = 6;
-/// Of one sum: octaves times parts.
+/// Vectors of positions in one sum: octaves times parts.
 const MAX_BATCHES: usize = 3;
 
-/// Size of an octave's blobs relative to the one before.
+/// Size of the blobs of an octave relative to the previous one.
 const LACUNARITY: f64 = 0.43;
 
-/// Several octaves, from blobs of `coarsest` size downwards; an octave is gone before its blobs are
-/// as small as the footprint.
+/// Fractal value noise: octaves from the blob size `coarsest` downwards. An octave fades out before
+/// its blobs are as small as the footprint.
 pub(crate) struct Fractal {
     pub(crate) coarsest: f64,
     /// At most [`MAX_OCTAVES`].
     pub(crate) octaves: u32,
-    /// Amplitude of each octave relative to the one before.
+    /// Amplitude of each octave relative to the previous one.
     pub(crate) persistence: f32,
 }
 
 impl Fractal {
-    /// About −1..1. Coarse octaves look at the middle of a long footprint only: they do not change
-    /// along it.
+    /// The noise at a position, about −1..1. Coarse octaves are evaluated only at the centre of a
+    /// long footprint, along which they are constant.
     pub(crate) fn at(&self, [u, v]: [f64; 2], footprint: &Footprint, seed: u32) -> f32 {
         const { assert!(MAX_OCTAVES * MAX_PARTS as usize <= MAX_BATCHES * LANES) };
         debug_assert!(self.octaves as usize <= MAX_OCTAVES);
         let mut places = [Places::default(); MAX_BATCHES];
         let mut count = 0;
-        // Of each octave that is seen: its weight, and where its places end.
+        // For each visible octave: its weight, and the end of its positions in the list.
         let mut octaves = [(0.0f32, 0usize); MAX_OCTAVES];
         let (mut amplitude, mut size, mut inverse) = (1.0, self.coarsest, 1.0 / self.coarsest);
         let mut num_octaves = 0;
@@ -265,8 +263,8 @@ impl Fractal {
     }
 }
 
-/// Share of the interval `x ± width/2` that lies in lines of thickness `line` which begin at every
-/// multiple of `period`.
+/// Fraction of the interval `x ± width/2` in lines of thickness `line` that begin at every multiple
+/// of `period`.
 pub(crate) fn lines(x: f64, width: f64, period: f64, line: f64) -> f32 {
     let integral = |x: f64| {
         let turns = f64::from(floor(x / period));
@@ -276,15 +274,15 @@ pub(crate) fn lines(x: f64, width: f64, period: f64, line: f64) -> f32 {
     ((integral(x + 0.5 * width) - integral(x - 0.5 * width)) / width) as f32
 }
 
-/// Share of the interval `x ± width/2` that lies in `from..to`.
+/// Fraction of the interval `x ± width/2` in `from..to`.
 pub(crate) fn interval(x: f64, width: f64, from: f64, to: f64) -> f32 {
     let width = width.max(1e-6);
     let (low, high) = ((x - 0.5 * width).max(from), (x + 0.5 * width).min(to));
     ((high - low).max(0.0) / width) as f32
 }
 
-/// Mean over the footprint of a function that is constant on unit cells. Exact up to a footprint of
-/// one cell; beyond it the result fades to `mean`.
+/// Mean over the footprint of a function that is constant on unit cells: exact up to a footprint of
+/// one cell; for larger ones it fades to `mean`.
 pub(crate) fn cells(
     [x, y]: [f64; 2],
     [width_x, width_y]: [f64; 2],
@@ -298,7 +296,7 @@ pub(crate) fn cells(
     let along = |x: f64, width: f64| {
         let width = width.clamp(1e-6, 1.0);
         let low = floor(x - 0.5 * width);
-        // Share of the footprint in the cell after `low`.
+        // Fraction of the footprint in the cell after `low`.
         let share = ((x + 0.5 * width - f64::from(low) - 1.0) / width).clamp(0.0, 1.0);
         (low, share as f32)
     };
@@ -314,8 +312,8 @@ pub(crate) fn cells(
     mean + fade * (sum - mean)
 }
 
-/// Round spots, at most one in each cell of `size`, in a share of the cells: darker or lighter,
-/// −1..1.
+/// Round spots, darker or lighter (−1..1), at most one in a cell of side `size`, in the fraction
+/// `share` of the cells.
 pub(crate) fn spots(
     [u, v]: [f64; 2],
     footprint: &Footprint,
@@ -327,14 +325,14 @@ pub(crate) fn spots(
         return MEAN;
     }
     let inverse = 1.0 / size;
-    // The edge of a large spot may be a little softer than a long footprint would make it.
+    // The edge of a large spot may be slightly too soft in a long footprint.
     let [mean] = footprint.mean(size * 0.1, |offset, width, _| {
         [spot([(u + offset[0]) * inverse, (v + offset[1]) * inverse], width * inverse, share, seed)]
     });
     mean
 }
 
-/// In a lattice of unit cells.
+/// Spots in a lattice of unit cells.
 fn spot([u, v]: [f64; 2], width: f64, share: f32, seed: u32) -> f32 {
     let ((ix, fx), (iy, fy)) = (lattice(u), lattice(v));
     let bits = hash(ix, iy, seed);
@@ -350,7 +348,7 @@ fn spot([u, v]: [f64; 2], width: f64, share: f32, seed: u32) -> f32 {
     let inside = (radius - (dx * dx + dy * dy * stretch * stretch).sqrt() / stretch.max(1.0))
         / edge.max(1e-4)
         + 0.5;
-    // Small spots lose contrast as the pixel outgrows them.
+    // Spots fade out when the footprint exceeds their radius.
     let fade = smoothstep(2.0 - edge / radius);
     fade * inside.clamp(0.0, 1.0) * signed(bits.wrapping_mul(0x9E37_79B9))
 }
@@ -360,7 +358,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Samples of a slow mean along one axis; its error is then about one part in as many.
+    /// Samples of a numerical mean along one axis; its relative error is about the inverse.
     const SAMPLES: usize = 400;
     const TOLERANCE: f32 = 0.01;
 
@@ -372,7 +370,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn floor_is_floor(x in -2e9..2e9, near in -9i32..9) {
+        fn floor_equals_the_standard_function(x in -2e9..2e9, near in -9i32..9) {
             prop_assert_eq!(floor(x), x.floor() as i32);
             for at in [
                 f64::from(near),
@@ -385,7 +383,11 @@ mod tests {
         }
 
         #[test]
-        fn lines_and_intervals_are_means(x in -5.0..5.0, width in 0.01..3.0, line in 0.05..0.6) {
+        fn lines_and_intervals_equal_numerical_means(
+            x in -5.0..5.0,
+            width in 0.01..3.0,
+            line in 0.05..0.6,
+        ) {
             let exact = lines(x, width, 0.7, line);
             let slow = slow_mean(x, width, |x| f32::from(x.rem_euclid(0.7) < line));
             prop_assert!((exact - slow).abs() < TOLERANCE, "{exact} {slow}");
@@ -395,7 +397,12 @@ mod tests {
         }
 
         #[test]
-        fn cells_are_means(x in -5.0..5.0, y in -5.0..5.0, wx in 0.01..1.0, wy in 0.01..1.0) {
+        fn cells_equal_numerical_means(
+            x in -5.0..5.0,
+            y in -5.0..5.0,
+            wx in 0.01..1.0,
+            wy in 0.01..1.0,
+        ) {
             let value = |ix: i32, iy: i32| signed(hash(ix, iy, 3));
             let exact = cells([x, y], [wx, wy], 0.0, value);
             let slow = slow_mean(y, wy, |y| {
@@ -405,7 +412,7 @@ mod tests {
         }
 
         #[test]
-        fn vectors_have_the_same_bits(
+        fn vector_code_computes_the_same_bits(
             x: [i16; LANES],
             y: [i16; LANES],
             seed: [u32; LANES],
@@ -422,7 +429,7 @@ mod tests {
         }
 
         #[test]
-        fn nothing_is_left_of_noise_when_the_footprint_is_coarser(
+        fn patterns_vanish_in_large_footprints(
             u in -9.0..9.0,
             v in -9.0..9.0,
             seed: u32,

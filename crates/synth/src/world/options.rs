@@ -1,17 +1,17 @@
-//! What a caller may choose of a street.
+//! Options of a street.
 
-/// What stands along a street.
+/// Options of a street.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreetOptions {
-    /// Share of the fronts that begin a terrace of equal houses.
+    /// Fraction of the house fronts that begin a terrace of equal houses.
     pub repeated_fraction: f64,
-    /// Share of the house ends followed by a gap with a garden.
+    /// Fraction of the ends of houses and terraces that a gap with a garden follows.
     pub gap_fraction: f64,
-    /// Share of the parking bays that are taken.
+    /// Fraction of occupied parking bays.
     pub parked_fraction: f64,
-    /// Share of the places for a tree that have one.
+    /// Fraction of the sites of trees with a tree.
     pub tree_fraction: f64,
-    /// Cars that drive, each a few car lengths to a hundred metres from the next.
+    /// Number of moving cars, at distances of 12 m to 70 m from each other.
     pub moving_cars: usize,
 }
 

@@ -1,15 +1,15 @@
-//! What the world is made of: rectangles and ellipses in space, some with openings cut into them.
+//! Geometric primitives: rectangles and ellipses in space, with openings.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
 use super::noise::floor;
 
-/// A straight way to look.
+/// A ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where it begins.
+    /// Origin, in metres.
     pub origin: Vector3<f64>,
-    /// Where it goes; distances along it are in units of its length.
+    /// Direction; distances along the ray are in units of its length.
     pub direction: Vector3<f64>,
 }
 
@@ -20,36 +20,36 @@ impl Ray {
     }
 }
 
-/// A rectangle, or the ellipse inscribed in it. Seen from both sides.
+/// A rectangle, or the ellipse inscribed in it; visible from both sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quad {
-    /// A corner.
+    /// A corner, in metres.
     pub origin: Vector3<f64>,
-    /// Unit vector along its first edge; as its front is looked at, to the right.
+    /// Unit vector along its first edge: to the right as seen from the front.
     pub u: Vector3<f64>,
-    /// Unit vector along its second edge; as its front is looked at, upwards.
+    /// Unit vector along its second edge: upwards as seen from the front.
     pub v: Vector3<f64>,
     /// Lengths of the edges, in metres.
     pub size: [f64; 2],
-    /// Whether only the inscribed ellipse is there.
+    /// Whether the quad is the inscribed ellipse.
     pub is_ellipse: bool,
-    /// Index into the world's surfaces: what it looks like.
+    /// Index of its surface in the world.
     pub surface: u32,
 }
 
 impl Quad {
-    /// Unit normal, towards those who see its front.
+    /// Unit normal of the front.
     pub fn normal(&self) -> Vector3<f64> {
         self.u.cross(&self.v)
     }
 
-    /// Distance along a ray and (u, v) where it meets the quad, at more than `least`.
-    pub(crate) fn intersect(&self, ray: &Ray, least: f64) -> Option<(f64, [f64; 2])> {
+    /// Intersection with a ray beyond `min_distance`: distance and (u, v) in metres.
+    pub(crate) fn intersect(&self, ray: &Ray, min_distance: f64) -> Option<(f64, [f64; 2])> {
         let (distance, uv) = self.intersect_plane(ray)?;
-        (distance > least && self.contains(uv)).then_some((distance, uv))
+        (distance > min_distance && self.contains(uv)).then_some((distance, uv))
     }
 
-    /// The same for the whole plane.
+    /// Intersection of a ray with the plane of the quad.
     pub(crate) fn intersect_plane(&self, ray: &Ray) -> Option<(f64, [f64; 2])> {
         let normal = self.normal();
         let distance = normal.dot(&(self.origin - ray.origin)) / normal.dot(&ray.direction);
@@ -73,43 +73,43 @@ impl Quad {
     }
 }
 
-/// A grid of openings in a wall, all set back by the same depth: windows, and doors or shop windows
-/// on the ground floor.
+/// A grid of openings in a wall with equal depth: windows, and doors or shop windows on the ground
+/// floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relief {
-    /// How many columns of openings.
+    /// Number of columns of openings.
     pub columns: i32,
-    /// How many floors above the ground floor.
+    /// Number of floors above the ground floor.
     pub floors: i32,
     /// Width of a column and height of a floor, in metres.
     pub cell_m: [f64; 2],
     /// Height of the ground floor, in metres; 0 for none.
     pub ground_m: f64,
-    /// Where the first column begins, in metres.
+    /// Offset of the first column, in metres.
     pub margin_m: f64,
     /// An opening within its cell: left, bottom, right, top, in metres.
     pub opening_m: [f64; 4],
-    /// The same on the ground floor.
+    /// An opening of the ground floor within its cell, in metres.
     pub ground_opening_m: [f64; 4],
-    /// How deep the openings are, in metres.
+    /// Depth of the openings, in metres.
     pub depth_m: f64,
 }
 
-/// Which part of a surface was met.
+/// The part of a surface that a ray hits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Part {
     /// The surface itself.
     Face,
-    /// The bottom of an opening: its column and floor (0 is the ground floor), the place within it,
-    /// and its size.
+    /// The bottom of an opening: its column and floor (0 is the ground floor), the position within
+    /// it, and its size in metres.
     Pane { cell: [i32; 2], uv: [f64; 2], size: [f64; 2] },
     /// A side of an opening: 0 left, 1 right, 2 sill, 3 lintel.
     Jamb { side: u8 },
 }
 
 impl Relief {
-    /// The opening at a place of the wall: its cell and its edges (left, bottom, right, top) in the
-    /// wall's coordinates.
+    /// The opening at a position of the wall: its cell and its edges (left, bottom, right, top) in
+    /// wall coordinates.
     fn opening(&self, [u, v]: [f64; 2]) -> Option<([i32; 2], [f64; 4])> {
         let column = floor((u - self.margin_m) / self.cell_m[0]);
         if !(0..self.columns).contains(&column) {
@@ -129,9 +129,9 @@ impl Relief {
         is_inside.then_some(([column, storey], edges))
     }
 
-    /// Follows a ray that met the wall at `uv` into an opening, if one is there: how much further
-    /// it goes, relative to the distance so far along the wall's normal, and what it meets. `slope`
-    /// is the ray's movement in u and v for each metre into the wall.
+    /// Traces a ray from its intersection `uv` with the wall into an opening, if there is one: the
+    /// further depth along the wall normal in metres, and the part that it hits. `slope` is the
+    /// change of u and v of the ray per metre of depth.
     pub(crate) fn follow(&self, uv: [f64; 2], slope: [f64; 2]) -> (f64, Part) {
         let Some((cell, edges)) = self.opening(uv) else { return (0.0, Part::Face) };
         let (mut depth, mut side) = (self.depth_m, None);
@@ -172,7 +172,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn following_a_ray_equals_marching_along_it(
+        fn follow_equals_ray_marching(
             u in 0.0..9.0,
             v in 0.0..12.0,
             su in -2.0..2.0,
@@ -182,7 +182,7 @@ mod tests {
             let first = RELIEF.opening([u, v]);
             prop_assert_eq!(first.is_none(), part == Part::Face);
             if let Some((cell, _)) = first {
-                // March until the place is no longer in the same opening, or the bottom is reached.
+                // March until the position leaves the opening, or reaches its bottom.
                 let mut marched = RELIEF.depth_m;
                 for k in 0..STEPS {
                     let d = RELIEF.depth_m * k as f64 / STEPS as f64;
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quad_is_met_where_it_is() {
+    fn rays_intersect_quads_and_ellipses() {
         let quad = Quad {
             origin: Vector3::new(-1.0, 5.0, 0.0),
             u: Vector3::x(),

@@ -1,26 +1,26 @@
-//! From what a ray met to the light that it brings.
+//! Shading: the radiance of a ray hit.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
 use super::hit::Hit;
 use super::material::{mix, scale};
-use super::model::{GROUND, MOVER_QUADS, MOVERS, World};
+use super::model::{GROUND, MOVING_CAR_IDS, MOVING_CAR_QUADS, World};
 use super::noise::Footprint;
 use super::quad::{Part, Ray};
 use super::sky;
 
-/// Light of the sky on a level and on an upright surface, and of the sun at right angles, relative
-/// to white.
+/// Irradiance from the sky on a horizontal and on a vertical surface, and from the sun at normal
+/// incidence, relative to white.
 const SKY_LIGHT: [f32; 2] = [0.62, 0.46];
 const SUN_LIGHT: f32 = 0.75;
-/// Walls darken towards the ground, over about this height, in metres.
+/// Height over which walls darken towards the ground (ambient occlusion), in metres.
 const CONTACT_M: f64 = 0.35;
-/// From here up no eight-bit image shows it: 0.4 e⁻⁸ is below a thousandth.
+/// Above this height the darkening is invisible in 8 bits: 0.4 e⁻⁸ is below a thousandth.
 const CONTACT_REACH_M: f64 = 8.0 * CONTACT_M;
-/// What shows in glass below the sky.
+/// Radiance that glass reflects below the sky: the houses opposite.
 const OPPOSITE: [f32; 3] = [0.20, 0.19, 0.18];
 
-/// The ray of a pixel and how its direction changes by a pixel to the right and downwards.
+/// The ray of a pixel, and the change of its direction to the next pixel on the right and below.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pixel {
     pub(crate) ray: Ray,
@@ -29,8 +29,8 @@ pub(crate) struct Pixel {
 }
 
 impl World {
-    /// The light that a pixel receives from what its ray met, or from the sky: linear red, green,
-    /// blue, white about 1.
+    /// The radiance of a pixel from the hit of its ray, or from the sky: linear red, green, blue;
+    /// white is about 1.
     pub(crate) fn radiance(&self, hit: Option<&Hit>, pixel: &Pixel) -> [f32; 3] {
         let direction = &pixel.ray.direction;
         let Some(hit) = hit else {
@@ -40,7 +40,8 @@ impl World {
                 self.sky_seed,
             );
         };
-        // A step of the direction moves the point on its plane: dp = t (dd − d (n·dd)/(n·d)).
+        // A change dd of the direction moves the point on its plane by dp = t (dd − d
+        // (n·dd)/(n·d)).
         let facing = hit.normal.dot(direction);
         let on_surface = |step: &Vector3<f64>| {
             let moved = (step - direction * (hit.normal.dot(step) / facing)) * hit.distance;
@@ -53,9 +54,14 @@ impl World {
                 None => ([0.0; 3], 0.0),
             }
         } else {
-            let (quads, surfaces, index) = if hit.id >= MOVERS {
-                let mover = &self.movers[((hit.id - MOVERS) / MOVER_QUADS) as usize];
-                (&mover.quads, &mover.surfaces, (hit.id - MOVERS) % MOVER_QUADS)
+            let (quads, surfaces, index) = if hit.id >= MOVING_CAR_IDS {
+                let moving_car =
+                    &self.moving_cars[((hit.id - MOVING_CAR_IDS) / MOVING_CAR_QUADS) as usize];
+                (
+                    &moving_car.quads,
+                    &moving_car.surfaces,
+                    (hit.id - MOVING_CAR_IDS) % MOVING_CAR_QUADS,
+                )
             } else {
                 (&self.quads, &self.surfaces, hit.id)
             };
@@ -77,7 +83,7 @@ impl World {
         }
         let mirrored = (direction - hit.normal * (2.0 * facing)).normalize();
         let seen = if mirrored.z > 0.25 {
-            // Blurred: glass shows no small clouds.
+            // A wide footprint: the reflection has no small clouds.
             sky::radiance(&mirrored, 0.2, self.sky_seed)
         } else {
             OPPOSITE

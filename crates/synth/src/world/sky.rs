@@ -1,4 +1,4 @@
-//! What is infinitely far: sky, clouds and hills on the horizon. A function of the direction alone.
+//! The sky, clouds, and hills at the horizon: a function of the direction alone.
 
 use tiepoint_geometry::nalgebra::Vector3;
 
@@ -14,14 +14,14 @@ fn round(width: f64) -> Footprint {
     Footprint::new([width, 0.0], [0.0, width])
 }
 
-/// Mean radiance over a footprint of `width_rad`.
+/// Mean radiance over a footprint of the angular width `width_rad`.
 pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [f32; 3] {
     let direction = direction.normalize();
     let elevation = direction.z.clamp(-1.0, 1.0).asin();
     let up = elevation.max(0.0) as f32 / std::f32::consts::FRAC_PI_2;
     let mut color = mix(HORIZON, ZENITH, up.sqrt());
     if elevation > 0.03 {
-        // Clouds lie on a plane overhead.
+        // Clouds are a texture on a horizontal plane.
         let plane = [direction.x / (direction.z + 0.08), direction.y / (direction.z + 0.08)];
         let width = width_rad / (direction.z + 0.08).powi(2);
         let noise =
@@ -31,7 +31,7 @@ pub(crate) fn radiance(direction: &Vector3<f64>, width_rad: f64, seed: u32) -> [
     if elevation > 0.12 {
         return color;
     }
-    // A closed line of hills: noise on a circle, so that it meets itself.
+    // The skyline of hills: noise on a circle, so that it is continuous over the full azimuth.
     let level = direction.xy().norm().max(f64::MIN_POSITIVE);
     let circle = [direction.x, direction.y].map(|along| 8.0 * along / level);
     let ridge = 0.035

@@ -1,5 +1,5 @@
-//! Lays out a street along a route: houses wall to wall or apart, gardens between them, trees,
-//! lamps and cars.
+//! Layout of a street along a route: houses in rows or apart, gardens between them, trees, lamps
+//! and parked cars.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -11,19 +11,19 @@ use super::ground::{KERB_M, PAVEMENT_M};
 use super::options::StreetOptions;
 use crate::route::{Route, RoutePosition};
 
-/// Houses keep this far from every kerb, in metres.
+/// Smallest distance of houses from the centre line, in metres.
 const CLEARANCE_M: f64 = PAVEMENT_M + 0.1;
-/// Depths to try for a house, in metres.
+/// Candidate depths of a house, in metres.
 const DEPTHS_M: [f64; 4] = [12.0, 10.0, 8.0, 6.0];
-/// How much further back than the building line to try, in metres.
+/// Candidate setbacks of a house behind the building line, in metres.
 const SETBACKS_M: [f64; 3] = [0.0, 1.5, 3.5];
-/// Taller houses behind the first row stand this far from the centre line, in metres.
-const BACKDROP_M: [f64; 2] = [38.0, 75.0];
-/// Sides of the street: positive is left.
+/// Range of the distance of the second row of taller houses from the centre line, in metres.
+const SECOND_ROW_M: [f64; 2] = [38.0, 75.0];
+/// Signs of the sides of the street: positive is left.
 const SIDES: [f64; 2] = [-1.0, 1.0];
 
-/// A lot seen from above: corner, the directions to the right and towards the street, width and
-/// depth.
+/// A rectangular lot in the plane: its front left corner as seen from the street, the unit vector
+/// to the right, width and depth in metres.
 #[derive(Clone, Copy, Debug)]
 struct Lot {
     corner: Vector2<f64>,
@@ -32,7 +32,7 @@ struct Lot {
 }
 
 impl Lot {
-    /// Towards the street.
+    /// Unit vector towards the street.
     fn out(&self) -> Vector2<f64> {
         Vector2::new(self.right.y, -self.right.x)
     }
@@ -46,7 +46,8 @@ impl Lot {
         [self.at(0.0, 0.0), self.at(width, 0.0), self.at(width, depth), self.at(0.0, depth)]
     }
 
-    /// Whether two lots overlap: no axis of either separates them. (Lots that touch do not.)
+    /// Whether two lots overlap: no axis of either separates them (separating axis theorem). Lots
+    /// that touch do not overlap.
     fn overlaps(&self, other: &Lot) -> bool {
         let range = |lot: &Lot, axis: Vector2<f64>| {
             let along = lot.corners().map(|corner| corner.dot(&axis));
@@ -61,7 +62,7 @@ impl Lot {
         })
     }
 
-    /// Whether it keeps away from the street everywhere.
+    /// Whether the lot is beside the street everywhere.
     fn is_clear_of(&self, route: &Route) -> bool {
         let [width, depth] = self.size;
         let steps = |length: f64| (length / 2.0).ceil() as usize;
@@ -87,13 +88,13 @@ impl Lot {
     }
 }
 
-/// A lot of `width_m` beside the route, its front parallel to the street; `left_m` is where its
-/// front stands.
+/// A lot of `width_m` beside the route with its front parallel to the street; `left_m` is the
+/// lateral offset of the front.
 fn lot_beside(route: &Route, along_m: f64, left_m: f64, width_m: f64) -> Lot {
     let ends = [along_m, along_m + width_m]
         .map(|along_m| route.point_beside(RoutePosition { along_m, left_m }));
-    // Who looks at the left side of the street has its direction to the right; at the right side,
-    // to the left.
+    // Seen from the street, the route runs to the right on its left side, and to the left on its
+    // right side.
     let [corner, end] = if left_m > 0.0 { ends } else { [ends[1], ends[0]] };
     let across = end - corner;
     Lot { corner, right: across.normalize(), size: [across.norm(), 0.0] }
@@ -113,8 +114,15 @@ pub(super) fn build(route: &Route, options: &StreetOptions, seed: u64) -> Builde
         );
     }
     for (index, side) in SIDES.into_iter().enumerate() {
-        backdrop(&mut world, &mut lots, route, side, &mut Rng::stream(seed, &[2, index as u64]));
-        beside(&mut world, &lots, route, side, options, &mut Rng::stream(seed, &[3, index as u64]));
+        second_row(&mut world, &mut lots, route, side, &mut Rng::stream(seed, &[2, index as u64]));
+        street_objects(
+            &mut world,
+            &lots,
+            route,
+            side,
+            options,
+            &mut Rng::stream(seed, &[3, index as u64]),
+        );
     }
     world
 }
@@ -139,7 +147,8 @@ fn houses(
             (repeats, width) =
                 if is_terrace { (3 + rng.below(4), width.min(9.0)) } else { (1, width) };
         }
-        // In a bend the middle of the front comes nearer than its ends: further back it may fit.
+        // In a bend the middle of the front is nearer to the street than its ends: a house further
+        // back may fit.
         let fits = SETBACKS_M
             .into_iter()
             .flat_map(|more| DEPTHS_M.map(|depth| (more, depth)))
@@ -156,7 +165,8 @@ fn houses(
                 house(world, &lot.block(), style);
                 lots.push(lot);
                 repeats -= 1;
-                // The front is longer or shorter than the way along the centre line, in a bend.
+                // In a bend the front is longer or shorter than the arc length along the centre
+                // line.
                 let gap = if repeats == 0 && rng.uniform() < options.gap_fraction {
                     in_range(rng, 2.5, 9.0)
                 } else {
@@ -169,12 +179,12 @@ fn houses(
     }
 }
 
-fn backdrop(world: &mut Builder, lots: &mut Vec<Lot>, route: &Route, side: f64, rng: &mut Rng) {
+fn second_row(world: &mut Builder, lots: &mut Vec<Lot>, route: &Route, side: f64, rng: &mut Rng) {
     let mut along = 0.0;
     while along < route.length_m() {
         let width = in_range(rng, 14.0, 30.0);
         let mut lot =
-            lot_beside(route, along, side * in_range(rng, BACKDROP_M[0], BACKDROP_M[1]), width);
+            lot_beside(route, along, side * in_range(rng, SECOND_ROW_M[0], SECOND_ROW_M[1]), width);
         lot.size = [width, in_range(rng, 10.0, 20.0)];
         if lot.is_clear_of(route) && !lots.iter().any(|other| lot.overlaps(other)) {
             let style = Style { floors: 3 + rng.below(6) as i32, ..Style::sample(rng) };
@@ -185,8 +195,8 @@ fn backdrop(world: &mut Builder, lots: &mut Vec<Lot>, route: &Route, side: f64, 
     }
 }
 
-/// What stands on the pavement and the parking strip, and in the gaps between houses.
-fn beside(
+/// Places objects on the pavement and the parking strip, and gardens in the gaps between houses.
+fn street_objects(
     world: &mut Builder,
     lots: &[Lot],
     route: &Route,
@@ -201,13 +211,13 @@ fn beside(
     let is_straight = |along: f64| {
         [-4.0, 0.0, 4.0].iter().all(|step| route.curvature_per_m(along + step).abs() < 0.05)
     };
-    // Cars park in the bays that the ground paints: every 6.2 m.
+    // Cars park in the bays that the ground texture shows, every 6.2 m.
     let mut bay = 0.0;
     while bay + 6.2 < route.length_m() {
         let middle = bay + 3.1 + in_range(rng, -0.4, 0.4);
         let is_taken = rng.uniform() < options.parked_fraction;
         let left = 0.5 * (3.6 + KERB_M) + in_range(rng, -0.1, 0.1);
-        // Those on the left side look the other way.
+        // Cars on the left side have the opposite heading.
         let turn = if side > 0.0 { std::f64::consts::PI } else { 0.0 } + in_range(rng, -0.03, 0.03);
         let model = car(rng);
         let beyond_end = bay < CAR_LENGTH_M && !route.is_closed();
@@ -235,9 +245,9 @@ fn beside(
         }
         along += in_range(rng, 5.0, 11.0);
     }
-    // Gardens: hedges along the pavement where no house stands, and trees behind them.
+    // Gardens: hedges along the pavement between houses, and trees behind them.
     let is_free = |point: Vector3<f64>, radius: f64| {
-        // A lot looks along −y where its right is +x.
+        // The front of a lot faces −y if its right is +x.
         let corner = point.xy() - Vector2::repeat(radius);
         let probe = Lot { corner, right: Vector2::x(), size: [2.0 * radius, 2.0 * radius] };
         route.locate(point.xy()).left_m.abs() > PAVEMENT_M

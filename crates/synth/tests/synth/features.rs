@@ -1,4 +1,4 @@
-//! Feature-level scenes agree with the street that they come from.
+//! Feature-level scenes are consistent with the street.
 
 use tiepoint_scene::{ImageId, Reconstruction, TwoViewKind};
 use tiepoint_synth::{
@@ -26,7 +26,7 @@ fn sees_same_point(truth: &Reconstruction, made: &PairMatches, index: usize) -> 
 }
 
 #[test]
-fn tracks_are_what_images_see() {
+fn tracks_lie_on_visible_surfaces() {
     let drive = drive(Mounting::FrontRight);
     let exact = scene(
         &drive,
@@ -51,7 +51,7 @@ fn tracks_are_what_images_see() {
             let pixel =
                 truth.image(observation.image).keypoints[observation.keypoint as usize].pixel;
             let seen = drive.surface_at(camera, time_s, &pixel).expect("something");
-            // The slack of the test for what is in the way: 2 ‰ of at most 60 m.
+            // The tolerance of the occlusion test: 2 ‰ of at most 60 m.
             let apart = (seen.point_in_world - track.xyz).norm();
             assert!(
                 apart < 0.13 || seen.distance > (track.xyz - seen.point_in_world).norm(),
@@ -63,7 +63,7 @@ fn tracks_are_what_images_see() {
 }
 
 #[test]
-fn noise_is_what_was_asked_for() {
+fn keypoint_noise_has_its_standard_deviation() {
     let options =
         FeatureOptions { noise_px: 0.8, observations: OBSERVATIONS, ..Default::default() };
     let truth = scene(&drive(Mounting::Right), &options);
@@ -78,17 +78,17 @@ fn noise_is_what_was_asked_for() {
             count += 1;
         }
     }
-    // 60,000 components: known to 0.3 %.
+    // 60,000 components: the standard deviation is known to 0.3 %.
     let deviation = (sum / f64::from(count)).sqrt();
     assert!((deviation / options.noise_px - 1.0).abs() < 0.02, "{deviation}");
 }
 
 #[test]
-fn matches_are_right_but_for_the_share_that_was_asked_for() {
+fn outlier_ratio_and_verification_are_as_requested() {
     let options =
         FeatureOptions { observations: OBSERVATIONS, wrong_pairs: 3, ..Default::default() };
     let scene = scene(&drive(Mounting::Front), &options);
-    let made = scene.matches(&MatchOptions { wrong_fraction: 0.25, ..MatchOptions::default() });
+    let made = scene.matches(&MatchOptions { outlier_ratio: 0.25, ..MatchOptions::default() });
     assert!(made.is_sorted_by_key(|made| made.pair) && made.len() > 500, "{} pairs", made.len());
     let wrong_pairs: Vec<_> = scene.wrong_pairs().collect();
     assert_eq!(wrong_pairs.len(), 3);
@@ -106,13 +106,14 @@ fn matches_are_right_but_for_the_share_that_was_asked_for() {
         keypoints.dedup();
         assert_eq!(keypoints.len(), pair.matches.len(), "a keypoint was matched twice");
     }
-    // Tens of thousands of matches; a few wrong ones fall on keypoints that are taken.
+    // Tens of thousands of matches; a few wrong ones are dropped because their keypoints are
+    // matched.
     let share = 1.0 - f64::from(right as u32) / f64::from(all as u32);
     assert!((0.2..0.26).contains(&share), "{share} are wrong");
     assert_eq!(right, verified_right, "the verification loses nothing that is right");
     let slipped = 1.0 - verified_right as f64 / verified as f64;
     assert!(slipped < 0.02, "{slipped} of the verified are wrong");
-    // The wrong pairs agree with what they pretend, and see no point in common.
+    // The visually aliased pairs support their wrong geometry and have no common points.
     for pair in wrong_pairs {
         let index = made.binary_search_by_key(&pair, |made| made.pair).expect("it is listed");
         assert!(made[index].two_view.matches.len() >= 40);
@@ -128,9 +129,10 @@ fn matches_are_right_but_for_the_share_that_was_asked_for() {
     }
 }
 
-/// Verified matches lie near their epipolar lines, whichever matrix says so.
+/// Checks that verified matches are near their epipolar lines.
 fn check_geometry(truth: &Reconstruction, made: &PairMatches) {
-    // Noise of 0.5 px at scale 2 goes up to 1.4 px at scale 16; four of those.
+    // Four standard deviations of the noise, which grows from 0.5 px at scale 2 to 1.4 px at scale
+    // 16.
     const LIMIT_PX: f64 = 6.0;
     let (Some(f), Some(pose)) = (made.two_view.fundamental, made.two_view.cam2_from_cam1) else {
         assert_eq!(made.two_view.kind, TwoViewKind::Panoramic);
@@ -147,7 +149,7 @@ fn check_geometry(truth: &Reconstruction, made: &PairMatches) {
 }
 
 #[test]
-fn a_mapper_is_given_neither_poses_nor_points() {
+fn input_of_a_mapper_has_neither_poses_nor_points() {
     let scene = scene(
         &drive(Mounting::Left),
         &FeatureOptions { observations: 5_000, ..Default::default() },
@@ -164,7 +166,7 @@ fn a_mapper_is_given_neither_poses_nor_points() {
 }
 
 #[test]
-fn the_same_scene_on_one_thread_and_on_many() {
+fn scene_is_independent_of_the_number_of_threads() {
     let drive = drive(Mounting::Right);
     let options = FeatureOptions { observations: 5_000, wrong_pairs: 1, ..Default::default() };
     let make = || {

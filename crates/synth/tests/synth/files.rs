@@ -1,4 +1,4 @@
-//! What a drive leaves on disk.
+//! The files that a drive writes.
 
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, Mounting, image, write_ply};
@@ -11,7 +11,7 @@ fn drive(effects: Effects) -> Drive {
 }
 
 #[test]
-fn images_come_back_as_they_were_rendered() {
+fn written_images_equal_rendered_images() {
     let folder = tempfile::tempdir().unwrap();
     for (effects, extension) in [(Effects::default(), "png"), (Effects::all(), "jpg")] {
         let drive = drive(effects);
@@ -24,7 +24,7 @@ fn images_come_back_as_they_were_rendered() {
 }
 
 #[test]
-fn tables_hold_the_stamps_and_the_true_poses() {
+fn tables_hold_time_stamps_and_true_poses() {
     let folder = tempfile::tempdir().unwrap();
     let drive = drive(Effects::all());
     drive.write_tables(folder.path()).unwrap();
@@ -47,7 +47,7 @@ fn tables_hold_the_stamps_and_the_true_poses() {
     {
         let (name, seconds) = stamp.split_once(',').unwrap();
         assert_eq!(name, exposure.name);
-        // Six decimals are written.
+        // Times have six decimals.
         assert!((seconds.parse::<f64>().unwrap() - exposure.stamp_s).abs() < 1e-6);
         let (name, numbers) = pose.split_once(',').unwrap();
         let n: Vec<f64> = numbers.split(',').map(|number| number.parse().unwrap()).collect();
@@ -65,7 +65,7 @@ fn tables_hold_the_stamps_and_the_true_poses() {
 }
 
 #[test]
-fn a_cloud_is_a_binary_ply() {
+fn clouds_are_written_as_binary_ply() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cloud.ply");
     write_ply(&path, &[Vector3::new(1.0, 2.0, 3.0), Vector3::new(-4.0, 0.5, 0.25)]).unwrap();
@@ -80,7 +80,7 @@ fn a_cloud_is_a_binary_ply() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_is_an_error() {
+fn unwritable_folder_is_an_error() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let error = drive(Effects::default()).write_tables(file.path()).unwrap_err();
     assert!(error.to_string().contains("timestamps.csv"), "{error}");

@@ -1,10 +1,10 @@
-//! Images are found by their names.
+//! Lookup of images by name.
 #![allow(clippy::unwrap_used)]
 
 use tiepoint_synth::{Drive, DriveOptions};
 
 #[test]
-fn every_image_is_found_and_no_other() {
+fn every_image_is_found_by_its_name() {
     let drive =
         Drive::new(&DriveOptions { effects: "clocks".parse().unwrap(), ..Default::default() })
             .unwrap();

@@ -1,4 +1,4 @@
-//! The camera that renders is the camera in the truth.
+//! Rendered images agree with the ground truth.
 
 use image::RgbImage;
 use tiepoint_geometry::nalgebra::{Matrix2, Vector2, Vector3};
@@ -10,13 +10,13 @@ use tiepoint_synth::{
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
-/// What the issue asks for, in pixels.
+/// Largest errors with a global and a rolling shutter, in pixels.
 const MAX_GLOBAL_ERROR_PX: f64 = 0.05;
 const MAX_ROLLING_ERROR_PX: f64 = 0.1;
 
-/// The corner of a checker pattern near a pixel. A Gaussian keeps the point symmetry of a corner,
-/// so the blurred picture has a saddle there: where the derivative of a quadratic through it
-/// vanishes (Lucchese & Mitra 2002).
+/// Refines the corner of a checkerboard near a pixel. A Gaussian preserves the point symmetry of a
+/// corner, so that the blurred image has a saddle point there: the stationary point of a quadratic
+/// (Lucchese & Mitra 2002).
 fn refine_corner(image: &Radiance, guess: Vector2<f64>) -> Vector2<f64> {
     const SIGMA_PX: f64 = 2.5;
     const RADIUS: i64 = 10;
@@ -24,7 +24,7 @@ fn refine_corner(image: &Radiance, guess: Vector2<f64>) -> Vector2<f64> {
     const LOST: Vector2<f64> = Vector2::new(f64::INFINITY, f64::INFINITY);
     let mut corner = guess;
     for _ in 0..ITERATIONS {
-        // The blurred picture's derivatives at the corner are sums with those of the Gaussian.
+        // Derivatives of the blurred image are sums with the derivatives of the Gaussian.
         let (mut gradient, mut hessian) = (Vector2::zeros(), Matrix2::zeros());
         let (cx, cy) = (corner.x.floor() as i64, corner.y.floor() as i64);
         for y in cy - RADIUS..=cy + RADIUS {
@@ -45,10 +45,11 @@ fn refine_corner(image: &Radiance, guess: Vector2<f64>) -> Vector2<f64> {
     corner
 }
 
-/// A wall of squares of 25 cm, 16 m wide, in front of the eye; corners are at multiples of 0.25 m.
+/// A checkerboard of 25 cm squares, 16 m wide, in front of the camera; corners are at multiples of
+/// 0.25 m.
 fn checker() -> (World, Quad) {
     let quad = Quad {
-        // High up: walls darken towards the ground.
+        // High above the ground, near which walls are darkened.
         origin: Vector3::new(-8.0, 3.0, 46.0),
         u: Vector3::x(),
         v: Vector3::z(),
@@ -59,7 +60,7 @@ fn checker() -> (World, Quad) {
     (World::from_quads(vec![quad], vec![Surface::new(Material::Checker, [0.8; 3], 1)]), quad)
 }
 
-/// Looks along +y with x to the right, a little askew.
+/// A camera that looks along +y with x to the right, slightly rotated.
 fn world_from_cam(centre: Vector3<f64>) -> Rigid3 {
     let level =
         Rigid3::from_axis_angle(Vector3::x() * -std::f64::consts::FRAC_PI_2, Vector3::zeros());
@@ -67,7 +68,7 @@ fn world_from_cam(centre: Vector3<f64>) -> Rigid3 {
     Rigid3::new((level * askew).rotation, centre)
 }
 
-/// Errors of all corners that lie well inside the image.
+/// Errors of all corners well inside of the image, in pixels.
 fn corner_errors_px(
     lens: &Lens,
     project: impl Fn(Vector3<f64>) -> Option<Vector2<f64>>,
@@ -86,7 +87,7 @@ fn corner_errors_px(
             else {
                 continue;
             };
-            // The window must not reach the next corner.
+            // The window must not contain the next corner.
             let is_apart = (right - pixel).norm() > 26.0 && (above - pixel).norm() > 26.0;
             let is_inside = (12.0..f64::from(WIDTH) - 12.0).contains(&pixel.x)
                 && (12.0..f64::from(HEIGHT) - 12.0).contains(&pixel.y);
@@ -99,7 +100,7 @@ fn corner_errors_px(
 }
 
 #[test]
-fn checker_corners_lie_where_the_lens_says() {
+fn checkerboard_corners_agree_with_the_lens() {
     let mut rng = Rng::stream(1, &[]);
     let lenses = [
         Lens::pinhole(380.0, WIDTH, HEIGHT),
@@ -121,8 +122,8 @@ fn checker_corners_lie_where_the_lens_says() {
 }
 
 #[test]
-fn a_rolling_shutter_shears_as_the_row_poses_say() {
-    // 11 m/s and a slow turn, 20 ms from the first row to the last: 28 px of shear at 3 m.
+fn rolling_shutter_agrees_with_the_row_poses() {
+    // 11 m/s and a slow rotation, 20 ms readout: a shear of 28 px at 3 m.
     const READOUT_S: f64 = 0.020;
     let lens = Lens::Action(ActionLens::sample(WIDTH, HEIGHT, &mut Rng::stream(2, &[])));
     let row_pose = |y: f64| {
@@ -143,7 +144,7 @@ fn a_rolling_shutter_shears_as_the_row_poses_say() {
     let worst = errors.iter().copied().fold(0.0, f64::max);
     assert!(errors.len() > 80, "{} corners", errors.len());
     assert!(worst < MAX_ROLLING_ERROR_PX, "{worst} px");
-    // And not as a global shutter would have it.
+    // The error of a global shutter would be larger.
     let point = Vector3::new(0.0, 3.0, 51.0);
     let difference = project(point).unwrap() - from_row(240.0, point).unwrap();
     assert!(difference.norm() > 2.0, "{difference}");
@@ -163,8 +164,8 @@ fn drive(mounting: Mounting, effects: Effects, seed: u64) -> Drive {
 }
 
 #[test]
-fn what_a_pixel_sees_projects_to_the_pixel() {
-    // Newton and the fixed point of the row both end below 1e-8 px.
+fn surface_points_project_to_their_pixels() {
+    // Newton and fixed-point iterations both end below 1e-8 px.
     const TOLERANCE_PX: f64 = 1e-6;
     let mut rng = Rng::stream(3, &[]);
     for mounting in Mounting::ALL {
@@ -193,8 +194,8 @@ fn grey(image: &RgbImage, x: f64, y: f64) -> f64 {
         + fy * ((1.0 - fx) * at(0.0, 1.0) + fx * at(1.0, 1.0))
 }
 
-/// Patches of one image of the street, carried by the true surface, poses, shutter and lens into
-/// the next: how far each must be shifted there to agree with the picture (Lucas & Kanade 1981).
+/// Image shifts of patches that are transferred from one image to another with the true surface,
+/// poses, shutter and lens (Lucas & Kanade 1981), in pixels.
 fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<Vector2<f64>> {
     const RADIUS: i32 = 6;
     const MARGIN: f64 = 12.0;
@@ -205,10 +206,10 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
         (MARGIN..f64::from(WIDTH) - MARGIN).contains(&p.x)
             && (MARGIN..f64::from(HEIGHT) - MARGIN).contains(&p.y)
     };
-    let carry = |pixel: Vector2<f64>| {
+    let transfer = |pixel: Vector2<f64>| {
         let surface = drive.surface_at(0, exposures[first].time_s, &pixel)?;
         let there = drive.project(0, exposures[second].time_s, &surface.point_in_world)?;
-        // Seen there too, and not something in front of it.
+        // Visible in the other image, and not occluded.
         let seen = drive.surface_at(0, exposures[second].time_s, &there)?;
         let is_same =
             (seen.point_in_world - surface.point_in_world).norm() < 0.01 && !surface.is_moving;
@@ -221,7 +222,7 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
             for dy in -RADIUS..=RADIUS {
                 for dx in -RADIUS..=RADIUS {
                     let pixel = Vector2::new(f64::from(x + dx) + 0.5, f64::from(y + dy) + 0.5);
-                    let Some(there) = carry(pixel) else { continue 'patch };
+                    let Some(there) = transfer(pixel) else { continue 'patch };
                     let gradient = Vector2::new(
                         grey(&other, there.x + 0.5, there.y) - grey(&other, there.x - 0.5, there.y),
                         grey(&other, there.x, there.y + 0.5) - grey(&other, there.x, there.y - 0.5),
@@ -231,7 +232,7 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
                     right += gradient * difference;
                 }
             }
-            // Texture in both directions: one grey level of noise moves such a patch by less than
+            // Texture in both directions: one grey level of noise shifts such a patch by less than
             // 0.02 px.
             if normal.symmetric_eigenvalues().min() > 3000.0
                 && let Some(inverse) = normal.try_inverse()
@@ -244,7 +245,7 @@ fn shifts_between_images_px(drive: &Drive, first: usize, second: usize) -> Vec<V
 }
 
 #[test]
-fn the_street_moves_through_the_picture_as_the_truth_says() {
+fn image_motion_agrees_with_the_ground_truth() {
     let rolling = Effects { readout_s: 0.016, has_action_lens: true, ..Effects::default() };
     for (effects, limit) in
         [(Effects::default(), MAX_GLOBAL_ERROR_PX), (rolling, MAX_ROLLING_ERROR_PX)]
@@ -255,15 +256,14 @@ fn the_street_moves_through_the_picture_as_the_truth_says() {
             let mut along: Vec<f64> = shifts.iter().map(|shift| shift[axis]).collect();
             along.sort_by(f64::total_cmp);
             let median = along[along.len() / 2];
-            // Pictures of different resolution of one texture differ, patch by patch; the truth
-            // must not.
+            // Single patches are shifted by the difference of resolution; the median must not be.
             assert!(median.abs() < limit, "median shift along axis {axis}: {median} px");
         }
     }
 }
 
 #[test]
-fn the_same_bytes_on_one_thread_and_on_many() {
+fn images_are_independent_of_the_number_of_threads() {
     let drive = drive(Mounting::Front, Effects::all(), 2);
     let exposure = &drive.cameras()[0].exposures[20];
     let render = || drive.render(0, exposure, &drive.renderer(0)).into_raw();
@@ -276,7 +276,7 @@ fn the_same_bytes_on_one_thread_and_on_many() {
 }
 
 #[test]
-fn seeds_give_other_worlds_and_routes() {
+fn seeds_give_different_worlds_and_routes() {
     let of = |seed: u64| drive(Mounting::Front, Effects::default(), seed);
     let picture = |drive: &Drive| {
         drive.render(0, &drive.cameras()[0].exposures[5], &drive.renderer(0)).into_raw()
@@ -288,7 +288,7 @@ fn seeds_give_other_worlds_and_routes() {
 }
 
 #[test]
-fn switching_an_effect_on_changes_nothing_else() {
+fn effects_are_independent() {
     let plain = drive(Mounting::Right, Effects::default(), 4);
     for (name, switch_on) in Effects::PRESETS {
         let mut effects = Effects::default();

@@ -1,5 +1,4 @@
-//! Cars that drive along the street. They are rigid, so rays are taken into the car's frame instead
-//! of the car into the world.
+//! Moving cars. They are rigid: rays are transformed into the frame of the car.
 
 use tiepoint_geometry::Rng;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -10,18 +9,18 @@ use super::material::Surface;
 use super::quad::{Quad, Ray};
 use crate::route::{Route, RoutePosition};
 
-/// A car further away than this is not drawn, in metres.
-pub(super) const SEEN_M: f64 = 250.0;
-/// Radius of a ball around a car's middle, in metres.
+/// Largest distance of a rendered car, in metres.
+pub(super) const MAX_VISIBLE_M: f64 = 250.0;
+/// Radius of the bounding sphere of a car, in metres.
 const RADIUS_M: f64 = 2.6;
-/// The lane of those who come towards us, in metres to the left of the centre line.
+/// Lateral offset of the lane of the oncoming traffic, in metres to the left of the centre line.
 const LANE_LEFT_M: f64 = 1.75;
 const SPEED_MPS: [f64; 2] = [7.0, 13.0];
 const GAP_M: [f64; 2] = [12.0, 70.0];
 
-/// A car that drives.
+/// A moving car.
 #[derive(Clone, Debug)]
-pub(super) struct Mover {
+pub(super) struct MovingCar {
     pub(super) quads: Vec<Quad>,
     pub(super) surfaces: Vec<Surface>,
     bvh: Bvh,
@@ -30,15 +29,15 @@ pub(super) struct Mover {
     speed_mps: f64,
 }
 
-/// Where a moving car is, seen from above.
+/// The pose of a moving car in the plane: position in metres, cosine and sine of the heading.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct MoverPose {
-    pub(super) place: Vector2<f64>,
+pub(crate) struct MovingCarPose {
+    pub(super) position: Vector2<f64>,
     cos: f64,
     sin: f64,
 }
 
-impl MoverPose {
+impl MovingCarPose {
     pub(super) fn direction_in_car(&self, v: &Vector3<f64>) -> Vector3<f64> {
         Vector3::new(self.cos * v.x + self.sin * v.y, self.cos * v.y - self.sin * v.x, v.z)
     }
@@ -48,7 +47,7 @@ impl MoverPose {
     }
 
     pub(super) fn ray_in_car(&self, ray: &Ray) -> Ray {
-        let from_car = ray.origin - self.place.push(0.0);
+        let from_car = ray.origin - self.position.push(0.0);
         Ray {
             origin: self.direction_in_car(&from_car),
             direction: self.direction_in_car(&ray.direction),
@@ -56,39 +55,44 @@ impl MoverPose {
     }
 }
 
-impl Mover {
-    /// Where it is; `None` where it has left, or not yet entered, an open street.
-    pub(super) fn pose(&self, time_s: f64) -> Option<MoverPose> {
+impl MovingCar {
+    /// Its pose at a time; `None` before it enters or after it leaves an open street.
+    pub(super) fn pose(&self, time_s: f64) -> Option<MovingCarPose> {
         let along_m = self.start_along_m - self.speed_mps * time_s;
         if !self.route.is_closed() && !(0.0..self.route.length_m()).contains(&along_m) {
             return None;
         }
-        let place = self.route.point_beside(RoutePosition { along_m, left_m: LANE_LEFT_M });
+        let position = self.route.point_beside(RoutePosition { along_m, left_m: LANE_LEFT_M });
         let (sin, cos) = (self.route.heading_rad(along_m) + std::f64::consts::PI).sin_cos();
-        Some(MoverPose { place, cos, sin })
+        Some(MovingCarPose { position, cos, sin })
     }
 
-    /// What a ray of the car's frame meets.
-    pub(super) fn cast(&self, ray_in_car: &Ray, least: f64, most: f64) -> Option<(u32, f64)> {
+    /// First hit of a ray in the frame of the car between two distances: quad index and distance.
+    pub(super) fn cast(
+        &self,
+        ray_in_car: &Ray,
+        min_distance: f64,
+        max_distance: f64,
+    ) -> Option<(u32, f64)> {
         self.bvh
-            .cast(&self.quads, ray_in_car, least, most)
+            .cast(&self.quads, ray_in_car, min_distance, max_distance)
             .map(|(quad, distance, _)| (quad, distance))
     }
 
-    /// Whether rays near this one may meet the car where it is: `slack` is how far they may be
-    /// apart, per metre.
-    pub(super) fn is_near(pose: &MoverPose, ray: &Ray, slack: f64) -> bool {
-        let towards = pose.place.push(0.0) - ray.origin;
+    /// Whether rays that deviate from this one by at most `slack` per metre may hit the bounding
+    /// sphere of the car.
+    pub(super) fn is_near(pose: &MovingCarPose, ray: &Ray, slack: f64) -> bool {
+        let towards = pose.position.push(0.0) - ray.origin;
         let (along, distance2) = (towards.dot(&ray.direction), towards.norm_squared());
         let reach = RADIUS_M + slack * distance2.sqrt();
         along > -reach && distance2 - along * along / ray.direction.norm_squared() < reach * reach
     }
 
-    /// The same for a packet, given where the car is for each of its rays.
+    /// Casts a packet of rays, given the pose of the car for each ray.
     pub(super) fn cast_packet(
         &self,
         packet: &mut Packet,
-        poses: &[MoverPose; LANES],
+        poses: &[MovingCarPose; LANES],
         first_id: u32,
     ) {
         let mut local = *packet;
@@ -109,11 +113,10 @@ impl Mover {
     }
 }
 
-/// Cars in the lane of those who come towards us, each at a speed of its own but not through one
-/// another.
-pub(super) fn traffic(route: &Route, count: usize, rng: &mut Rng) -> Vec<Mover> {
+/// Moving cars in the lane of the oncoming traffic, all at the same speed with random gaps.
+pub(super) fn traffic(route: &Route, count: usize, rng: &mut Rng) -> Vec<MovingCar> {
     let mut along = in_range(rng, 30.0, 60.0);
-    // One speed for all: they keep their distances.
+    // One speed for all cars preserves the gaps.
     let speed_mps = in_range(rng, SPEED_MPS[0], SPEED_MPS[1]);
     (0..count)
         .map(|_| {
@@ -122,7 +125,7 @@ pub(super) fn traffic(route: &Route, count: usize, rng: &mut Rng) -> Vec<Mover> 
             let model = car(rng);
             let bvh = Bvh::new(&model.quads);
             let (quads, surfaces) = (model.quads, model.surfaces);
-            Mover { quads, surfaces, bvh, route: route.clone(), start_along_m, speed_mps }
+            MovingCar { quads, surfaces, bvh, route: route.clone(), start_along_m, speed_mps }
         })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! Which rigs and frames COLMAP gets to see for a reconstruction.
+//! The rigs and frames of a reconstruction as COLMAP stores them.
 
 use std::path::Path;
 
@@ -7,36 +7,36 @@ use tiepoint_scene::{ImageId, Reconstruction, RigId};
 
 use crate::{Error, Result};
 
-/// A rig as it stands in the files; the first sensor is the reference and has no pose.
+/// A rig in the files; the first camera is the reference sensor and has no pose.
 pub(super) struct RigRow {
     pub(super) id: u32,
     pub(super) cameras: Vec<(u32, Option<Rigid3>)>,
 }
 
-/// A frame as it stands in the files.
+/// A frame in the files.
 pub(super) struct FrameRow {
     pub(super) id: u32,
     pub(super) rig: u32,
     pub(super) rig_from_world: Rigid3,
-    /// Camera and image.
+    /// Ids of camera and image.
     pub(super) images: Vec<(u32, u32)>,
 }
 
-/// The rigs and frames to write.
-pub(super) struct Layout {
+/// The rigs and frames to write. Every camera is in a rig, every registered image in a frame.
+pub(super) struct RigTables {
     pub(super) rigs: Vec<RigRow>,
     pub(super) frames: Vec<FrameRow>,
 }
 
-/// The number that stands in the files for an index.
+/// The id in the files for an index.
 pub(super) fn file_id(index: usize) -> u32 {
     u32::try_from(index + 1).expect("ids of a scene are below 2³² − 1")
 }
 
-impl Layout {
-    /// Of a model that is valid.
+impl RigTables {
+    /// The rigs and frames of a valid model.
     pub(super) fn new(dir: &Path, model: &Reconstruction) -> Result<Self> {
-        // A rig is real if a frame of it has an image.
+        // Only a rig with an image in one of its frames is written.
         let mut rig_of: Vec<Option<RigId>> = vec![None; model.num_cameras()];
         let mut rigs = Vec::new();
         for (index, rig) in model.rigs.iter().enumerate() {
@@ -86,7 +86,7 @@ impl Layout {
             frames.push(FrameRow {
                 id: file_id(model.frames.len() + id.index()),
                 rig: file_id(rig),
-                // An identity inverted and multiplied may differ in the last bit.
+                // Inverting and multiplying by the identity could change the last bit.
                 rig_from_world: if cam_from_rig == Rigid3::identity() {
                     *cam_from_world
                 } else {

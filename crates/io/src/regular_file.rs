@@ -1,19 +1,20 @@
-//! What can be read as a file from end to end, and how its name is told.
+//! Regular files, and paths in messages.
 
 use std::fs::{self, Metadata};
 use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Refuses what is there and is no regular file: opening a named pipe would wait for somebody to
-/// write to it, perhaps for ever. Links are followed. Where nothing is there, whoever opens it says
-/// so.
+/// Refuses a path that leads to something other than a regular file. Opening a named pipe would
+/// block until another process writes to it. Links are followed. A path that leads nowhere is
+/// accepted: the call that opens it reports the error.
 ///
 /// # Errors
 ///
-/// One sentence that says what it is instead of a file.
+/// [`Error::Content`] with the kind of the file system entry: a folder, a named pipe, a socket, a
+/// device.
 pub fn require_regular_file(path: &Path) -> Result<()> {
-    match fs::metadata(path).ok().as_ref().and_then(irregular) {
+    match fs::metadata(path).ok().as_ref().and_then(irregular_kind) {
         Some(kind) => {
             Err(Error::content(path, format!("is {kind} and no regular file: give a file")))
         }
@@ -21,8 +22,8 @@ pub fn require_regular_file(path: &Path) -> Result<()> {
     }
 }
 
-/// What it is that is no regular file.
-pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
+/// The kind of an entry that is not a regular file; `None` for a regular file.
+pub(crate) fn irregular_kind(metadata: &Metadata) -> Option<&'static str> {
     if metadata.is_file() {
         return None;
     }
@@ -40,8 +41,7 @@ pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
     Some(if metadata.is_dir() { "a folder" } else { "a device" })
 }
 
-/// A path as it can be shown: escapes take the place of control characters and of bytes that are no
-/// UTF-8.
+/// A path for a message: control characters and bytes that are not UTF-8 are escaped.
 pub(crate) fn escaped(path: &Path) -> String {
     let mut text = String::new();
     for chunk in path.as_os_str().as_encoded_bytes().utf8_chunks() {
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_is_no_file_and_nothing_is_left_to_whoever_opens_it() {
+    fn folders_are_refused_and_missing_files_are_accepted() {
         let dir = tempfile::tempdir().unwrap();
         let error = require_regular_file(dir.path()).unwrap_err().to_string();
         assert!(error.contains("is a folder and no regular file"), "{error}");
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn names_are_shown_on_one_line() {
+    fn escaped_paths_have_one_line() {
         use std::os::unix::ffi::OsStrExt;
         let path = Path::new(std::ffi::OsStr::from_bytes(b"a\nb\xff\xc3/\xc3\xa4 c\x1b.jpg"));
         assert_eq!(escaped(path), r"a\nb\xff\xc3/ä c\u{1b}.jpg");
