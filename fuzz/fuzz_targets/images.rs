@@ -7,7 +7,7 @@ use tiepoint_fuzz::{folder, write};
 use tiepoint_io::{ImageFolder, ImageSource};
 
 /// Large images take time and show nothing.
-const MAX_PIXELS: u64 = 1 << 21;
+const DEFAULT_MAX_PIXELS: u64 = 1 << 21;
 
 fuzz_target!(|data: &[u8]| {
     let dir = folder();
@@ -15,7 +15,7 @@ fuzz_target!(|data: &[u8]| {
     write(&dir.join("masks/a.jpg.png"), data);
     let inputs = [dir.join("photos")];
     let Ok(photos) = ImageFolder::open(&inputs, Some(&dir.join("masks"))) else { return };
-    let photos = photos.with_max_pixels(MAX_PIXELS);
+    let photos = photos.with_max_pixels(DEFAULT_MAX_PIXELS);
     let info = photos.info(0);
     if let (Ok(info), Ok(luma)) = (&info, photos.luma(0)) {
         assert_eq!((info.width, info.height), (luma.width, luma.height));

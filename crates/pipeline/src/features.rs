@@ -9,7 +9,7 @@ use std::time::Instant;
 use tiepoint_io::ImageSource;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{ImageInfo, Luma, MAX_PIXELS, timestamps};
+use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, Luma, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use crate::cameras::Calibration;
@@ -45,7 +45,7 @@ impl Default for FeatureOptions {
             calibration: Calibration::default(),
             detector: sift::Options::default(),
             timestamps: None,
-            max_pixels: MAX_PIXELS,
+            max_pixels: DEFAULT_MAX_PIXELS,
         }
     }
 }

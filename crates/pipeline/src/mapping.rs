@@ -202,7 +202,7 @@ fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Optio
         }
         sfm::Event::LoopClosed { num_pairs } => Event::LoopClosed { pairs: num_pairs },
         // The report has these.
-        sfm::Event::Failed(_) | sfm::Event::Joined { .. } => return None,
+        sfm::Event::Failed(_) | sfm::Event::Merged { .. } => return None,
     })
 }
 
@@ -282,7 +282,7 @@ mod tests {
     use tiepoint_sfm::rig::Clock;
     use tiepoint_sfm::scene::{Camera, ImagePair};
     use tiepoint_sfm::{
-        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, RigSensor,
+        CalibratedCamera, CalibratedRig, ClockState, RigConstraint, RigPair, SensorPair,
     };
 
     use super::*;
@@ -300,7 +300,7 @@ mod tests {
         });
         model.register(left, Rigid3::identity());
         model.register(right, right_from_left);
-        let rig_sensor = RigSensor {
+        let sensor_pair = SensorPair {
             left: model.image(left).camera,
             right: model.image(right).camera,
             clock: Clock::default(),
@@ -310,7 +310,7 @@ mod tests {
         };
         let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
         let camera = CalibratedCamera {
-            rig_sensor,
+            sensor_pair,
             right_from_left,
             covariance: None,
             constraint,

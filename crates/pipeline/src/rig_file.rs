@@ -103,7 +103,7 @@ impl RigFile {
 
     /// The extrinsics of a model's rig; `None` if none were estimated.
     pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
-        let reference = folder_of(model, rig.cameras.first()?.rig_sensor.left);
+        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.left);
         let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
@@ -124,7 +124,7 @@ impl RigCamera {
     }
 
     fn new(model: &Reconstruction, camera: &CalibratedCamera) -> Self {
-        let (pose, clock) = (&camera.right_from_left, &camera.rig_sensor.clock);
+        let (pose, clock) = (&camera.right_from_left, &camera.sensor_pair.clock);
         let q = &pose.rotation;
         let sd =
             |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
@@ -132,9 +132,9 @@ impl RigCamera {
             let block = camera.covariance?.fixed_view::<3, 3>(first, first).into_owned();
             Some(block.symmetric_eigenvalues().max().max(0.0).sqrt())
         };
-        let is_estimated = camera.rig_sensor.clock_state == ClockState::Estimated;
+        let is_estimated = camera.sensor_pair.clock_state == ClockState::Estimated;
         Self {
-            name: folder_of(model, camera.rig_sensor.right),
+            name: folder_of(model, camera.sensor_pair.right),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
@@ -144,7 +144,7 @@ impl RigCamera {
             }
             .to_owned(),
             clock: RigClock {
-                state: match camera.rig_sensor.clock_state {
+                state: match camera.sensor_pair.clock_state {
                     ClockState::Synchronised => "together",
                     ClockState::Estimated => "free",
                     ClockState::Unobservable => "not observable",
@@ -161,7 +161,7 @@ impl RigCamera {
             }),
             rotation_sd_deg: largest_sd(0).map(f64::to_degrees),
             translation_sd: largest_sd(3),
-            unobservable: camera.rig_sensor.unobservable_direction.map(Into::into),
+            unobservable: camera.sensor_pair.unobservable_direction.map(Into::into),
         }
     }
 }

@@ -121,7 +121,7 @@ impl RigReport {
             calibrated.iter().filter_map(|camera| calibrated_camera(model, camera)).collect();
         // Without estimated time offsets, the images nearest in time form a frame.
         let is_uncalibrated =
-            |rig: &RigPairs| calibrated.iter().all(|camera| camera.rig_sensor.right != rig.right);
+            |rig: &RigPairs| calibrated.iter().all(|camera| camera.sensor_pair.right != rig.right);
         cameras.extend(
             series
                 .iter()
@@ -161,7 +161,7 @@ fn uncalibrated_camera(
 
 /// Statistics of a camera with estimated extrinsics, over the frames that they constrain.
 fn calibrated_camera(model: &Reconstruction, camera: &CalibratedCamera) -> Option<RigCameraReport> {
-    let cameras = [camera.rig_sensor.left, camera.rig_sensor.right];
+    let cameras = [camera.sensor_pair.left, camera.sensor_pair.right];
     Some(camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?))
 }
 
@@ -220,7 +220,7 @@ fn extrinsics_report(
         bad_pairs: rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
         split: rig.split.map(|split| SplitReport {
             images: split.num_images,
-            pairs_matched_again: split.num_pairs_matched_again,
+            pairs_matched_again: split.num_rematched_pairs,
         }),
         // `bad_pairs` of this report has them.
         rig: RigFile::new(model, rig).map(|file| RigFile { bad_pairs: None, ..file }),

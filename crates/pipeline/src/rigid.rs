@@ -2,7 +2,7 @@
 //!
 //! The initial extrinsics, the clocks and the incorrect pairs come from mapping (`rig.json`).
 //! Without that file, they come from the robust mean of the relative poses and
-//! [`tiepoint_sfm::rig_sensors`]. The images of a frame are those nearest in time. If the cameras
+//! [`tiepoint_sfm::sensor_pairs`]. The images of a frame are those nearest in time. If the cameras
 //! are not synchronised, these were taken at different instants, and the motion in between becomes
 //! reprojection error; the report has its size.
 
@@ -16,8 +16,8 @@ use tiepoint_sfm::geometry::{Rigid3, Sim3};
 use tiepoint_sfm::rig::{Clock, RelativePose, robust_average};
 use tiepoint_sfm::scene::{ImageId, Reconstruction};
 use tiepoint_sfm::{
-    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair, RigSensor,
-    RigidCamera, constrain_rigidly, relative_poses, rig_sensors,
+    AdjustOptions, ClockState, FilterOptions, MapperOptions, RefineIntrinsics, RigPair,
+    RigidCamera, SensorPair, constrain_rigidly, relative_poses, sensor_pairs,
 };
 
 use crate::evaluate::read_times;
@@ -72,15 +72,15 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
         (Vec::new(), BTreeSet::new())
     };
     let candidates = if known.is_empty() {
-        rig_sensors(&model).into_iter().map(|rig_sensor| (rig_sensor, None)).collect()
+        sensor_pairs(&model).into_iter().map(|sensor_pair| (sensor_pair, None)).collect()
     } else {
         known
     };
     let mut cameras: Vec<(RigidCamera, Clock)> = Vec::new();
-    for (rig_sensor, calibration) in candidates {
+    for (sensor_pair, calibration) in candidates {
         cameras.extend(
-            rigid_camera(&model, &rig_sensor, calibration, &bad)
-                .map(|camera| (camera, rig_sensor.clock)),
+            rigid_camera(&model, &sensor_pair, calibration, &bad)
+                .map(|camera| (camera, sensor_pair.clock)),
         );
     }
     if cameras.is_empty() {
@@ -94,7 +94,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let are_known = location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
-    let options = options.weighed_against(&model);
+    let options = options.with_noise_of(&model);
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
     // The adjustment is free in scale. The baseline before may be metric.
     let factor = baseline / cameras[0].right_from_left.translation.norm();
@@ -119,7 +119,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
 }
 
 /// Rig sensors with their clocks, and their sensor_from_rig if it is known.
-type Sensors = Vec<(RigSensor, Option<Rigid3>)>;
+type Sensors = Vec<(SensorPair, Option<Rigid3>)>;
 
 /// The rig sensors in `rig.json`, and the images of non-reference sensors in incorrect pairs.
 ///
@@ -145,7 +145,7 @@ fn known_sensors(
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
-        let rig_sensor = RigSensor {
+        let sensor_pair = SensorPair {
             left,
             right: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
@@ -153,7 +153,7 @@ fn known_sensors(
             assumed_baseline: None,
             unobservable_direction: None,
         };
-        Ok((rig_sensor, Some(camera.cam_from_rig())))
+        Ok((sensor_pair, Some(camera.cam_from_rig())))
     };
     let cameras = file.cameras.iter().map(camera).collect::<Result<_, Error>>()?;
     let pairs = match file.bad_pairs {
@@ -182,17 +182,20 @@ fn bad_pairs_of_report(location: &ModelLocation) -> Result<Vec<[String; 2]>, Err
 /// the relative poses. `None` if there are too few frames.
 fn rigid_camera(
     model: &Reconstruction,
-    rig_sensor: &RigSensor,
+    sensor_pair: &SensorPair,
     calibration: Option<Rigid3>,
     bad: &BTreeSet<ImageId>,
 ) -> Option<RigidCamera> {
     // As synchronised cameras: images are paired by their clocks, whatever the time between them.
-    let rig_sensor = RigSensor { clock_state: ClockState::Synchronised, ..*rig_sensor };
-    let pairs: Vec<RigPair> = rig_sensor
+    let sensor_pair = SensorPair { clock_state: ClockState::Synchronised, ..*sensor_pair };
+    let pairs: Vec<RigPair> = sensor_pair
         .referenced_images(model)
         .iter()
         .filter(|image| !bad.contains(&image.right))
-        .map(|image| RigPair { left: image.nearest_left(&rig_sensor.clock), right: image.right })
+        .map(|image| RigPair {
+            left: image.nearest_reference(&sensor_pair.clock),
+            right: image.right,
+        })
         .collect();
     let poses = relative_poses(model, &pairs);
     let (right_from_left, pairs) = match calibration {
@@ -210,7 +213,7 @@ fn rigid_camera(
             )
         }
     };
-    let (left, right) = (rig_sensor.left, rig_sensor.right);
+    let (left, right) = (sensor_pair.left, sensor_pair.right);
     (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
 }
 

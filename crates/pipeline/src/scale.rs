@@ -2,7 +2,7 @@
 //!
 //! The baseline in model units is that of the estimated rig extrinsics. Without extrinsics it is
 //! that of the robust mean of the relative poses over all frames, which come from times, motion or
-//! names ([`tiepoint_sfm::rig_sensors`]). Each model of a workspace is scaled by its own baseline.
+//! names ([`tiepoint_sfm::sensor_pairs`]). Each model of a workspace is scaled by its own baseline.
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::geometry::Sim3;
@@ -11,7 +11,7 @@ use tiepoint_sfm::geometry::numeric::median;
 use tiepoint_sfm::rig::{RelativePose, robust_average};
 use tiepoint_sfm::scene::Reconstruction;
 use tiepoint_sfm::{
-    CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, RigSensor, rig_sensors,
+    CalibratedCamera, ExtrinsicsCovariance, MappedModel, ReferencedImage, SensorPair, sensor_pairs,
 };
 
 use crate::image_names::folder_of;
@@ -35,12 +35,12 @@ const MIN_FRAMES: usize = 2;
 pub(crate) fn scale_to_baseline(models: &mut [MappedModel], baseline_m: f64) -> Vec<ScaleReport> {
     let calibrated =
         models.iter().filter_map(|model| model.rig.as_ref()).find(|rig| !rig.cameras.is_empty());
-    let known: Vec<RigSensor> = calibrated
-        .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.rig_sensor).collect());
+    let known: Vec<SensorPair> = calibrated
+        .map_or(Vec::new(), |rig| rig.cameras.iter().map(|camera| camera.sensor_pair).collect());
     models.iter_mut().map(|model| scale_model(model, &known, baseline_m)).collect()
 }
 
-fn scale_model(model: &mut MappedModel, known: &[RigSensor], baseline_m: f64) -> ScaleReport {
+fn scale_model(model: &mut MappedModel, known: &[SensorPair], baseline_m: f64) -> ScaleReport {
     let MappedModel { reconstruction, rig, row_poses, .. } = model;
     let baseline = match rig.as_ref().and_then(|rig| rig.cameras.first()) {
         Some(camera) => Ok(extrinsics_baseline(reconstruction, camera)),
@@ -79,7 +79,7 @@ type Baseline = (f64, String);
 /// The baseline of estimated rig extrinsics.
 fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Baseline {
     let [left, right] =
-        [camera.rig_sensor.left, camera.rig_sensor.right].map(|camera| folder_of(model, camera));
+        [camera.sensor_pair.left, camera.sensor_pair.right].map(|camera| folder_of(model, camera));
     (
         camera.right_from_left.translation.norm(),
         format!("the baseline from {left} to {right} in the rig extrinsics"),
@@ -87,12 +87,13 @@ fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Bas
 }
 
 /// The baseline of the robust mean of the relative poses; an error is the end of "because …".
-fn mean_baseline(model: &Reconstruction, known: &[RigSensor]) -> Result<Baseline, String> {
-    let found = if known.is_empty() { rig_sensors(model) } else { Vec::new() };
-    let rig_sensor = known.iter().chain(&found).next().ok_or("there is only one camera")?;
-    let [left, right] = [rig_sensor.left, rig_sensor.right].map(|camera| folder_of(model, camera));
-    let images = rig_sensor.referenced_images(model);
-    let pose = |image: &ReferencedImage| image.relative_pose(model, &rig_sensor.clock);
+fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baseline, String> {
+    let found = if known.is_empty() { sensor_pairs(model) } else { Vec::new() };
+    let sensor_pair = known.iter().chain(&found).next().ok_or("there is only one camera")?;
+    let [left, right] =
+        [sensor_pair.left, sensor_pair.right].map(|camera| folder_of(model, camera));
+    let images = sensor_pair.referenced_images(model);
+    let pose = |image: &ReferencedImage| image.relative_pose(model, &sensor_pair.clock);
     let poses: Vec<RelativePose> = images.iter().filter_map(pose).collect();
     let count = poses.len();
     let too_few = || {
@@ -122,8 +123,8 @@ fn mean_baseline(model: &Reconstruction, known: &[RigSensor]) -> Result<Baseline
 fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
     let translation = camera.right_from_left.translation;
     camera.right_from_left.translation *= factor;
-    camera.rig_sensor.assumed_baseline =
-        camera.rig_sensor.assumed_baseline.map(|length| factor * length);
+    camera.sensor_pair.assumed_baseline =
+        camera.sensor_pair.assumed_baseline.map(|length| factor * length);
     if let Some(covariance) = &mut camera.covariance {
         let projection = match translation.try_normalize(0.0) {
             Some(direction) if has_given_length => {
@@ -187,7 +188,7 @@ mod tests {
 
     fn calibrated_camera() -> CalibratedCamera {
         CalibratedCamera {
-            rig_sensor: RigSensor {
+            sensor_pair: SensorPair {
                 left: CameraId(0),
                 right: CameraId(1),
                 clock: Clock::default(),

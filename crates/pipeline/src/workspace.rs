@@ -360,7 +360,7 @@ mod tests {
         let rows = from.records.rows();
         let made =
             Database::create_with(&from.database(), |database| database.write_stage_rows(&rows));
-        made.unwrap().finish().unwrap();
+        made.unwrap().close().unwrap();
         let root = dir.path().join("b");
         from.fork(&root).unwrap();
         let mut fork = Workspace::open(&root).unwrap();
@@ -385,7 +385,7 @@ mod tests {
         let rows = made.records.rows();
         let database =
             Database::create_with(&made.database(), |database| database.write_stage_rows(&rows));
-        database.unwrap().finish().unwrap();
+        database.unwrap().close().unwrap();
         made.note(|_| {}).unwrap();
         let good = fs::read(root.join(STAGES)).unwrap();
         drop(made);

@@ -1,5 +1,4 @@
-//! Trajectories, ground truth, PLY and BAL: what is written is read back, what others wrote is
-//! understood.
+//! Trajectories, ground truth, PLY and BAL: round trips, and files of other programs.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -15,12 +14,12 @@ use tiepoint_io::trajectory::{
 };
 use tiepoint_io::{kitti, strecha};
 
-use crate::common::{Riding, pose, random_model, vector};
+use crate::common::{RigKind, pose, random_model, vector};
 use crate::skipped;
 
-/// Poses are inverted on the way out and in: roundings of numbers of size 30.
+/// Poses are inverted by the writer and the reader: roundings of numbers of size 30.
 const POSE_TOLERANCE: f64 = 1e-12;
-/// Angles by arccos near zero lose half the digits.
+/// arccos near 1 loses half of the digits of small angles.
 const ANGLE_TOLERANCE_RAD: f64 = 1e-7;
 
 fn close(a: &Rigid3, b: &Rigid3) -> bool {
@@ -123,7 +122,8 @@ proptest! {
         );
     }
 
-    /// The same pixels from the formula of the format and from our cameras; and back again.
+    /// Projections by the formula of the format and by our cameras are equal, also after a
+    /// conversion back.
     #[test]
     fn bal_and_reconstruction_are_one_problem(seed: u64) {
         let bal = random_bal(&mut Rng::stream(seed, &[]));
@@ -137,7 +137,7 @@ proptest! {
             let image = tiepoint_scene::ImageId(observation.camera);
             let track = model.track(tiepoint_scene::PointId(observation.point)).unwrap();
             let ours = track.observations.iter().find(|o| o.image == image).unwrap();
-            // Behind a camera we see nothing.
+            // Our cameras do not image points behind them.
             if let Some(error) = model.observation_error_px(ours, point) {
                 prop_assert!(
                     (error - residual).abs() < 1e-9 * (1.0 + residual),
@@ -167,7 +167,7 @@ proptest! {
         }
     }
 
-    /// Text and binary with any bytes overwritten or cut end in values or in an error.
+    /// Damaged and truncated files give values or an error.
     #[test]
     fn damaged_files_never_panic(
         seed: u64,
@@ -214,7 +214,7 @@ const ASCII_PLY: &str = "ply\r\nformat ascii 1.0\r\ncomment made by hand\nelemen
     3 0 1 2\n2 0 1\n1.5 0 2 -3e2 1 2 3\n 4 5 6 7 8 9 10\nnan 0 0 0 0 0 0\n";
 
 #[test]
-fn ply_of_others() {
+fn ply_files_of_other_programs_are_read() {
     let vertices = in_file(ASCII_PLY, |path| ply::read(path).unwrap());
     let expected = [
         Vertex { xyz: Vector3::new(-300.0, 2.0, 1.5), color: [3, 2, 1] },
@@ -261,8 +261,8 @@ fn ply_of_others() {
 }
 
 #[test]
-fn points_and_cameras_of_a_model() {
-    let model = random_model(3, Riding::Together);
+fn ply_of_points_and_camera_centres() {
+    let model = random_model(3, RigKind::SeveralCameras);
     assert_eq!(ply::points(&model).len(), model.num_tracks());
     let centres = ply::camera_centres(&model);
     assert_eq!(centres.len(), model.num_registered());
@@ -271,17 +271,17 @@ fn points_and_cameras_of_a_model() {
 }
 
 #[test]
-fn conventions_of_trajectories() {
-    // A camera at (1, 2, 3) that looks along +x: its z axis is the world's x, its x axis the
-    // world's −y.
+fn trajectory_formats_agree_on_conventions() {
+    // A camera at (1, 2, 3) that looks along +x: its z axis is the x axis of the world, its x axis
+    // is −y of the world.
     let rows = "0 0 1 1 -1 0 0 2 0 -1 0 3\n";
     let pose = in_file(rows, |path| read_kitti(path).unwrap()[0]);
     assert!((pose.origin_in_a() - Vector3::new(1.0, 2.0, 3.0)).norm() < POSE_TOLERANCE);
     assert!(
         (pose * Vector3::new(6.0, 2.0, 3.0) - Vector3::new(0.0, 0.0, 5.0)).norm() < POSE_TOLERANCE
     );
-    // The same in the two others: the quaternion of that matrix is (w, x, y, z) = (1, −1, 1, −1) /
-    // 2.
+    // The same pose in the two other formats: the quaternion of the matrix is (w, x, y, z) = (1,
+    // −1, 1, −1) / 2.
     let tum =
         in_file("# comment\n1.5 1 2 3 -0.5 0.5 -0.5 0.5\n", |path| read_tum(path).unwrap()[0]);
     let euroc = in_file("#timestamp\n1500000000, 1,2,3, 0.5,-0.5,0.5,-0.5, 9,9\n", |path| {
@@ -306,7 +306,7 @@ fn conventions_of_trajectories() {
 }
 
 #[test]
-fn bal_faults_are_named() {
+fn bal_errors_name_the_violation() {
     for (content, expected) in [
         ("", "line 1: the file ends where the numbers of cameras"),
         ("1 1 1\n0 1 2 3\n", "line 2: camera 0 sees point 1, but there are 1 cameras and 1 points"),
@@ -332,7 +332,7 @@ fn bal_faults_are_named() {
 }
 
 #[test]
-fn strecha_truth_sees_its_own_scene() {
+fn strecha_cameras_look_at_the_scene() {
     let Some(data) = skipped::data() else { return };
     let cameras = strecha::read(&data.join("fountain-P11/cameras")).unwrap();
     assert_eq!(cameras.len(), 11);
@@ -346,8 +346,8 @@ fn strecha_truth_sees_its_own_scene() {
         cameras[0].calibration,
         Matrix3::new(2759.48, 0.0, 1520.69, 0.0, 2764.16, 1006.81, 0.0, 0.0, 1.0)
     );
-    // All look at the fountain: the point where their axes come closest is before each of them,
-    // within 15 m.
+    // All cameras look at the fountain: the point nearest to their optical axes is in front of each
+    // of them, within 15 m.
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
     for camera in &cameras {
         let axis = camera.cam_from_world.rotation.inverse() * Vector3::z();
@@ -369,7 +369,7 @@ fn strecha_truth_sees_its_own_scene() {
 }
 
 #[test]
-fn kitti_truth_of_a_stereo_pair() {
+fn kitti_calibration_of_a_stereo_pair() {
     let Some(data) = skipped::data() else { return };
     let calibration = kitti::read_calibration(&data.join("kitti04/calib.txt")).unwrap();
     assert_eq!(
@@ -381,10 +381,10 @@ fn kitti_truth_of_a_stereo_pair() {
         [707.0912, 707.0912, 602.3873, 183.6104]
     );
     assert_eq!(calibration.cameras[0].cam_from_cam0, Rigid3::identity());
-    // The baseline of KITTI's grey cameras: 0.54 m to the right.
+    // The baseline of the grey cameras of KITTI: 0.54 m to the right.
     let right = calibration.cameras[1].cam_from_cam0.origin_in_a();
     assert!((right - Vector3::new(0.537, 0.0, 0.0)).norm() < 1e-3, "{right}");
-    // The scanner looks ahead along its x axis, our z.
+    // The x axis of the scanner points forward, as our z axis.
     let ahead = calibration.cam0_from_velodyne.unwrap().rotation * Vector3::x();
     assert!((ahead - Vector3::z()).norm() < 0.02, "{ahead}");
     let poses = read_kitti(&data.join("kitti04/poses.txt")).unwrap();
@@ -397,7 +397,7 @@ fn kitti_truth_of_a_stereo_pair() {
 }
 
 #[test]
-fn trajectories_of_others() {
+fn trajectories_of_other_programs_are_read() {
     let Some(data) = skipped::data() else { return };
     let dir = data.join("trajectories");
     assert_eq!(read_kitti(&dir.join("KITTI_00_gt.txt")).unwrap().len(), 4541);
@@ -406,10 +406,10 @@ fn trajectories_of_others() {
     assert!(truth.len() > 1000 && (truth[0].time_s - 1_403_715_524.907_143).abs() < 1e-5);
 }
 
-/// BAL problems: the mean squared residual of the published start values, worked out with the
+/// BAL problems: the mean squared residual of the published initial values, computed with the
 /// formula of the format and with our cameras.
 #[test]
-fn bal_problems_of_others() {
+fn published_bal_problems_are_read() {
     let Some(data) = skipped::data() else { return };
     let bal = Bal::read(&data.join("bal/problem-21-11315-pre.txt")).unwrap();
     assert_eq!((bal.cameras.len(), bal.points.len(), bal.observations.len()), (21, 11315, 36455));
@@ -435,7 +435,7 @@ fn bal_problems_of_others() {
 }
 
 #[test]
-fn numbers_behind_the_last_point_of_a_bal_file_are_an_error() {
+fn bal_numbers_after_the_last_point_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bal.txt");
     let good = "1 1 1\n0 0 1 2\n0 0 0 0 0 0 500 0 0\n0 0 -5";
