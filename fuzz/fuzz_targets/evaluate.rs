@@ -4,9 +4,13 @@
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{files, folder, write, write_model};
-use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::eval::geometry::Sim3;
+use tiepoint_pipeline::eval::{Alignment, find_alignment};
 use tiepoint_pipeline::{Truth, TruthFormat, evaluate_cloud, evaluate_poses, read_cloud};
+
+/// A time of its own for each image.
+const TIMES: &str = "image,seconds\nleft/000000.png,0\nright/000002.png,0.5\n\
+    left/000001.png,1\nright/000003.png,1.5\n";
 
 fuzz_target!(|data: &[u8]| {
     let Some((&which, data)) = data.split_first() else { return };
@@ -21,7 +25,7 @@ fuzz_target!(|data: &[u8]| {
         }
         1 => {
             write(&truth, data);
-            write(&dir.join("ws/timestamps.csv"), tiepoint_fuzz::TIMES.as_bytes());
+            write(&dir.join("ws/timestamps.csv"), TIMES.as_bytes());
             TruthFormat::Tum
         }
         2 => {
@@ -36,11 +40,18 @@ fuzz_target!(|data: &[u8]| {
             write(&dir.join("cloud.ply"), data);
             let reference = read_cloud(&model).expect("the model is right");
             let Ok(cloud) = read_cloud(&dir.join("cloud.ply")) else { return };
-            for alignment in [Alignment::Similarity, Alignment::Rigid, Alignment::None] {
-                let _ = evaluate_cloud(&cloud, &reference, &Sim3::identity(), alignment);
+            let found =
+                find_alignment(&cloud, &reference).map(|start| (start, Alignment::Similarity));
+            let rigid = (Sim3::identity(), Alignment::Rigid);
+            for (start, alignment) in
+                [found, Some(rigid), Some((Sim3::identity(), Alignment::None))]
+                    .into_iter()
+                    .flatten()
+            {
+                let _ = evaluate_cloud(&cloud, &reference, &start, alignment);
             }
             return;
         }
     };
-    let _ = evaluate_poses(&model, &Truth { format, path: truth }, None);
+    let _ = evaluate_poses(&model, &Truth { format, path: truth }, Some(""));
 });

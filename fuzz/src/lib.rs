@@ -30,7 +30,8 @@ pub fn folder() -> PathBuf {
 
 /// Writes a file and the folders above it.
 pub fn write(path: &Path, bytes: &[u8]) {
-    fs::create_dir_all(path.parent().expect("a file lies in a folder")).expect("memory is writable");
+    fs::create_dir_all(path.parent().expect("a file lies in a folder"))
+        .expect("memory is writable");
     fs::write(path, bytes).expect("memory is writable");
 }
 
@@ -55,21 +56,25 @@ pub fn files(dir: &Path, names: &[&str], data: &[u8]) {
     }
 }
 
-/// A COLMAP model of two cameras on a rig, as text.
+/// A COLMAP model of two cameras on a rig, as text. No two images have the same number.
 pub const MODEL: [(&str, &str); 5] = [
-    ("cameras.txt", "1 PINHOLE 640 480 500 500 320 240\n2 SIMPLE_RADIAL 640 480 500 320 240 \
-    0.01\n"),
+    (
+        "cameras.txt",
+        "1 PINHOLE 640 480 500 500 320 240\n2 SIMPLE_RADIAL 640 480 500 320 240 \
+    0.01\n",
+    ),
     ("rigs.txt", "1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 -0.5 0 0\n"),
     (
         "frames.txt",
-        "1 1 1 0 0 0 0 0 0 2 CAMERA 1 1 CAMERA 2 2\n2 1 1 0 0 0 0 0 -1 2 CAMERA 1 3 CAMERA 2 4\n",
+        "1 1 1 0 0 0 0 0 0 2 CAMERA 1 1 CAMERA 2 2\n2 1 1 0 0 0 0 0 -1 2 CAMERA 1 3 \
+    CAMERA 2 4\n",
     ),
     (
         "images.txt",
         "1 1 0 0 0 0 0 0 1 left/000000.png\n320 240 1 330 250 2 300 220 3 10 10 -1\n\
-         2 1 0 0 0 -0.5 0 0 2 right/000000.png\n270 240 1 280 250 2 250 220 3\n\
+         2 1 0 0 0 -0.5 0 0 2 right/000002.png\n270 240 1 280 250 2 250 220 3\n\
          3 1 0 0 0 0 0 -1 1 left/000001.png\n320 240 1 332 252 2 295 215 3\n\
-         4 1 0 0 0 -0.5 0 -1 2 right/000001.png\n260 240 1 270 250 2 240 220 3\n",
+         4 1 0 0 0 -0.5 0 -1 2 right/000003.png\n260 240 1 270 250 2 240 220 3\n",
     ),
     (
         "points3D.txt",
@@ -84,14 +89,16 @@ pub fn write_model(dir: &Path) {
 }
 
 /// `rig.json` of that model.
-pub const RIG: &str = r#"{"reference": "left", "cameras": [{"name": "right", "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
+pub const RIG: &str = r#"{"reference": "left", "cameras": [
+  {"name": "right", "rotation_wxyz": [1.0, 0.0, 0.0, 0.0],
   "translation": [-0.5, 0.0, 0.0], "centre_in_rig": [0.5, 0.0, 0.0], "hold": "hard",
-  "clock": {"timing": "together", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0, "drift_sd_ppm": null, "pivot_s": 0.5},
+  "clock": {"timing": "together", "offset_s": 0.0, "offset_sd_s": null, "drift_ppm": 0.0,
+   "drift_sd_ppm": null, "pivot_s": 0.5},
   "covariance": null, "rotation_sd_deg": null, "translation_sd": null}]}"#;
 
 /// Times of the images of that model.
 pub const TIMES: &str =
-    "image,seconds\nleft/000000.png,0\nright/000000.png,0\nleft/000001.png,1\nright/000001.png,1\n";
+    "image,seconds\nleft/000000.png,0\nright/000002.png,0\nleft/000001.png,1\nright/000003.png,1\n";
 
 /// Scripts of the page that `view` writes.
 pub const SCRIPTS: usize = 2;

@@ -22,7 +22,8 @@ fn picture(width: u32, height: u32) -> Rgb {
 
 /// Files of a folder as one input.
 fn joined(dir: &Path, names: &[&str]) -> Vec<u8> {
-    let parts: Vec<Vec<u8>> = names.iter().map(|name| std::fs::read(dir.join(name)).unwrap_or_default()).collect();
+    let parts: Vec<Vec<u8>> =
+        names.iter().map(|name| std::fs::read(dir.join(name)).unwrap_or_default()).collect();
     parts.join(DIVIDER)
 }
 
@@ -34,22 +35,50 @@ fn put(target: &str, name: &str, bytes: &[u8]) {
 fn main() -> Outcome {
     let dir = folder();
     let read = |name: &str| std::fs::read(dir.join(name));
-    for (name, width, height) in [("a.jpg", 24, 16), ("b.png", 9, 7), ("c.tif", 8, 8), ("d.jpg", 65, 3)] {
+    for (name, width, height) in
+        [("a.jpg", 24, 16), ("b.png", 9, 7), ("c.tif", 8, 8), ("d.jpg", 65, 3)]
+    {
         picture(width, height).write(&dir.join(name))?;
         put("images", name, &read(name)?);
     }
+    put(
+        "images",
+        "progressive.jpg",
+        include_bytes!("../../crates/io/tests/data/gradient_progressive.jpg"),
+    );
+    put("images", "cmyk.jpg", include_bytes!("../../crates/io/tests/data/red_cmyk.jpg"));
     let exif = [
         b"II*\0\x08\0\0\0".as_slice(),
-        &[2, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0, 0x69, 0x87, 4, 0, 1, 0, 0, 0, 38, 0, 0, 0, 0, 0, 0, 0],
-        &[2, 0, 5, 0xA4, 3, 0, 1, 0, 0, 0, 26, 0, 0, 0, 3, 0x90, 2, 0, 20, 0, 0, 0, 68, 0, 0, 0, 0, 0, 0, 0],
+        &[
+            2, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0, 0x69, 0x87, 4, 0, 1, 0, 0, 0, 38, 0, 0, 0,
+            0, 0, 0, 0,
+        ],
+        &[
+            2, 0, 5, 0xA4, 3, 0, 1, 0, 0, 0, 26, 0, 0, 0, 3, 0x90, 2, 0, 20, 0, 0, 0, 68, 0, 0, 0,
+            0, 0, 0, 0,
+        ],
         b"2024:02:29 12:34:56\0",
     ]
     .concat();
     put("exif", "tiff", &exif);
 
+    // moov/udta/GPMF with the key EISE in a container of keys.
+    let mp4 = |name: &[u8; 4], content: &[u8]| {
+        [&(8 + content.len() as u32).to_be_bytes(), &name[..], content].concat()
+    };
+    let keys = b"DEVC\0\x01\0\x0CEISEc\x01\0\x01Y\0\0\0";
+    put(
+        "gopro",
+        "video",
+        &[mp4(b"ftyp", b"mp41"), mp4(b"moov", &mp4(b"udta", &mp4(b"GPMF", keys)))].concat(),
+    );
+
     let model_dir = dir.join("ws/sparse/0");
     write_model(&model_dir);
-    let text = joined(&model_dir, &["cameras.txt", "images.txt", "points3D.txt", "rigs.txt", "frames.txt"]);
+    let text = joined(
+        &model_dir,
+        &["cameras.txt", "images.txt", "points3D.txt", "rigs.txt", "frames.txt"],
+    );
     put("colmap_text", "model", &text);
     let model = colmap::read_model(&model_dir)?;
     colmap::write_model(&dir.join("binary"), &model, Format::Binary)?;
@@ -102,10 +131,19 @@ fn main() -> Outcome {
     put("evaluate", "colmap", &[&[3], &text[..]].concat());
     put("evaluate", "cloud", &[&[4], &read("a.ply")?[..]].concat());
     put("calibrations", "strecha", camera.as_bytes());
-    put("calibrations", "kitti", b"P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -378 0 700 \
-    180 0 0 0 1 0\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n");
-    put("listing", "manifest", br#"{"program": "tiepoint", "files": {"1.jpg": {}, "a/2.png": "x", "../b/1.jpg": null}}"#);
-    let stages = br#"{"version": 2, "inputs": ["/photos"], "stages": {"features": {"is_complete": true, "input": "f", "options": {"seed": "0"}}}}"#;
+    put(
+        "calibrations",
+        "kitti",
+        b"P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -378 0 700 \
+    180 0 0 0 1 0\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n",
+    );
+    put(
+        "listing",
+        "manifest",
+        br#"{"program": "tiepoint", "files": {"1.jpg": {}, "a/2.png": "x", "../b/1.jpg": null}}"#,
+    );
+    let stages = br#"{"version": 2, "inputs": ["/photos"], "stages": {"features":
+        {"is_complete": true, "input": "f", "options": {"seed": "0"}}}}"#;
     let mut records = stages.to_vec();
     records.extend(DIVIDER);
     records.extend(b"{}");
@@ -125,11 +163,14 @@ fn main() -> Outcome {
     database.write_features([(ImageId(0), &features), (ImageId(1), &features)])?;
     let pair = ImagePair::new(ImageId(0), ImageId(1)).ok_or("a pair")?;
     let matches = vec![Match { a: 0, b: 1 }, Match { a: 1, b: 0 }];
-    let view = TwoView { kind: TwoViewKind::Calibrated, matches: matches.clone(), ..TwoView::default() };
+    let view =
+        TwoView { kind: TwoViewKind::Calibrated, matches: matches.clone(), ..TwoView::default() };
     database.write_pairs([(pair, matches.as_slice(), &view)])?;
     let row = StageRow { stage: "features".to_owned(), is_complete: true, recipe: "{}".to_owned() };
     database.write_stage_rows(&[row])?;
     database.finish()?;
+    // Small pages leave fewer zeros to change.
+    rusqlite::Connection::open(&path)?.execute_batch("PRAGMA page_size = 512; VACUUM;")?;
     put("database", "database", &read("database.db")?);
     Ok(())
 }

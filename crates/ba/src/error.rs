@@ -62,7 +62,8 @@ pub enum Error {
         dof: usize,
     },
     /// A residual or a Jacobian is not finite at the initial values.
-    #[error("{kind} number {index}: {what} is {value} at the initial values", kind = words(factor))]
+    #[error("{kind} number {index}: {what} is {value:e} at the initial \
+    values", kind = words(factor))]
     NotFinite {
         /// The factor's type.
         factor: &'static str,

@@ -155,11 +155,14 @@ pub(crate) fn seconds_of_date(date: &str) -> Option<f64> {
         && (0..24).contains(&hour)
         && (0..60).contains(&minute)
         && (0..=60).contains(&second);
+    if !in_range {
+        return None;
+    }
     // Days of the proleptic Gregorian calendar; years begin in March, so that the leap day is the
     // last one.
     let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
-    in_range.then_some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
+    Some((days * 86_400 + hour * 3_600 + minute * 60 + second) as f64)
 }
 
 #[cfg(test)]
@@ -176,9 +179,15 @@ mod tests {
         ] {
             assert_eq!(seconds_of_date(date), Some(expected));
         }
-        for date in
-            ["", "    :  :     :  :  ", "2024:13:01 00:00:00", "0000:00:00 00:00:00", "2024:01:01"]
-        {
+        let beyond = "9223372036854775807:01:01 00:00:00";
+        for date in [
+            "",
+            "    :  :     :  :  ",
+            "2024:13:01 00:00:00",
+            "0000:00:00 00:00:00",
+            "2024:01:01",
+            beyond,
+        ] {
             assert_eq!(seconds_of_date(date), None);
         }
     }

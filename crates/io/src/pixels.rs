@@ -219,7 +219,8 @@ pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
             {length}: it is damaged"
         )));
     }
-    let most_bytes = MAX_BYTES_BESIDE + MAX_BYTES_PER_PIXEL * u64::from(width) * u64::from(height);
+    let pixels = u64::from(width) * u64::from(height);
+    let most_bytes = pixels.saturating_mul(MAX_BYTES_PER_PIXEL).saturating_add(MAX_BYTES_BESIDE);
     if length > most_bytes {
         return Err(content(format!(
             "has {length} bytes, far too many for {width} × {height} pixels"
@@ -245,7 +246,7 @@ fn png_bytes(path: &Path, width: u32, height: u32) -> Result<u64> {
         _ => 1,
     };
     let bits = u64::from(width) * u64::from(depth) * channels;
-    Ok(u64::from(height) * (1 + bits.div_ceil(8)))
+    Ok(u64::from(height).saturating_mul(1 + bits.div_ceil(8)))
 }
 
 fn not_an_image(path: &Path) -> Error {

@@ -7,7 +7,7 @@ use serde::Serialize;
 use tiepoint_io::bal::{Bal, BalCamera, BalObservation};
 use tiepoint_io::colmap::{self, Format};
 use tiepoint_sfm::ba::factors::Reprojection;
-use tiepoint_sfm::ba::{Key, Order, Problem, Solver, Summary, Termination};
+use tiepoint_sfm::ba::{IterationRecord, Key, Order, Problem, Solver, Summary, Termination};
 use tiepoint_sfm::geometry::cameras::Radial;
 use tiepoint_sfm::geometry::nalgebra::{Quaternion, SVector, UnitQuaternion, Vector2, Vector3};
 use tiepoint_sfm::geometry::{Loss, Rigid3, so3};
@@ -89,7 +89,8 @@ fn adjust_colmap(
     let start = Instant::now();
     let summary = sfm::adjust(&mut model, &Scope::Global, &options, &mut [], &mut |step| {
         watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
-    })?;
+    })
+    .map_err(Error::adjusting(path))?;
     let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
     if let Some(output) = output {
         let is_text = path.join("cameras.txt").is_file() && !path.join("cameras.bin").is_file();
@@ -139,12 +140,12 @@ fn adjust_bal(
         problem.add(keys, factor, Loss::Trivial).map_err(sfm::Error::from)?;
     }
     let options = sfm::ba::Options { max_iterations: MAX_ITERATIONS, ..Default::default() };
-    let mut solver = Solver::new(&problem, &options).map_err(sfm::Error::from)?;
-    let summary = solver
-        .solve(&mut problem, &mut |step| {
-            watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
-        })
-        .map_err(sfm::Error::from)?;
+    let mut watch = |step: &IterationRecord| {
+        watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+    };
+    let summary = Solver::new(&problem, &options)
+        .and_then(|mut solver| solver.solve(&mut problem, &mut watch))
+        .map_err(|cause| Error::adjusting(path)(cause.into()))?;
     let report = report(&summary, start, cameras.len(), points.len())?;
     if let Some(output) = output {
         for (camera, (params, pose)) in bal.cameras.iter_mut().zip(&cameras) {

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::Stage;
 
@@ -357,9 +357,27 @@ pub enum Error {
     /// The mapper failed.
     #[error(transparent)]
     Mapping(tiepoint_sfm::Error),
+    /// The bundle adjustment of a model in a given file failed.
+    #[error("{path}: cannot be adjusted: {cause}")]
+    Unadjustable {
+        /// The model.
+        path: PathBuf,
+        /// Why not.
+        cause: tiepoint_sfm::Error,
+    },
     /// The event callback returned `Break`.
     #[error("stopped on request")]
     Cancelled,
+}
+
+impl Error {
+    /// Converts an error of the adjustment of the model at `path`.
+    pub(crate) fn adjusting(path: &Path) -> impl Fn(tiepoint_sfm::Error) -> Self {
+        move |cause| match cause {
+            tiepoint_sfm::Error::Cancelled => Self::Cancelled,
+            cause => Self::Unadjustable { path: path.to_owned(), cause },
+        }
+    }
 }
 
 impl From<tiepoint_sfm::Error> for Error {

@@ -1,6 +1,7 @@
 //! `rig.json`: the estimated rig extrinsics and time offsets with their covariance.
 
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -90,7 +91,11 @@ impl RigFile {
     pub(crate) fn from_json(path: &Path, text: &[u8]) -> Result<Self, Error> {
         let broken = |what: String| Error::Broken { path: path.to_owned(), what };
         let file: Self = serde_json::from_slice(text).map_err(|error| broken(error.to_string()))?;
+        let mut names = BTreeSet::from([file.reference.as_str()]);
         for RigCamera { name, rotation_wxyz, .. } in &file.cameras {
+            if !names.insert(name) {
+                return Err(broken(format!("the camera {name} is there twice")));
+            }
             let norm = rotation_wxyz.iter().map(|value| value * value).sum::<f64>().sqrt();
             if (norm - 1.0).abs().partial_cmp(&UNIT_TOLERANCE) != Some(Ordering::Less) {
                 return Err(broken(format!(
@@ -169,6 +174,27 @@ impl RigCamera {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_camera_that_is_there_twice_is_refused() {
+        let read = |names: &[&str]| {
+            let rotation_wxyz = [1.0, 0.0, 0.0, 0.0];
+            let camera = |name: &&str| RigCamera {
+                name: (*name).to_owned(),
+                rotation_wxyz,
+                ..RigCamera::default()
+            };
+            let cameras = names.iter().map(camera).collect();
+            let file = RigFile { reference: "left".to_owned(), cameras, bad_pairs: None };
+            RigFile::from_json(Path::new("ws/rig.json"), &serde_json::to_vec(&file).unwrap())
+        };
+        assert!(read(&["right", "rear"]).is_ok());
+        for (names, twice) in [(["right", "left"], "left"), (["right", "right"], "right")] {
+            let error = read(&names).unwrap_err().to_string();
+            let expected = format!("ws/rig.json: the camera {twice} is there twice");
+            assert!(error.contains(&expected), "{error}");
+        }
+    }
 
     #[test]
     fn rotation_that_is_not_a_unit_quaternion_is_rejected() {

@@ -95,7 +95,8 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
     let options = AdjustOptions { refine, max_iterations: ITERATIONS, ..AdjustOptions::default() };
     let options = options.with_noise_of(&model);
-    constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())?;
+    constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())
+        .map_err(Error::adjusting(&folder))?;
     // The adjustment is free in scale. The baseline before may be metric.
     let factor = baseline / cameras[0].right_from_left.translation.norm();
     if factor.is_normal() {

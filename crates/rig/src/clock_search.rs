@@ -52,8 +52,8 @@ pub struct OffsetEstimate {
 }
 
 /// Searches the time offset of `right`, pairs of time in seconds and `cam_from_world`. The range is
-/// ±1.5 s if the drives overlap on their clocks, else all offsets at which half of the shorter drive
-/// overlaps. `None` if too few images can be compared.
+/// ±1.5 s if the drives overlap on their clocks, else all offsets at which half of the shorter
+/// drive overlaps. `None` if too few images can be compared.
 pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<OffsetEstimate> {
     let (first, last) = (*left.times_s().first()?, *left.times_s().last()?);
     let (right_first, right_last) = (right.first()?.0, right.last()?.0);

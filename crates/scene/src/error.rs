@@ -55,6 +55,14 @@ pub enum Error {
         /// The number.
         what: String,
     },
+    /// A focal length is not positive.
+    #[error("a focal length of camera {camera:?} is {value}, and not above zero")]
+    FocalLength {
+        /// The camera.
+        camera: CameraId,
+        /// Its focal length, or one of two, in pixels.
+        value: f64,
+    },
     /// The quaternion of a rotation does not have unit norm.
     #[error("the rotation of {of} is no unit quaternion")]
     NotUnit {

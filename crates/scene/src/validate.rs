@@ -24,6 +24,12 @@ impl Reconstruction {
         for (id, camera) in self.cameras() {
             let is_finite = camera.intrinsics.params().iter().all(|param| param.is_finite());
             require_finite(is_finite, || format!("a parameter of camera {id:?}"))?;
+            let intrinsics = &camera.intrinsics;
+            let mut focals =
+                intrinsics.kind().focal_indices().iter().map(|index| intrinsics.params()[*index]);
+            if let Some(value) = focals.find(|focal_px| *focal_px <= 0.0) {
+                return Err(Error::FocalLength { camera: id, value });
+            }
         }
         for (id, image) in self.images() {
             self.validate_image(id, image)?;

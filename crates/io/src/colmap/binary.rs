@@ -93,6 +93,13 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
         out.u32(file_id(id.index()))?;
         out.f64s(&pose_numbers(cam_from_world))?;
         out.u32(file_id(image.camera.index()))?;
+        if image.name.contains('\0') {
+            let what = format!(
+                "the name {:?} holds a zero byte, which ends names in this format",
+                image.name
+            );
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+        }
         out.write_all(image.name.as_bytes())?;
         out.u8(0)?;
         out.u64(image.keypoints.len() as u64)?;
@@ -216,8 +223,9 @@ fn read_frames<R: Read>(file: &mut Reader<R>) -> Result<Vec<FrameRow>> {
             let camera = read_sensor(file)?;
             let image = file.u64("a frame's image")?;
             if let Some(camera) = camera {
-                let image = u32::try_from(image)
-                    .map_err(|_| file.error(format!("image {image} of frame {id}")))?;
+                let image = u32::try_from(image).map_err(|_| {
+                    file.error(format!("frame {id} names image {image}, out of range"))
+                })?;
                 images.push((camera, image));
             }
         }

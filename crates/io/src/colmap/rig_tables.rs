@@ -83,15 +83,23 @@ impl RigTables {
                     format!("image {name} is in no frame, and its camera has no pose on its rig"),
                 )
             })?;
+            // Inverting and multiplying by the identity could change the last bit.
+            let rig_from_world = if cam_from_rig == Rigid3::identity() {
+                *cam_from_world
+            } else {
+                cam_from_rig.inverse() * *cam_from_world
+            };
+            if !rig_from_world.translation.iter().all(|value| value.is_finite()) {
+                let name = &image.name;
+                return Err(Error::content(
+                    dir,
+                    format!("the pose of the rig at image {name} overflows"),
+                ));
+            }
             frames.push(FrameRow {
                 id: file_id(model.frames.len() + id.index()),
                 rig: file_id(rig),
-                // Inverting and multiplying by the identity could change the last bit.
-                rig_from_world: if cam_from_rig == Rigid3::identity() {
-                    *cam_from_world
-                } else {
-                    cam_from_rig.inverse() * *cam_from_world
-                },
+                rig_from_world,
                 images: vec![(file_id(camera.index()), file_id(id.index()))],
             });
         }

@@ -94,7 +94,13 @@ impl Tables {
             point_ids.push(row.points);
         }
         add_rigs(dir, &mut model, self.rigs, self.frames, &cameras, &images)?;
-        sort(dir, "point", &mut self.points, |row| row.id)?;
+        let points = sort(dir, "point", &mut self.points, |row| row.id)?;
+        if points.last() == Some(&NO_POINT) {
+            return Err(Error::content(
+                dir,
+                format!("a point has the id {NO_POINT}, which means none"),
+            ));
+        }
         for row in self.points {
             let mut observations = Vec::with_capacity(row.track.len());
             for (image, keypoint) in row.track {

@@ -97,7 +97,8 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
     writeln!(out, "# Number of images: {images}, mean observations per image: {mean}")?;
     for (id, image, cam_from_world) in model.registered() {
         let (id, camera) = (file_id(id.index()), file_id(image.camera.index()));
-        if image.name.trim() != image.name || image.name.contains(['\n', '\r']) {
+        let is_line = image.name.trim() == image.name && !image.name.contains(['\n', '\r']);
+        if image.name.is_empty() || !is_line {
             let what = format!("the name {:?} cannot stand in a line of text", image.name);
             return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
         }
@@ -228,7 +229,8 @@ fn read_frame(words: &mut Words<'_>) -> Result<FrameRow> {
         let camera = read_sensor(words)?;
         let image: u64 = words.number("an image's id")?;
         if let Some(camera) = camera {
-            let image = u32::try_from(image).map_err(|_| words.error(format!("image {image}")))?;
+            let image = u32::try_from(image)
+                .map_err(|_| words.error(format!("the id of image {image} is out of range")))?;
             images.push((camera, image));
         }
     }

@@ -36,7 +36,11 @@ fn crc(bytes: &[u8]) -> u32 {
 }
 
 fn claiming_png(width: u32, height: u32) -> Vec<u8> {
-    let mut bytes = encoded(&noise(8, 8), ImageFormat::Png);
+    resized_png(&noise(8, 8), width, height)
+}
+
+fn resized_png(image: &DynamicImage, width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = encoded(image, ImageFormat::Png);
     bytes[16..20].copy_from_slice(&width.to_be_bytes());
     bytes[20..24].copy_from_slice(&height.to_be_bytes());
     let sum = crc(&bytes[12..29]);
@@ -74,6 +78,15 @@ fn claims_that_no_file_of_that_length_can_hold() {
     refused("a.jpg", &claiming_jpeg(), "claims 20000 × 10000 pixels, which take");
     refused("a.png", &claiming_png(10_000, 10_000), "claims 10000 × 10000 pixels, which take");
     refused("a.tif", &claiming_tiff(100_000), "a.tif");
+}
+
+/// The bytes that such sizes would take do not fit 64 bits.
+#[test]
+fn the_largest_sizes_that_headers_can_name() {
+    refused("a.tif", &claiming_tiff(u32::MAX), "a.tif: ");
+    let deep: DynamicImage = noise(8, 8).to_rgba16().into();
+    let side = i32::MAX as u32;
+    refused("a.png", &resized_png(&deep, side, side), "a.png: ");
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod faults;
 mod formats;
 mod hostile_database;
 mod hostile_images;
+mod hostile_models;
 mod hostile_numbers;
 mod images;
 mod las;

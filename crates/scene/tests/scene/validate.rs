@@ -79,7 +79,10 @@ fn a_valid_model_passes() {
 #[test]
 fn each_broken_invariant_is_reported() {
     type Break = fn(&mut Reconstruction);
-    let faults: [(&str, Break); 18] = [
+    let faults: [(&str, Break); 19] = [
+        ("a focal length of camera CameraId(1) is -2, and not above zero", |model| {
+            model.camera_mut(CameraId(1)).intrinsics.params_mut()[0] = -2.0;
+        }),
         ("rig RigId(1) has no camera", |model| model.rigs.push(Rig::default())),
         ("rig RigId(0) has camera CameraId(7), but there are 3 cameras", |model| {
             model.rigs[0].sensors[1].camera = CameraId(7);

@@ -115,8 +115,8 @@ impl Term for RigidFrames {
         self.composed.keys().copied().collect()
     }
 
-    /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig` of
-    /// each other sensor, and composes the poses of the images.
+    /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig`
+    /// of each other sensor, and composes the poses of the images.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
         let is_local = matches!(context.scope, Scope::Local(_));
         let pose_keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();

@@ -4,8 +4,8 @@
 use tiepoint_geometry::Rng;
 use tiepoint_scene::{PointId, Reconstruction};
 
-/// Marks a fraction `fraction` (0 to 1) of the tracks as held out and unmarks all others. The choice
-/// depends on the seed and on the track's first observation, so that it is stable when other
+/// Marks a fraction `fraction` (0 to 1) of the tracks as held out and unmarks all others. The
+/// choice depends on the seed and on the track's first observation, so that it is stable when other
 /// observations change. Returns the number of held-out tracks.
 pub fn hold_out_tracks(model: &mut Reconstruction, fraction: f64, seed: u64) -> usize {
     let points: Vec<PointId> = model.tracks().map(|(point, _)| point).collect();
