@@ -171,6 +171,10 @@ def table_kitti(runs):
 # ---- ba-ceres: bundle adjustment beside Ceres ---------------------------------------------------
 
 
+# Problems of "Bundle adjustment in the large" by the names of their files.
+BAL = {"problem-21-11315-pre": "Trafalgar-21", "problem-49-7776-pre": "Ladybug-49"}
+
+
 def measure_ba_ceres():
     return script("ba.py")
 
@@ -189,7 +193,7 @@ def table_ba_ceres(problems):
         best = min(solver["final_cost"] for solver in solvers.values())
         rows.append(
             [
-                problem["problem"],
+                BAL.get(problem["problem"], problem["problem"]),
                 f"{best:.6e}",
                 f"{ours['final_cost']:.6e}",
                 f"{quickest['ms_a_step']:.1f}",
@@ -204,11 +208,14 @@ def table_ba_ceres(problems):
 
 # ---- the tables ---------------------------------------------------------------------------------
 
-# Of each: its page, the crates that it measures, how to measure and how to show it.
+SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
+LEAST = "the least of five runs"
+# Of each: its page, the crates that it measures, how to measure and how to show it, which run
+# counts.
 TABLES = {
-    "photos": ("photos.md", LIBRARIES, measure_photos, table_photos),
-    "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti),
-    "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres),
+    "photos": ("photos.md", LIBRARIES, measure_photos, table_photos, SEEDED),
+    "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
+    "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),
 }
 
 
@@ -227,7 +234,7 @@ def machine():
 
 
 def measure(name):
-    _, crates, run, _ = TABLES[name]
+    _, crates, run, _, which = TABLES[name]
     paths = [f"crates/{crate}/src" for crate in crates]
     result = {
         "table": name,
@@ -235,7 +242,7 @@ def measure(name):
         "has_local_changes": bool(git("status", "--porcelain", "--", *paths)),
         "date": datetime.date.today().isoformat(),
         "machine": machine(),
-        "seeds": SEEDS,
+        "counts": which,
         "load_before": os.getloadavg()[0],
         "runs": run(),
     }
@@ -249,8 +256,8 @@ def note(name, result):
     where = result["machine"]
     text = (
         f"Measured at {result['commit'][:7]} on {result['date']}: {where['processor']},"
-        f" {where['cores']} cores, {', '.join(where['instruction_sets'])}; seeds"
-        f" {', '.join(map(str, result['seeds']))}, medians."
+        f" {where['cores']} cores, {', '.join(where['instruction_sets'])};"
+        f" {result['counts']}."
     )
     if result["has_local_changes"]:
         text += " The files differed from that commit."
@@ -274,11 +281,11 @@ def generate(name):
     path = RESULTS / f"{name}.json"
     if not path.is_file():
         return
-    page, _, _, show = TABLES[name]
+    page, _, _, show, _ = TABLES[name]
     result = json.loads(path.read_text())
     head, *rows = show(result["runs"])
     lines = [head, ["---"] * len(head), *rows]
-    table = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     text = (PAGES / page).read_text()
     begin, end = f"<!-- table: {name} -->\n", "<!-- end -->"
     before, rest = text.split(begin, 1)
