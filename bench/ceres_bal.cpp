@@ -1,8 +1,8 @@
 // Ceres on a problem of "Bundle adjustment in the large", for bench/ba.py.
 //
-//   g++ -O3 -march=native -std=c++17 -I/usr/include/eigen3 bench/ceres_bal.cpp -o ceres_bal -lceres
-//   -lglog ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt
-//   analytic|automatic
+//   g++ -O3 -march=native -std=c++17 -I/usr/include/eigen3 bench/ceres_bal.cpp -o ceres_bal
+//       -lceres -lglog
+//   ceres_bal PROBLEM.txt THREADS dense|sparse|iterative ITERATIONS ADJUSTED.txt analytic|automatic
 //
 // Prints "seconds cost" after the set-up and after every step, and writes the adjusted problem.
 // Derivatives are analytic, as ours are, so that automatic differentiation is no part of the

@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Runs every fuzz target for so many seconds, one after the other; needs nightly Rust and
-# cargo-fuzz. Ends with 1 if any crashed. bench/fuzz.sh [SECONDS] [TARGET ...]
+# cargo-fuzz. Ends with 1 if any crashed.
+#
+#   bench/fuzz.sh [SECONDS] [TARGET ...]
 set -uo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-60}

@@ -5,26 +5,26 @@ use std::path::{Path, PathBuf};
 
 const MAX_COLUMNS: usize = 100;
 /// Extensions of the checked files.
-const WRITTEN: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
+const EXTENSIONS: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
 /// Checked scripts without an extension.
 const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri"];
 /// Folders with generated files.
-const MADE: &[&str] = &["target", "corpus", "artifacts"];
+const GENERATED: &[&str] = &["target", "corpus", "artifacts"];
 
 /// Collects the checked files below a folder.
-fn written(dir: &Path, root: &Path, files: &mut Vec<PathBuf>) {
+fn collect_files(dir: &Path, root: &Path, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(dir).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         if path.is_dir() {
-            if !name.starts_with('.') && !MADE.contains(&name.as_str()) || name == ".github" {
-                written(&path, root, files);
+            if !name.starts_with('.') && !GENERATED.contains(&name.as_str()) || name == ".github" {
+                collect_files(&path, root, files);
             }
         } else {
             let ending = path.extension().map(|ending| ending.to_string_lossy().into_owned());
-            let is_written = ending.is_some_and(|ending| WRITTEN.contains(&ending.as_str()));
+            let has_extension = ending.is_some_and(|ending| EXTENSIONS.contains(&ending.as_str()));
             let is_script = SCRIPTS.iter().any(|script| root.join(script) == path);
-            if is_written || is_script {
+            if has_extension || is_script {
                 files.push(path);
             }
         }
@@ -56,7 +56,7 @@ fn lines_have_at_most_100_columns() {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     let root = root.canonicalize().unwrap();
     let mut files = Vec::new();
-    written(&root, &root, &mut files);
+    collect_files(&root, &root, &mut files);
     assert!(files.len() > 300, "{} files", files.len());
     let mut long = Vec::new();
     for file in &files {
