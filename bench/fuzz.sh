@@ -16,9 +16,10 @@ cargo +nightly fuzz build || exit 1
 host=$(rustc +nightly -vV | sed -n 's/^host: //p')
 ASAN_OPTIONS=detect_leaks=0 "${CARGO_TARGET_DIR:-fuzz/target}/$host/release/seeds" || exit 1
 failed=0
+TIMEFORMAT="cpu %U s"
 for target in "${targets[@]}"; do
   echo "== $target"
-  nice -n 10 cargo +nightly fuzz run "$target" -- \
+  time nice -n 10 cargo +nightly fuzz run "$target" -- \
     -max_total_time="$seconds" -rss_limit_mb=2048 -malloc_limit_mb=1024 -timeout=20 -max_len=65536 \
     -print_final_stats=1 -print_funcs=0 \
     2>&1 | tail -n 25 || failed=1

@@ -3,8 +3,8 @@
 
     pip install numpy pycolmap==4.2.1
     cargo build --release && cargo build --release -p tiepoint-ba --example bal
-    TIEPOINT_DATA=... python bench/run.py photos kitti ba-ceres     measures, writes, generates
-    python bench/run.py --refresh                                   generates all pages again
+    TIEPOINT_DATA=... python bench/run.py photos kitti demo ba-ceres    measures, writes, generates
+    python bench/run.py --refresh                                     generates all pages again
 
 A measurement writes docs/benchmarks/results/NAME.json: the commit, whether files differed from it,
 the processor and its instruction sets, the date, the seeds and every run. The page gets the table
@@ -168,6 +168,56 @@ def table_kitti(runs):
     return rows
 
 
+# ---- demo: the drives of `tiepoint demo` with ten seeds -----------------------------------------
+
+DEMO_MODES = ["off", "paper", "auto"]
+DEMO_SEEDS = list(range(1, 11))
+
+
+def measure_demo():
+    runs = []
+    for seed in DEMO_SEEDS:
+        with tempfile.TemporaryDirectory() as scratch:
+            outcome = tiepoint("demo", "-o", pathlib.Path(scratch) / "demo", "--seed", seed)
+        for drive in outcome["drives"]:
+            for run in drive["runs"]:
+                runs.append(
+                    {
+                        "drive": drive["name"],
+                        "mode": run["rig"],
+                        "seed": seed,
+                        "registered": run["poses"]["registered"],
+                        "images": run["poses"]["images"],
+                        "ate_cm": 100 * run["poses"]["centre_error"]["rmse"],
+                        "scale_drift": run["scale_drift"],
+                        "demo_s": outcome["seconds"],
+                    }
+                )
+                print(runs[-1], flush=True)
+    return runs
+
+
+def demo_ratios(runs, drive):
+    """ATE of `auto` over that of `off`, by seed."""
+    found = {(r["mode"], r["seed"]): r["ate_cm"] for r in runs if r["drive"] == drive}
+    return [found["auto", seed] / found["off", seed] for seed in DEMO_SEEDS]
+
+
+def table_demo(runs):
+    heads = (f"ATE (cm), `{mode}`" for mode in DEMO_MODES)
+    rows = [["drive", *heads, "`auto` / `off`, seeds in order", "seeds at 0.5 or less"]]
+    for drive in dict.fromkeys(run["drive"] for run in runs):
+        cells = []
+        for mode in DEMO_MODES:
+            errors = [r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)]
+            cells.append(f"{middle(errors, 2)} ({min(errors):.2f} to {max(errors):.2f})")
+        ratios = demo_ratios(runs, drive)
+        halved = sum(ratio <= 0.5 for ratio in ratios)
+        listed = ", ".join(f"{ratio:.2f}" for ratio in ratios)
+        rows.append([drive, *cells, listed, f"{halved} of {len(ratios)}"])
+    return rows
+
+
 # ---- ba-ceres: bundle adjustment beside Ceres ---------------------------------------------------
 
 
@@ -210,11 +260,13 @@ def table_ba_ceres(problems):
 
 SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
 LEAST = "the least of five runs"
+DEMO = f"medians of seeds {DEMO_SEEDS[0]} to {DEMO_SEEDS[-1]}"
 # Of each: its page, the crates that it measures, how to measure and how to show it, which run
 # counts.
 TABLES = {
     "photos": ("photos.md", LIBRARIES, measure_photos, table_photos, SEEDED),
     "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
+    "demo": ("experiments.md", [*LIBRARIES, "synth"], measure_demo, table_demo, DEMO),
     "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),
 }
 
@@ -278,20 +330,73 @@ def wrapped(text, columns=100):
 
 
 def generate(name):
-    path = RESULTS / f"{name}.json"
-    if not path.is_file():
+    result = result_of(name)
+    if result is None:
         return
     page, _, _, show, _ = TABLES[name]
-    result = json.loads(path.read_text())
-    head, *rows = show(result["runs"])
+    text = f"{markdown(show(result['runs']))}\n\n{note(name, result)}"
+    replace(PAGES / page, name, text)
+
+
+def result_of(name):
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def markdown(rows):
+    head, *rows = rows
     lines = [head, ["---"] * len(head), *rows]
-    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-    text = (PAGES / page).read_text()
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def replace(path, name, text):
+    """Replaces what stands between the marks of a table."""
+    page = path.read_text()
     begin, end = f"<!-- table: {name} -->\n", "<!-- end -->"
-    before, rest = text.split(begin, 1)
+    before, rest = page.split(begin, 1)
     after = rest.split(end, 1)[1]
-    text = f"{before}{begin}{table}\n\n{note(name, result)}\n{end}{after}"
-    (PAGES / page).write_text(text)
+    path.write_text(f"{before}{begin}{text}\n{end}{after}")
+
+
+# ---- the results of the README ------------------------------------------------------------------
+
+
+def generate_readme():
+    """The first table of the README, from the results of `photos`, `kitti` and `demo`."""
+    results = [result_of(name) for name in ("photos", "kitti", "demo")]
+    if None in results:
+        return
+    photos, kitti, demo = (result["runs"] for result in results)
+    rows = [["input", "camera-centre error", "wall time, tiepoint / COLMAP"]]
+    for case in photos:
+        colmap, ours = case["colmap"], case["tiepoint"]
+        if "mean_centre_error_mm" not in ours[0]:
+            continue
+        errors = [
+            middle([run["mean_centre_error_mm"] for run in runs], 2) for runs in (colmap, ours)
+        ]
+        walls = [statistics.median(run["wall_s"] for run in runs) for runs in (colmap, ours)]
+        is_known = case["calibration"] == "known"
+        rows.append(
+            [
+                f"{case['data']}, {'calibration known' if is_known else 'uncalibrated'}",
+                f"COLMAP {errors[0]}, tiepoint {errors[1]} mm",
+                f"{walls[1] / walls[0]:.2f}",
+            ]
+        )
+    pairs = [
+        ("kitti04, 2 × 51 frames", "kitti04", kitti),
+        ("kitti01, 2 × 51 frames", "kitti01", kitti),
+        ("open street of the demo, 10 seeds", "street", demo),
+        ("loop of the demo, 10 seeds", "loop", demo),
+    ]
+    for label, drive, runs in pairs:
+        ate = {
+            mode: middle([r["ate_cm"] for r in runs if (r["drive"], r["mode"]) == (drive, mode)], 2)
+            for mode in ("off", "auto")
+        }
+        rows.append([label, f"`--rig off` {ate['off']}, `auto` {ate['auto']} cm (ATE)", ""])
+    replace(ROOT / "README.md", "results", markdown(rows))
 
 
 def main():
@@ -309,6 +414,7 @@ def main():
             measure(name)
     for name in arguments.tables or TABLES:
         generate(name)
+    generate_readme()
 
 
 if __name__ == "__main__":

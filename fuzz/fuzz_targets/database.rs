@@ -17,5 +17,5 @@ fuzz_target!(|data: &[u8]| {
         let _ = db.read_features(ImageId::from_index(index));
     }
     let _ = (db.read_matches(), db.read_two_views());
-    let _ = db.finish();
+    let _ = db.close();
 });

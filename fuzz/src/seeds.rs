@@ -168,7 +168,7 @@ fn main() -> Outcome {
     database.write_pairs([(pair, matches.as_slice(), &view)])?;
     let row = StageRow { stage: "features".to_owned(), is_complete: true, recipe: "{}".to_owned() };
     database.write_stage_rows(&[row])?;
-    database.finish()?;
+    database.close()?;
     // Small pages leave fewer zeros to change.
     rusqlite::Connection::open(&path)?.execute_batch("PRAGMA page_size = 512; VACUUM;")?;
     put("database", "database", &read("database.db")?);

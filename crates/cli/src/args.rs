@@ -56,8 +56,8 @@ pub(crate) enum Command {
     View(View),
     /// Renders a synthetic street as seen by two cameras on a vehicle, and writes the ground truth.
     Synth(Synth),
-    /// Needs no data: renders a small loop seen by two cameras, reconstructs it with --rig off,
-    /// --rig paper and --rig auto, and compares the three models with the ground truth.
+    /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each with
+    /// --rig off, paper and auto, and compares the models with the ground truth.
     Demo(Demo),
     /// Repeats the experiments of Huang, Elhashash & Qin 2022 on rendered images with ground truth,
     /// and prints the paper's tables. By default a run of a minute or two; --length 2200 --rate 10
@@ -340,13 +340,13 @@ pub(crate) struct Demo {
     /// Output folder. The same command resumes an interrupted run.
     #[arg(short, long = "output", value_name = "DIR", default_value = "tiepoint-demo")]
     pub(crate) output: PathBuf,
-    /// Renders only the first N images of each camera; by default the whole loop.
+    /// Renders at most the first N images of each camera of each drive.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<NonZeroUsize>,
     /// Size of the images, in pixels.
-    #[arg(long, value_name = "WxH", default_value = "640x480")]
+    #[arg(long, value_name = "WxH", default_value = "560x420")]
     pub(crate) size: ImageSize,
-    /// Seed of the street and all random numbers.
+    /// Seed of the streets and all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
 }

@@ -58,6 +58,19 @@ pub struct ReportModel<'a> {
     pub camera_errors: &'a [CameraError],
 }
 
+/// Models of the same scene, which the page compares with each other.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReportSection<'a> {
+    /// Heading; may be empty.
+    pub heading: &'a str,
+    /// A sentence below the heading; may be empty.
+    pub note: &'a str,
+    /// Tables of results.
+    pub tables: &'a [Table],
+    /// The models, side by side. Models with ground truth are also drawn over each other.
+    pub models: &'a [ReportModel<'a>],
+}
+
 /// The estimated and the true centre of a camera, in a metric world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraError {
@@ -72,6 +85,15 @@ pub struct CameraError {
 #[derive(Serialize)]
 struct Page<'a> {
     title: &'a str,
+    sections: Vec<Section<'a>>,
+    /// Name and text of each file.
+    files: Vec<(&'static str, String)>,
+}
+
+#[derive(Serialize)]
+struct Section<'a> {
+    heading: &'a str,
+    note: &'a str,
     tables: &'a [Table],
     models: Vec<Model<'a>>,
 }
@@ -95,8 +117,6 @@ struct Model<'a> {
     trajectory: Option<Trajectory>,
     /// Name and seconds of each stage.
     stages: Vec<(&'static str, f64)>,
-    /// Name and text of each file.
-    files: Vec<(&'static str, String)>,
 }
 
 /// The images of one camera: centre and four image corners, 15 view coordinates per image.
@@ -147,27 +167,32 @@ struct Trajectory {
     vertical: Vec<f32>,
 }
 
-/// The HTML text of a page that shows tables, and below them models side by side. `files` (name and
-/// text) can be unfolded below the first model.
+/// The HTML text of a page with these sections. `files` (name and text) can be unfolded at its end.
 pub fn report_html(
     title: &str,
-    report_models: &[ReportModel],
-    tables: &[Table],
+    sections: &[ReportSection],
     files: Vec<(&'static str, String)>,
 ) -> String {
-    let shared_frame =
-        report_models.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
-    let mut files = Some(files);
-    let models = report_models.iter().map(|report_model| {
-        let view_from_world = shared_frame.filter(|_| report_model.world_from_model.is_some());
-        let view_from_world = view_from_world.unwrap_or_else(|| upright(report_model));
-        let files = files.take().unwrap_or_default();
-        describe(report_model, &view_from_world, MAX_POINTS / report_models.len(), files)
-    });
-    let page = Page { title, tables, models: models.collect() };
+    let num_models: usize = sections.iter().map(|section| section.models.len()).sum();
+    let max_points = MAX_POINTS / num_models.max(1);
+    let sections = sections.iter().map(|section| describe_section(section, max_points));
+    let page = Page { title, sections: sections.collect(), files };
     let data = serde_json::to_string(&page).expect("our own types are JSON: string keys");
     // Escaped, so that a name cannot close the script element of the data.
     TEMPLATE.replacen(PLACEHOLDER, &data.replace('<', "\\u003c"), 1)
+}
+
+/// The data of one section, with at most `max_points` points a model.
+fn describe_section<'a>(section: &ReportSection<'a>, max_points: usize) -> Section<'a> {
+    let ReportSection { heading, note, tables, models } = *section;
+    let shared_frame =
+        models.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
+    let models = models.iter().map(|report_model| {
+        let view_from_world = shared_frame.filter(|_| report_model.world_from_model.is_some());
+        let view_from_world = view_from_world.unwrap_or_else(|| upright(report_model));
+        describe(report_model, &view_from_world, max_points)
+    });
+    Section { heading, note, tables, models: models.collect() }
 }
 
 /// Writes `report.html` for the largest model of a workspace, with the texts of `report.json` and
@@ -198,7 +223,9 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         camera_errors: &[],
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
-    let html = report_html(&format!("tiepoint: {name}"), &[report_model], &[table], files);
+    let section =
+        ReportSection { tables: &[table], models: &[report_model], ..ReportSection::default() };
+    let html = report_html(&format!("tiepoint: {name}"), &[section], files);
     let file = path.join(PAGE);
     write_page(&file, &html)?;
     Ok(file)
@@ -268,7 +295,6 @@ fn describe<'a>(
     report_model: &ReportModel<'a>,
     view_from_world: &Sim3,
     max_points: usize,
-    files: Vec<(&'static str, String)>,
 ) -> Model<'a> {
     let ReportModel { name, model, world_from_model, report, camera_errors } = report_model;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
@@ -297,7 +323,6 @@ fn describe<'a>(
         rigs: rigs(model, scale),
         trajectory: trajectory(camera_errors, view_from_world),
         stages: report.map_or_else(Vec::new, stages),
-        files,
     }
 }
 

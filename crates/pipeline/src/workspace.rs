@@ -289,7 +289,7 @@ pub(crate) fn is_workspace(root: &Path) -> bool {
 ///
 /// # Errors
 ///
-/// `stages.json` is damaged, and there is no database to restore it from.
+/// `stages.json` is damaged or missing, and there is no readable database to restore it from.
 pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     let database = root.join(DATABASE);
     let found = Records::read(&root.join(STAGES));
@@ -300,9 +300,11 @@ pub(crate) fn current_records(root: &Path) -> Result<Records, Error> {
     }
     let rows = read_stage_rows(&database);
     let mut records = match (found, &rows) {
-        (Ok(found), _) => found.unwrap_or_default(),
+        (Ok(Some(found)), _) => found,
+        (Ok(None), Ok(_)) => Records::default(),
         // The database has the records, too.
         (Err(Error::BrokenRecord { .. }), Ok(Some(_))) => Records::default(),
+        (Ok(None), Err(_)) => return Ok(rows.map(|_| Records::default())?),
         (Err(error), _) => return Err(error),
     };
     match rows {

@@ -7,7 +7,8 @@ use tiepoint_pipeline::eval::geometry::{Rigid3, Sim3};
 use tiepoint_pipeline::eval::{Alignment, TrueObservation};
 use tiepoint_pipeline::sfm::scene::{Image, ImageId, Keypoint, Observation, Reconstruction, Track};
 use tiepoint_pipeline::{
-    CameraError, ReportModel, Table, evaluate_cloud, evaluate_rig, evaluate_surface, report_html,
+    CameraError, ReportModel, ReportSection, Table, evaluate_cloud, evaluate_rig, evaluate_surface,
+    report_html,
 };
 use tiepoint_synth::{Drive, DriveOptions, LidarOptions, reference_cloud};
 
@@ -237,15 +238,19 @@ fn report_shows_models_side_by_side_and_escapes_names() {
     let other = ReportModel { name: "</script>paper", ..report_model };
     let rows = vec![("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];
     let table = Table::of_columns(&["off".to_owned(), "paper".to_owned()], rows);
-    let page = report_html(
-        "a drive",
-        &[report_model, other],
-        &[table],
-        vec![("rig.json", "{}".to_owned())],
-    );
+    let section = ReportSection {
+        heading: "open",
+        note: "a note",
+        tables: &[table],
+        models: &[report_model, other],
+    };
+    let page = report_html("a drive", &[section], vec![("rig.json", "{}".to_owned())]);
     assert_eq!(page.matches("</script>").count(), 2, "the template's own");
     let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
+    assert_eq!(data["files"][0], serde_json::json!(["rig.json", "{}"]));
+    let data = &data["sections"][0];
+    assert_eq!([&data["heading"], &data["note"]], ["open", "a note"]);
     assert_eq!(data["tables"][0]["rows"][0], serde_json::json!(["ATE", ["1 m", "2 m"]]));
     let trajectory = &data["models"][0]["trajectory"];
     let series = |name: &str| -> Vec<f64> {

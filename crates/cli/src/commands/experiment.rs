@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_pipeline::sfm::RigTerm;
-use tiepoint_pipeline::{Report, ReportModel, Table, Workspace, report_html};
+use tiepoint_pipeline::{Report, ReportModel, ReportSection, Table, Workspace, report_html};
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
 use super::drive_evaluation::{camera_errors, read_drive_model};
@@ -185,7 +185,9 @@ fn write_results(
         .collect();
     let page = folder.join("report.html");
     let title = format!("tiepoint experiment {experiment}");
-    write(&page, &report_html(&title, &report_models, &tables, Vec::new()))?;
+    let section =
+        ReportSection { tables: &tables, models: &report_models, ..ReportSection::default() };
+    write(&page, &report_html(&title, &[section], Vec::new()))?;
     write(
         &folder.join("tables.md"),
         &tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>(),

@@ -76,6 +76,10 @@ fn damaged_record_is_restored_and_damaged_database_is_an_error() {
     // A truncated database, as an earlier version left it when it was killed.
     fs::write(dir.join("ws/database.db"), "SQLite format 3\0").unwrap();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo match").failed(1, &["database.db"]);
+    // Without the other record, the database is what is wrong, not a missing stage.
+    fs::rename(dir.join("ws/stages.json"), dir.join("stages.json")).unwrap();
+    tiepoint_in(dir, "match {}/ws").failed(1, &["ws/database.db", "not a database"]);
+    fs::rename(dir.join("stages.json"), dir.join("ws/stages.json")).unwrap();
     tiepoint_in(dir, "features {}/photos -o {}/ws").done();
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo features").done();
     assert_eq!(pairs(dir), COUNT * (COUNT - 1) / 2);
