@@ -128,7 +128,8 @@ def measure_kitti():
     runs = []
     for drive in ["kitti04", "kitti01"]:
         folder = data() / drive
-        first = (folder / "calib.txt").read_text().splitlines()[0].split()[1:]
+        # The first line is `P0:` and twelve numbers; the name is left out in some files.
+        first = (folder / "calib.txt").read_text().splitlines()[0].split()[-12:]
         k = [float(value) for value in first]
         # The centre of the first pixel is (0, 0) in KITTI's files.
         intrinsics = ",".join(map(repr, (k[0], k[5], k[2] + 0.5, k[6] + 0.5)))
