@@ -1,0 +1,3 @@
+//! Tests of dense reconstruction.
+
+mod undistort;
