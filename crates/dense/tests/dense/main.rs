@@ -1,3 +1,4 @@
 //! Tests of dense reconstruction.
 
+mod drive;
 mod undistort;
