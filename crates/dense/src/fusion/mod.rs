@@ -22,7 +22,8 @@ pub struct FusionOptions {
     pub max_error_px: f64,
     /// Largest difference of two depths, relative; COLMAP's default.
     pub max_depth_error: f64,
-    /// Largest angle between two normals, in radians.
+    /// Largest angle between two normals, in radians. The default is three times COLMAP's: normals
+    /// are those of a few pixels of a depth map, and noisier than estimated ones.
     pub max_normal_error_rad: f64,
     /// Images in memory at a time.
     pub max_images_in_memory: usize,

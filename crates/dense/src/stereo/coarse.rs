@@ -46,7 +46,7 @@ pub fn estimate_coarse(
     let mut field = if quarter.grey.width.min(quarter.grey.height) >= MIN_SIDE {
         let quarter_sources: Vec<View> = half_sources.iter().map(View::halved).collect();
         let costs = costs(&quarter, &quarter_sources, range);
-        let Rows { width, height } = Rows::of(&quarter);
+        let (width, height) = (quarter.grey.width, quarter.grey.height);
         let mut field = initial_field(width, height, &costs.rays, seeds, 4.0, &range, random);
         sweeps(&mut field, &quarter, &costs, QUARTER_SWEEPS, QUARTER_CHANGE_PX, random, true);
         doubled(&field.into_map(), half.grey.width, half.grey.height)
@@ -57,17 +57,6 @@ pub fn estimate_coarse(
     let costs = costs(&half, &half_sources, range);
     sweeps(&mut field, &half, &costs, HALF_SWEEPS, HALF_CHANGE_PX, random ^ 1, false);
     Some(field.into_map())
-}
-
-struct Rows {
-    width: usize,
-    height: usize,
-}
-
-impl Rows {
-    fn of(view: &View) -> Self {
-        Self { width: view.grey.width, height: view.grey.height }
-    }
 }
 
 fn costs(reference: &View, sources: &[View], range: InverseDepthRange) -> Costs {

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use super::cost::Costs;
 use super::maps::{DepthMap, PlaneMap};
 
-/// Largest cost of a depth: a correlation of 0.3 over 32 samples is that of unrelated patches in
-/// one of twenty cases (t-test with 30 degrees of freedom).
+/// Largest cost of a depth: unrelated patches of 32 independent samples have a correlation of more
+/// than 0.3 in one of twenty cases (one-sided t-test with 30 degrees of freedom).
 const MAX_COST: f32 = 0.7;
 /// Largest distance to the planes of a source at half resolution, in pixels of that level: their
 /// own resolution.
