@@ -18,6 +18,7 @@ use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::{DenseMap, FusedPly, FusedVisibility, Luma, Rgb};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
+use crate::dense_options::DenseOptions;
 use crate::export::photos_of;
 use crate::file_names::model_path;
 use crate::output_folder::model_names;
@@ -33,23 +34,6 @@ const STEREO_LIST: &str = "dense/stereo/patch-match.cfg";
 const FUSION_LIST: &str = "dense/stereo/fusion.cfg";
 /// Channels of a file of planes: inverse depth, its two derivatives, and the cost.
 const PLANE_CHANNELS: usize = 4;
-
-/// Options of dense reconstruction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DenseOptions {
-    /// Largest width and height of the undistorted images and depth maps, in pixels.
-    pub max_image_size: Option<u32>,
-    /// Number of source images of each depth map.
-    pub sources: usize,
-    /// Whether normal maps are written, which COLMAP's fusion reads.
-    pub has_normal_maps: bool,
-}
-
-impl Default for DenseOptions {
-    fn default() -> Self {
-        Self { max_image_size: None, sources: 5, has_normal_maps: false }
-    }
-}
 
 /// Estimates the depth maps of the largest model of a workspace and fuses them.
 ///

@@ -5,6 +5,7 @@ mod cameras;
 mod cloud;
 mod colors;
 mod dense;
+mod dense_options;
 mod error;
 mod evaluate;
 mod event;
@@ -42,7 +43,8 @@ mod workspace;
 pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
-pub use dense::{DenseOptions, dense};
+pub use dense::dense;
+pub use dense_options::DenseOptions;
 pub use error::{Error, Size};
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,

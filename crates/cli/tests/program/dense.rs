@@ -62,7 +62,8 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
     for copy in ["killed", "single"] {
         copy_folder(&dir.join("ws"), &dir.join(copy));
     }
-    let run = tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --threads 2 --json").done();
+    let run =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --threads 2 --json").done();
     let (report, events) = (run.json(), run.events());
     let stage = &report["stages"]["dense"];
     assert_eq!(stage["depth_maps"], COUNT, "{report}");
@@ -83,14 +84,19 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
         let size = (camera.width, camera.height);
         assert_eq!(image::image_dimensions(dense.join(&of_image[0])).unwrap(), size);
         let depths = DenseMap::read(&dense.join(&of_image[1])).unwrap();
-        assert_eq!((depths.width as u32, depths.height as u32, depths.channels), (size.0, size.1, 1));
+        assert_eq!(
+            (depths.width as u32, depths.height as u32, depths.channels),
+            (size.0, size.1, 1)
+        );
         let found = depths.values.iter().filter(|depth| **depth > 0.0).count();
         assert!(found as f64 > MIN_SHARE * depths.values.len() as f64, "{found}");
         assert_eq!(DenseMap::read(&dense.join(&of_image[2])).unwrap().channels, 3);
         names.extend(of_image);
     }
     names.extend(["stereo/patch-match.cfg", "stereo/fusion.cfg"].map(str::to_owned));
-    names.extend(["cameras", "images", "points3D", "rigs", "frames"].map(|n| format!("sparse/{n}.bin")));
+    names.extend(
+        ["cameras", "images", "points3D", "rigs", "frames"].map(|n| format!("sparse/{n}.bin")),
+    );
     names.sort();
     let expected = results(&dir.join("ws"));
     assert_eq!(expected.keys().cloned().collect::<Vec<_>>(), names);
@@ -98,7 +104,8 @@ fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
     assert_eq!(stage["points"], points.len());
     assert!(points.len() > 1000, "{}", points.len());
     // A second run keeps the results, and other options are refused by name.
-    let events = tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
+    let events =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
     assert_eq!(events[0]["event"], "stage_kept");
     tiepoint_in(dir, "dense {}/ws --normal-maps").failed(1, &["--max-size", "--redo dense"]);
     // One thread.

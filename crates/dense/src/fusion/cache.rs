@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::FusionImage;
+use super::image::FusionImage;
 
 /// Images in memory, bounded in number; the least recently used one goes first.
 pub(super) struct Cache {

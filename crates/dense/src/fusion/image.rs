@@ -3,7 +3,7 @@
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 
-use super::FusionOptions;
+use super::options::FusionOptions;
 use crate::Error;
 use crate::pinhole::PosedPinhole;
 use crate::stereo::{DepthMap, normals_of};

@@ -2,8 +2,10 @@
 
 use std::arch::x86_64::*;
 
-use super::patch::{DX, DY};
-use super::{MIDDLE, Ncc, OUTSIDE, Patch, STEPS, Source, Task, Warp, cost_of};
+use super::constants::{MIDDLE, OUTSIDE, STEPS};
+use super::kernel::{Ncc, Task, Warp, cost_of};
+use super::patch::{DX, DY, Patch};
+use super::source::Source;
 
 /// Type parameter of [`Task::run`]. Only [`enter`] uses it.
 #[derive(Clone, Copy)]

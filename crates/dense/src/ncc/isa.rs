@@ -1,6 +1,7 @@
 //! Selection of the instruction set at run time.
 
-use super::{Task, portable};
+use super::kernel::Task;
+use super::portable;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
 

@@ -1,6 +1,6 @@
 //! Patches of the reference image.
 
-use super::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
+use super::constants::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
 use crate::Grey;
 
 /// A grid of 6 × 6 samples two pixels apart without its corners: 11 pixels wide as in COLMAP and
@@ -113,10 +113,10 @@ impl PatchTable {
         let scale = 1.0 / total;
         mean *= scale;
         let mut variance = 0.0;
-        for sample in 0..SAMPLES {
+        for (sample, value) in values.into_iter().enumerate() {
             let weight = &mut patch.weights[sample / LANES][sample % LANES];
             *weight *= scale;
-            let centred = values[sample] - mean;
+            let centred = value - mean;
             patch.centred[sample / LANES][sample % LANES] = *weight * centred;
             variance += *weight * centred * centred;
         }

@@ -1,7 +1,9 @@
 //! The kernel in portable Rust.
 
-use super::patch::{DX, DY};
-use super::{LANES, MIDDLE, Ncc, OUTSIDE, Patch, STEPS, Source, Task, Warp, cost_of};
+use super::constants::{LANES, MIDDLE, OUTSIDE, STEPS};
+use super::kernel::{Ncc, Task, Warp, cost_of};
+use super::patch::{DX, DY, Patch};
+use super::source::Source;
 
 #[derive(Clone, Copy)]
 pub(super) struct Portable;

@@ -4,8 +4,9 @@ use super::cost::{Costs, LevelSource};
 use super::field::{Cell, Field};
 use super::initial::initial_field;
 use super::maps::PlaneMap;
+use super::seeds::{InverseDepthRange, Seed};
 use super::sweep::{SweepOptions, sweep};
-use super::{InverseDepthRange, MAX_SOURCES, Seed, View};
+use super::view::{MAX_SOURCES, View};
 use crate::ncc::OUTSIDE;
 use crate::plane::Rays;
 

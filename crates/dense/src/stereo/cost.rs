@@ -1,7 +1,8 @@
 //! The cost of a plane at a pixel over all source images.
 
 use super::maps::PlaneMap;
-use super::{InverseDepthRange, MAX_SOURCES, View};
+use super::seeds::InverseDepthRange;
+use super::view::{MAX_SOURCES, View};
 use crate::ncc::{Ncc, OUTSIDE, Patch, Source, Warp};
 use crate::pinhole::Transfer;
 use crate::plane::{Plane, Rays};

@@ -5,8 +5,9 @@ use super::cost::{Costs, LevelSource};
 use super::field::{Cell, Field};
 use super::filter::filter;
 use super::maps::{DepthMap, PlaneMap};
+use super::seeds::{InverseDepthRange, Seed};
 use super::sweep::{SweepOptions, sweep};
-use super::{InverseDepthRange, MAX_SOURCES, Seed, View};
+use super::view::{MAX_SOURCES, View};
 use crate::plane::Rays;
 
 /// Sweeps on the half level with the geometric term, as in Xu & Tao 2019.

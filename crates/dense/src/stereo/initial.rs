@@ -1,19 +1,10 @@
 //! First planes: those of the nearest points of the sparse model.
 
-use super::InverseDepthRange;
 use super::field::{Cell, Field};
 use super::rng::PixelRng;
+use super::seeds::{InverseDepthRange, Seed};
 use crate::ncc::OUTSIDE;
 use crate::plane::{Plane, Rays};
-
-/// A point of the sparse model in an image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seed {
-    /// Pixel; the centre of the top-left pixel is (0.5, 0.5).
-    pub pixel: [f32; 2],
-    /// Inverse depth.
-    pub inverse_depth: f32,
-}
 
 /// Largest slope of the first planes, as components of a normal beside a unit one along the ray:
 /// 45° on average over the directions.
