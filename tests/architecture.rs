@@ -21,22 +21,24 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("rig", &["ba", "geometry"]),
     ("scene", &["geometry"]),
     ("eval", &["geometry"]),
+    ("dense", &["geometry", "scene"]),
     ("io", &["scene", "geometry", "features"]),
     ("synth", &["scene", "geometry", "features"]),
     ("sfm", &["features", "matching", "geometry", "ba", "rig", "scene"]),
-    ("pipeline", &["sfm", "io", "eval"]),
+    ("pipeline", &["sfm", "dense", "io", "eval"]),
     ("cli", LIBRARIES),
     ("tests", LIBRARIES),
 ];
 
 const LIBRARIES: &[&str] = &[
     "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm",
-    "pipeline",
+    "dense", "pipeline",
 ];
 
 /// Crates whose dependencies with default features have no C code.
-const PURE: &[&str] =
-    &["geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm"];
+const PURE: &[&str] = &[
+    "geometry", "features", "matching", "ba", "rig", "scene", "eval", "io", "synth", "sfm", "dense",
+];
 
 /// Packages that need a C compiler only for an assembly file on unsupported platforms: `generator`,
 /// a dependency of kiddo, on powerpc64.

@@ -114,6 +114,8 @@ fn main() -> Outcome {
     put("bal", "problem", &read("bal.txt")?);
     put("adjust", "problem", &[&[0], &read("bal.txt")?[..]].concat());
     put("ply", "binary", &read("a.ply")?);
+    let map = [&b"3&1&1&"[..], &[0; 12]].concat();
+    put("dense_map", "depths", &map);
     let ascii = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty float \
     y\nproperty short z\n\
                   property uchar red\nelement face 1\nproperty list uchar int i\nend_header\n1 2 \

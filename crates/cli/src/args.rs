@@ -44,6 +44,10 @@ pub(crate) enum Command {
     /// Stage 3: incremental mapping. Writes poses and points to WORKSPACE/sparse/0; images that are
     /// not connected to this model give further models in sparse/1, sparse/2, ...
     Map(Map),
+    /// Stage 4: depth maps and a dense coloured cloud of the largest model, as a dense workspace of
+    /// COLMAP in WORKSPACE/dense (images, sparse, stereo, fused.ply, fused.ply.vis). Resumes an
+    /// interrupted run image by image.
+    Dense(Dense),
     /// Bundle adjustment of a COLMAP model or a BAL problem.
     Adjust(Adjust),
     /// Compares a model with ground truth.
@@ -117,6 +121,22 @@ pub(crate) struct Map {
     #[command(flatten)]
     pub(crate) seed: Seed,
     /// Computes this stage again: map.
+    #[arg(long, value_name = "STAGE")]
+    pub(crate) redo: Option<Stage>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Dense {
+    /// A workspace that has a model. The photos must still be where they were.
+    pub(crate) workspace: PathBuf,
+    /// Largest width and height of the undistorted images and depth maps, in pixels; by default
+    /// that of the photos.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    pub(crate) max_size: Option<u32>,
+    /// Also writes normal maps, which COLMAP's stereo_fusion reads.
+    #[arg(long)]
+    pub(crate) normal_maps: bool,
+    /// Computes this stage again: dense.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }

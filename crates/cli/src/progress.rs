@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use tiepoint_pipeline::Event;
+use tiepoint_pipeline::{DenseStep, Event};
 
 use crate::interrupt::Interrupt;
 use crate::output::{Output, json_line, line_to_stderr, printable};
@@ -116,6 +116,15 @@ impl Progress {
             }
             Event::ModelAdjusted { images, observations, .. } => {
                 self.show(&format!("adjusted {images} images, {observations} observations"));
+            }
+            Event::DenseDone { step, image } => {
+                let step = match step {
+                    DenseStep::Undistort => "undistorted",
+                    DenseStep::Planes => "planes at half resolution",
+                    DenseStep::Depths => "depth map",
+                };
+                self.show(&format!("{image}: {step}"));
+                self.bar.inc(1);
             }
             Event::AdjustmentStep { step, cost } => {
                 if self.bar.is_hidden() {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tiepoint_pipeline::Stage;
 
-use crate::args::{Command, Features, Match, Reconstruct};
+use crate::args::{Command, Dense, Features, Match, Reconstruct};
 use crate::output::Output;
 
 /// Polling interval for a received signal.
@@ -72,7 +72,8 @@ pub(crate) fn stage_to_redo(command: &Command) -> Option<Stage> {
     let redo = match command {
         Command::Reconstruct(Reconstruct { redo, .. })
         | Command::Features(Features { redo, .. })
-        | Command::Match(Match { redo, .. }) => *redo,
+        | Command::Match(Match { redo, .. })
+        | Command::Dense(Dense { redo, .. }) => *redo,
         _ => None,
     };
     redo.filter(|stage| *stage != Stage::Map)

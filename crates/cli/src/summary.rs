@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use tiepoint_pipeline::{
-    CloudEvaluation, ErrorStatistics, ModelReport, PoseEvaluation, Report, RigCamera, RigidReport,
-    SplitReport,
+    CloudEvaluation, DenseReport, ErrorStatistics, ModelReport, PoseEvaluation, Report, RigCamera,
+    RigidReport, SplitReport,
 };
 
 use crate::output::printable;
@@ -130,6 +130,17 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
                 names(&model.unregistered)
             ));
         }
+    }
+    if let Some(dense) = &report.stages.dense {
+        let DenseReport { seconds, depth_maps, megapixels, points, without_depth_map } = dense;
+        let without = match without_depth_map.is_empty() {
+            true => String::new(),
+            false => format!(", none for {}", names(without_depth_map)),
+        };
+        line(format_args!(
+            "dense     {depth_maps} depth maps of {megapixels:.1} megapixels{without}, {points} \
+            points  ({seconds:.1} s)"
+        ));
     }
     line(format_args!("in {}", workspace.display()));
     text

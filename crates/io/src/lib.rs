@@ -4,12 +4,16 @@ mod atomic;
 pub mod bal;
 mod binary;
 pub mod colmap;
+mod counted_file;
 #[cfg(feature = "database")]
 pub mod database;
+mod dense_map;
 pub mod disk;
 mod error;
 mod excerpt;
 mod exif;
+mod fused_ply;
+mod fused_visibility;
 mod gopro;
 mod images;
 mod jpeg;
@@ -31,8 +35,11 @@ pub mod undistort;
 pub mod video;
 
 pub use atomic::AtomicFile;
+pub use dense_map::DenseMap;
 pub use error::{Error, Result};
 pub use exif::Exif;
+pub use fused_ply::FusedPly;
+pub use fused_visibility::FusedVisibility;
 pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};
 pub use manifest::{MANIFEST, Manifest, is_inside};
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};

@@ -103,6 +103,25 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// No two registered images of the model share points, so that there is nothing to match.
+    #[error(
+        "no two of the {images} registered images of {path} share enough points for a depth map: \
+        run `tiepoint map` with images that overlap"
+    )]
+    NothingDense {
+        /// The model.
+        path: PathBuf,
+        /// Number of registered images.
+        images: usize,
+    },
+    /// An image cannot be used for dense reconstruction.
+    #[error("{path}: {cause}")]
+    Dense {
+        /// The image.
+        path: PathBuf,
+        /// The reason.
+        cause: tiepoint_dense::Error,
+    },
     /// The path of an image leads out of the output folder.
     #[error("the name {name:?} leads out of {path}: rename the image")]
     NotInside {

@@ -12,7 +12,8 @@ pub enum Event<'a> {
     StageBegan {
         /// The stage.
         stage: Stage,
-        /// Its number of steps: images to extract, pairs to match, or images to register.
+        /// Its number of steps: images to extract, pairs to match, images to register, or steps of
+        /// [`DenseStep`] for each image.
         total: usize,
         /// Number of steps that an earlier run completed.
         done: usize,
@@ -116,6 +117,13 @@ pub enum Event<'a> {
         /// Cost ½ Σ ρ after the step.
         cost: f64,
     },
+    /// A step of dense reconstruction is complete for an image.
+    DenseDone {
+        /// The step.
+        step: DenseStep,
+        /// Name of the image.
+        image: &'a str,
+    },
     /// The points stay grey, because the photos cannot be read any more.
     PointsGrey {
         /// The reason, as a sentence.
@@ -128,6 +136,18 @@ pub enum Event<'a> {
         /// Wall time in this run.
         seconds: f64,
     },
+}
+
+/// Steps of dense reconstruction, each for all images.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DenseStep {
+    /// Undistorts the image.
+    Undistort,
+    /// Estimates planes at half resolution.
+    Planes,
+    /// Refines them to a depth map.
+    Depths,
 }
 
 /// Callback for every event, in order and on the calling thread. `Break` stops the run.

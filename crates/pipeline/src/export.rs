@@ -261,7 +261,7 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
 }
 
 /// The registered images with the paths of their photos.
-fn photos_of<'a>(
+pub(crate) fn photos_of<'a>(
     from: &Path,
     model: &'a Reconstruction,
 ) -> Result<Vec<(&'a Image, PathBuf)>, Error> {

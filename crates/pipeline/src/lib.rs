@@ -4,6 +4,8 @@ mod adjust;
 mod cameras;
 mod cloud;
 mod colors;
+mod dense;
+mod dense_options;
 mod error;
 mod evaluate;
 mod event;
@@ -41,13 +43,15 @@ mod workspace;
 pub use adjust::{AdjustReport, AdjustStep, adjust};
 pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
+pub use dense::dense;
+pub use dense_options::DenseOptions;
 pub use error::{Error, Size};
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,
     model_folder,
 };
 pub(crate) use event::emit;
-pub use event::{Event, Watch};
+pub use event::{DenseStep, Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
 pub use mapping::{MapOptions, map};
@@ -56,8 +60,8 @@ pub use output_file::{refuse_foreign_page, write_page};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{
-    CameraReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report, SkippedImage,
-    StageReports,
+    CameraReport, DenseReport, FeaturesReport, MapReport, MatchReport, ModelReport, Report,
+    SkippedImage, StageReports,
 };
 pub use rig_evaluation::{RigEvaluation, evaluate_rig};
 pub use rig_file::{RigCamera, RigClock, RigFile};

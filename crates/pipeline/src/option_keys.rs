@@ -22,6 +22,7 @@ use tiepoint_sfm::{
     TrackOptions, VerifyOptions,
 };
 
+use crate::DenseOptions;
 use crate::cameras::Calibration;
 
 /// Value of an option that is not given.
@@ -36,7 +37,9 @@ pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
 const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 11] = [
+const ON_COMMAND_LINE: [(&str, &str); 13] = [
+    ("dense.max_image_size", "--max-size"),
+    ("dense.normal_maps", "--normal-maps"),
     ("features.camera_model", "--camera-model"),
     (FOCAL_PRIOR, "--focal-prior"),
     (INTRINSICS, "--intrinsics"),
@@ -227,6 +230,16 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
     ]
 }
 
+/// Options of the dense stage.
+pub(crate) fn of_dense(options: &DenseOptions) -> Texts {
+    let DenseOptions { max_image_size, sources, has_normal_maps } = options;
+    vec![
+        ("dense.max_image_size", or_none(*max_image_size)),
+        ("dense.sources", sources.to_string()),
+        ("dense.normal_maps", or_none(has_normal_maps.then_some("true"))),
+    ]
+}
+
 fn or_none(value: Option<impl ToString>) -> String {
     value.map_or_else(|| NONE.to_owned(), |value| value.to_string())
 }
@@ -327,6 +340,9 @@ mod tests {
             "mapper.global_growth = 1.1",
         ];
         assert_eq!(lines(of_mapping(&MapperOptions::default(), None)), expected);
+        let expected =
+            ["dense.max_image_size = none", "dense.sources = 5", "dense.normal_maps = none"];
+        assert_eq!(lines(of_dense(&DenseOptions::default())), expected);
     }
 
     /// Values that are not the defaults.

@@ -27,6 +27,9 @@ pub struct StageReports {
     pub matches: Option<MatchReport>,
     /// Stage 3.
     pub map: Option<MapReport>,
+    /// Stage 4.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dense: Option<DenseReport>,
 }
 
 /// Summary of feature extraction.
@@ -73,6 +76,21 @@ pub struct MatchReport {
 pub struct MapReport {
     /// Wall time.
     pub seconds: f64,
+}
+
+/// Summary of dense reconstruction.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DenseReport {
+    /// Wall time of the run that completed the stage.
+    pub seconds: f64,
+    /// Number of images with a depth map.
+    pub depth_maps: usize,
+    /// Registered images without a depth map, since they share no points with another image.
+    pub without_depth_map: Vec<String>,
+    /// Number of pixels of all depth maps, in millions.
+    pub megapixels: f64,
+    /// Number of points of the cloud.
+    pub points: u64,
 }
 
 /// A model.
@@ -202,6 +220,9 @@ impl Report {
         if !is_complete(Stage::Map) {
             stages.map = None;
             models.clear();
+        }
+        if !is_complete(Stage::Dense) {
+            stages.dense = None;
         }
     }
 }

@@ -13,11 +13,13 @@ pub enum Stage {
     Match,
     /// Poses and points.
     Map,
+    /// Depth maps and the dense cloud.
+    Dense,
 }
 
 impl Stage {
     /// All stages in order.
-    pub const ALL: [Self; 3] = [Self::Features, Self::Match, Self::Map];
+    pub const ALL: [Self; 4] = [Self::Features, Self::Match, Self::Map, Self::Dense];
 
     /// Its name on the command line and in files.
     pub fn name(self) -> &'static str {
@@ -25,6 +27,7 @@ impl Stage {
             Self::Features => "features",
             Self::Match => "match",
             Self::Map => "map",
+            Self::Dense => "dense",
         }
     }
 
@@ -34,6 +37,7 @@ impl Stage {
             Self::Features => "features",
             Self::Match => "matches",
             Self::Map => "models",
+            Self::Dense => "depth maps",
         }
     }
 }

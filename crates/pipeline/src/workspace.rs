@@ -27,8 +27,8 @@ pub(crate) const POINTS: &str = "points.ply";
 pub(crate) const TIMESTAMPS: &str = "timestamps.csv";
 pub(crate) const DATABASE: &str = "database.db";
 /// Names of files in a workspace. A folder that has one of them cannot become a workspace.
-const RESERVED: [&str; 9] =
-    [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html"];
+const RESERVED: [&str; 10] =
+    [STAGES, DATABASE, SPARSE, "frames", REPORT, RIG, POINTS, TIMESTAMPS, "report.html", "dense"];
 /// Files of workspaces of an earlier version, which had no manifest.
 const FILES_WITHOUT_MANIFEST: [&str; 4] = [REPORT, RIG, POINTS, TIMESTAMPS];
 

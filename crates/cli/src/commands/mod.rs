@@ -20,6 +20,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Features(args) => stages::features(&args, output),
         Command::Match(args) => stages::match_images(&args, output),
         Command::Map(args) => stages::map(&args, output),
+        Command::Dense(args) => stages::dense(&args, output),
         Command::Adjust(args) => adjust::adjust(&args, output),
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
         Command::Evaluate(Evaluate::Cloud(args)) => evaluate::cloud(&args, output),

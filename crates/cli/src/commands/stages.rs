@@ -1,14 +1,14 @@
-//! `reconstruct`, and its stages `features`, `match` and `map`.
+//! `reconstruct`, its stages `features`, `match` and `map`, and the stage `dense`.
 
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
-    FeatureOptions, MapOptions, MatchOptions, OpenedInput, Options, Stage, Workspace,
-    extract_features, map as map_workspace, match_images as match_workspace, open_input,
-    reconstruct as reconstruct_all,
+    DenseOptions, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Options, Stage, Workspace,
+    dense as dense_workspace, extract_features, map as map_workspace,
+    match_images as match_workspace, open_input, reconstruct as reconstruct_all,
 };
 
 use crate::args::{
-    Cameras, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed,
+    Cameras, Dense, Features, Input, MEGA, Map, Mapping, Match, Metres, Pairs, Reconstruct, Seed,
 };
 use crate::failure::Failure;
 use crate::output::Output;
@@ -16,6 +16,12 @@ use crate::progress::Progress;
 use crate::summary;
 
 pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Failure> {
+    if args.redo == Some(Stage::Dense) {
+        return Err(Failure::Usage(
+            "this command does not run the stage dense: give --redo dense to `tiepoint dense`"
+                .to_owned(),
+        ));
+    }
     let options = Options {
         features: feature_options(&args.input, &args.cameras)?,
         masks: args.input.masks.clone(),
@@ -65,6 +71,20 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     map_workspace(&mut workspace, &map_options(&args.mapping, &args.seed), redo, &mut |event| {
         progress.watch(event)
     })?;
+    drop(progress);
+    print_report(&workspace, output)
+}
+
+pub(crate) fn dense(args: &Dense, output: &Output) -> Result<(), Failure> {
+    let redo = check_redo(args.redo, Stage::Dense)?;
+    let mut workspace = Workspace::open(&args.workspace)?;
+    let mut progress = Progress::new(output);
+    let options = DenseOptions {
+        max_image_size: args.max_size,
+        has_normal_maps: args.normal_maps,
+        ..DenseOptions::default()
+    };
+    dense_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     print_report(&workspace, output)
 }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod bad_input;
+mod dense;
 mod drive;
 mod exits;
 mod experiment;

@@ -5,6 +5,7 @@
 mod colmap;
 mod common;
 mod database;
+mod dense;
 mod exports;
 mod faults;
 mod formats;

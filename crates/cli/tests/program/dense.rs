@@ -1,0 +1,173 @@
+//! The stage `dense`: its files, resumption, threads and bad input.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::{DenseMap, ply};
+
+use crate::{photos, tiepoint_in};
+
+const COUNT: usize = 5;
+/// Share of the pixels with a depth: walls of a textured corner, of which each image sees a part
+/// that two others see.
+const MIN_SHARE: f64 = 0.3;
+
+fn reconstructed(dir: &Path) {
+    photos::write(&dir.join("photos"), COUNT, 0);
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws").done();
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy_folder(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+/// All files below a folder, by name.
+fn files(folder: &Path, within: &str, found: &mut BTreeMap<String, Vec<u8>>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let entry = entry.unwrap();
+        let name = format!("{within}{}", entry.file_name().to_str().unwrap());
+        if entry.file_type().unwrap().is_dir() {
+            files(&entry.path(), &format!("{name}/"), found);
+        } else {
+            found.insert(name, fs::read(entry.path()).unwrap());
+        }
+    }
+}
+
+fn results(workspace: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    files(&workspace.join("dense"), "", &mut found);
+    found
+}
+
+#[test]
+fn dense_gives_a_workspace_of_colmap_and_resumes_with_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    reconstructed(dir);
+    for copy in ["killed", "single"] {
+        copy_folder(&dir.join("ws"), &dir.join(copy));
+    }
+    let run =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --threads 2 --json").done();
+    let (report, events) = (run.json(), run.events());
+    let stage = &report["stages"]["dense"];
+    assert_eq!(stage["depth_maps"], COUNT, "{report}");
+    let count = |kind: &str| events.iter().filter(|event| event["event"] == kind).count();
+    assert_eq!((count("stage_began"), count("stage_done")), (1, 1));
+    assert_eq!(count("dense_done"), 3 * COUNT);
+    let dense = dir.join("ws/dense");
+    let model = read_model(&dense.join("sparse")).unwrap();
+    let mut names = vec!["fused.ply".to_owned(), "fused.ply.vis".to_owned()];
+    for (_, image) in model.images() {
+        let camera = model.camera(image.camera);
+        assert_eq!((camera.width.max(camera.height), model.num_images()), (200, COUNT));
+        let of_image = [
+            format!("images/{}", image.name),
+            format!("stereo/depth_maps/{}.geometric.bin", image.name),
+            format!("stereo/normal_maps/{}.geometric.bin", image.name),
+        ];
+        let size = (camera.width, camera.height);
+        assert_eq!(image::image_dimensions(dense.join(&of_image[0])).unwrap(), size);
+        let depths = DenseMap::read(&dense.join(&of_image[1])).unwrap();
+        assert_eq!(
+            (depths.width as u32, depths.height as u32, depths.channels),
+            (size.0, size.1, 1)
+        );
+        let found = depths.values.iter().filter(|depth| **depth > 0.0).count();
+        assert!(found as f64 > MIN_SHARE * depths.values.len() as f64, "{found}");
+        assert_eq!(DenseMap::read(&dense.join(&of_image[2])).unwrap().channels, 3);
+        names.extend(of_image);
+    }
+    names.extend(["stereo/patch-match.cfg", "stereo/fusion.cfg"].map(str::to_owned));
+    names.extend(
+        ["cameras", "images", "points3D", "rigs", "frames"].map(|n| format!("sparse/{n}.bin")),
+    );
+    names.sort();
+    let expected = results(&dir.join("ws"));
+    assert_eq!(expected.keys().cloned().collect::<Vec<_>>(), names);
+    let points = ply::read(&dense.join("fused.ply")).unwrap();
+    assert_eq!(stage["points"], points.len());
+    assert!(points.len() > 1000, "{}", points.len());
+    // A second run keeps the results, and other options are refused by name.
+    let events =
+        tiepoint_in(dir, "dense {}/ws --max-size 200 --normal-maps --json").done().events();
+    assert_eq!(events[0]["event"], "stage_kept");
+    tiepoint_in(dir, "dense {}/ws --normal-maps").failed(1, &["--max-size", "--redo dense"]);
+    // One thread.
+    tiepoint_in(dir, "dense {}/single --max-size 200 --normal-maps --threads 1").done();
+    assert!(results(&dir.join("single")) == expected, "one thread gives other bytes");
+    // Killed in each of the three passes.
+    for events in [2, COUNT + 2, 2 * COUNT + 3] {
+        kill_after(&dir.join("killed"), events);
+    }
+    let run = tiepoint_in(dir, "dense {}/killed --max-size 200 --normal-maps --json").done();
+    let began = &run.events()[0];
+    assert!(began["done"].as_u64().unwrap() >= 2 * COUNT as u64 + 3, "{began}");
+    assert!(results(&dir.join("killed")) == expected, "a resumed run gives other bytes");
+}
+
+/// Kills a run after this number of steps, those of earlier runs included.
+fn kill_after(workspace: &Path, steps: usize) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_tiepoint"))
+        .arg("dense")
+        .arg(workspace)
+        .args(["--max-size", "200", "--normal-maps", "--json"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut seen = 0;
+    for line in BufReader::new(child.stderr.take().unwrap()).lines() {
+        let event: Value = serde_json::from_str(&line.unwrap()).unwrap();
+        match event["event"].as_str() {
+            Some("stage_began") => seen += event["done"].as_u64().unwrap() as usize,
+            Some("dense_done") => seen += 1,
+            _ => {}
+        }
+        if seen >= steps {
+            break;
+        }
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(seen >= steps, "{seen}");
+}
+
+#[test]
+fn dense_names_what_is_missing() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    tiepoint_in(dir, "dense {}/nothing").failed(1, &["nothing", "is not a workspace"]);
+    reconstructed(dir);
+    tiepoint_in(dir, "dense {}/ws --redo map").failed(2, &["--redo", "dense"]);
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo dense").failed(2, &["tiepoint dense"]);
+    // Another's file in the way.
+    fs::create_dir_all(dir.join("ws/dense")).unwrap();
+    fs::write(dir.join("ws/dense/fused.ply"), "theirs").unwrap();
+    tiepoint_in(dir, "dense {}/ws").failed(1, &["fused.ply", "did not make it"]);
+    assert_eq!(fs::read(dir.join("ws/dense/fused.ply")).unwrap(), b"theirs");
+    fs::remove_dir_all(dir.join("ws/dense")).unwrap();
+    // A photo of another size, then no photos.
+    let first = fs::read_dir(dir.join("photos")).unwrap().next().unwrap().unwrap().path();
+    let small = image::open(&first).unwrap().thumbnail(50, 50);
+    small.save(&first).unwrap();
+    let name = first.file_name().unwrap().to_str().unwrap();
+    tiepoint_in(dir, "dense {}/ws").failed(1, &[name, "pixels"]);
+    fs::remove_dir_all(dir.join("photos")).unwrap();
+    tiepoint_in(dir, "dense {}/ws").failed(1, &["photos"]);
+}

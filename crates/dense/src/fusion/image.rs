@@ -1,0 +1,139 @@
+//! A depth map with its camera, normals and colours, and the agreement of two of them.
+
+use tiepoint_geometry::Rigid3;
+use tiepoint_geometry::nalgebra::Vector3;
+
+use super::options::FusionOptions;
+use crate::Error;
+use crate::pinhole::PosedPinhole;
+use crate::stereo::{DepthMap, normals_of};
+
+/// Scale of a component of a normal in memory.
+const NORMAL_SCALE: f32 = 32_767.0;
+
+/// An image for [`fuse`](super::fuse).
+#[derive(Clone, Debug)]
+pub struct FusionImage {
+    camera: PosedPinhole,
+    world_from_cam: Rigid3,
+    pub(super) depths: DepthMap,
+    /// Normals in the camera frame.
+    normals: Vec<[i16; 3]>,
+    /// Red, green, blue by pixel.
+    colors: Vec<u8>,
+    /// Pixels whose surface is in the cloud, one bit each; empty before the image is visited.
+    pub(super) covered: Vec<u64>,
+}
+
+/// The surface at a pixel.
+pub(super) struct Surface {
+    pub(super) index: usize,
+    /// The ray with z = 1, in the camera frame.
+    ray: Vector3<f64>,
+    pub(super) depth: f64,
+    /// Unit normal in the world frame.
+    pub(super) normal: Vector3<f64>,
+    pub(super) color: [u8; 3],
+    /// Size of a pixel on a frontal surface at this depth.
+    pub(super) footprint: f64,
+}
+
+/// What another image sees at a surface.
+pub(super) struct Agreement {
+    /// Depth in the reference image of the surface that the other image sees.
+    pub(super) depth: f64,
+    pub(super) surface: Surface,
+    pub(super) is_covered: bool,
+    pub(super) footprint: f64,
+}
+
+impl FusionImage {
+    /// `colors`: red, green and blue of each pixel. Normals are those of the depth map.
+    ///
+    /// # Errors
+    /// [`Error::Size`] if the depth map or the colours do not have the size of the camera.
+    pub fn new(camera: PosedPinhole, depths: DepthMap, colors: Vec<u8>) -> Result<Self, Error> {
+        let count = camera.width * camera.height;
+        let has_size = (depths.width, depths.height) == (camera.width, camera.height);
+        if !has_size || depths.depths.len() != count || colors.len() != 3 * count {
+            let (width, height) = (camera.width as u32, camera.height as u32);
+            return Err(Error::Size { width, height, found: colors.len() });
+        }
+        let normals = normals_of(&depths, &camera);
+        let normals =
+            normals.iter().map(|normal| normal.map(|value| (NORMAL_SCALE * value) as i16));
+        Ok(Self {
+            camera,
+            world_from_cam: camera.cam_from_world.inverse(),
+            depths,
+            normals: normals.collect(),
+            colors,
+            covered: Vec::new(),
+        })
+    }
+
+    /// The surface at a pixel; `None` without a depth.
+    pub(super) fn surface(&self, x: usize, y: usize) -> Option<Surface> {
+        let index = y * self.depths.width + x;
+        let depth = f64::from(self.depths.depths[index]);
+        (depth > 0.0).then(|| {
+            let normal =
+                self.normals[index].map(|value| f64::from(value) / f64::from(NORMAL_SCALE));
+            Surface {
+                index,
+                ray: self.camera.point(x as f64, y as f64, 1.0),
+                depth,
+                normal: self.world_from_cam.rotation * Vector3::from(normal),
+                color: std::array::from_fn(|channel| self.colors[3 * index + channel]),
+                footprint: depth / (0.5 * (self.camera.focal[0] + self.camera.focal[1])),
+            }
+        })
+    }
+
+    /// The point on the ray of a surface at a depth.
+    pub(super) fn world_point(&self, surface: &Surface, depth: f64) -> Vector3<f64> {
+        self.world_from_cam * (surface.ray * depth)
+    }
+
+    fn is_covered(&self, index: usize) -> bool {
+        self.covered.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
+    }
+}
+
+/// What `other` sees at a surface of `reference`, if it is the same surface.
+pub(super) fn agreement(
+    reference: &FusionImage,
+    own: &Surface,
+    other: &FusionImage,
+    options: &FusionOptions,
+) -> Option<Agreement> {
+    let point = reference.world_point(own, own.depth);
+    let in_other = other.camera.cam_from_world * point;
+    let place = other.camera.project(&in_other)?;
+    let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
+    let (width, height) = (other.depths.width as f64, other.depths.height as f64);
+    if !(x >= 0.0 && y >= 0.0 && x < width && y < height) {
+        return None;
+    }
+    let surface = other.surface(x as usize, y as usize)?;
+    if surface.normal.dot(&own.normal) < options.max_normal_error_rad.cos() {
+        return None;
+    }
+    // The plane of the pixel, met by the ray of the exact place: the depth of the pixel's centre
+    // would be off by up to half a pixel of slope.
+    let normal = other.camera.cam_from_world.rotation * surface.normal;
+    let ray = in_other / in_other.z;
+    let along = normal.dot(&ray);
+    let depth = normal.dot(&surface.ray) * surface.depth / along;
+    if !(depth > 0.0 && (depth - in_other.z).abs() <= options.max_depth_error * in_other.z) {
+        return None;
+    }
+    let back = reference.camera.cam_from_world * (other.world_from_cam * (ray * depth));
+    let seen = reference.camera.project(&back)?;
+    let own_place = reference.camera.project(&(own.ray * own.depth))?;
+    if (seen - own_place).norm() > options.max_error_px {
+        return None;
+    }
+    let (is_covered, footprint) = (other.is_covered(surface.index), surface.footprint);
+    Some(Agreement { depth: back.z, surface, is_covered, footprint })
+}

@@ -1,0 +1,126 @@
+//! Patches of the reference image.
+
+use super::constants::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
+use crate::Grey;
+
+/// A grid of 6 × 6 samples two pixels apart without its corners: 11 pixels wide as in COLMAP and
+/// ACMH, and 32 samples fill the lanes.
+const OFFSETS: [[i32; 2]; SAMPLES] = offsets();
+/// Standard deviation of the bilateral weights in space, in pixels: the radius of the patch, as in
+/// Schönberger 2016.
+const SPATIAL_SIGMA: f64 = 5.0;
+/// Standard deviation of the bilateral weights in grey levels: 0.2 of the range, as in
+/// Schönberger 2016.
+const GREY_SIGMA: f64 = 0.2 * 255.0;
+/// Largest offset.
+const RADIUS: usize = 5;
+
+const fn offsets() -> [[i32; 2]; SAMPLES] {
+    let mut offsets = [[0; 2]; SAMPLES];
+    let (mut count, mut cell) = (0, 0);
+    while cell < 36 {
+        let (column, row) = (cell % 6, cell / 6);
+        let is_corner = (column == 0 || column == 5) && (row == 0 || row == 5);
+        if !is_corner {
+            offsets[count] = [2 * column - 5, 2 * row - 5];
+            count += 1;
+        }
+        cell += 1;
+    }
+    offsets
+}
+
+const fn lanes(axis: usize) -> [[f32; LANES]; 2] {
+    let mut lanes = [[0.0; LANES]; 2];
+    let mut sample = 0;
+    while sample < SAMPLES {
+        lanes[sample / LANES][sample % LANES] = OFFSETS[sample][axis] as f32;
+        sample += 1;
+    }
+    lanes
+}
+
+/// Offsets of the samples from the centre of the patch, in pixels.
+pub(super) static DX: [[f32; LANES]; 2] = lanes(0);
+pub(super) static DY: [[f32; LANES]; 2] = lanes(1);
+
+/// Weights and grey levels of a patch.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(crate) struct Patch {
+    /// Weights that sum to one.
+    pub(super) weights: [[f32; LANES]; 2],
+    /// Weights times grey levels minus their weighted mean.
+    pub(super) centred: [[f32; LANES]; 2],
+    /// 1 / standard deviation of the grey levels.
+    pub(super) inverse_deviation: f32,
+}
+
+/// Tables for patches of an image.
+pub(crate) struct PatchTable {
+    spatial: [f32; SAMPLES],
+    by_difference: [f32; 256],
+    /// Index of each sample relative to the centre.
+    steps: [isize; SAMPLES],
+}
+
+impl PatchTable {
+    pub(crate) fn new(width: usize) -> Self {
+        let gauss = |squared: f64, sigma: f64| (-squared / (2.0 * sigma * sigma)).exp() as f32;
+        let spatial = |[dx, dy]: [i32; 2]| gauss(f64::from(dx * dx + dy * dy), SPATIAL_SIGMA);
+        Self {
+            spatial: OFFSETS.map(spatial),
+            by_difference: std::array::from_fn(|d| gauss((d * d) as f64, GREY_SIGMA)),
+            steps: OFFSETS.map(|[dx, dy]| dx as isize + dy as isize * width as isize),
+        }
+    }
+
+    /// The patch around a pixel; `None` if its grey levels vary too little. Beyond the border, the
+    /// pixels of the border are repeated.
+    #[inline(always)]
+    pub(crate) fn patch(&self, grey: &Grey, x: usize, y: usize) -> Option<Patch> {
+        let Grey { width, height, pixels } = grey;
+        let index = y * width + x;
+        let middle = pixels[index];
+        let is_inside = x >= RADIUS && y >= RADIUS && x + RADIUS < *width && y + RADIUS < *height;
+        let mut levels = [0; SAMPLES];
+        if is_inside {
+            for (level, step) in levels.iter_mut().zip(self.steps) {
+                *level = pixels[index.wrapping_add_signed(step)];
+            }
+        } else {
+            for (level, [dx, dy]) in levels.iter_mut().zip(OFFSETS) {
+                let x = x.saturating_add_signed(dx as isize).min(width - 1);
+                let y = y.saturating_add_signed(dy as isize).min(height - 1);
+                *level = pixels[y * width + x];
+            }
+        }
+        let mut patch = Patch {
+            weights: [[0.0; LANES]; 2],
+            centred: [[0.0; LANES]; 2],
+            inverse_deviation: 0.0,
+        };
+        let (mut total, mut mean) = (0.0, 0.0);
+        let mut values = [0.0; SAMPLES];
+        for sample in 0..SAMPLES {
+            let weight =
+                self.spatial[sample] * self.by_difference[levels[sample].abs_diff(middle) as usize];
+            values[sample] = UNITS * f32::from(levels[sample]) - MIDDLE;
+            patch.weights[sample / LANES][sample % LANES] = weight;
+            total += weight;
+            mean += weight * values[sample];
+        }
+        let scale = 1.0 / total;
+        mean *= scale;
+        let mut variance = 0.0;
+        for (sample, value) in values.into_iter().enumerate() {
+            let weight = &mut patch.weights[sample / LANES][sample % LANES];
+            *weight *= scale;
+            let centred = value - mean;
+            patch.centred[sample / LANES][sample % LANES] = *weight * centred;
+            variance += *weight * centred * centred;
+        }
+        patch.inverse_deviation = 1.0 / variance.sqrt();
+        (variance >= MIN_VARIANCE).then_some(patch)
+    }
+}

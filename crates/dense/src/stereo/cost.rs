@@ -1,0 +1,179 @@
+//! The cost of a plane at a pixel over all source images.
+
+use super::maps::PlaneMap;
+use super::seeds::InverseDepthRange;
+use super::view::{MAX_SOURCES, View};
+use crate::ncc::{Ncc, OUTSIDE, Patch, Source, Warp};
+use crate::pinhole::Transfer;
+use crate::plane::{Plane, Rays};
+
+/// Weight and limit (in pixels) of the geometric term: Xu & Tao 2019, Eq. 9.
+const GEOMETRIC_WEIGHT: f32 = 0.2;
+const GEOMETRIC_LIMIT: f32 = 3.0;
+
+/// The planes of a source image, for the geometric term.
+struct Geometric {
+    planes: PlaneMap,
+    to_reference: Transfer,
+}
+
+/// A source image on a level of the pyramid.
+pub(super) struct LevelSource {
+    source: Source,
+    to_source: Transfer,
+    geometric: Option<Geometric>,
+}
+
+impl LevelSource {
+    /// `planes`: those of the source image on the same level.
+    pub(super) fn new(reference: &View, source: &View, planes: Option<PlaneMap>) -> Self {
+        let to_reference = Transfer::new(&source.camera, &reference.camera);
+        Self {
+            source: Source::new(&source.grey),
+            to_source: Transfer::new(&reference.camera, &source.camera),
+            geometric: planes.map(|planes| Geometric { planes, to_reference }),
+        }
+    }
+}
+
+impl Geometric {
+    /// The term for a pixel and its homogeneous place in the source image.
+    #[inline(always)]
+    fn cost(&self, x: f32, y: f32, place: &[f32; 3]) -> f32 {
+        let error = self.error_px(x, y, place).unwrap_or(GEOMETRIC_LIMIT);
+        GEOMETRIC_WEIGHT * error.min(GEOMETRIC_LIMIT)
+    }
+
+    /// Distance of a pixel to its transfer to the source and, at the inverse depth there, back, in
+    /// pixels (Schönberger 2016, Eq. 11); `None` without a plane there, or if the point there lies
+    /// behind the camera.
+    #[inline(always)]
+    fn error_px(&self, x: f32, y: f32, place: &[f32; 3]) -> Option<f32> {
+        let (u, v) = (place[0] / place[2], place[1] / place[2]);
+        let inverse_depth = self.planes.inverse_depth_at(u, v)?;
+        let back = &self.to_reference;
+        let [p, q, z] = back.at(&back.at_infinity(u, v), inverse_depth);
+        let (dx, dy) = (p / z - x, q / z - y);
+        (z > 0.0).then(|| (dx * dx + dy * dy).sqrt())
+    }
+}
+
+/// All that the cost of a plane depends on, on one level.
+pub(super) struct Costs {
+    pub(super) sources: Vec<LevelSource>,
+    pub(super) rays: Rays,
+    pub(super) range: InverseDepthRange,
+    /// Number of source images, of those with the lowest costs, that make the cost: half of them,
+    /// since a surface may be hidden from the others.
+    best: usize,
+}
+
+/// A pixel with its patch.
+pub(super) struct PixelCosts<'a> {
+    costs: &'a Costs,
+    patch: &'a Patch,
+    x: f32,
+    y: f32,
+    at_infinity: [[f32; 3]; MAX_SOURCES],
+}
+
+impl Costs {
+    /// Number of source images whose planes agree with a plane at a pixel to `max_error_px`.
+    pub(super) fn consistent_sources(
+        &self,
+        x: f32,
+        y: f32,
+        inverse_depth: f32,
+        max_error_px: f32,
+    ) -> usize {
+        let agrees = |source: &&LevelSource| {
+            let to = &source.to_source;
+            let place = to.at(&to.at_infinity(x, y), inverse_depth);
+            let error = source.geometric.as_ref().and_then(|term| term.error_px(x, y, &place));
+            place[2] > 0.0 && error.is_some_and(|error| error <= max_error_px)
+        };
+        self.sources.iter().filter(agrees).count()
+    }
+
+    /// `sources` has from one to [`MAX_SOURCES`] images.
+    pub(super) fn new(sources: Vec<LevelSource>, rays: Rays, range: InverseDepthRange) -> Self {
+        let best = sources.len().div_ceil(2);
+        Self { sources, rays, range, best }
+    }
+
+    #[inline(always)]
+    pub(super) fn pixel<'a>(&'a self, patch: &'a Patch, x: f32, y: f32) -> PixelCosts<'a> {
+        let mut at_infinity = [[0.0; 3]; MAX_SOURCES];
+        for (at_infinity, source) in at_infinity.iter_mut().zip(&self.sources) {
+            *at_infinity = source.to_source.at_infinity(x, y);
+        }
+        PixelCosts { costs: self, patch, x, y, at_infinity }
+    }
+}
+
+impl PixelCosts<'_> {
+    /// The mean of the lowest costs of a plane over the source images, or some number of at least
+    /// `limit` if it is not below.
+    #[inline(always)]
+    pub(super) fn cost<N: Ncc>(&self, plane: &Plane, limit: f32) -> f32 {
+        let Self { costs, patch, x, y, .. } = *self;
+        if !costs.range.contains(plane.inverse_depth) || !costs.rays.sees(x, y, plane) {
+            return OUTSIDE;
+        }
+        let mut lowest = [OUTSIDE; MAX_SOURCES];
+        let best = costs.best;
+        let limit = limit * best as f32;
+        for (index, source) in costs.sources.iter().enumerate() {
+            let Transfer { columns, epipole } = &source.to_source;
+            let centre = source.to_source.at(&self.at_infinity[index], plane.inverse_depth);
+            let [a, b] = plane.slope;
+            let along = |column: &[f32; 3], slope: f32| {
+                [
+                    column[0] + epipole[0] * slope,
+                    column[1] + epipole[1] * slope,
+                    column[2] + epipole[2] * slope,
+                ]
+            };
+            let warp = Warp { centre, dx: along(&columns[0], a), dy: along(&columns[1], b) };
+            let mut cost = N::cost(&source.source, &warp, patch);
+            if let Some(geometric) = source.geometric.as_ref().filter(|_| cost < OUTSIDE) {
+                cost += geometric.cost(x, y, &centre);
+            }
+            // Insertion keeps the lowest costs sorted.
+            let mut place = index;
+            while place > 0 && lowest[place - 1] > cost {
+                lowest[place] = lowest[place - 1];
+                place -= 1;
+            }
+            lowest[place] = cost;
+            // The images that are left cannot have costs below zero.
+            let left = costs.sources.len() - 1 - index;
+            if left < best && left > 0 {
+                let bound: f32 = lowest[..best - left].iter().sum();
+                if bound >= limit {
+                    return bound / best as f32;
+                }
+            }
+        }
+        lowest[..best].iter().sum::<f32>() / best as f32
+    }
+
+    /// Change of the inverse depth that moves the pixel by one pixel in the source image with the
+    /// largest parallax; `None` if no image has parallax.
+    #[inline(always)]
+    pub(super) fn inverse_depth_per_pixel(&self, inverse_depth: f32) -> Option<f32> {
+        let mut parallax = 0.0f32;
+        for (at_infinity, source) in self.at_infinity.iter().zip(&self.costs.sources) {
+            let [x, y, z] = source.to_source.at(at_infinity, inverse_depth);
+            let e = &source.to_source.epipole;
+            let inverse = 1.0 / z;
+            let (u, v) = (x * inverse, y * inverse);
+            let (du, dv) = ((e[0] - e[2] * u) * inverse, (e[1] - e[2] * v) * inverse);
+            let squared = du * du + dv * dv;
+            if z > 0.0 && squared.is_finite() {
+                parallax = parallax.max(squared);
+            }
+        }
+        (parallax > 0.0).then(|| 1.0 / parallax.sqrt())
+    }
+}

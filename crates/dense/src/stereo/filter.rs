@@ -1,0 +1,39 @@
+//! Which pixels get a depth.
+
+use rayon::prelude::*;
+
+use super::cost::Costs;
+use super::maps::{DepthMap, PlaneMap};
+
+/// Largest cost of a depth: unrelated patches of 32 independent samples have a correlation of more
+/// than 0.3 in one of twenty cases (one-sided t-test with 30 degrees of freedom).
+const MAX_COST: f32 = 0.7;
+/// Largest distance to the planes of a source at half resolution, in pixels of that level: their
+/// own resolution.
+const MAX_ERROR_PX: f32 = 1.0;
+/// Number of source images whose planes must agree, or all if there are fewer. One agrees by
+/// chance where textures repeat.
+const MIN_SOURCES: usize = 2;
+
+/// The depths of the planes whose cost is low, and with which the planes of enough sources agree.
+/// `costs` are those of the half level, with the planes of the sources.
+pub(super) fn filter(planes: &PlaneMap, costs: &Costs) -> DepthMap {
+    let PlaneMap { width, height, planes: all } = planes;
+    let required = MIN_SOURCES.min(costs.sources.len());
+    let mut depths = vec![0.0; all.len()];
+    depths.par_chunks_mut((*width).max(1)).enumerate().for_each(|(y, depths)| {
+        for (x, depth) in depths.iter_mut().enumerate() {
+            let [inverse_depth, _, _, cost] = all[y * width + x];
+            if cost > MAX_COST || !costs.range.contains(inverse_depth) {
+                continue;
+            }
+            let half = |index: usize| 0.5 * (index as f32 + 0.5) - 0.5;
+            let consistent =
+                costs.consistent_sources(half(x), half(y), inverse_depth, MAX_ERROR_PX);
+            if consistent >= required {
+                *depth = 1.0 / inverse_depth;
+            }
+        }
+    });
+    DepthMap { width: *width, height: *height, depths }
+}

@@ -1,0 +1,6 @@
+//! Tests of dense reconstruction.
+
+#![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
+
+mod drive;
+mod undistort;

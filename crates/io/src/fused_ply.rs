@@ -1,0 +1,55 @@
+//! `fused.ply` of COLMAP: points with normals and colours, binary little-endian.
+
+use std::path::Path;
+
+use crate::Result;
+use crate::counted_file::CountedFile;
+
+/// Writes points one after the other.
+#[derive(Debug)]
+pub struct FusedPly(CountedFile);
+
+impl FusedPly {
+    /// Begins a new file; the path must not exist.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn create(path: &Path) -> Result<Self> {
+        CountedFile::create(path).map(Self)
+    }
+
+    /// Writes a point: position, unit normal, and red, green and blue.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn push(&mut self, xyz: [f32; 3], normal: [f32; 3], color: [u8; 3]) -> Result<()> {
+        let mut record = [0; 27];
+        let numbers = xyz.into_iter().chain(normal).map(f32::to_le_bytes);
+        for (bytes, number) in record.as_chunks_mut::<4>().0.iter_mut().zip(numbers) {
+            *bytes = number;
+        }
+        record[24..].copy_from_slice(&color);
+        self.0.push(&record)
+    }
+
+    /// Writes the header, and waits until the file is on the disk. Returns the number of points.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn finish(self) -> Result<u64> {
+        let count = self.0.count;
+        let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n");
+        for name in ["x", "y", "z", "nx", "ny", "nz"] {
+            header += &format!("property float {name}\n");
+        }
+        for name in ["red", "green", "blue"] {
+            header += &format!("property uchar {name}\n");
+        }
+        header += "end_header\n";
+        self.0.finish(header.as_bytes())?;
+        Ok(count)
+    }
+}

@@ -1,0 +1,391 @@
+//! Stage 4: depth maps and the fused cloud, as a dense workspace of COLMAP in `dense/`.
+//!
+//! The stage goes through all images three times: it undistorts them, estimates planes at half
+//! resolution, and refines these to depth maps; then it fuses the depth maps. Each image is
+//! published on its own, so that an interrupted run loses one step of one image. At most one
+//! reference image and its sources are in memory.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
+use tiepoint_dense::stereo::{
+    DepthMap, FineEstimate, FineSource, PlaneMap, View, estimate_coarse, estimate_fine, normals_of,
+};
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
+use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::{DenseMap, FusedPly, FusedVisibility, Luma, Rgb};
+use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
+
+use crate::dense_options::DenseOptions;
+use crate::export::photos_of;
+use crate::file_names::model_path;
+use crate::output_folder::model_names;
+use crate::records::{Progress, Recipe};
+use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
+
+const FOLDER: &str = "dense/";
+const SPARSE: &str = "dense/sparse";
+const FUSED: &str = "dense/fused.ply";
+const VISIBILITY: &str = "dense/fused.ply.vis";
+/// The images that COLMAP's `patch_match_stereo` and `stereo_fusion` work on.
+const STEREO_LIST: &str = "dense/stereo/patch-match.cfg";
+const FUSION_LIST: &str = "dense/stereo/fusion.cfg";
+/// Channels of a file of planes: inverse depth, its two derivatives, and the cost.
+const PLANE_CHANNELS: usize = 4;
+
+/// Estimates the depth maps of the largest model of a workspace and fuses them.
+///
+/// # Errors
+///
+/// The workspace has no model; the stage was run with other options, and `redo` does not ask for
+/// it; a photo is gone or has another size; no two images share points; a file cannot be read or
+/// written; `watch` returns `Break`.
+pub fn dense(
+    workspace: &mut Workspace,
+    options: &DenseOptions,
+    redo: Option<Stage>,
+    watch: Watch,
+) -> Result<(), Error> {
+    const STAGE: Stage = Stage::Dense;
+    let recipe = Recipe::new(workspace.fingerprint(Stage::Map)?, option_keys::of_dense(options));
+    let progress = workspace.begin(STAGE, &recipe, redo)?;
+    if progress == Progress::Kept {
+        return emit(watch, &Event::StageKept { stage: STAGE });
+    }
+    let start = Instant::now();
+    let folder = workspace.root().join(model_path(0));
+    let model = read_model(&folder)?;
+    let photos = photos_of(workspace.root(), &model)?;
+    let undistort =
+        UndistortOptions { max_image_size: options.max_image_size, ..UndistortOptions::default() };
+    let undistorted = undistort_model(&model, &undistort)
+        .map_err(|cause| Error::Dense { path: folder.clone(), cause })?;
+    let problems = select_views(&undistorted, options.sources);
+    if problems.iter().all(|problem| problem.sources.is_empty()) {
+        return Err(Error::NothingDense { path: folder, images: problems.len() });
+    }
+    if progress == Progress::Begin {
+        remove_old_results(workspace, &undistorted)?;
+    }
+    let mut run = Run::new(workspace, undistorted, problems, options);
+    let total = 3 * run.problems.len();
+    let done = run.count_done()?;
+    emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
+    run.write_model()?;
+    for (index, (image, photo)) in photos.iter().enumerate() {
+        if run.is_missing(&image_file(&image.name))? {
+            run.undistort(index, image, &model, photo)?;
+            run.done(DenseStep::Undistort, index, watch)?;
+        }
+    }
+    for index in 0..run.problems.len() {
+        if run.is_missing(&planes_file(run.name(index)))? {
+            run.estimate_planes(index)?;
+            run.done(DenseStep::Planes, index, watch)?;
+        }
+    }
+    for index in 0..run.problems.len() {
+        if run.is_missing(&depth_file(run.name(index)))? {
+            run.estimate_depths(index)?;
+            run.done(DenseStep::Depths, index, watch)?;
+        }
+    }
+    let (mut report, temporary) = run.fuse()?;
+    report.seconds = start.elapsed().as_secs_f64();
+    let seconds = report.seconds;
+    workspace.complete(STAGE);
+    let fused = vec![VISIBILITY.to_owned(), FUSED.to_owned()];
+    workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+fn image_file(image: &str) -> String {
+    format!("dense/images/{image}")
+}
+
+/// Planes at half resolution, until the stage is complete.
+fn planes_file(image: &str) -> String {
+    format!("dense/stereo/planes/{image}.bin")
+}
+
+fn depth_file(image: &str) -> String {
+    format!("dense/stereo/depth_maps/{image}.geometric.bin")
+}
+
+fn normal_file(image: &str) -> String {
+    format!("dense/stereo/normal_maps/{image}.geometric.bin")
+}
+
+/// Removes the results of an earlier run, and writes that the stage has begun.
+///
+/// # Errors
+///
+/// A file of the new results is foreign, or an old one was changed.
+fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Result<(), Error> {
+    let of_image = |image: &Image| {
+        let name = &image.name;
+        [image_file(name), planes_file(name), depth_file(name), normal_file(name)]
+    };
+    let mut names: Vec<String> = model.images().flat_map(|(_, image)| of_image(image)).collect();
+    names.extend(model_names(Some(SPARSE)));
+    names.extend([FUSED, VISIBILITY, STEREO_LIST, FUSION_LIST].map(str::to_owned));
+    workspace.folder.refuse_foreign(names.iter().map(String::as_str))?;
+    let old = workspace.folder.names().filter(|name| name.starts_with(FOLDER));
+    let old: Vec<String> = old.map(str::to_owned).collect();
+    workspace.publish(Vec::new(), &old, |_| {})
+}
+
+/// A run of the stage.
+struct Run<'a> {
+    workspace: &'a mut Workspace,
+    model: Reconstruction,
+    /// One for each image of the model, in order.
+    problems: Vec<StereoProblem>,
+    options: &'a DenseOptions,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        workspace: &'a mut Workspace,
+        model: Reconstruction,
+        problems: Vec<StereoProblem>,
+        options: &'a DenseOptions,
+    ) -> Self {
+        Self { workspace, model, problems, options }
+    }
+
+    fn name(&self, index: usize) -> &str {
+        &self.model.image(ImageId::from_index(index)).name
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.workspace.root().join(name)
+    }
+
+    /// Whether a file has still to be made.
+    fn is_missing(&self, name: &str) -> Result<bool, Error> {
+        self.workspace.folder.is_as_left(name).map(|is_there| !is_there)
+    }
+
+    /// Number of steps that an earlier run completed.
+    fn count_done(&self) -> Result<usize, Error> {
+        let mut done = 0;
+        for index in 0..self.problems.len() {
+            let name = self.name(index);
+            for file in [image_file(name), planes_file(name), depth_file(name)] {
+                done += usize::from(!self.is_missing(&file)?);
+            }
+        }
+        Ok(done)
+    }
+
+    fn done(&self, step: DenseStep, index: usize, watch: Watch) -> Result<(), Error> {
+        emit(watch, &Event::DenseDone { step, image: self.name(index) })
+    }
+
+    fn publish(&mut self, names: &[String]) -> Result<(), Error> {
+        self.workspace.folder.publish(names, &[]).map(drop)
+    }
+
+    /// Writes the undistorted model and the lists of images.
+    fn write_model(&mut self) -> Result<(), Error> {
+        let folder = &self.workspace.folder;
+        let mut names = folder.stage_model(Some(SPARSE), &self.model, Format::Binary)?;
+        let (mut stereo, mut fusion) = (String::new(), String::new());
+        for problem in &self.problems {
+            let name = &self.model.image(problem.image).name;
+            let sources = problem.sources.iter().map(|id| self.model.image(*id).name.as_str());
+            stereo += &format!("{name}\n{}\n", sources.collect::<Vec<_>>().join(", "));
+            fusion += &format!("{name}\n");
+        }
+        folder.stage_bytes(STEREO_LIST, stereo.as_bytes())?;
+        folder.stage_bytes(FUSION_LIST, fusion.as_bytes())?;
+        names.extend([STEREO_LIST, FUSION_LIST].map(str::to_owned));
+        self.publish(&names)
+    }
+
+    fn undistort(
+        &mut self,
+        index: usize,
+        image: &Image,
+        model: &Reconstruction,
+        photo: &Path,
+    ) -> Result<(), Error> {
+        let from = model.camera(image.camera);
+        let to = *self.model.camera_of(ImageId::from_index(index));
+        let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
+        let data = Undistortion::new(from, &to)
+            .image::<3>(&rgb.data)
+            .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;
+        let name = image_file(&image.name);
+        let target = self.workspace.folder.stage(&name)?;
+        Rgb { width: to.width, height: to.height, data }.write(&target)?;
+        self.publish(&[name])
+    }
+
+    fn camera(&self, index: usize) -> Result<PosedPinhole, Error> {
+        let id = ImageId::from_index(index);
+        let (camera, image) = (self.model.camera_of(id), self.model.image(id));
+        let pinhole = image
+            .cam_from_world()
+            .and_then(|cam_from_world| PosedPinhole::new(camera, cam_from_world));
+        pinhole.ok_or_else(|| Error::Dense {
+            path: self.path(&image_file(&image.name)),
+            cause: tiepoint_dense::Error::Distorted {
+                image: image.name.clone(),
+                model: camera.intrinsics.kind().name(),
+            },
+        })
+    }
+
+    /// An undistorted image. It is read from its file also in the run that wrote it, so that an
+    /// interrupted run gives the same results.
+    fn view(&self, index: usize) -> Result<View, Error> {
+        let camera = self.camera(index)?;
+        let path = self.path(&image_file(self.name(index)));
+        let Luma { width, height, data } = Luma::read(&path)?;
+        let grey = Grey { width: width as usize, height: height as usize, pixels: data };
+        if (grey.width, grey.height) != (camera.width, camera.height) {
+            let (width, height) = (camera.width as u32, camera.height as u32);
+            let cause = tiepoint_dense::Error::Size { width, height, found: grey.pixels.len() };
+            return Err(Error::Dense { path, cause });
+        }
+        Ok(View { camera, grey })
+    }
+
+    fn sources(&self, index: usize) -> Vec<usize> {
+        self.problems[index].sources.iter().map(|image| image.index()).collect()
+    }
+
+    fn estimate_planes(&mut self, index: usize) -> Result<(), Error> {
+        let reference = self.view(index)?;
+        let sources: Vec<View> = self
+            .sources(index)
+            .into_iter()
+            .map(|source| self.view(source))
+            .collect::<Result<_, _>>()?;
+        let sources: Vec<&View> = sources.iter().collect();
+        let seeds = &self.problems[index].seeds;
+        let map = estimate_coarse(&reference, &sources, seeds, index as u64);
+        // An image without a source has no planes.
+        let map = map.unwrap_or(PlaneMap { width: 0, height: 0, planes: Vec::new() });
+        let count = map.planes.len();
+        let mut values = vec![0.0; PLANE_CHANNELS * count];
+        for (pixel, plane) in map.planes.iter().enumerate() {
+            for (channel, value) in plane.iter().enumerate() {
+                values[channel * count + pixel] = *value;
+            }
+        }
+        let PlaneMap { width, height, .. } = map;
+        let name = planes_file(self.name(index));
+        let file = DenseMap { width, height, channels: PLANE_CHANNELS, values };
+        file.write(&self.workspace.folder.stage(&name)?)?;
+        self.publish(&[name])
+    }
+
+    fn read_planes(&self, index: usize) -> Result<PlaneMap, Error> {
+        let path = self.path(&planes_file(self.name(index)));
+        let DenseMap { width, height, channels, values } = DenseMap::read(&path)?;
+        let count = width * height;
+        if channels != PLANE_CHANNELS {
+            let what = format!("it has {channels} channels and not {PLANE_CHANNELS}");
+            return Err(Error::Broken { path, what });
+        }
+        let plane = |pixel| std::array::from_fn(|channel| values[channel * count + pixel]);
+        Ok(PlaneMap { width, height, planes: (0..count).map(plane).collect() })
+    }
+
+    fn estimate_depths(&mut self, index: usize) -> Result<(), Error> {
+        let reference = self.view(index)?;
+        let coarse = self.read_planes(index)?;
+        let mut sources = Vec::new();
+        for source in self.sources(index) {
+            let planes = self.read_planes(source)?;
+            if !planes.planes.is_empty() {
+                sources.push((self.view(source)?, planes));
+            }
+        }
+        let sources: Vec<FineSource> = sources
+            .iter()
+            .map(|(view, planes)| FineSource { view, planes: planes.clone() })
+            .collect();
+        let seeds = &self.problems[index].seeds;
+        let estimate = match coarse.planes.is_empty() {
+            true => None,
+            false => estimate_fine(&reference, sources, seeds, &coarse, index as u64),
+        };
+        let (width, height) = (reference.grey.width, reference.grey.height);
+        let none = || DepthMap { width, height, depths: vec![0.0; width * height] };
+        let depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
+        let mut names = vec![depth_file(self.name(index))];
+        if self.options.has_normal_maps {
+            let normals = normals_of(&depths, &reference.camera);
+            let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
+            let values = (0..3).flat_map(channel).collect();
+            let name = normal_file(self.name(index));
+            let file = DenseMap { width, height, channels: 3, values };
+            file.write(&self.workspace.folder.stage(&name)?)?;
+            names.insert(0, name);
+        }
+        let file = DenseMap { width, height, channels: 1, values: depths.depths };
+        let name = names.last().expect("the depth map is the last of the names");
+        file.write(&self.workspace.folder.stage(name)?)?;
+        self.publish(&names)
+    }
+
+    /// Fuses the depth maps into the staged cloud. Returns the report and the names of the files
+    /// that are of no further use.
+    fn fuse(&mut self) -> Result<(DenseReport, Vec<String>), Error> {
+        let folder = &self.workspace.folder;
+        let mut ply = FusedPly::create(&folder.stage(FUSED)?)?;
+        let mut visibility = FusedVisibility::create(&folder.stage(VISIBILITY)?)?;
+        let mut report = DenseReport::default();
+        for (index, problem) in self.problems.iter().enumerate() {
+            match problem.sources.is_empty() || problem.seeds.is_empty() {
+                true => report.without_depth_map.push(self.name(index).to_owned()),
+                false => {
+                    let camera = self.camera(index)?;
+                    report.depth_maps += 1;
+                    report.megapixels += (camera.width * camera.height) as f64 / 1e6;
+                }
+            }
+        }
+        let load = |index: usize| self.fusion_image(index);
+        let take = |point: tiepoint_dense::fusion::FusedPoint| -> Result<(), Error> {
+            ply.push(point.xyz, point.normal, point.color)?;
+            Ok(visibility.push(&point.views)?)
+        };
+        fuse(&self.fusion_neighbours(), &FusionOptions::default(), load, take)?;
+        visibility.finish()?;
+        report.points = ply.finish()?;
+        let planes = (0..self.problems.len()).map(|index| planes_file(self.name(index)));
+        Ok((report, planes.collect()))
+    }
+
+    fn fusion_image(&self, index: usize) -> Result<FusionImage, Error> {
+        let camera = self.camera(index)?;
+        let path = self.path(&depth_file(self.name(index)));
+        let DenseMap { width, height, values, .. } = DenseMap::read(&path)?;
+        let photo = self.path(&image_file(self.name(index)));
+        let rgb = Rgb::read_of_size(&photo, camera.width as u32, camera.height as u32)?;
+        let depths = DepthMap { width, height, depths: values };
+        FusionImage::new(camera, depths, rgb.data).map_err(|cause| Error::Dense { path, cause })
+    }
+
+    /// The images that may see the surfaces of each image: its sources, and those it is a source
+    /// of.
+    fn fusion_neighbours(&self) -> Vec<Vec<usize>> {
+        let mut neighbours: Vec<Vec<usize>> =
+            (0..self.problems.len()).map(|index| self.sources(index)).collect();
+        for index in 0..neighbours.len() {
+            for source in self.sources(index) {
+                if !neighbours[source].contains(&index) {
+                    neighbours[source].push(index);
+                }
+            }
+        }
+        neighbours
+    }
+}
