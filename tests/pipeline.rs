@@ -191,5 +191,5 @@ fn features_of_an_interrupted_run_are_not_computed_again() {
     assert_eq!(extract(usize::MAX), (vec![], true), "kept");
     let report = workspace.report().unwrap().stages.features.unwrap();
     assert_eq!((report.images, report.skipped.len()), (4, 0));
-    assert_eq!(Stage::ALL.map(Stage::name), ["features", "match", "map"]);
+    assert_eq!(Stage::ALL.map(Stage::name), ["features", "match", "map", "dense"]);
 }

@@ -60,8 +60,8 @@ pub(crate) enum Command {
     View(View),
     /// Renders a synthetic street as seen by two cameras on a vehicle, and writes the ground truth.
     Synth(Synth),
-    /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each with
-    /// --rig off, paper and auto, and compares the models with the ground truth.
+    /// Needs no data: renders an open street and a loop as seen by two cameras, reconstructs each
+    /// with --rig off, paper and auto, and compares the models with the ground truth.
     Demo(Demo),
     /// Repeats the experiments of Huang, Elhashash & Qin 2022 on rendered images with ground truth,
     /// and prints the paper's tables. By default a run of a minute or two; --length 2200 --rate 10

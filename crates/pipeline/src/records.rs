@@ -522,6 +522,7 @@ mod tests {
                 let input = records.fingerprint(dir, Stage::Match).unwrap();
                 Recipe::new(input, of_mapping(&mapper, None))
             }
+            Stage::Dense => unreachable!("records without keys know of no dense stage"),
         }
     }
 
