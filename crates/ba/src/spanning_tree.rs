@@ -205,18 +205,22 @@ impl Motion {
     }
 }
 
-/// Position of a point after a step that moves it by `shift` and the pose by `motion`, from
-/// `before` to `after`: in the frame of the pose, the point moves along a straight line.
+/// The new position, in the world, of a point that moves with a camera.
+///
+/// The step of the linear system moves the point from `point_in_world` by `shift` (world frame) and
+/// the camera from `before` to `after` (both cam_from_world), to first order by `motion`. The point
+/// moves along a straight line in the camera frame, and `after` takes it back to the world.
 fn move_with_pose(
     before: &Rigid3,
     motion: &Motion,
     after: &Rigid3,
-    position: &Vector3<f64>,
+    point_in_world: &Vector3<f64>,
     shift: &Vector3<f64>,
 ) -> Vector3<f64> {
-    let seen = *before * *position;
-    let moved = seen + motion.rotation.cross(&seen) + before.rotation * (shift - motion.centre);
-    after.rotation.inverse() * (moved - after.translation)
+    let in_cam = *before * *point_in_world;
+    let moved_in_cam =
+        in_cam + motion.rotation.cross(&in_cam) + before.rotation * (shift - motion.centre);
+    after.rotation.inverse() * (moved_in_cam - after.translation)
 }
 
 #[cfg(test)]

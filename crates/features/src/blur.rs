@@ -10,11 +10,12 @@ use crate::simd::{LANES, Simd};
 pub(crate) const BLOCK: usize = 4;
 
 /// Blurs along columns: `out[j][x] = Σ_t kernel[|t − radius|] · rows[j + t][x]` for `x` in
-/// `from..to` and t = 0 … 2 · radius.
+/// `from..to` and t = 0 … 2 · radius. `kernel` is one half of the symmetric kernel, from its centre
+/// to its end: radius + 1 values.
 ///
 /// # Safety
-/// `rows` has `2 · radius + ROWS` entries. Rows are readable and `out` is writable from `from` to
-/// `to` rounded up by less than `2 · LANES`.
+/// `rows` has `2 · radius + ROWS` entries. Whole vectors are read and written: rows are readable
+/// and `out` is writable from `from`, over `to − from` rounded up to a multiple of `2 · LANES`.
 #[inline(always)]
 pub(crate) unsafe fn blur_columns<S: Simd, const ROWS: usize>(
     rows: &[*const f32],

@@ -102,7 +102,7 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
     write_as(from, &read_model(&model_folder(from)?)?, format, to)
 }
 
-/// Adjusts a model with exact rig extrinsics (one sensor_from_rig per camera), whatever constraint
+/// Adjusts a model with exact rig extrinsics (one `cam_from_rig` per camera), whatever constraint
 /// it was mapped with, and exports it with its rig and frames. The model on disk is not changed.
 ///
 /// # Errors

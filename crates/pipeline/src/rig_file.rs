@@ -121,7 +121,7 @@ impl RigFile {
 }
 
 impl RigCamera {
-    /// Its sensor_from_rig.
+    /// Its pose relative to the reference camera.
     pub(crate) fn cam_from_rig(&self) -> Rigid3 {
         let [w, x, y, z] = self.rotation_wxyz;
         let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));

@@ -9,7 +9,7 @@ use super::simd::{Isa, Kernel, dispatch};
 use super::single;
 use super::workspace::Workspace;
 use crate::damping::marquardt;
-use crate::structure::{Batch, LandmarkBlock, Task, row, stash_head};
+use crate::structure::{Batch, LandmarkBlock, Task, stash_head, triangle_row};
 
 /// Elimination of a batch whose rows are in `workspace.rows`.
 pub(super) struct BatchElimination<'a, 'r> {
@@ -158,9 +158,9 @@ fn factorise_landmark<const P: usize, I: Isa>(
     }
     let head = &mut stash[landmark.stash..][..stash_head(P)];
     for i in 0..P {
-        head[row(i)..][..i].copy_from_slice(&v[i][..i]);
-        head[row(i) + i] = inverse[i];
-        head[row(P) + i] = y[i];
+        head[triangle_row(i)..][..i].copy_from_slice(&v[i][..i]);
+        head[triangle_row(i) + i] = inverse[i];
+        head[triangle_row(P) + i] = y[i];
     }
 }
 

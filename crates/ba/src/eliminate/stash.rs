@@ -4,7 +4,7 @@ use super::multiply::{multiply, multiply_transposed};
 use super::product::over_lanes;
 use super::simd::{Isa, Stored, Vector, WIDE};
 use crate::structure::{
-    Elimination, LandmarkBlock, PatternBlock, Task, padded, row, stash_head, stash_len,
+    Elimination, LandmarkBlock, PatternBlock, Task, padded, stash_head, stash_len, triangle_row,
 };
 
 /// Views of a landmark's stash.
@@ -66,13 +66,13 @@ impl<'a> LandmarkStash<'a> {
             Elimination::Implicit => Y::Double(y),
             _ => Y::Single(bytemuck::cast_slice(y)),
         };
-        let (factor, reduced_gradient) = head.split_at(row(p));
+        let (factor, reduced_gradient) = head.split_at(triangle_row(p));
         Self { factor, reduced_gradient, y }
     }
 
     /// Element of L's lower triangle. The diagonal is 1 for a direction that no factor depends on.
     pub(crate) fn factor(&self, i: usize, j: usize) -> f64 {
-        let number = self.factor[row(i) + j];
+        let number = self.factor[triangle_row(i) + j];
         match i == j {
             true if number == 0.0 => 1.0,
             true => 1.0 / number,
@@ -83,7 +83,8 @@ impl<'a> LandmarkStash<'a> {
     /// Diagonal element k of J_pᵀJ_p, computed from V = LLᵀ with damping `lambda`.
     #[inline]
     pub(crate) fn diagonal(&self, k: usize, lambda: f64) -> f64 {
-        let (before, inverse) = (&self.factor[row(k)..][..k], self.factor[row(k) + k]);
+        let (before, inverse) =
+            (&self.factor[triangle_row(k)..][..k], self.factor[triangle_row(k) + k]);
         if inverse == 0.0 {
             return 0.0;
         }
@@ -104,10 +105,10 @@ impl<const P: usize> StashHead<P> {
         let mut this = Self { factor: [[0.0; P]; P], y: [0.0; P], inverse: [0.0; P] };
         for i in 0..P {
             for j in 0..i {
-                this.factor[i][j] = head[row(i) + j];
+                this.factor[i][j] = head[triangle_row(i) + j];
             }
-            this.inverse[i] = head[row(i) + i];
-            this.y[i] = head[row(P) + i];
+            this.inverse[i] = head[triangle_row(i) + i];
+            this.y[i] = head[triangle_row(P) + i];
         }
         this
     }

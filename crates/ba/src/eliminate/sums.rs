@@ -6,7 +6,7 @@ use super::stash::LandmarkStash;
 use super::workspace::{SLACK, Workspace};
 use crate::factor_group::Rows;
 use crate::problem::Problem;
-use crate::structure::{LandmarkBlock, SINGLE_ROWS, Task, row};
+use crate::structure::{LandmarkBlock, SINGLE_ROWS, Task, triangle_row};
 use crate::variable::Values;
 
 /// Sums of a task, except its tiles and stash, which are in the memory of all tasks.
@@ -128,9 +128,9 @@ impl Sums {
                 let (this, below) = step[k..].split_first_mut().expect("k is below p");
                 let mut sum = -*this;
                 for (i, step) in (k + 1..p).zip(below) {
-                    sum -= stash.factor[row(i) + k] * *step;
+                    sum -= stash.factor[triangle_row(i) + k] * *step;
                 }
-                *this = sum * stash.factor[row(k) + k];
+                *this = sum * stash.factor[triangle_row(k) + k];
             }
             for (k, component) in step.iter().enumerate() {
                 model_terms[1] += lambda * stash.diagonal(k, lambda) * component * component;

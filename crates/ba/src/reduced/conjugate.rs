@@ -79,9 +79,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// a += s b.
-fn add(a: &mut [f64], s: f64, b: &[f64]) {
-    a.iter_mut().zip(b).for_each(|(a, b)| *a += s * b);
+/// y ← y + α x, as in BLAS.
+fn axpy(y: &mut [f64], alpha: f64, x: &[f64]) {
+    y.iter_mut().zip(x).for_each(|(y, x)| *y += alpha * x);
 }
 
 impl Layout for Conjugate {
@@ -156,8 +156,8 @@ impl Factorisation for Conjugate {
                     break;
                 }
                 let length = rz / curvature;
-                add(x, length, &p);
-                add(&mut r, -length, &s);
+                axpy(x, length, &p);
+                axpy(&mut r, -length, &s);
                 self.precondition(&r, &mut z);
                 let before = std::mem::replace(&mut rz, dot(&r, &z));
                 for (p, z) in p.iter_mut().zip(&z) {

@@ -45,7 +45,7 @@ use landmark_drafts::{Draft, LandmarkDrafts};
 use ordering::{BlockOrdering, Variables};
 pub(crate) use parallel::for_each_task;
 pub(crate) use shape::{NO_LANDMARK, Shape};
-pub(crate) use stash::{row, stash_head, stash_len};
+pub(crate) use stash::{stash_head, stash_len, triangle_row};
 pub(crate) use task::{Batch, LandmarkBlock, PatternBlock, RankUpdate, SINGLE_ROWS, Task};
 pub(crate) use tile::{padded, tile_index, tile_lanes, tile_len};
 

@@ -17,14 +17,18 @@ pub(super) struct RankUpdateBuilder {
 
 struct PendingFactor {
     shape: u16,
-    targets: usize,
+    /// Index of its first target in [`RankUpdateBuilder::targets`].
+    first_target: usize,
+    /// Offset of its rows in the batch.
     row: u32,
 }
 
 impl PendingFactor {
+    /// Its part of the builder's `targets`: one entry for each segment, then one for each pair of
+    /// segments.
     fn targets<'a>(&self, shapes: &[Shape], targets: &'a [u32]) -> &'a [u32] {
         let segments = shapes[self.shape as usize].segments.len();
-        &targets[self.targets..][..segments + segments * (segments + 1) / 2]
+        &targets[self.first_target..][..segments + segments * (segments + 1) / 2]
     }
 }
 
@@ -60,7 +64,11 @@ impl RankUpdateBuilder {
                 self.targets.extend(these[..=s].iter().map(tile));
             }
             self.keys.push(u64::from(key) << 32 | self.factors.len() as u64);
-            self.factors.push(PendingFactor { shape: number, targets: begin, row: row as u32 });
+            self.factors.push(PendingFactor {
+                shape: number,
+                first_target: begin,
+                row: row as u32,
+            });
             row += shape.rows * shape.stride;
         }
     }

@@ -21,11 +21,11 @@ const STASH_SLACK: usize = 3;
 
 /// Offset of Y in a stash.
 pub(crate) fn stash_head(dof: usize) -> usize {
-    row(dof) + dof
+    triangle_row(dof) + dof
 }
 
-/// Offset of row i of L.
+/// Offset of row i in a lower triangle that is stored row by row, as L is.
 #[inline(always)]
-pub(crate) fn row(i: usize) -> usize {
+pub(crate) fn triangle_row(i: usize) -> usize {
     i * (i + 1) / 2
 }

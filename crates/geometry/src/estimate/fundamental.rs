@@ -10,7 +10,8 @@ use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::solvers::normalisation;
 use crate::{Loss, so3, solvers};
 
-/// Estimates the fundamental matrix, of Frobenius norm 1, from corresponding pixels.
+/// Estimates the fundamental matrix F with x₂ᵀ F x₁ = 0, of Frobenius norm 1, from corresponding
+/// pixels. `None` if no model has enough inliers.
 ///
 /// Minimal models come from the seven-point solver; refinement minimises the Sampson error.
 /// `options.max_error` is a Sampson error in pixels.

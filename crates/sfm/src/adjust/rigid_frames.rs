@@ -1,10 +1,11 @@
 //! Rigs and frames of a model in bundle adjustment.
 //!
-//! The pose of an image in a frame is `cam_from_rig` · `rig_from_world`. The pose of the frame is
-//! that of the reference sensor's image if it has observations, and a variable of its pose_keys
-//! otherwise. `cam_from_rig` of each other sensor is one variable, constant if no observation
-//! determines it. In a local adjustment all sensor poses are constant, since most frames take no
-//! part. There a frame moves with its reference image or, without one, with any of its images.
+//! The pose of an image in a frame is composed: `cam_from_rig` · `rig_from_world`. If the reference
+//! sensor's image has observations, `rig_from_world` is that image's pose, and otherwise it is a
+//! variable of its own. `cam_from_rig` of each other sensor is one variable, constant if no
+//! observation determines it. In a local adjustment all `cam_from_rig` are constant, since most
+//! frames take no part. There a frame moves if its reference image moves or, without one, if any of
+//! its images does.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -51,14 +52,17 @@ impl RigidFrames {
         Some((sensor, cam_from_rig))
     }
 
-    /// Whether the image's sensor is not the reference sensor.
+    /// Whether the image has a composed pose: its sensor is not the reference sensor.
     fn is_composed(&self, frame: &Frame, image: ImageId) -> bool {
         self.sensor_of(frame, image).is_some_and(|(sensor, _)| sensor > 0)
     }
 
-    /// Returns the sensors whose `cam_from_rig` is not determined: the first sensor of each group
-    /// that is connected by observations in common frames, but not connected to the reference
-    /// sensor.
+    /// Returns the sensors, as (rig, sensor), whose `cam_from_rig` must be constant to remove a
+    /// gauge freedom.
+    ///
+    /// Two sensors are connected if some frame has observed images of both. A group of connected
+    /// sensors that does not contain the reference sensor can move as a whole against the rest of
+    /// the rig, so its first sensor is returned.
     fn undetermined(&self, is_observed: impl Fn(ImageId) -> bool) -> BTreeSet<(usize, usize)> {
         // For each sensor, the first sensor of its group.
         let mut first: BTreeMap<(usize, usize), usize> = BTreeMap::new();

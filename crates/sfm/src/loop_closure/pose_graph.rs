@@ -42,8 +42,12 @@ pub(crate) struct LoopConstraint {
 }
 
 impl LoopConstraint {
-    /// Estimates the constraint from the matches of keypoints that observe points; `None` with too
-    /// few inliers.
+    /// Estimates the constraint from matches of which both keypoints observe points; `None` with
+    /// too few inliers.
+    ///
+    /// At an open loop the two points of a match are two estimates of one scene point, a's and b's.
+    /// The pose of image a relative to b's points follows from its keypoints (absolute pose). The
+    /// scale is the median ratio of the distances of b's and of a's points from image a.
     pub(crate) fn new(
         model: &Reconstruction,
         pair: ImagePair,
@@ -85,9 +89,11 @@ impl LoopConstraint {
     }
 }
 
-/// Removes the constraints that are inconsistent with others of larger support. At repeated windows
-/// of a facade, wrong constraints are off by a period. Correct and wrong constraints at one place
-/// are inconsistent with each other.
+/// Removes the constraints that are inconsistent with others of larger support.
+///
+/// On a facade with repeated windows, a wrong constraint is off by a multiple of the spacing of the
+/// windows, and is therefore inconsistent with the correct constraints at that place. The support
+/// of a constraint is the number of inliers of the constraints that agree with it.
 pub(crate) fn consistent_set(
     model: &Reconstruction,
     loop_constraints: &[LoopConstraint],
@@ -103,6 +109,8 @@ pub(crate) fn consistent_set(
     // Whether one constraint predicts the other one; `None` if they are at different places.
     let is_consistent = |one: &LoopConstraint, other: &LoopConstraint| {
         let ImagePair { a, b } = one.pair;
+        // The drift between the parts of the model around a and around b, as a transform of the
+        // world.
         let b_world_from_a_world =
             || Some(poses.get(&b)?.inverse() * one.b_from_a * *poses.get(&a)?);
         let other_b_world_from_a_world = if is_near(a, other.pair.a) && is_near(b, other.pair.b) {

@@ -20,7 +20,7 @@ use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
 use crate::tracks::{
     complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks,
-    recreate_tracks, triangulate_image,
+    triangulate_image, update_tracks,
 };
 use crate::two_view::FocalPrior;
 
@@ -29,8 +29,8 @@ use crate::two_view::FocalPrior;
 const MIN_CHANGE: f64 = 5e-4;
 /// Minimum number of images for refining the distortion.
 const MIN_IMAGES_FOR_DISTORTION: usize = 5;
-/// Minimum rotation of a camera (20°) for refining focal length and principal point. Without
-/// rotation, other values of these shear the world.
+/// Minimum rotation of a camera (20°) for refining focal length and principal point. From pure
+/// translation these are ambiguous: the points can be sheared and stretched to fit other values.
 const MIN_ROTATION_RAD: f64 = 0.35;
 
 /// A model under construction.
@@ -42,7 +42,8 @@ pub(super) struct Mapper<'a> {
     pub(super) rig_pairs: &'a [RigPairs],
     /// Images of earlier models.
     pub(super) mapped_images: BTreeSet<ImageId>,
-    /// Maximum number of images of a trial; `None` for all images.
+    /// Number of images at which growth stops, in a trial of an initial pair or of focal lengths;
+    /// `None` for all images.
     pub(super) max_images: Option<usize>,
     pub(super) next_best_view: NextBestView,
     /// The initial pair.
@@ -179,7 +180,7 @@ impl<'a> Mapper<'a> {
         Ok(())
     }
 
-    /// Re-creates tracks, adjusts and filters until the changes are small.
+    /// Updates the tracks, adjusts and filters until the changes are small.
     pub(super) fn refine_globally(
         &mut self,
         schedule: &RefinementSchedule,
@@ -187,7 +188,7 @@ impl<'a> Mapper<'a> {
     ) -> Result<(), Error> {
         let mut before = (self.solution.model.num_observations(), f64::INFINITY);
         for _ in 0..schedule.rounds {
-            recreate_tracks(self.graph, &mut self.solution.model, &self.options.tracks);
+            update_tracks(self.graph, &mut self.solution.model, &self.options.tracks);
             let links = growing_links(&self.solution.model, self.rig_pairs);
             let after = self.adjust_globally(&links, schedule, watch)?;
             let changed = |now: f64, then: f64| (now - then).abs() >= MIN_CHANGE * now.abs();
@@ -220,7 +221,8 @@ impl<'a> Mapper<'a> {
     }
 
     /// Options of an adjustment: intrinsics are refined as far as the registered images determine
-    /// them.
+    /// them. The noise scale is estimated at the end of growth, so that its presence tells the
+    /// complete model from a growing one.
     pub(super) fn adjust_options(&self, schedule: &RefinementSchedule) -> AdjustOptions<'a> {
         let mut refine = self.options.refine;
         let has_rotation = self.has_rotation();
@@ -244,7 +246,7 @@ impl<'a> Mapper<'a> {
         };
         match self.solution.noise {
             Some(noise) => options.with_noise(noise),
-            // The residuals of a growing model are dominated by errors of the model.
+            // The residuals of a growing model show the errors of its poses, not keypoint noise.
             None => options,
         }
     }

@@ -7,7 +7,7 @@ use super::extrinsics::RigExtrinsics;
 use super::extrinsics_term::adjust_with_extrinsics;
 use crate::Error;
 use crate::adjust::AdjustOptions;
-use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, recreate_tracks};
+use crate::tracks::{FilterOptions, TrackOptions, filter_all_points, update_tracks};
 
 /// Factor on the merge threshold of tracks directly after cameras moved relative to each other.
 pub(super) const MERGE_ERROR_FACTOR: f64 = 2.0;
@@ -37,7 +37,7 @@ impl Context<'_> {
             max_merge_error_px: merge_error_factor * self.tracks.max_merge_error_px,
             ..*self.tracks
         };
-        recreate_tracks(self.graph, model, &tracks);
+        update_tracks(self.graph, model, &tracks);
         adjust_with_extrinsics(model, &options, all_extrinsics)?;
         filter_all_points(model, self.filter);
         Ok(())

@@ -76,8 +76,9 @@ pub(super) fn readout_s(shutters: &[RollingShutter], camera: CameraId) -> f64 {
         .map_or(0.0, |shutter| shutter.readout_s)
 }
 
-/// Shifts of the keypoints of one image. Keypoints without a point get the median distance of those
-/// with one.
+/// Returns the detected keypoints of one image, each with its shift per second of readout (pixels
+/// per second) at the current readout time. A keypoint without a point is assumed to be at the
+/// median distance of the image's points.
 fn shifts(
     model: &Reconstruction,
     image: ImageId,

@@ -134,8 +134,9 @@ pub fn retriangulate(
     images.into_iter().map(|image| triangulate_image(graph, model, image, options)).sum()
 }
 
-/// Runs [`retriangulate`], [`complete_tracks`] and [`merge_tracks`] on the whole model.
-pub(crate) fn recreate_tracks(
+/// Updates all tracks after an adjustment: runs [`retriangulate`], [`complete_tracks`] and
+/// [`merge_tracks`] on the whole model.
+pub(crate) fn update_tracks(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
     options: &TrackOptions,

@@ -9,7 +9,7 @@ mod triangulation;
 
 pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
-pub(crate) use grow::{mean_position, recreate_tracks};
+pub(crate) use grow::{mean_position, update_tracks};
 pub use hold_out::{held_out_rms_px, hold_out_tracks};
 pub(crate) use infinity::without_points_at_infinity;
 pub(crate) use selection::select_points;

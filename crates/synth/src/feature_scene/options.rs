@@ -1,25 +1,26 @@
-//! Options of a feature-level scene.
+//! Options of a feature-level scene: keypoints and tracks without rendered images.
 
 /// Options of a feature-level scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions {
     /// The seed of all random numbers.
     pub seed: u64,
-    /// Approximate number of observations in tracks, over all images.
+    /// Approximate number of observations of points, over all images together.
     pub observations: usize,
     /// Standard deviation of the noise of a keypoint of scale 2 px, along each axis, in pixels;
     /// proportional to the square root of the scale.
     pub noise_px: f64,
-    /// Probability that an image detects a visible feature.
+    /// Probability that an image detects a visible point.
     pub detection: f64,
-    /// Largest distance of an observed feature, in metres.
+    /// Largest distance between a point and a camera that observes it, in metres.
     pub max_range_m: f64,
-    /// Largest angle between the viewing directions of a feature with matching descriptors, in
-    /// radians.
+    /// Largest angle, in radians, between the direction from a point to the image that it was drawn
+    /// in and the direction to another image that observes it. Descriptors do not match beyond it.
     pub max_view_angle_rad: f64,
-    /// Number of keypoints of each image without a track.
+    /// Number of keypoints in each image that belong to no point.
     pub clutter: usize,
-    /// Number of visually aliased image pairs: consistent matches with a wrong geometry.
+    /// Number of image pairs of different places that look alike: their matches agree with one
+    /// relative pose, which is wrong.
     pub wrong_pairs: usize,
 }
 

@@ -80,7 +80,8 @@ impl Ground {
             .then(|| self.route.closest_point(place, segments.iter().map(|&p| usize::from(p))))
     }
 
-    /// Mean albedo over the footprint of a pixel.
+    /// Mean albedo (red, green, blue, 0 to 1) over the footprint of a pixel around `place`, a point
+    /// of the ground plane in metres.
     pub(crate) fn albedo(&self, place: Vector2<f64>, footprint: &Footprint) -> [f32; 3] {
         let at = [place.x, place.y];
         let Some((position, tangent)) = self.closest_point(place) else {
