@@ -1,12 +1,23 @@
-//! Times of images: CSV. What is read comes back when it is written.
+//! Times of images: CSV; positions of images, and similarities. What is read comes back when it is
+//! written.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
 
 use tiepoint_fuzz::{file, folder};
-use tiepoint_io::timestamps;
+use tiepoint_io::{positions, similarity, timestamps};
 
 fuzz_target!(|data: &[u8]| {
+    if let Ok(positions) = positions::read(&file("positions.txt", data)) {
+        assert!(positions.iter().all(|(name, xyz)| {
+            !name.is_empty() && xyz.iter().all(|coordinate| coordinate.is_finite())
+        }));
+    }
+    if let Ok(transform) = similarity::read(&file("transform.txt", data)) {
+        let path = folder().join("transform.txt");
+        similarity::write(&path, &transform).expect("it can be written");
+        assert_eq!(similarity::read(&path).expect("what was written can be read"), transform);
+    }
     let Ok(times) = timestamps::read(&file("times.csv", data)) else { return };
     let path = folder().join("times.csv");
     timestamps::write(&path, times.iter().map(|(name, time_s)| (name.as_str(), *time_s)))

@@ -14,9 +14,10 @@ use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
-pub(crate) use values::{ImageSize, Metres, rig_name};
+pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, rig_name};
 use values::{
-    NumberList, PositivePixels, alignment, camera_model, readout, rig_term, route, threads,
+    NumberList, PositivePixels, alignment, camera_model, positive, readout, rig_term, route,
+    threads,
 };
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
@@ -53,6 +54,9 @@ pub(crate) enum Command {
     /// Compares a model with ground truth.
     #[command(subcommand)]
     Evaluate(Evaluate),
+    /// Counts, transforms, aligns, crops and merges COLMAP models.
+    #[command(subcommand)]
+    Model(ModelCommand),
     /// Writes a model in another format.
     Export(Export),
     /// Writes report.html into a workspace: point cloud, cameras and plots in one file that a
@@ -290,6 +294,125 @@ pub(crate) struct EvaluatePoses {
     /// those of the first camera.
     #[arg(long, value_name = "PREFIX")]
     pub(crate) images: Option<String>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum ModelCommand {
+    /// Prints cameras, counts, the mean reprojection error and the extent of the points.
+    Info(ModelInfo),
+    /// Applies a similarity transform to poses and points.
+    Transform(TransformModel),
+    /// Brings a model into the frame of another one with common images, or of known camera
+    /// positions, by a similarity transform that outliers do not affect.
+    Align(AlignModel),
+    /// Keeps the points in a box, and the images that see one of them.
+    Crop(CropModel),
+    /// Adds the images and points of further models to the first one, in its frame. The models need
+    /// common images with the same keypoints. Adjust the result with `adjust`.
+    Merge(MergeModels),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ModelInfo {
+    /// Folder with a COLMAP model, or workspace.
+    pub(crate) model: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TransformModel {
+    /// Folder with a COLMAP model, or workspace.
+    pub(crate) model: PathBuf,
+    /// Text file with the transform from the old frame to the new one, as COLMAP's
+    /// model_transformer reads it: scale qw qx qy qz tx ty tz.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) by: PathBuf,
+    /// Applies the inverse of the transform.
+    #[arg(long)]
+    pub(crate) inverse: bool,
+    /// Folder for the new model, in the format of the old one.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: PathBuf,
+}
+
+/// Default threshold of the transfer error between two models, in pixels, as in COLMAP's
+/// `align_reconstructions_via_reprojections`: drift is larger than the noise of keypoints.
+const MAX_TRANSFER_ERROR_PX: f64 = 8.0;
+
+#[derive(Debug, Args)]
+pub(crate) struct AlignModel {
+    /// Folder with a COLMAP model, or workspace.
+    pub(crate) model: PathBuf,
+    /// The model whose frame the result has: folder or workspace. Points that the same keypoints of
+    /// common images observe in both models are compared.
+    #[arg(
+        long,
+        value_name = "MODEL",
+        required_unless_present = "positions",
+        conflicts_with = "positions"
+    )]
+    pub(crate) to: Option<PathBuf>,
+    /// Text file with camera positions in the frame that the result has, a line for each image:
+    /// name x y z.
+    #[arg(long, value_name = "FILE", requires = "max_error")]
+    pub(crate) positions: Option<PathBuf>,
+    /// Maximum distance of a camera from its position, in the unit of the file. Images farther away
+    /// are outliers.
+    #[arg(long, value_name = "DISTANCE", value_parser = positive, requires = "positions")]
+    pub(crate) max_error: Option<f64>,
+    /// With --to: maximum error of a point in the images of the other model, in pixels.
+    #[arg(
+        long,
+        value_name = "PX",
+        value_parser = positive,
+        default_value_t = MAX_TRANSFER_ERROR_PX
+    )]
+    pub(crate) max_error_px: f64,
+    /// Folder for the new model, in the format of the old one.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: PathBuf,
+    /// Also writes the transform to this file, for `model transform`.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) save_transform: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct CropModel {
+    /// Folder with a COLMAP model, or workspace.
+    pub(crate) model: PathBuf,
+    /// The box, in units of the model.
+    #[arg(
+        long = "box",
+        value_name = "x1,y1,z1,x2,y2,z2",
+        allow_hyphen_values = true,
+        required_unless_present = "quantiles",
+        conflicts_with = "quantiles"
+    )]
+    pub(crate) bounds: Option<CropBox>,
+    /// The box between two quantiles of each coordinate of the points, from 0 to 1, as 0.01,0.99.
+    #[arg(long, value_name = "q1,q2", allow_hyphen_values = true)]
+    pub(crate) quantiles: Option<Quantiles>,
+    /// Folder for the new model, in the format of the old one.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct MergeModels {
+    /// Folders with COLMAP models, or workspaces; two or more.
+    #[arg(required = true, num_args = 2.., value_name = "MODEL")]
+    pub(crate) models: Vec<PathBuf>,
+    /// Maximum reprojection error, in pixels: of a point in the images of the other model, and of
+    /// the observations of merged points.
+    #[arg(
+        long,
+        value_name = "PX",
+        value_parser = positive,
+        default_value_t = MAX_TRANSFER_ERROR_PX
+    )]
+    pub(crate) max_error_px: f64,
+    /// Folder for the new model, in the format of the first one.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: PathBuf,
 }
 
 #[derive(Debug, Args)]

@@ -23,6 +23,14 @@ pub enum Error {
         /// Number of bytes.
         found: usize,
     },
+    /// A camera sees all directions, and a PINHOLE camera less than a half-space.
+    #[error(
+        "cameras of the model {model} have no PINHOLE camera: cut the panoramas into views first"
+    )]
+    NoPinhole {
+        /// Name of the camera model in COLMAP.
+        model: &'static str,
+    },
     /// A camera has distortion, or is no perspective camera.
     #[error("the camera of {image} is a {model}: undistort first")]
     Distorted {

@@ -13,7 +13,6 @@ use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Matrix4, Vector4};
 use tiepoint_scene::{Camera, Reconstruction};
 
-use crate::undistort::focal_lengths;
 use crate::{AtomicFile, Error, Result};
 
 /// Writes the registered images. `image_folder`, the path from the folder of the file to the folder
@@ -84,7 +83,7 @@ fn matrix(cam_from_world: &Rigid3) -> Value {
 }
 
 fn intrinsics(camera: &Camera, frame: &mut Map<String, Value>) {
-    let [fx, fy] = focal_lengths(&camera.intrinsics);
+    let [fx, fy] = camera.intrinsics.focal_lengths_px();
     let centre = camera.intrinsics.principal_point();
     let [w, h] = [camera.width, camera.height].map(|side| json!(side));
     let numbers = [("fl_x", fx), ("fl_y", fy), ("cx", centre.x), ("cy", centre.y)];

@@ -9,18 +9,11 @@ use crate::Rgb;
 
 /// The PINHOLE camera of the same size, focal lengths and principal point.
 pub fn pinhole_of(camera: &Camera) -> Camera {
-    let [fx, fy] = focal_lengths(&camera.intrinsics);
+    let [fx, fy] = camera.intrinsics.focal_lengths_px();
     let centre = camera.intrinsics.principal_point();
     let params = Intrinsics::new(CameraModelKind::Pinhole, &[fx, fy, centre.x, centre.y]);
     // Valid parameters give a valid pinhole; an invalid camera is returned unchanged.
     Camera { intrinsics: params.unwrap_or(camera.intrinsics), ..*camera }
-}
-
-/// fx and fy in pixels; equal for models with one focal length.
-pub(crate) fn focal_lengths(intrinsics: &Intrinsics) -> [f64; 2] {
-    let focal = intrinsics.kind().focal_indices();
-    let index = |k: usize| focal[k.min(focal.len() - 1)];
-    [intrinsics.params()[index(0)], intrinsics.params()[index(1)]]
 }
 
 /// Resamples the image of camera `from` to camera `to`, bilinearly. Pixels whose ray `from` does

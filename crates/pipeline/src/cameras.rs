@@ -34,7 +34,8 @@ impl Calibration {
             Self::Unknown { model, focal_px } => {
                 let known = focal_px.or_else(|| exif.focal_px(width, height, None));
                 let focal_px = known.unwrap_or(DEFAULT_FOCAL * f64::from(width.max(height)));
-                (Intrinsics::centred(model, focal_px, width, height), known.is_some())
+                let is_calibrated = known.is_some() || model.focal_indices().is_empty();
+                (Intrinsics::centred(model, focal_px, width, height), is_calibrated)
             }
         };
         Camera { intrinsics, width, height, has_focal_prior }

@@ -355,6 +355,33 @@ pub enum Error {
         /// The reference.
         reference: PathBuf,
     },
+    /// A model could not be aligned to another model or to positions.
+    #[error("cannot align {model} to {reference}: {why}")]
+    NoAlignment {
+        /// The model.
+        model: PathBuf,
+        /// The other model, or the file of positions.
+        reference: PathBuf,
+        /// The reason.
+        why: String,
+    },
+    /// No point of a model is in the box that it is cropped to.
+    #[error("no point of {path} is in the box, of {points}: see `tiepoint model info {path}`")]
+    EmptyCrop {
+        /// The model.
+        path: PathBuf,
+        /// Number of its points.
+        points: usize,
+    },
+    /// A format needs images of a plane, and a camera is spherical.
+    #[error(
+        "{image} is a spherical panorama, which has no undistorted image: export the model to \
+         colmap instead"
+    )]
+    NoImagePlane {
+        /// The name of an image.
+        image: String,
+    },
     /// The build lacks the feature `las`.
     #[error(
         "{path} is a LAS file, which this build cannot read: build with --features las, or \

@@ -209,6 +209,11 @@ fn image_name(image: &Image) -> String {
 /// Writes `scene.mvs` and undistorted images: OpenMVS supports pinhole cameras only.
 fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), Error> {
     const SCENE: &str = "scene.mvs";
+    let is_spherical =
+        |image: &Image| model.camera(image.camera).intrinsics.kind().focal_indices().is_empty();
+    if let Some((_, image, _)) = model.registered().find(|(_, image, _)| is_spherical(image)) {
+        return Err(Error::NoImagePlane { image: image.name.clone() });
+    }
     let photos = photos_of(from, model)?;
     let mut folder = OutputFolder::open(to)?;
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));

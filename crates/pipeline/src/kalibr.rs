@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use tiepoint_io::require_regular_file;
-use tiepoint_sfm::geometry::nalgebra::Matrix4;
+use tiepoint_sfm::geometry::nalgebra::{Matrix4, Vector2};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Rigid3};
 use tiepoint_sfm::scene::{Camera, Reconstruction};
 
@@ -81,27 +81,41 @@ fn extrinsics_lines(pose: &Rigid3, camera: &RigCamera) -> String {
 /// Camera model, intrinsics and distortion in Kalibr's convention.
 fn intrinsics_lines(intrinsics: &Intrinsics) -> String {
     let p = intrinsics.params();
+    let [fx, fy] = intrinsics.focal_lengths_px();
+    let centre = intrinsics.principal_point() - Vector2::repeat(PIXEL_CENTRE_OFFSET_PX);
+    let plane = format!("{fx}, {fy}, {}, {}", centre.x, centre.y);
     let (model, distortion) = match intrinsics.kind() {
         CameraModelKind::SimplePinhole | CameraModelKind::Pinhole => ("radtan", vec![0.0; 4]),
         CameraModelKind::SimpleRadial => ("radtan", vec![p[3], 0.0, 0.0, 0.0]),
         CameraModelKind::Radial => ("radtan", vec![p[3], p[4], 0.0, 0.0]),
         CameraModelKind::Opencv => ("radtan", p[4..8].to_vec()),
         CameraModelKind::OpencvFisheye => ("equidistant", p[4..8].to_vec()),
-        // Kalibr does not have this model. A comment keeps the parameters.
-        CameraModelKind::ThinPrismFisheye => {
+        CameraModelKind::SimpleFisheye | CameraModelKind::Fisheye => ("equidistant", vec![0.0; 4]),
+        CameraModelKind::SimpleRadialFisheye => ("equidistant", vec![p[3], 0.0, 0.0, 0.0]),
+        CameraModelKind::RadialFisheye => ("equidistant", vec![p[3], p[4], 0.0, 0.0]),
+        CameraModelKind::Fov => ("fov", vec![p[4]]),
+        CameraModelKind::Eucm => {
+            return format!(
+                "  camera_model: eucm\n  intrinsics: [{}, {}, {plane}]\n  distortion_model: \
+                 none\n  distortion_coeffs: []\n",
+                p[4], p[5],
+            );
+        }
+        // Kalibr does not have these models. A comment keeps the parameters.
+        CameraModelKind::FullOpencv
+        | CameraModelKind::ThinPrismFisheye
+        | CameraModelKind::RadTanThinPrismFisheye
+        | CameraModelKind::SimpleDivision
+        | CameraModelKind::Division
+        | CameraModelKind::Equirectangular => {
             let params: Vec<String> = p.iter().map(f64::to_string).collect();
             return format!("  # {}: {}\n", intrinsics.kind().name(), params.join(", "));
         }
     };
-    let focal = intrinsics.kind().focal_indices();
-    let (fx, fy) = (p[focal[0]], p[focal[focal.len() - 1]]);
-    let centre = intrinsics.principal_point();
     let distortion: Vec<String> = distortion.iter().map(f64::to_string).collect();
     format!(
-        "  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {}, {}]\n  distortion_model: \
-        {model}\n  distortion_coeffs: [{}]\n",
-        centre.x - PIXEL_CENTRE_OFFSET_PX,
-        centre.y - PIXEL_CENTRE_OFFSET_PX,
+        "  camera_model: pinhole\n  intrinsics: [{plane}]\n  distortion_model: {model}\n  \
+         distortion_coeffs: [{}]\n",
         distortion.join(", "),
     )
 }

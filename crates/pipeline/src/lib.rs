@@ -20,6 +20,7 @@ mod mapping;
 mod matching;
 mod memory;
 mod model_location;
+mod model_tools;
 mod option_keys;
 mod ordered;
 mod output_file;
@@ -56,6 +57,10 @@ pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
 pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
+pub use model_tools::{
+    AlignTo, AlignmentInfo, CameraInfo, CropTo, MergedInfo, ModelChange, ModelInfo, SimilarityInfo,
+    align_model, crop_model, merge_models, model_info, transform_model,
+};
 pub use output_file::{refuse_foreign_page, write_page};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};

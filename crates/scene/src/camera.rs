@@ -14,6 +14,12 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// Whether the essential matrix of its images can be estimated: the focal length is known, or
+    /// the model has none.
+    pub fn is_calibrated(&self) -> bool {
+        self.has_focal_prior || self.intrinsics.kind().focal_indices().is_empty()
+    }
+
     /// Whether a pixel lies inside the image.
     pub fn contains(&self, pixel: &tiepoint_geometry::nalgebra::Vector2<f64>) -> bool {
         (0.0..=f64::from(self.width)).contains(&pixel.x)

@@ -265,8 +265,9 @@ impl Reconstruction {
     ) -> Option<f64> {
         let image = self.image(observation.image);
         let point_in_cam = *image.cam_from_world()? * *xyz;
-        let pixel = self.camera(image.camera).intrinsics.project(&point_in_cam)?;
-        Some((pixel - image.keypoints[observation.keypoint as usize].pixel).norm())
+        let pixel = image.keypoints[observation.keypoint as usize].pixel;
+        let intrinsics = &self.camera(image.camera).intrinsics;
+        intrinsics.squared_error_px2(&point_in_cam, &pixel).map(f64::sqrt)
     }
 
     /// Mean reprojection error of a track's observations, in pixels.

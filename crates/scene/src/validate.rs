@@ -25,8 +25,12 @@ impl Reconstruction {
             let is_finite = camera.intrinsics.params().iter().all(|param| param.is_finite());
             require_finite(is_finite, || format!("a parameter of camera {id:?}"))?;
             let intrinsics = &camera.intrinsics;
-            let mut focals =
-                intrinsics.kind().focal_indices().iter().map(|index| intrinsics.params()[*index]);
+            let kind = intrinsics.kind();
+            let mut focals = kind
+                .focal_indices()
+                .iter()
+                .chain(kind.metadata_indices())
+                .map(|index| intrinsics.params()[*index]);
             if let Some(value) = focals.find(|focal_px| *focal_px <= 0.0) {
                 return Err(Error::FocalLength { camera: id, value });
             }

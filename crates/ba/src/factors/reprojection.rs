@@ -4,8 +4,8 @@ use tiepoint_geometry::{Block, CameraModel, Rigid3};
 use crate::factor::{Factor, Linear, Refs};
 
 /// Reprojection error. Variables: camera parameters, `cam_from_world`, `point_in_world`. Residual:
-/// (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma. Invalid if the point
-/// does not project into the camera.
+/// (project(parameters, `cam_from_world` · `point_in_world`) − pixel) / sigma, where the difference
+/// is [`CameraModel::displacement`]. Invalid if the point does not project into the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reprojection<M> {
     /// The measured pixel.
@@ -57,7 +57,8 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
         let d_point = projected.d_point * weight;
         let jacobians =
             (scale(projected.d_params, weight), d_pose(&d_point, &in_cam), d_point * rotation);
-        Some(((projected.pixel - self.pixel) * weight, jacobians))
+        let error_px = M::displacement(params, &projected.pixel, &self.pixel);
+        Some((error_px * weight, jacobians))
     }
 
     #[inline]
@@ -66,7 +67,7 @@ impl<M: CameraModel> Factor<2> for Reprojection<M> {
         (params, cam_from_world, point): Refs<'_, Self::Vars>,
     ) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_world * *point))?;
-        Some((pixel - self.pixel) * (1.0 / self.sigma_px))
+        Some(M::displacement(params, &pixel, &self.pixel) * (1.0 / self.sigma_px))
     }
 }
 
@@ -111,7 +112,8 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
             d_pose(&d_in_rig, &in_rig),
             d_in_rig * to_rig,
         );
-        Some(((projected.pixel - self.pixel) * weight, jacobians))
+        let error_px = M::displacement(params, &projected.pixel, &self.pixel);
+        Some((error_px * weight, jacobians))
     }
 
     #[inline]
@@ -120,7 +122,7 @@ impl<M: CameraModel> Factor<2> for RigReprojection<M> {
         (params, cam_from_rig, rig_from_world, point): Refs<'_, Self::Vars>,
     ) -> Option<Vector2<f64>> {
         let pixel = M::project(params, &(*cam_from_rig * (*rig_from_world * *point)))?;
-        Some((pixel - self.pixel) * (1.0 / self.sigma_px))
+        Some(M::displacement(params, &pixel, &self.pixel) * (1.0 / self.sigma_px))
     }
 }
 

@@ -6,7 +6,8 @@ use std::str::FromStr;
 
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
-use tiepoint_pipeline::sfm::{Readout, RigTerm};
+use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
+use tiepoint_pipeline::sfm::{BoundingBox, Readout, RigTerm};
 use tiepoint_synth::RouteKind;
 
 /// Width and height, in pixels.
@@ -44,6 +45,54 @@ impl FromStr for NumberList {
         let number =
             |word: &str| word.trim().parse().map_err(|_| format!("'{word}' is not a number"));
         text.split(',').map(number).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// A positive number.
+pub(super) fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "expected a number above zero".to_owned())
+}
+
+/// The numbers of a list of `N`.
+fn numbers<const N: usize>(text: &str, expected: &str) -> Result<[f64; N], String> {
+    let NumberList(numbers) = text.parse()?;
+    let numbers: Option<[f64; N]> = numbers.try_into().ok();
+    numbers
+        .filter(|numbers| numbers.iter().all(|number| number.is_finite()))
+        .ok_or_else(|| format!("expected {expected}"))
+}
+
+/// A box from six numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct CropBox(pub(crate) BoundingBox);
+
+impl FromStr for CropBox {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let [x1, y1, z1, x2, y2, z2] = numbers(text, "six numbers, x1,y1,z1,x2,y2,z2")?;
+        if x1 > x2 || y1 > y2 || z1 > z2 {
+            return Err("expected x1 <= x2, y1 <= y2 and z1 <= z2".to_owned());
+        }
+        let (min, max) = (Vector3::new(x1, y1, z1), Vector3::new(x2, y2, z2));
+        Ok(Self(BoundingBox { min, max }))
+    }
+}
+
+/// Two quantiles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Quantiles(pub(crate) f64, pub(crate) f64);
+
+impl FromStr for Quantiles {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let [low, high] = numbers(text, "two numbers, q1,q2")?;
+        let are_ordered = 0.0 <= low && low <= high && high <= 1.0;
+        are_ordered
+            .then_some(Self(low, high))
+            .ok_or_else(|| "expected 0 <= q1 <= q2 <= 1".to_owned())
     }
 }
 

@@ -6,6 +6,7 @@ mod drive_evaluation;
 mod evaluate;
 mod experiment;
 mod export;
+mod model;
 mod stages;
 mod synth;
 mod view;
@@ -25,6 +26,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
         Command::Evaluate(Evaluate::Cloud(args)) => evaluate::cloud(&args, output),
         Command::View(args) => view::view(&args, output),
+        Command::Model(command) => model::model(&command, output),
         Command::Export(args) => export::export(&args, output),
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),

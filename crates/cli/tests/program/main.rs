@@ -9,6 +9,7 @@ mod exits;
 mod experiment;
 mod faults;
 mod hostile;
+mod model;
 mod names;
 mod own_files;
 mod photos;

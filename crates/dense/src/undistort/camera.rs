@@ -62,9 +62,12 @@ impl UndistortOptions {
 /// [`UndistortOptions::max_image_size`].
 ///
 /// # Errors
-/// [`Error::Option`] if an option is out of its range.
+/// [`Error::Option`] if an option is out of its range; [`Error::NoPinhole`] for a spherical camera.
 pub fn undistort_camera(camera: &Camera, options: &UndistortOptions) -> Result<Camera, Error> {
     options.validate()?;
+    if camera.intrinsics.kind() == CameraModelKind::Equirectangular {
+        return Err(Error::NoPinhole { model: CameraModelKind::Equirectangular.name() });
+    }
     let k = camera.intrinsics.calibration_matrix();
     let mut focal = [k[(0, 0)], k[(1, 1)]];
     let mut centre = [k[(0, 2)], k[(1, 2)]];

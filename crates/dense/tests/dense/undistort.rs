@@ -12,7 +12,7 @@ fn camera(kind: CameraModelKind, params: &[f64], width: u32, height: u32) -> Cam
     Camera { intrinsics, width, height, has_focal_prior: true }
 }
 
-/// One camera of each model, with distortion where the model has any.
+/// One camera of each model that has a PINHOLE camera, with distortion where it is listed.
 fn cameras() -> Vec<Camera> {
     use CameraModelKind::*;
     let of = |kind: CameraModelKind| -> Vec<f64> {
@@ -26,9 +26,19 @@ fn cameras() -> Vec<Camera> {
             ThinPrismFisheye => {
                 vec![90.0, 91.0, 81.0, 59.0, 0.02, -0.01, 0.001, 0.001, 0.0, 0.0, 0.001, 0.001]
             }
+            _ => Intrinsics::centred(kind, 110.0, 160, 120).params().to_vec(),
         }
     };
-    CameraModelKind::ALL.iter().map(|kind| camera(*kind, &of(*kind), 160, 120)).collect()
+    let kinds = CameraModelKind::ALL.iter().filter(|kind| **kind != Equirectangular);
+    kinds.map(|kind| camera(*kind, &of(*kind), 160, 120)).collect()
+}
+
+#[test]
+fn panoramas_have_no_pinhole() {
+    let kind = CameraModelKind::Equirectangular;
+    let panorama = camera(kind, Intrinsics::centred(kind, 25.0, 160, 80).params(), 160, 80);
+    let error = undistort_camera(&panorama, &UndistortOptions::default()).unwrap_err();
+    assert_eq!(error, tiepoint_dense::Error::NoPinhole { model: "EQUIRECTANGULAR" });
 }
 
 fn undistorted(camera: &Camera, options: &UndistortOptions) -> Camera {

@@ -5,23 +5,39 @@
 //! with a unit struct that implements [`CameraModel`], and add one line to the `camera_models!`
 //! list below. Dispatch, file formats and tests use the list.
 
+mod division;
 mod equidistant;
+mod equirectangular;
+mod eucm;
+mod fisheye;
+mod fov;
+mod full_opencv;
 mod model;
 mod opencv;
 mod opencv_fisheye;
 mod pinhole;
+mod rad_tan_thin_prism_fisheye;
 mod radial;
+mod radial_fisheye;
 mod thin_prism_fisheye;
 mod undistort;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::Error;
+pub use division::{Division, SimpleDivision};
+pub use equirectangular::Equirectangular;
+pub use eucm::Eucm;
+pub use fisheye::{Fisheye, SimpleFisheye};
+pub use fov::Fov;
+pub use full_opencv::FullOpencv;
 pub use model::{CameraModel, MIN_DEPTH, Projection};
 pub use opencv::Opencv;
 pub use opencv_fisheye::OpencvFisheye;
 pub use pinhole::{Pinhole, SimplePinhole};
+pub use rad_tan_thin_prism_fisheye::RadTanThinPrismFisheye;
 pub use radial::{Radial, SimpleRadial};
+pub use radial_fisheye::{RadialFisheye, SimpleRadialFisheye};
 pub use thin_prism_fisheye::ThinPrismFisheye;
 
 macro_rules! camera_models {
@@ -59,8 +75,16 @@ macro_rules! camera_models {
                 match self { $(Self::$model => <$model as CameraModel>::ROTATION_DEGENERATE),* }
             }
             /// Indices of the principal point.
-            pub fn principal_point_indices(self) -> [usize; 2] {
+            pub fn principal_point_indices(self) -> &'static [usize] {
                 match self { $(Self::$model => <$model as CameraModel>::PRINCIPAL_POINT),* }
+            }
+            /// Indices of the parameters that are never refined: see [`CameraModel::METADATA`].
+            pub fn metadata_indices(self) -> &'static [usize] {
+                match self { $(Self::$model => <$model as CameraModel>::METADATA),* }
+            }
+            /// Initial distortion where it is not zero: see [`CameraModel::INITIAL_DISTORTION`].
+            pub fn initial_distortion(self) -> &'static [(usize, f64)] {
+                match self { $(Self::$model => <$model as CameraModel>::INITIAL_DISTORTION),* }
             }
         }
 
@@ -99,6 +123,36 @@ macro_rules! camera_models {
             pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
                 match self { $(Self::$model(p) => <$model>::unproject(p, pixel)),* }
             }
+            /// The focal lengths fx and fy, in pixels; see [`CameraModel::focal_lengths_px`].
+            pub fn focal_lengths_px(&self) -> [f64; 2] {
+                match self { $(Self::$model(p) => <$model>::focal_lengths_px(p)),* }
+            }
+            /// (cx, cy) in pixels.
+            pub fn principal_point(&self) -> Vector2<f64> {
+                match self { $(Self::$model(p) => <$model>::principal_point(p)),* }
+            }
+            /// `projected` − `observed` in pixels, or the shorter way around where the image is
+            /// periodic. See [`CameraModel::displacement`].
+            pub fn displacement(
+                &self,
+                projected: &Vector2<f64>,
+                observed: &Vector2<f64>,
+            ) -> Vector2<f64> {
+                match self { $(
+                    Self::$model(p) => <$model>::displacement(p, projected, observed)
+                ),* }
+            }
+            /// The squared reprojection error, in pixels²; `None` if the model does not project
+            /// the point. See [`CameraModel::squared_error_px2`].
+            pub fn squared_error_px2(
+                &self,
+                point_in_cam: &Vector3<f64>,
+                observed: &Vector2<f64>,
+            ) -> Option<f64> {
+                match self { $(
+                    Self::$model(p) => <$model>::squared_error_px2(p, point_in_cam, observed)
+                ),* }
+            }
         }
 
         /// Runs generic code for the model of an [`Intrinsics`]:
@@ -126,7 +180,18 @@ camera_models! { $;
     Radial 5,
     Opencv 8,
     OpencvFisheye 8,
+    FullOpencv 12,
+    Fov 5,
+    SimpleRadialFisheye 4,
+    RadialFisheye 5,
     ThinPrismFisheye 12,
+    RadTanThinPrismFisheye 16,
+    SimpleDivision 4,
+    Division 5,
+    SimpleFisheye 3,
+    Fisheye 4,
+    Eucm 6,
+    Equirectangular 2,
 }
 
 impl CameraModelKind {
@@ -171,7 +236,8 @@ impl Intrinsics {
     ///
     /// # Errors
     /// [`Error::CameraParamCount`] if the number of parameters is wrong;
-    /// [`Error::CameraParamRange`] if one is not finite or a focal length is not positive.
+    /// [`Error::CameraParamRange`] if one is not finite, or a focal length or an image side is not
+    /// positive.
     pub fn new(kind: CameraModelKind, params: &[f64]) -> Result<Self, Error> {
         let names = kind.param_names();
         if params.len() != names.len() {
@@ -183,7 +249,9 @@ impl Intrinsics {
             });
         }
         for (index, (&name, &value)) in names.iter().zip(params).enumerate() {
-            if !value.is_finite() || (kind.focal_indices().contains(&index) && value <= 0.0) {
+            let must_be_positive =
+                kind.focal_indices().contains(&index) || kind.metadata_indices().contains(&index);
+            if !value.is_finite() || (must_be_positive && value <= 0.0) {
                 return Err(Error::CameraParamRange { model: kind.name(), name, value });
             }
         }
@@ -202,35 +270,35 @@ impl Intrinsics {
     }
 
     /// Focal length `focal_px`, the principal point at the centre of a `width` × `height` image,
-    /// and no distortion.
+    /// and the initial distortion. A spherical model takes the image size alone.
     pub fn centred(kind: CameraModelKind, focal_px: f64, width: u32, height: u32) -> Self {
         let mut intrinsics = Self::zeroed(kind);
+        let params = intrinsics.params_mut();
+        let size = [f64::from(width), f64::from(height)];
         for &index in kind.focal_indices() {
-            intrinsics.params_mut()[index] = focal_px;
+            params[index] = focal_px;
         }
-        let [cx, cy] = kind.principal_point_indices();
-        intrinsics.params_mut()[cx] = f64::from(width) / 2.0;
-        intrinsics.params_mut()[cy] = f64::from(height) / 2.0;
+        for (&index, side) in kind.principal_point_indices().iter().zip(size) {
+            params[index] = side / 2.0;
+        }
+        for (&index, side) in kind.metadata_indices().iter().zip(size) {
+            params[index] = side;
+        }
+        for &(index, value) in kind.initial_distortion() {
+            params[index] = value;
+        }
         intrinsics
     }
 
     /// The mean of the focal lengths, in pixels.
     pub fn mean_focal_px(&self) -> f64 {
-        let indices = self.kind().focal_indices();
-        indices.iter().map(|&index| self.params()[index]).sum::<f64>() / indices.len() as f64
+        let [fx, fy] = self.focal_lengths_px();
+        0.5 * (fx + fy)
     }
 
     /// The calibration matrix K of the focal lengths and the principal point, without distortion.
     pub fn calibration_matrix(&self) -> Matrix3<f64> {
-        let indices = self.kind().focal_indices();
-        let (fx, fy) = (self.params()[indices[0]], self.params()[indices[indices.len() - 1]]);
-        let centre = self.principal_point();
+        let ([fx, fy], centre) = (self.focal_lengths_px(), self.principal_point());
         Matrix3::new(fx, 0.0, centre.x, 0.0, fy, centre.y, 0.0, 0.0, 1.0)
-    }
-
-    /// (cx, cy) in pixels.
-    pub fn principal_point(&self) -> Vector2<f64> {
-        let [cx, cy] = self.kind().principal_point_indices();
-        Vector2::new(self.params()[cx], self.params()[cy])
     }
 }

@@ -29,10 +29,16 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     const COLMAP_ID: i32;
     /// Names of the parameters, in order.
     const PARAM_NAMES: &'static [&'static str];
-    /// Indices of the focal lengths: of f, or of fx and fy.
+    /// Indices of the focal lengths: of f, or of fx and fy. Empty for a spherical model.
     const FOCAL: &'static [usize];
-    /// Indices of cx and cy.
-    const PRINCIPAL_POINT: [usize; 2];
+    /// Indices of cx and cy. Empty for a spherical model.
+    const PRINCIPAL_POINT: &'static [usize];
+    /// Indices of the parameters that describe the image rather than the lens, such as its width.
+    /// They are positive, and bundle adjustment does not refine them.
+    const METADATA: &'static [usize] = &[];
+    /// Indices and values of the distortion parameters that an uncalibrated camera starts from,
+    /// where they are not zero.
+    const INITIAL_DISTORTION: &'static [(usize, f64)] = &[];
     /// Indices of the distortion parameters whose effect a rotation of the camera and the other
     /// parameters can reproduce almost exactly. They are nearly unobservable if the pose is
     /// unknown.
@@ -48,6 +54,41 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     ) -> Option<Projection<Self>>;
     /// The unit ray of a pixel in the camera frame; `None` if the pixel has no ray.
     fn unproject(params: &Self::Params, pixel: &Vector2<f64>) -> Option<Vector3<f64>>;
+
+    /// The focal lengths fx and fy, in pixels. For a spherical model, the pixels per radian on the
+    /// optical axis.
+    fn focal_lengths_px(params: &Self::Params) -> [f64; 2] {
+        [params[Self::FOCAL[0]], params[Self::FOCAL[Self::FOCAL.len() - 1]]]
+    }
+
+    /// The pixel of the optical axis: cx and cy.
+    fn principal_point(params: &Self::Params) -> Vector2<f64> {
+        Vector2::new(params[Self::PRINCIPAL_POINT[0]], params[Self::PRINCIPAL_POINT[1]])
+    }
+
+    /// The residual of bundle adjustment, in pixels: `projected` − `observed`, or the shorter way
+    /// around where the image is periodic.
+    #[inline(always)]
+    fn displacement(
+        _params: &Self::Params,
+        projected: &Vector2<f64>,
+        observed: &Vector2<f64>,
+    ) -> Vector2<f64> {
+        projected - observed
+    }
+
+    /// The squared reprojection error that thresholds are compared with, in pixels²; `None` if the
+    /// model does not project the point.
+    #[inline(always)]
+    fn squared_error_px2(
+        params: &Self::Params,
+        point_in_cam: &Vector3<f64>,
+        observed: &Vector2<f64>,
+    ) -> Option<f64> {
+        let pixel = Self::project(params, point_in_cam)?;
+        let (x, y) = (pixel.x - observed.x, pixel.y - observed.y);
+        Some(x * x + y * y)
+    }
 }
 
 /// Minimum depth, in units of the scene. Points of smaller depth count as behind the camera.

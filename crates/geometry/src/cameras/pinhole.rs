@@ -18,7 +18,7 @@ impl CameraModel for SimplePinhole {
     const COLMAP_ID: i32 = 0;
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy"];
     const FOCAL: &'static [usize] = &[0];
-    const PRINCIPAL_POINT: [usize; 2] = [1, 2];
+    const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         Pinhole::project(
@@ -52,7 +52,7 @@ impl CameraModel for Pinhole {
     const COLMAP_ID: i32 = 1;
     const PARAM_NAMES: &'static [&'static str] = &["fx", "fy", "cx", "cy"];
     const FOCAL: &'static [usize] = &[0, 1];
-    const PRINCIPAL_POINT: [usize; 2] = [2, 3];
+    const PRINCIPAL_POINT: &'static [usize] = &[2, 3];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         if point_in_cam.z < MIN_DEPTH {

@@ -25,7 +25,7 @@ impl CameraModel for SimpleRadial {
     const COLMAP_ID: i32 = 2;
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy", "k"];
     const FOCAL: &'static [usize] = &[0];
-    const PRINCIPAL_POINT: [usize; 2] = [1, 2];
+    const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         Radial::project(&as_radial(params), point_in_cam)
@@ -61,7 +61,7 @@ impl CameraModel for Radial {
     const COLMAP_ID: i32 = 3;
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy", "k1", "k2"];
     const FOCAL: &'static [usize] = &[0];
-    const PRINCIPAL_POINT: [usize; 2] = [1, 2];
+    const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         if point_in_cam.z < MIN_DEPTH {

@@ -130,9 +130,9 @@ dispatch! {
                     m.m21 * x[l] + m.m22 * y[l] + m.m23 * z[l] + m.m24,
                     m.m31 * x[l] + m.m32 * y[l] + m.m33 * z[l] + m.m34,
                 );
-                if let Some(pixel) = M::project(params, &point_in_cam) {
-                    let (du, dv) = (pixel.x - u[l], pixel.y - v[l]);
-                    lanes[l] = du * du + dv * dv;
+                let pixel = Vector2::new(u[l], v[l]);
+                if let Some(squared) = M::squared_error_px2(params, &point_in_cam, &pixel) {
+                    lanes[l] = squared;
                 }
             }
             store(&lanes, index, &range, squared);
@@ -171,7 +171,7 @@ impl Problem<6> for Reprojection<'_> {
                 let point_in_cam = rotation * self.points_in_world[i] + value.translation;
                 match M::project_with_jacobian(params, &point_in_cam) {
                     Some(projection) => normal.add(
-                        &(projection.pixel - self.pixels[i]),
+                        &M::displacement(params, &projection.pixel, &self.pixels[i]),
                         &d_pose(&projection.d_point, &point_in_cam),
                     ),
                     None => normal.reject(),

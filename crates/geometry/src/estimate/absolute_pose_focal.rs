@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
-use super::absolute_pose::{AbsolutePose, d_pose, rays};
+use super::absolute_pose::{AbsolutePose, absolute_pose, d_pose, rays};
 use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::small_lm::{MAX_LM_ITERATIONS, NormalEquations, Problem, minimize};
 use crate::{CameraModel, Intrinsics, Loss, Manifold, Rigid3, solvers};
@@ -22,13 +22,19 @@ const FOCAL_FACTORS: [f64; 17] = [
 /// Each sample has four points. P3P on the first three is solved at 17 focal lengths, from 0.3 to
 /// 3.33 times those of `intrinsics`. The pose and focal length of the smallest reprojection error
 /// of the fourth point is refined over the four points. All refinements optimise the pose and the
-/// focal length together. The returned intrinsics are the given ones with scaled focal lengths.
+/// focal length together. The returned intrinsics are the given ones with scaled focal lengths. A
+/// model without focal lengths is calibrated: its pose is that of
+/// [`absolute_pose`](super::absolute_pose()).
 pub fn absolute_pose_focal(
     pixels: &[Vector2<f64>],
     points_in_world: &[Vector3<f64>],
     intrinsics: &Intrinsics,
     options: &RansacOptions,
 ) -> Option<Report<(Rigid3, Intrinsics)>> {
+    if intrinsics.kind().focal_indices().is_empty() {
+        let report = absolute_pose(pixels, points_in_world, intrinsics, options)?;
+        return Some(report.map(|pose| (pose, *intrinsics)));
+    }
     let candidates = FOCAL_FACTORS
         .map(|factor| {
             let camera = with_focal_factor(intrinsics, factor);
@@ -79,8 +85,9 @@ impl Estimator for AbsolutePoseFocal<'_> {
         for FocalCandidate { factor, camera, rays } in &self.candidates {
             let rays: [Vector3<f64>; 3] = std::array::from_fn(|i| rays[sample[i]]);
             for pose in solvers::p3p(&rays, &points) {
-                let Some(projected) = camera.project(&(pose * point)) else { continue };
-                let error = (projected - pixel).norm_squared();
+                let Some(error) = camera.squared_error_px2(&(pose * point), &pixel) else {
+                    continue;
+                };
                 if best.as_ref().is_none_or(|(least, _)| error < *least) {
                     best = Some((error, (pose, factor.ln())));
                 }

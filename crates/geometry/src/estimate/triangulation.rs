@@ -112,8 +112,7 @@ impl Estimator for Triangulation<'_> {
                     ray.cross(&point_in_cam).norm().atan2(ray.dot(&point_in_cam)).powi(2)
                 }),
                 TriangulationResidual::Pixel => {
-                    let projected = observation.intrinsics.project(&point_in_cam);
-                    projected.map(|projected| (projected - observation.pixel).norm_squared())
+                    observation.intrinsics.squared_error_px2(&point_in_cam, &observation.pixel)
                 }
             };
             *squared = error2.unwrap_or(f64::INFINITY);
@@ -153,7 +152,8 @@ impl Problem<3> for PointReprojection<'_> {
                 match M::project_with_jacobian(params, &point_in_cam) {
                     Some(p) => {
                         let d_point = p.d_point * rotation.matrix() * unit_per_px;
-                        normal.add(&((p.pixel - pixel) * unit_per_px), &d_point);
+                        let error_px = M::displacement(params, &p.pixel, &pixel);
+                        normal.add(&(error_px * unit_per_px), &d_point);
                     }
                     None => normal.reject(),
                 }

@@ -76,6 +76,10 @@ fn camera(kind: CameraModelKind) -> impl Strategy<Value = Intrinsics> {
             "c" => 100.0..3000.0,
             "k" => -0.05..0.05,
             "p" | "s" => -0.005..0.005,
+            "o" => 0.001..1.5,
+            "a" => 0.0..0.9,
+            "b" => 0.5..2.0,
+            "w" | "h" => 500.0..8000.0,
             other => panic!("no range for parameters that start with {other}"),
         })
         .collect();
@@ -107,7 +111,51 @@ perspective_cameras! {
     radial: Radial;
     opencv: Opencv;
     opencv_fisheye: OpencvFisheye;
+    full_opencv: FullOpencv;
+    fov: Fov;
+    simple_radial_fisheye: SimpleRadialFisheye;
+    radial_fisheye: RadialFisheye;
     thin_prism_fisheye: ThinPrismFisheye;
+    rad_tan_thin_prism_fisheye: RadTanThinPrismFisheye;
+    simple_division: SimpleDivision;
+    division: Division;
+    simple_fisheye: SimpleFisheye;
+    fisheye: Fisheye;
+    eucm: Eucm;
+    equirectangular: Equirectangular;
+}
+
+/// The laws hold also for rays behind the image plane, up to an angle at which no distortion folds.
+macro_rules! cameras_that_see_backwards { ($($name:ident: $kind:ident $max_angle:literal;)*) => {
+    proptest! { $(
+        #[test]
+        fn $name(
+            camera in camera(CameraModelKind::$kind), point in point_in_cam($max_angle),
+        ) {
+            let mut camera = camera;
+            // Values that make the angle visible. They are large against the step of the numeric
+            // derivative.
+            let distortion = camera.params().len() - 1;
+            match camera.kind() {
+                CameraModelKind::SimpleDivision | CameraModelKind::Division => {
+                    camera.params_mut()[distortion] -= 0.3;
+                }
+                CameraModelKind::Fov => camera.params_mut()[distortion] += 0.5,
+                CameraModelKind::Eucm => camera.params_mut()[4] = 0.4 + 0.2 * camera.params()[4],
+                _ => {}
+            }
+            prop_assert_eq!(camera_laws(&camera, &point), Ok(()));
+        }
+    )* }
+} }
+
+cameras_that_see_backwards! {
+    fov_backwards: Fov 2.5;
+    simple_division_backwards: SimpleDivision 2.5;
+    division_backwards: Division 2.5;
+    simple_fisheye_backwards: SimpleFisheye 3.0;
+    fisheye_backwards: Fisheye 3.0;
+    eucm_backwards: Eucm 1.8;
 }
 
 proptest! {
@@ -129,16 +177,17 @@ proptest! {
     #[test]
     fn unproject_inverts_project_or_is_none(
         kind in prop::sample::select(CameraModelKind::ALL),
-        distortion in prop::collection::vec(-3.0..3.0, 8),
+        distortion in prop::collection::vec(-3.0..3.0, 12),
         pixel in vector::<2>(2000.0),
     ) {
         let mut camera = Intrinsics::centred(kind, 800.0, 1000, 1000);
         let first_distortion = 1 + kind
             .focal_indices()
             .iter()
-            .chain(&kind.principal_point_indices())
+            .chain(kind.principal_point_indices())
+            .chain(kind.metadata_indices())
             .max()
-            .expect("a focal length");
+            .expect("a parameter");
         for (param, value) in camera.params_mut()[first_distortion..].iter_mut().zip(distortion) {
             *param = value;
         }
@@ -146,7 +195,7 @@ proptest! {
         if let Some(ray) = camera.unproject(&pixel) {
             let back = camera.project(&ray).expect("the ray projects");
             prop_assert!(
-                (back - pixel).norm() < 1e-6 * (1.0 + pixel.norm()),
+                camera.displacement(&back, &pixel).norm() < 1e-6 * (1.0 + pixel.norm()),
                 "{camera:?}: {pixel:?} reprojects to {back:?}"
             );
         }
@@ -181,14 +230,58 @@ fn unproject_is_none_beyond_the_fold() {
 }
 
 #[test]
-fn points_behind_the_camera_do_not_project() {
+fn points_behind_the_camera_project_into_models_that_see_them() {
     for &kind in CameraModelKind::ALL {
-        let camera = Intrinsics::centred(kind, 800.0, 1000, 800);
-        assert_eq!(camera.project(&Vector3::new(0.0, 0.0, -1.0)), None, "{kind:?}");
+        let mut camera = Intrinsics::centred(kind, 800.0, 1000, 800);
+        // Barrel distortion: without it, these models are pinholes.
+        match kind.name() {
+            "SIMPLE_DIVISION" | "DIVISION" => *camera.params_mut().last_mut().unwrap() = -0.1,
+            "EUCM" => camera.params_mut()[4] = 0.5,
+            _ => {}
+        }
+        let sees_backwards = kind.name().contains("FISHEYE")
+            || ["FOV", "SIMPLE_DIVISION", "DIVISION", "EUCM"].contains(&kind.name());
+        let is_spherical = kind == CameraModelKind::Equirectangular;
+        let on_axis = camera.project(&Vector3::new(0.0, 0.0, -1.0));
+        assert_eq!(on_axis.is_some(), is_spherical, "{kind:?}");
         assert_eq!(camera.project(&Vector3::zeros()), None, "{kind:?}");
         let behind = camera.project(&Vector3::new(0.1, 0.0, -1.0));
-        let is_fisheye =
-            [CameraModelKind::OpencvFisheye, CameraModelKind::ThinPrismFisheye].contains(&kind);
-        assert_eq!(behind.is_some(), is_fisheye, "{kind:?}");
+        assert_eq!(behind.is_some(), sees_backwards || is_spherical, "{kind:?}");
     }
+}
+
+proptest! {
+    /// All directions of a panorama, but for those so near to the seam or a pole that a step of the
+    /// numeric derivative crosses it.
+    #[test]
+    fn equirectangular_all_around(
+        camera in camera(CameraModelKind::Equirectangular),
+        azimuth in -3.1..3.1,
+        elevation in -1.2..1.2,
+        distance in 0.01..100.0,
+    ) {
+        let (azimuth, elevation): (f64, f64) = (azimuth, elevation);
+        let flat = elevation.cos();
+        let ray = Vector3::new(flat * azimuth.sin(), -elevation.sin(), flat * azimuth.cos());
+        prop_assert_eq!(camera_laws(&camera, &(ray * distance)), Ok(()));
+    }
+}
+
+/// On either side of the seam of a panorama, a residual goes the shorter way, and an error is the
+/// angle in pixels at the equator.
+#[test]
+fn residuals_of_a_panorama_cross_the_seam() {
+    let camera = Intrinsics::from_name("EQUIRECTANGULAR", &[1000.0, 500.0]).unwrap();
+    let (left, right) = (Vector2::new(1.0, 250.0), Vector2::new(997.0, 250.0));
+    assert_eq!(camera.displacement(&left, &right), Vector2::new(4.0, 0.0));
+    assert_eq!(camera.displacement(&right, &left), Vector2::new(-4.0, 0.0));
+    let point = camera.unproject(&left).unwrap() * 3.0;
+    let error = camera.squared_error_px2(&point, &right).unwrap().sqrt();
+    assert!((error - 4.0).abs() < 1e-9, "{error}");
+    // 60 degrees above the equator, ten columns are five pixels of it.
+    let (high, beside) =
+        (Vector2::new(500.0, 250.0 - 500.0 / 3.0), Vector2::new(510.0, 250.0 - 500.0 / 3.0));
+    let error =
+        camera.squared_error_px2(&camera.unproject(&high).unwrap(), &beside).unwrap().sqrt();
+    assert!((error - 5.0).abs() < 1e-2, "{error}");
 }

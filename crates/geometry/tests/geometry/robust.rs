@@ -40,9 +40,21 @@ fn camera(kind: CameraModelKind) -> Intrinsics {
         CameraModelKind::Radial => &[-0.1, 0.02],
         CameraModelKind::Opencv => &[-0.1, 0.02, 0.001, -0.002],
         CameraModelKind::OpencvFisheye => &[0.02, -0.01, 0.005, -0.001],
+        CameraModelKind::FullOpencv => &[-0.1, 0.02, 0.001, -0.002, 0.01, 0.05, 0.01, -0.005],
+        CameraModelKind::Fov => &[0.8],
+        CameraModelKind::SimpleRadialFisheye => &[0.02],
+        CameraModelKind::RadialFisheye => &[0.02, -0.01],
         CameraModelKind::ThinPrismFisheye => {
             &[0.02, -0.01, 0.001, -0.002, 0.005, -0.001, 0.001, -0.001]
         }
+        CameraModelKind::RadTanThinPrismFisheye => &[
+            0.02, -0.01, 0.005, -0.001, 0.001, -0.001, 0.001, -0.002, 0.001, -0.001, 0.001, -0.001,
+        ],
+        CameraModelKind::SimpleDivision | CameraModelKind::Division => &[-0.2],
+        CameraModelKind::SimpleFisheye | CameraModelKind::Fisheye => &[],
+        CameraModelKind::Eucm => &[0.6, 1.1],
+        // The scale at the equator is that of the other cameras.
+        CameraModelKind::Equirectangular => &[5026.5, 2513.25],
     };
     let first = camera.params().len() - distortion.len();
     camera.params_mut()[first..].copy_from_slice(distortion);
@@ -446,4 +458,58 @@ fn results_are_deterministic_per_seed() {
     let run = |seed| ransac(&line(40, 160), &RansacOptions { seed, ..options }).expect("a line");
     assert_eq!(run(3), run(3));
     assert_ne!(run(3).model, run(4).model);
+}
+
+/// Random points on all sides of both cameras, at distances of 4 to 12.
+fn cloud_all_around(rng: &mut Rng) -> Vec<Vector3<f64>> {
+    (0..POINTS)
+        .map(|_| {
+            let direction = Vector3::new(rng.normal(), rng.normal(), rng.normal()).normalize();
+            direction * (4.0 + 8.0 * rng.uniform())
+        })
+        .collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8))]
+
+    /// Half of the points are behind the camera of a panorama, and some cross its seam.
+    #[test]
+    fn poses_and_points_of_a_panorama(seed: u64) {
+        let mut rng = Rng::stream(seed, &[]);
+        let camera = camera(CameraModelKind::Equirectangular);
+        let (points, truth) = (cloud_all_around(&mut rng), motion(&mut rng));
+        let [pixels1, pixels2] = correspondences(&points, &truth, &camera, &mut rng);
+        let report = estimate::relative_pose(&pixels1, &pixels2, &camera, &camera, &OPTIONS)
+            .expect("a pose");
+        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100);
+        prop_assert!(report.model.rotation.angle_to(&truth.rotation) < MAX_ROTATION_RAD);
+        prop_assert!(
+            angle_between(&report.model.translation, &truth.translation) < MAX_DIRECTION_RAD
+        );
+
+        let report =
+            estimate::absolute_pose(&pixels2, &points, &camera, &OPTIONS).expect("a pose");
+        prop_assert!(report.num_inliers >= (POINTS - OUTLIERS) * 95 / 100);
+        prop_assert!(report.model.rotation.angle_to(&truth.rotation) < MAX_ROTATION_RAD);
+        prop_assert!((report.model.translation - truth.translation).norm() < 0.02);
+
+        let identity = Rigid3::identity();
+        let num_behind = (OUTLIERS..POINTS).filter(|&i| points[i].z < 0.0).count();
+        prop_assert!(num_behind > 0);
+        for i in OUTLIERS..POINTS {
+            let observe = |cam_from_world, pixel| estimate::Observation {
+                cam_from_world,
+                intrinsics: &camera,
+                pixel,
+            };
+            let observations = [observe(&identity, pixels1[i]), observe(&truth, pixels2[i])];
+            let options = estimate::TriangulationOptions::default();
+            // Points near the baseline have a small angle and are not determined.
+            if let Some(report) = estimate::triangulation(&observations, &options) {
+                let angle = angle_between(&report.model, &points[i]);
+                prop_assert!(angle < 0.01, "{angle} rad at {}", points[i]);
+            }
+        }
+    }
 }

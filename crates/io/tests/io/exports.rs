@@ -54,7 +54,7 @@ type Platform =
 
 #[test]
 fn openmvs_scenes_project_points_to_the_same_pixels() {
-    let mut model = undistort_model(&random_model(11, RigKind::SeveralCameras));
+    let mut model = undistort_model(&random_model(12, RigKind::SeveralCameras));
     // The reference sensor needs no pose.
     model.rigs[0].sensors[0].cam_from_rig = None;
     let dir = tempfile::tempdir().unwrap();

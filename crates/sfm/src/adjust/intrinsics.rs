@@ -17,7 +17,9 @@ const FOCAL_RATIO_SIGMA: f64 = 1e-6;
 pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
     (0..kind.num_params())
         .filter(|index| {
-            if kind.focal_indices().contains(index) {
+            if kind.metadata_indices().contains(index) {
+                true
+            } else if kind.focal_indices().contains(index) {
                 !refine.focal
             } else if kind.principal_point_indices().contains(index) {
                 !refine.principal_point
@@ -41,7 +43,10 @@ pub(super) fn intrinsics_prior<const N: usize>(
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let focal = options.focal_priors.iter().find(|prior| prior.camera == id);
     let (mut mean, mut sigmas) = (*params, [options.distortion_sigma; N]);
-    for index in 0..N {
+    for &index in kind.metadata_indices() {
+        sigmas[index] = f64::INFINITY;
+    }
+    for index in (0..N).filter(|index| !kind.metadata_indices().contains(index)) {
         if kind.focal_indices().contains(&index) {
             mean[index] = focal.map_or(params[index], |prior| prior.mean_px);
             sigmas[index] = focal.map_or(f64::INFINITY, |prior| prior.sigma_px);
@@ -49,7 +54,8 @@ pub(super) fn intrinsics_prior<const N: usize>(
             mean[index] = [width / 2.0, height / 2.0][axis];
             sigmas[index] = options.principal_point_sigma * width.max(height);
         } else {
-            mean[index] = 0.0;
+            let initial = kind.initial_distortion().iter().find(|(found, _)| *found == index);
+            mean[index] = initial.map_or(0.0, |&(_, value)| value);
         }
     }
     let mut prior = Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))?;

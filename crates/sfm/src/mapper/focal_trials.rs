@@ -29,7 +29,7 @@ pub(super) fn choose_focal_lengths(
 ) {
     let unknown: Vec<CameraId> = scene
         .cameras()
-        .filter(|(id, camera)| !camera.has_focal_prior && !found.contains(id))
+        .filter(|(id, camera)| !camera.is_calibrated() && !found.contains(id))
         .map(|(id, _)| id)
         .collect();
     if unknown.is_empty() {

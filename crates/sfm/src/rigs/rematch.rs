@@ -84,6 +84,7 @@ fn undistorted_features(
         return Features::default();
     }
     let focal_px = intrinsics.mean_focal_px();
+    // Epipolar lines are lines in the plane z = 1, which has no rays behind the camera.
     let keypoint = |keypoint: &tiepoint_scene::Keypoint| {
         let ray = intrinsics.unproject(&keypoint.pixel).filter(|ray| ray.z > 0.0);
         let [x, y] = ray.map_or([f32::NAN; 2], |ray| {

@@ -103,7 +103,9 @@ fn shifts(
         let time_s = (pixel.y / f64::from(camera.height) - 0.5) * readout_s;
         let velocity = pose?.rotation * motion.velocity;
         let moved = so3::exp(&(motion.angular_velocity * time_s)) * (point - velocity * time_s);
-        Some((camera.intrinsics.project(&moved)? - camera.intrinsics.project(&point)?) / readout_s)
+        let intrinsics = &camera.intrinsics;
+        let (moved, still) = (intrinsics.project(&moved)?, intrinsics.project(&point)?);
+        Some(intrinsics.displacement(&moved, &still) / readout_s)
     };
     let shifted = |(k, pixel): (usize, &Vector2<f64>)| Shifted {
         pixel: *pixel,

@@ -45,8 +45,8 @@ impl<'a> ViewRay<'a> {
 
     /// Squared reprojection error in pixels²; infinite if the point does not project.
     fn squared_error(&self, xyz: &Vector3<f64>) -> f64 {
-        let projected = self.intrinsics.project(&(*self.cam_from_world * *xyz));
-        projected.map_or(f64::INFINITY, |pixel| (pixel - self.pixel).norm_squared())
+        let point_in_cam = *self.cam_from_world * *xyz;
+        self.intrinsics.squared_error_px2(&point_in_cam, &self.pixel).unwrap_or(f64::INFINITY)
     }
 }
 

@@ -84,7 +84,7 @@ pub fn estimate_focal_lengths(
     model: &mut Reconstruction,
 ) -> Vec<CameraId> {
     let unknown: Vec<CameraId> =
-        model.cameras().filter(|(_, c)| !c.has_focal_prior).map(|(id, _)| id).collect();
+        model.cameras().filter(|(_, c)| !c.is_calibrated()).map(|(id, _)| id).collect();
     let mut found = vec![false; unknown.len()];
     let rounds = if unknown.len() > 1 { NUM_ROUNDS } else { 1 };
     let pairs: Vec<(Vec<Pair>, bool)> =

@@ -1,7 +1,8 @@
 //! Two-view verification: the matches of an image pair that one rigid scene explains.
 //!
 //! After Schönberger & Frahm 2016, section 4.1: an essential matrix if both cameras are calibrated,
-//! a fundamental matrix otherwise, and a homography to detect planes and pure rotations.
+//! a fundamental matrix otherwise, and a homography to detect planes and pure rotations. Pairs with
+//! a spherical camera have an essential matrix alone, since its image is no plane.
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
@@ -62,7 +63,7 @@ pub fn verify_pair(
     let ransac =
         RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
 
-    let essential = if view1.camera.has_focal_prior && view2.camera.has_focal_prior {
+    let essential = if view1.camera.is_calibrated() && view2.camera.is_calibrated() {
         estimate::relative_pose(
             &points1,
             &points2,
@@ -76,7 +77,10 @@ pub fn verify_pair(
     // The fundamental matrix cannot have more inliers than there are matches. If the essential
     // matrix has nearly all of them, the test of the calibration needs no fundamental matrix.
     let enough = options.min_essential_share * matches.len() as f64;
+    let have_image_plane =
+        [view1, view2].iter().all(|view| !view.camera.intrinsics.kind().focal_indices().is_empty());
     let fundamental = match &essential {
+        _ if !have_image_plane => None,
         Some(report) if report.num_inliers as f64 >= enough => None,
         _ => estimate::fundamental(&points1, &points2, &ransac),
     };
@@ -93,7 +97,8 @@ pub fn verify_pair(
                     &essential,
                     &view1.camera.intrinsics.calibration_matrix(),
                     &view2.camera.intrinsics.calibration_matrix(),
-                ),
+                )
+                .filter(|_| have_image_plane),
                 cam2_from_cam1: Some(e.model),
                 matches: select(matches, &e.inliers),
                 ..TwoView::default()
@@ -109,6 +114,9 @@ pub fn verify_pair(
     };
     if two_view.matches.len() < options.min_num_inliers {
         return degenerate;
+    }
+    if !have_image_plane {
+        return two_view;
     }
     let inliers1: Vec<Vector2<f64>> =
         two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 
+mod all_around;
 mod clocks;
 mod common;
 mod lens;

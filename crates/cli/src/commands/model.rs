@@ -1,0 +1,124 @@
+//! `model info`, `transform`, `align`, `crop` and `merge`.
+
+use std::fmt::Write;
+
+use tiepoint_pipeline::{
+    AlignTo, AlignmentInfo, CropTo, ModelChange, ModelInfo, align_model, crop_model, merge_models,
+    model_info, transform_model,
+};
+
+use crate::args::{AlignModel, CropModel, MergeModels, ModelCommand};
+use crate::failure::Failure;
+use crate::output::Output;
+
+pub(crate) fn model(command: &ModelCommand, output: &Output) -> Result<(), Failure> {
+    let change = match command {
+        ModelCommand::Info(args) => {
+            let info = model_info(&args.model)?;
+            return output.result(&info, || describe(&info));
+        }
+        ModelCommand::Transform(args) => {
+            transform_model(&args.model, &args.by, args.inverse, &args.output)?
+        }
+        ModelCommand::Align(args) => align(args)?,
+        ModelCommand::Crop(args) => crop(args)?,
+        ModelCommand::Merge(args) => merge(args)?,
+    };
+    output.result(&change, || describe_change(&change))
+}
+
+fn align(args: &AlignModel) -> Result<ModelChange, Failure> {
+    let target = match (&args.to, &args.positions, args.max_error) {
+        (Some(path), ..) => AlignTo::Model { path, max_error_px: args.max_error_px },
+        (None, Some(path), Some(max_error)) => AlignTo::Positions { path, max_error },
+        // Clap requires one of them, and --max-error with --positions.
+        (None, ..) => return Err(Failure::Usage("give --to or --positions".to_owned())),
+    };
+    Ok(align_model(&args.model, target, &args.output, args.save_transform.as_deref())?)
+}
+
+fn crop(args: &CropModel) -> Result<ModelChange, Failure> {
+    let crop_to = match (args.bounds, args.quantiles) {
+        (Some(bounds), _) => CropTo::Box(bounds.0),
+        (None, Some(quantiles)) => CropTo::Quantiles(quantiles.0, quantiles.1),
+        // Clap requires one of them.
+        (None, None) => return Err(Failure::Usage("give --box or --quantiles".to_owned())),
+    };
+    Ok(crop_model(&args.model, crop_to, &args.output)?)
+}
+
+fn merge(args: &MergeModels) -> Result<ModelChange, Failure> {
+    Ok(merge_models(&args.models, args.max_error_px, &args.output)?)
+}
+
+// Writing to a string does not fail.
+fn describe(info: &ModelInfo) -> String {
+    let mut text = String::new();
+    for (number, camera) in (1..).zip(&info.cameras) {
+        let params = camera.param_names.iter().zip(&camera.params);
+        let params: Vec<String> = params.map(|(name, value)| format!("{name} {value}")).collect();
+        let _ = writeln!(
+            text,
+            "camera {number}: {} {} x {}, {} images, {}",
+            camera.model,
+            camera.width,
+            camera.height,
+            camera.images,
+            params.join(", ")
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} images, {} points, {} observations, {} rigs, {} frames",
+        info.images, info.points, info.observations, info.rigs, info.frames
+    );
+    let _ = writeln!(
+        text,
+        "{:.3} observations a point, {:.1} an image, mean reprojection error {:.4} px",
+        info.mean_track_length, info.mean_observations_per_image, info.mean_reprojection_error_px
+    );
+    if let (Some(min), Some(max)) = (info.min, info.max) {
+        let _ = writeln!(text, "points from {min:?} to {max:?}");
+    }
+    text
+}
+
+fn describe_change(change: &ModelChange) -> String {
+    let mut text = String::new();
+    if let Some(alignment) = &change.alignment {
+        text += &describe_alignment(alignment);
+    }
+    for merged in &change.merged {
+        let _ = writeln!(
+            text,
+            "{}: {} new images, {} new points, {} points merged",
+            merged.path.display(),
+            merged.new_images,
+            merged.new_points,
+            merged.merged_points
+        );
+        text += &describe_alignment(&merged.alignment);
+    }
+    if let Some(transform) = &change.transform {
+        let _ = writeln!(
+            text,
+            "scale {}, rotation wxyz {:?}, translation {:?}",
+            transform.scale, transform.rotation_wxyz, transform.translation
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} images, {} points\n{}",
+        change.images,
+        change.points,
+        change.path.display()
+    );
+    text
+}
+
+fn describe_alignment(alignment: &AlignmentInfo) -> String {
+    format!(
+        "{} common images, {} of {} fit, mean distance of the centres {:.6}\n",
+        alignment.common_images, alignment.inliers, alignment.compared, alignment.mean_distance
+    )
+}

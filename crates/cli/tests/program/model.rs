@@ -1,0 +1,281 @@
+//! `model info`, `transform`, `align`, `crop` and `merge`.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tiepoint_pipeline::io::colmap::{Format, read_model, write_model};
+use tiepoint_pipeline::sfm::geometry::nalgebra::{Vector2, Vector3};
+use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics, Rigid3, Sim3, so3};
+use tiepoint_pipeline::sfm::scene::{
+    Camera, Image, ImageId, Keypoint, Observation, Reconstruction, Track,
+};
+
+use crate::tiepoint_in;
+
+const NUM_IMAGES: usize = 8;
+/// Numbers in files keep all bits; some operations round.
+const ROUNDING: f64 = 1e-9;
+
+/// Eight images on a curve, looking at points in a slab ahead of them.
+fn scene() -> Reconstruction {
+    let mut model = Reconstruction::default();
+    let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 500.0, 640, 480);
+    let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
+    let camera = model.add_camera(camera);
+    let points: Vec<Vector3<f64>> = (0..160)
+        .map(|k| {
+            let at = |step: usize, count: usize| f64::from(((k * step) % count) as u32);
+            Vector3::new(0.25 * at(1, 40) - 5.0, 0.2 * at(7, 17) - 1.7, 6.0 + 0.3 * at(5, 11))
+        })
+        .collect();
+    let mut tracks: Vec<Vec<Observation>> = vec![Vec::new(); points.len()];
+    for index in 0..NUM_IMAGES {
+        let s = index as f64 - 3.5;
+        let pose = Rigid3::from_axis_angle(
+            Vector3::new(0.02 * s, -0.03 * s, 0.0),
+            Vector3::new(-s, 0.1 * s * s, 0.05 * s),
+        );
+        let mut keypoints = Vec::new();
+        for (track, xyz) in tracks.iter_mut().zip(&points) {
+            let pixel = intrinsics.project(&(pose * *xyz)).expect("ahead");
+            if camera_contains(&pixel) {
+                let keypoint = keypoints.len() as u32;
+                track.push(Observation { image: ImageId(index as u32), keypoint });
+                keypoints.push(Keypoint { pixel, scale_px: 1.0 });
+            }
+        }
+        let image = model.add_image(Image::new(format!("left/{index} a.png"), camera, keypoints));
+        model.register(image, pose);
+    }
+    for (observations, xyz) in tracks.into_iter().zip(points) {
+        if observations.len() >= 2 {
+            model.add_track(Track::new(xyz, observations));
+        }
+    }
+    model
+}
+
+fn camera_contains(pixel: &Vector2<f64>) -> bool {
+    (0.0..=640.0).contains(&pixel.x) && (0.0..=480.0).contains(&pixel.y)
+}
+
+fn write(dir: &Path, name: &str, model: &Reconstruction) {
+    write_model(&dir.join(name), model, Format::Binary).unwrap();
+}
+
+/// The model with the images that `is_kept` chooses.
+fn part(model: &Reconstruction, is_kept: impl Fn(usize) -> bool) -> Reconstruction {
+    let mut part = model.clone();
+    for index in (0..NUM_IMAGES).filter(|index| !is_kept(*index)) {
+        part.deregister(ImageId(index as u32));
+    }
+    part
+}
+
+fn similarity() -> Sim3 {
+    Sim3 {
+        scale: 2.5,
+        rotation: so3::exp(&Vector3::new(0.3, -1.2, 0.5)),
+        translation: Vector3::new(100.0, -20.0, 3.0),
+    }
+}
+
+/// The largest difference of centres of images of one name, and of rotations in radians.
+fn difference(one: &Reconstruction, other: &Reconstruction) -> f64 {
+    assert_eq!(one.num_registered(), other.num_registered());
+    one.registered()
+        .map(|(_, image, pose)| {
+            let (.., there) =
+                other.registered().find(|(_, found, _)| found.name == image.name).unwrap();
+            let distance = (pose.origin_in_a() - there.origin_in_a()).norm();
+            distance.max(pose.rotation.angle_to(&there.rotation))
+        })
+        .fold(0.0, f64::max)
+}
+
+fn read(dir: &Path, name: &str) -> Reconstruction {
+    read_model(&dir.join(name)).unwrap()
+}
+
+#[test]
+fn info_counts_and_measures() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = scene();
+    write(dir.path(), "a", &model);
+    let info = tiepoint_in(dir.path(), "model info {}/a --json").done().json();
+    assert_eq!(info["images"], NUM_IMAGES);
+    assert_eq!(info["points"], model.num_tracks());
+    assert_eq!(info["observations"], model.num_observations());
+    assert_eq!(info["cameras"][0]["model"], "SIMPLE_RADIAL");
+    assert_eq!(info["cameras"][0]["images"], NUM_IMAGES);
+    assert!(info["mean_reprojection_error_px"].as_f64().unwrap() < ROUNDING);
+    let text = tiepoint_in(dir.path(), "model info {}/a").done().stdout();
+    assert!(text.contains("f 500") && text.contains(&format!("{NUM_IMAGES} images")), "{text}");
+}
+
+#[test]
+fn transform_and_its_inverse() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write_model(&dir.join("a"), &model, Format::Text).unwrap();
+    let q = transform.rotation;
+    let numbers = format!("2.5 {} {} {} {} 100 -20 3\n", q.w, q.i, q.j, q.k);
+    fs::write(dir.join("t.txt"), numbers).unwrap();
+    tiepoint_in(dir, "model transform {}/a --by {}/t.txt -o {}/b").done();
+    assert!(dir.join("b/images.txt").is_file(), "the format of the input");
+    tiepoint_in(dir, "model transform {}/b --by {}/t.txt --inverse -o {}/c").done();
+    assert!(difference(&read(dir, "c"), &model) < ROUNDING);
+    model.transform(&transform);
+    assert!(difference(&read(dir, "b"), &model) < ROUNDING);
+    assert!(read(dir, "b").mean_reprojection_error_px() < ROUNDING);
+
+    for (text, part) in [
+        ("", "ends where"),
+        ("1 1 0 0 0 0 0", "ends where"),
+        ("0 1 0 0 0 0 0 0", "not above zero"),
+        ("nan 1 0 0 0 0 0 0", "the scale is NaN"),
+        ("1 0 0 0 0 0 0 0", "no rotation"),
+        ("1 1 0 0 0 0 0 0 0", "follows"),
+        ("1 1 0 0 0 0 0 0\n1 1 0 0 0 0 0 0", "follows the only similarity"),
+        ("1e308 1 0 0 0 0 0 0", "finite"),
+    ] {
+        fs::write(dir.join("t.txt"), text).unwrap();
+        tiepoint_in(dir, "model transform {}/a --by {}/t.txt -o {}/bad").failed(1, &[part]);
+        assert!(!dir.join("bad").exists(), "{text}");
+    }
+    // The output is the input.
+    fs::write(dir.join("t.txt"), "2 1 0 0 0 0 0 0").unwrap();
+    let before = fs::read(dir.join("a/images.txt")).unwrap();
+    tiepoint_in(dir, "model transform {}/a --by {}/t.txt -o {}/a").failed(1, &["images.txt"]);
+    assert_eq!(fs::read(dir.join("a/images.txt")).unwrap(), before);
+}
+
+#[test]
+fn alignment_to_positions_ignores_wrong_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (mut model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    model.transform(&transform);
+    let mut text = String::from("# name x y z\nnot there.png 1 2 3\n");
+    for (id, image, pose) in model.registered() {
+        let c = pose.origin_in_a() + Vector3::x() * if id.0 == 2 { 50.0 } else { 0.0 };
+        text += &format!("{}  {} {}\t{}\n", image.name, c.x, c.y, c.z);
+    }
+    fs::write(dir.join("p.txt"), &text).unwrap();
+    let line = "model align {}/a --positions {}/p.txt --max-error 0.1 -o {}/b --json \
+                --save-transform {}/t.txt";
+    let found = tiepoint_in(dir, line).done().json();
+    assert_eq!(found["alignment"]["inliers"], NUM_IMAGES - 1, "{found}");
+    assert!(difference(&read(dir, "b"), &model) < 1e-6, "{found}");
+    tiepoint_in(dir, "model transform {}/a --by {}/t.txt -o {}/c").done();
+    assert!(difference(&read(dir, "c"), &read(dir, "b")) < ROUNDING);
+
+    fs::write(dir.join("p.txt"), "x.png 1 2 3\n").unwrap();
+    tiepoint_in(dir, line).failed(1, &["p.txt", "0 of its images", "at least 3"]);
+    for (text, part) in [
+        ("a.png 1 2\n", "has no name"),
+        ("1 2 3\n", "has no name"),
+        ("a.png 1 2 nan\n", "z is `nan`"),
+        ("a.png 1 2 3\na.png 1 2 3\n", "listed twice"),
+    ] {
+        fs::write(dir.join("p.txt"), text).unwrap();
+        tiepoint_in(dir, line).failed(1, &["p.txt: line", part]);
+    }
+    let on_a_line: String = (0..NUM_IMAGES).map(|k| format!("left/{k} a.png {k} 0 0\n")).collect();
+    fs::write(dir.join("p.txt"), on_a_line).unwrap();
+    tiepoint_in(dir, &line.replace("0.1", "1e-9")).failed(1, &["not on a line"]);
+}
+
+#[test]
+fn alignment_to_a_model_by_common_keypoints() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let (model, transform) = (scene(), similarity());
+    write(dir, "a", &model);
+    // Two common images, which are on a line.
+    let mut reference = part(&model, |index| index >= 6);
+    reference.transform(&transform);
+    write(dir, "reference", &reference);
+    let found = tiepoint_in(dir, "model align {}/a --to {}/reference -o {}/b --json").done().json();
+    assert_eq!(found["alignment"]["common_images"], 2, "{found}");
+    let mut expected = model.clone();
+    expected.transform(&transform);
+    assert!(difference(&read(dir, "b"), &expected) < 1e-6, "{found}");
+
+    let mut renamed = Reconstruction::default();
+    let camera = renamed.add_camera(*model.camera_of(ImageId(0)));
+    let image = renamed.add_image(Image::new("other.png", camera, Vec::new()));
+    renamed.register(image, Rigid3::identity());
+    write(dir, "other", &renamed);
+    tiepoint_in(dir, "model align {}/a --to {}/other -o {}/c")
+        .failed(1, &["cannot align", "other", "no image has a pose in both"]);
+    assert!(!dir.join("c").exists());
+    for (arguments, part) in [
+        ("model align {}/a -o {}/c", "--to"),
+        ("model align {}/a --positions {}/p.txt -o {}/c", "--max-error"),
+        ("model align {}/a --to {}/other --max-error-px 0 -o {}/c", "above zero"),
+    ] {
+        tiepoint_in(dir, arguments).failed(2, &[part]);
+    }
+}
+
+#[test]
+fn crop_to_a_box_and_to_quantiles() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let model = scene();
+    write(dir, "a", &model);
+    tiepoint_in(dir, "model crop {}/a --box -9,-9,0,-1,9,99 -o {}/b").done();
+    let cropped = read(dir, "b");
+    let inside = model.tracks().filter(|(_, track)| track.xyz.x <= -1.0).count();
+    assert_eq!(cropped.num_tracks(), inside);
+    assert!(inside > 0 && cropped.num_registered() < NUM_IMAGES);
+    assert!(cropped.registered().all(|(_, image, _)| image.num_points() > 0));
+    tiepoint_in(dir, "model crop {}/a --quantiles 0,1 -o {}/c").done();
+    assert_eq!(read(dir, "c").num_tracks(), model.num_tracks());
+    tiepoint_in(dir, "model crop {}/a --box 50,50,50,60,60,60 -o {}/d")
+        .failed(1, &["no point of", "model info"]);
+    for (option, part) in [
+        ("--box 1,2,3", "six numbers"),
+        ("--box 1,0,0,0,1,1", "x1 <= x2"),
+        ("--box 0,0,0,inf,1,1", "six numbers"),
+        ("--quantiles 0.9,0.1", "q1 <= q2"),
+        ("", "--quantiles"),
+    ] {
+        tiepoint_in(dir, &format!("model crop {{}}/a {option} -o {{}}/d")).failed(2, &[part]);
+    }
+}
+
+#[test]
+fn parts_become_one_model_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let model = scene();
+    write(dir, "a", &part(&model, |index| index < 4));
+    let mut last = part(&model, |index| index >= 5);
+    last.transform(&similarity());
+    write(dir, "last", &last);
+    let mut middle = part(&model, |index| (3..6).contains(&index));
+    middle.transform(&similarity().inverse());
+    write(dir, "middle", &middle);
+    // `last` has nothing in common with `a`, and fits after `middle`.
+    let merged: Value =
+        tiepoint_in(dir, "model merge {}/a {}/last {}/middle -o {}/all --json").done().json();
+    assert_eq!(merged["images"], NUM_IMAGES, "{merged}");
+    assert_eq!(merged["merged"].as_array().unwrap().len(), 2);
+    let all = read(dir, "all");
+    assert!(difference(&all, &model) < 1e-6, "{merged}");
+    assert_eq!(all.num_cameras(), 1, "common images have one camera");
+    assert_eq!(all.num_tracks(), model.num_tracks());
+    assert_eq!(all.num_observations(), model.num_observations());
+    assert!(all.mean_reprojection_error_px() < 1e-4);
+
+    tiepoint_in(dir, "model merge {}/a {}/last -o {}/none")
+        .failed(1, &["cannot align", "last", "no image has a pose in both"]);
+    tiepoint_in(dir, "model merge {}/a {}/middle -o {}/middle").failed(1, &["middle"]);
+    tiepoint_in(dir, "model merge {}/a -o {}/none").failed(2, &["2"]);
+    assert!(!dir.join("none").exists());
+}
