@@ -11,7 +11,7 @@ use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigTerm};
-use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
+use tiepoint_pipeline::{Calibration, CameraGrouping, DEFAULT_EVERY, ExportFormat, Stage, Truth};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 pub(crate) use values::{ImageSize, Metres, rig_name};
@@ -123,7 +123,7 @@ pub(crate) struct Map {
 
 #[derive(Debug, Args)]
 pub(crate) struct Input {
-    /// A folder of photos (one camera), a folder with one sub-folder of photos per camera, or
+    /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or
     /// videos (one camera each; the program ffmpeg reads them).
     #[arg(required = true, value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
@@ -158,6 +158,11 @@ pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
+    /// Photos that share a camera: auto (photos of one folder with the same size, body, lens and
+    /// focal length), folder (each folder has one), image (each photo has its own), single (all
+    /// have one).
+    #[arg(long, value_name = "GROUPS", default_value_t = CameraGrouping::Auto)]
+    pub(crate) cameras: CameraGrouping,
     /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
     /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
     /// 0.5 to cx and cy. Four numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
@@ -444,6 +449,7 @@ mod tests {
 
     fn calibration(intrinsics: &str, model: Option<&str>) -> Result<Calibration, String> {
         Cameras {
+            cameras: CameraGrouping::Auto,
             intrinsics: Some(intrinsics.parse()?),
             focal_prior: None,
             camera_model: model.map(camera_model).transpose()?,

@@ -32,7 +32,7 @@ pub mod video;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};
-pub use exif::Exif;
+pub use exif::{Device, Exif};
 pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};
 pub use manifest::{MANIFEST, Manifest, is_inside};
 pub use pixels::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS, Luma, Rgb};

@@ -28,7 +28,7 @@ impl Default for Calibration {
 impl Calibration {
     /// The initial camera of an image.
     pub(crate) fn camera(&self, info: &ImageInfo) -> Camera {
-        let ImageInfo { width, height, exif, .. } = *info;
+        let ImageInfo { width, height, ref exif, .. } = *info;
         let (intrinsics, has_focal_prior) = match *self {
             Self::Known(intrinsics) => (intrinsics, true),
             Self::Unknown { model, focal_px } => {
@@ -56,10 +56,10 @@ mod tests {
         };
         let unknown = Calibration::default();
         assert_eq!(focal(unknown, Exif::default()), (720.0, false));
-        assert_eq!(focal(unknown, exif), (600.0, true));
+        assert_eq!(focal(unknown, exif.clone()), (600.0, true));
         let model = CameraModelKind::Pinhole;
         assert_eq!(
-            focal(Calibration::Unknown { model, focal_px: Some(500.0) }, exif),
+            focal(Calibration::Unknown { model, focal_px: Some(500.0) }, exif.clone()),
             (500.0, true)
         );
         let known = Intrinsics::new(model, &[400.0, 410.0, 300.0, 200.0]).unwrap();

@@ -20,8 +20,8 @@ use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
-    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace,
-    emit, option_keys,
+    CameraGrouping, CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch,
+    Workspace, emit, option_keys,
 };
 
 /// Options of feature extraction.
@@ -29,6 +29,8 @@ use crate::{
 pub struct FeatureOptions {
     /// Prior knowledge of the intrinsics.
     pub calibration: Calibration,
+    /// Which photos share a camera.
+    pub cameras: CameraGrouping,
     /// Options of SIFT.
     pub detector: sift::Options,
     /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
@@ -43,6 +45,7 @@ impl Default for FeatureOptions {
     fn default() -> Self {
         Self {
             calibration: Calibration::default(),
+            cameras: CameraGrouping::default(),
             detector: sift::Options::default(),
             timestamps: None,
             max_pixels: DEFAULT_MAX_PIXELS,
@@ -53,10 +56,11 @@ impl Default for FeatureOptions {
 impl FeatureOptions {
     /// The recipe of the stage: fingerprint of the photos, and the options.
     fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
-        let Self { calibration, detector, timestamps, max_pixels } = self;
+        let Self { calibration, cameras, detector, timestamps, max_pixels } = self;
         let timestamps = timestamps.as_deref().map(of_text).transpose()?;
         let mut texts = option_keys::of_features(calibration, detector, timestamps);
         texts.push(option_keys::of_pixel_limit(*max_pixels));
+        texts.push(option_keys::of_cameras(*cameras));
         Ok(Recipe::new(photos.fingerprint()?, texts))
     }
 }
@@ -67,7 +71,7 @@ impl FeatureOptions {
 /// # Errors
 ///
 /// The options are invalid; the stage was run with other photos or options, and `redo` does not ask
-/// for it; fewer than two photos are usable, or photos of one camera differ in size; a file cannot
+/// for it; fewer than two photos are usable, or photos that are to share a camera differ in size; a file cannot
 /// be read or written; `watch` returns `Break`.
 pub fn extract_features(
     photos: &Photos,
@@ -81,7 +85,7 @@ pub fn extract_features(
     let photos = &photos.with_max_pixels(options.max_pixels);
     let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
     let recipe = options.recipe(photos)?;
-    let (usable, mut skipped) = photos.survey()?;
+    let (usable, mut skipped) = photos.survey(options.cameras)?;
     let times = times(photos, &usable, options)?;
     workspace.folder.protect(photos.files().chain(options.timestamps.as_deref()));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
@@ -120,7 +124,7 @@ pub fn extract_features(
     }
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable) {
-            let ImageInfo { width, height, exif, .. } = photo.info;
+            let ImageInfo { width, height, ref exif, .. } = photo.info;
             if let Some(focal_px) = exif.implausible_focal_px(width, height) {
                 emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }

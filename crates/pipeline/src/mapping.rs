@@ -11,7 +11,7 @@ use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics, RigTerm,
-    VerifyOptions, rig_pairs,
+    VerifyOptions, rig_candidates, rig_pairs,
 };
 
 use crate::colors::color_points;
@@ -219,12 +219,12 @@ fn require_synchronous_images(
     term: RigTerm,
 ) -> Result<(), Error> {
     let has_times = term != RigTerm::Paper
-        && scene.cameras().count() > 1
+        && rig_candidates(scene).len() > 1
         && scene.images().all(|(_, i)| i.time_s.is_some());
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }
-    let cameras = scene.cameras().count();
+    let cameras = rig_candidates(scene).len();
     Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
 }
 

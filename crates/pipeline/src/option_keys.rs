@@ -23,6 +23,7 @@ use tiepoint_sfm::{
 };
 
 use crate::cameras::Calibration;
+use crate::grouping::CameraGrouping;
 
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
@@ -35,11 +36,15 @@ pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
 /// Key of the limit on the pixels of a photo, in millions.
 const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
+/// Key of the photos that share a camera.
+const CAMERAS_KEY: &str = "features.cameras";
+
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 11] = [
+const ON_COMMAND_LINE: [(&str, &str); 12] = [
     ("features.camera_model", "--camera-model"),
     (FOCAL_PRIOR, "--focal-prior"),
     (INTRINSICS, "--intrinsics"),
+    (CAMERAS_KEY, "--cameras"),
     (MAX_PIXELS_KEY, "--max-megapixels"),
     ("features.timestamps", "--timestamps"),
     ("match.pairs", "--pairs"),
@@ -128,6 +133,12 @@ pub(crate) fn of_features(
 /// of versions without a limit stay valid.
 pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
     (MAX_PIXELS_KEY, or_none((max_pixels != DEFAULT_MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
+}
+
+/// Which photos share a camera, an option of the feature stage. The default is `none`, so that
+/// workspaces of versions without the option stay valid.
+pub(crate) fn of_cameras(cameras: CameraGrouping) -> (&'static str, String) {
+    (CAMERAS_KEY, or_none((cameras != CameraGrouping::Auto).then_some(cameras)))
 }
 
 /// Options of the match stage.
@@ -443,7 +454,7 @@ mod tests {
                 &Default::default(),
                 0,
             ))
-            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS)])
+            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)
             .collect();

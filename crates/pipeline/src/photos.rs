@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
 
 use crate::fingerprint::fingerprint;
+use crate::grouping::{CameraGrouping, CameraNumbers};
 use crate::{Error, Size, SkippedImage};
 
 /// The files of the input photos; their contents are not read yet.
@@ -26,8 +27,8 @@ pub(crate) struct Photo {
 }
 
 impl Photos {
-    /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder
-    /// per camera is several. `masks`: folder of masks; no keypoints are detected where a mask is
+    /// Lists the photos of `inputs`: folders of images, or folders with one sub-folder per camera of
+    /// a rig. `masks`: folder of masks; no keypoints are detected where a mask is
     /// 0.
     ///
     /// # Errors
@@ -89,8 +90,11 @@ impl Photos {
     ///
     /// # Errors
     ///
-    /// Photos of one camera differ in size, or fewer than two are usable.
-    pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
+    /// Photos that `grouping` makes one camera differ in size, or fewer than two are usable.
+    pub(crate) fn survey(
+        &self,
+        grouping: CameraGrouping,
+    ) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
         let infos: Vec<_> =
             (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
@@ -99,8 +103,9 @@ impl Photos {
         let mut skipped: Vec<SkippedImage> = files
             .map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() })
             .collect();
-        let mut first_of_camera: Vec<Option<usize>> = vec![None; self.folder.camera_names().len()];
-        let mut num_cameras = 0;
+        let mut cameras = CameraNumbers::new(grouping);
+        // The first photo of each camera.
+        let mut firsts: Vec<usize> = Vec::new();
         for (index, (image, info)) in images.iter().zip(infos).enumerate() {
             let info = match info {
                 Ok(info) => info,
@@ -110,27 +115,23 @@ impl Photos {
                     continue;
                 }
             };
-            let camera = match first_of_camera[image.camera.index()] {
-                None => {
-                    first_of_camera[image.camera.index()] = Some(photos.len());
-                    num_cameras += 1;
-                    num_cameras - 1
-                }
+            let camera = cameras.of(photos.len(), image.camera.index(), &info);
+            match firsts.get(camera) {
+                None => firsts.push(photos.len()),
                 Some(first) => {
-                    let first = &photos[first];
+                    let first = &photos[*first];
                     let size = |info: &ImageInfo| Size(info.width, info.height);
                     if size(&first.info) != size(&info) {
                         return Err(Error::TwoSizes {
-                            camera: self.folder.camera_names()[image.camera.index()].clone(),
+                            grouping,
                             first: self.name(first).to_owned(),
                             first_size: size(&first.info),
                             other: image.name.clone(),
                             other_size: size(&info),
                         });
                     }
-                    first.camera
                 }
-            };
+            }
             photos.push(Photo { index, camera, info });
         }
         if photos.len() < 2 {

@@ -87,6 +87,7 @@ fn check_redo(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure>
 fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, Failure> {
     Ok(FeatureOptions {
         calibration: cameras.calibration().map_err(Failure::Usage)?,
+        cameras: cameras.cameras,
         timestamps: input.timestamps.clone(),
         max_pixels: MEGA * input.max_megapixels,
         ..FeatureOptions::default()

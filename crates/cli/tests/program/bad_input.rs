@@ -87,10 +87,25 @@ fn two_sizes_in_one_camera() {
     let folder = dir.path().join("photos");
     photos::write(&folder, 2, 0);
     imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
-    reconstruct(dir.path()).failed(
-        1,
-        &["photos", "0.png", "320 x 240", "2.png", "240 x 320", "one folder for each camera"],
-    );
+    for grouping in ["folder", "single"] {
+        tiepoint_in(
+            dir.path(),
+            &format!("reconstruct {{}}/photos -o {{}}/ws --cameras {grouping}"),
+        )
+        .failed(
+            1,
+            &[
+                &format!("--cameras {grouping}"),
+                "0.png",
+                "320 x 240",
+                "2.png",
+                "240 x 320",
+                "--cameras image",
+            ],
+        );
+    }
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --cameras none")
+        .failed(2, &["none", "auto, folder, image or single"]);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod bad_input;
+mod cameras;
 mod drive;
 mod exits;
 mod experiment;
