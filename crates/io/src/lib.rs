@@ -3,6 +3,7 @@
 mod atomic;
 pub mod bal;
 mod binary;
+pub mod calibration;
 pub mod colmap;
 #[cfg(feature = "database")]
 pub mod database;
@@ -29,6 +30,7 @@ pub mod timestamps;
 pub mod trajectory;
 pub mod undistort;
 pub mod video;
+mod yaml;
 
 pub use atomic::AtomicFile;
 pub use error::{Error, Result};

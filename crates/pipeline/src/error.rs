@@ -237,6 +237,29 @@ pub enum Error {
         /// Its size in pixels.
         other_size: Size,
     },
+    /// Known intrinsics were given for photos of several sizes.
+    #[error(
+        "--intrinsics are those of one image size, but {first} is {first_size} and {other} is \
+        {other_size}: give a file with each camera by --calibration"
+    )]
+    IntrinsicsOfSizes {
+        /// A photo.
+        first: String,
+        /// Its size in pixels.
+        first_size: Size,
+        /// A photo of another size in the same folder.
+        other: String,
+        /// Its size in pixels.
+        other_size: Size,
+    },
+    /// A calibration does not fit the photos.
+    #[error("{path}: {what}")]
+    Calibration {
+        /// The file.
+        path: PathBuf,
+        /// The contradiction.
+        what: String,
+    },
     /// A file of capture times does not fit the photos.
     #[error("{path}: {what}")]
     Times {

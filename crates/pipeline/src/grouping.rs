@@ -74,35 +74,52 @@ impl LensKey {
 /// What the photos of a camera have in common.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum CameraKey {
-    Lens(LensKey, [u32; 2]),
+    /// The number of the lens, and width and height.
+    Lens(usize, [u32; 2]),
     Folder(usize),
     Image(usize),
     All,
 }
 
-/// Numbers cameras in the order of their first photos.
+/// A photo, as far as grouping needs it.
+pub(crate) struct GroupedPhoto<'a> {
+    /// Its number among the usable photos.
+    pub(crate) index: usize,
+    /// Number of its folder.
+    pub(crate) folder: usize,
+    /// Number of its known calibration.
+    pub(crate) calibration: Option<usize>,
+    pub(crate) info: &'a ImageInfo,
+}
+
+/// Numbers lenses and cameras in the order of their first photos.
 pub(crate) struct CameraNumbers {
     grouping: CameraGrouping,
-    known: BTreeMap<CameraKey, usize>,
+    lenses: BTreeMap<LensKey, usize>,
+    cameras: BTreeMap<(CameraKey, Option<usize>), usize>,
 }
 
 impl CameraNumbers {
     pub(crate) fn new(grouping: CameraGrouping) -> Self {
-        Self { grouping, known: BTreeMap::new() }
+        Self { grouping, lenses: BTreeMap::new(), cameras: BTreeMap::new() }
     }
 
-    /// The camera of the photo with this index, in this folder.
-    pub(crate) fn of(&mut self, index: usize, folder: usize, info: &ImageInfo) -> usize {
+    /// The numbers of lens and camera of a photo. Photos with different calibrations never share a
+    /// camera; photos with one share it whatever EXIF says.
+    pub(crate) fn of(&mut self, photo: &GroupedPhoto) -> (usize, usize) {
+        let &GroupedPhoto { index, folder, calibration, info } = photo;
+        let next = self.lenses.len();
+        let lens = *self.lenses.entry(LensKey::new(folder, info)).or_insert(next);
         let key = match self.grouping {
-            CameraGrouping::Auto => {
-                CameraKey::Lens(LensKey::new(folder, info), [info.width, info.height])
-            }
+            CameraGrouping::Auto if calibration.is_some() => CameraKey::Folder(folder),
+            CameraGrouping::Auto => CameraKey::Lens(lens, [info.width, info.height]),
             CameraGrouping::Folder => CameraKey::Folder(folder),
             CameraGrouping::Image => CameraKey::Image(index),
             CameraGrouping::Single => CameraKey::All,
         };
-        let next = self.known.len();
-        *self.known.entry(key).or_insert(next)
+        let next = self.cameras.len();
+        let camera = *self.cameras.entry((key, calibration)).or_insert(next);
+        (lens, camera)
     }
 }
 
@@ -120,7 +137,9 @@ mod tests {
         photos
             .iter()
             .enumerate()
-            .map(|(index, (folder, info))| numbers.of(index, *folder, info))
+            .map(|(index, (folder, info))| {
+                numbers.of(&GroupedPhoto { index, folder: *folder, calibration: None, info }).1
+            })
             .collect()
     }
 

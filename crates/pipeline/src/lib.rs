@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 
 mod adjust;
+mod calibration;
+mod camera_facts;
 mod cameras;
 mod cloud;
 mod colors;
@@ -40,6 +42,7 @@ mod view;
 mod workspace;
 
 pub use adjust::{AdjustReport, AdjustStep, adjust};
+pub use calibration::CalibrationSource;
 pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
 pub use error::{Error, Size};

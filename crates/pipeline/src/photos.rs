@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
 
+use crate::calibration::Calibrations;
 use crate::fingerprint::fingerprint;
-use crate::grouping::{CameraGrouping, CameraNumbers};
+use crate::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
 use crate::{Error, Size, SkippedImage};
 
 /// The files of the input photos; their contents are not read yet.
@@ -23,13 +24,16 @@ pub(crate) struct Photo {
     pub(crate) index: usize,
     /// Index of its camera among the cameras with a usable photo.
     pub(crate) camera: usize,
+    /// Number of its lens. Cameras of one lens differ in the size of their photos.
+    pub(crate) lens: usize,
+    /// Number of its known calibration.
+    pub(crate) calibration: Option<usize>,
     pub(crate) info: ImageInfo,
 }
 
 impl Photos {
-    /// Lists the photos of `inputs`: folders of images, or folders with one sub-folder per camera of
-    /// a rig. `masks`: folder of masks; no keypoints are detected where a mask is
-    /// 0.
+    /// Lists the photos of `inputs`: folders of images, or folders with one sub-folder per camera
+    /// of a rig. `masks`: folder of masks; no keypoints are detected where a mask is 0.
     ///
     /// # Errors
     ///
@@ -74,6 +78,11 @@ impl Photos {
         &self.folder.images()[photo.index].name
     }
 
+    /// Number of the folder of a photo.
+    pub(crate) fn folder_of(&self, photo: &Photo) -> usize {
+        self.folder.images()[photo.index].camera.index()
+    }
+
     /// Fingerprint of all photos and masks.
     ///
     /// # Errors
@@ -94,6 +103,7 @@ impl Photos {
     pub(crate) fn survey(
         &self,
         grouping: CameraGrouping,
+        calibrations: &Calibrations,
     ) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
         let infos: Vec<_> =
@@ -115,7 +125,13 @@ impl Photos {
                     continue;
                 }
             };
-            let camera = cameras.of(photos.len(), image.camera.index(), &info);
+            let calibration = calibrations.of_image(index);
+            let (lens, camera) = cameras.of(&GroupedPhoto {
+                index: photos.len(),
+                folder: image.camera.index(),
+                calibration,
+                info: &info,
+            });
             match firsts.get(camera) {
                 None => firsts.push(photos.len()),
                 Some(first) => {
@@ -132,7 +148,7 @@ impl Photos {
                     }
                 }
             }
-            photos.push(Photo { index, camera, info });
+            photos.push(Photo { index, camera, lens, calibration, info });
         }
         if photos.len() < 2 {
             return Err(

@@ -74,3 +74,58 @@ fn groups_of_the_command_line() {
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws --max-megapixels 1")
         .failed(1, &["--cameras single and not none", "--redo features"]);
 }
+
+#[test]
+fn known_calibrations_of_single_cameras_stay_fixed() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos/left"), 4, 0);
+    photos::write(&dir.path().join("photos/right"), 6, 0);
+    for index in 0..4 {
+        fs::remove_file(dir.path().join(format!("photos/right/{index}.png"))).unwrap();
+    }
+    photos::write(&dir.path().join("photos/rear"), 8, 0);
+    for index in 0..6 {
+        fs::remove_file(dir.path().join(format!("photos/rear/{index}.png"))).unwrap();
+    }
+    // The same lens in three formats; the first pixel is at (0, 0) in two of them.
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 330 330 160 120\n").unwrap();
+    let kalibr = "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n  \
+                  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]\n  intrinsics: [330, 330, 159.5, \
+                  119.5]\n  resolution: [320, 240]\n";
+    fs::write(dir.path().join("k.yaml"), kalibr).unwrap();
+    let line = "reconstruct {}/photos -o {}/ws --rig off --calibration left={}/c.txt \
+                --calibration *ight={}/k.yaml#cam0";
+    let params = |report: Value| -> Vec<(String, Vec<f64>)> {
+        let cameras = report["models"][0]["cameras"].as_array().unwrap().clone();
+        let numbers = |camera: &Value| camera["params"].as_array().unwrap().clone();
+        cameras
+            .iter()
+            .map(|camera| {
+                let model = camera["model"].as_str().unwrap().to_owned();
+                (model, numbers(camera).iter().map(|n| n.as_f64().unwrap()).collect())
+            })
+            .collect()
+    };
+    let report = tiepoint_in(dir.path(), &format!("{line} --json")).done().json();
+    assert_eq!(report["models"][0]["registered"], 8);
+    let found = params(report);
+    let left = vec![330.0, 330.0, 160.0, 120.0];
+    let right = [left.clone(), vec![0.0; 4]].concat();
+    assert_eq!(found[0], ("PINHOLE".to_owned(), left.clone()));
+    assert_eq!(found[2], ("OPENCV".to_owned(), right));
+    // The camera without a calibration is estimated.
+    let rear = &found[1];
+    assert_eq!(rear.0, "SIMPLE_RADIAL");
+    assert!((rear.1[0] - photos::FOCAL_PX).abs() < 0.02 * photos::FOCAL_PX, "{rear:?}");
+    assert_ne!(rear.1[1..3], [160.0, 120.0]);
+    // The same command keeps all stages, and a changed file is named.
+    let again = tiepoint_in(dir.path(), &format!("{line} --json")).done();
+    assert!(again.events().iter().any(|event| event["event"] == "stage_kept"));
+    let refined =
+        tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal --redo map --json").done();
+    let refined = params(refined.json());
+    assert_ne!(refined[0].1[0], 330.0, "--refine holds for known intrinsics");
+    assert_eq!(refined[0].1[2..], left[2..]);
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 331 331 160 120\n").unwrap();
+    tiepoint_in(dir.path(), line).failed(1, &["another --calibration", "--redo features"]);
+}
