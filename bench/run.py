@@ -119,6 +119,50 @@ def table_photos(cases):
     return rows
 
 
+# ---- doors: phone folders, beside COLMAP and beside the clean folder -----------------------------
+
+
+def measure_doors():
+    return script("doors.py", "--seeds", len(SEEDS))["runs"]
+
+
+def table_doors(runs):
+    head = (
+        "set, folder | registered: COLMAP / tiepoint | strangers | error: COLMAP / tiepoint"
+        " | tiepoint to its clean | focal lengths off by (%): COLMAP / tiepoint | cameras"
+    )
+    rows = [head.split(" | ")]
+
+    def of(name, folder, program):
+        keys = (name, folder, program)
+        return [run for run in runs if (run["set"], run["folder"], run["program"]) == keys]
+
+    def value(found, key, scale, digits):
+        values = [scale * run[key] for run in found if key in run]
+        return middle(values, digits) if values else "none"
+
+    for name, folder in dict.fromkeys((run["set"], run["folder"]) for run in runs):
+        colmap, ours = of(name, folder, "colmap"), of(name, folder, "tiepoint")
+        clean = [run["error"] for run in of(name, "clean", "tiepoint") if "error" in run]
+        errors = [run["error"] for run in ours if "error" in run]
+        base = statistics.median(clean) if clean else 0
+        ratio = f"{statistics.median(errors) / base:.2f}" if errors and base else "none"
+        both = [found for found in (colmap, ours) if found]
+        rows.append(
+            [
+                f"{name}, {folder}",
+                " / ".join(f"{min(run['registered'] for run in found)}" for found in both)
+                + f" of {ours[0]['photos']}",
+                " / ".join(value(found, "strangers", 1, 0) for found in both),
+                " / ".join(value(found, "error", 1, 2) for found in both),
+                ratio,
+                " / ".join(value(found, "focal", 100, 2) for found in both),
+                value(ours, "cameras", 1, 0),
+            ]
+        )
+    return rows
+
+
 # ---- kitti: the modes of --rig on clips of 51 frames --------------------------------------------
 
 KITTI_MODES = ["off", "paper", "soft", "auto", "hard"]
@@ -266,6 +310,7 @@ DEMO = f"medians of seeds {DEMO_SEEDS[0]} to {DEMO_SEEDS[-1]}"
 # counts.
 TABLES = {
     "photos": ("photos.md", LIBRARIES, measure_photos, table_photos, SEEDED),
+    "doors": ("photos.md", LIBRARIES, measure_doors, table_doors, SEEDED),
     "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
     "demo": ("experiments.md", [*LIBRARIES, "synth"], measure_demo, table_demo, DEMO),
     "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),

@@ -10,14 +10,16 @@ use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_pipeline::sfm::{Readout, RigTerm};
-use tiepoint_pipeline::{Calibration, DEFAULT_EVERY, ExportFormat, Stage, Truth};
+use tiepoint_pipeline::sfm::{Readout, RefineIntrinsics, RigTerm};
+use tiepoint_pipeline::{
+    Calibration, CalibrationSource, CameraGrouping, DEFAULT_EVERY, ExportFormat, Stage, Truth,
+};
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
 pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, rig_name};
 use values::{
-    NumberList, PositivePixels, alignment, camera_model, positive, readout, rig_term, route,
-    threads,
+    NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_term,
+    route, threads,
 };
 
 /// Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
@@ -147,7 +149,7 @@ pub(crate) struct Dense {
 
 #[derive(Debug, Args)]
 pub(crate) struct Input {
-    /// A folder of photos (one camera), a folder with one sub-folder of photos per camera, or
+    /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or
     /// videos (one camera each; the program ffmpeg reads them).
     #[arg(required = true, value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
@@ -182,6 +184,11 @@ pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
+    /// Photos that share a camera: auto (photos of one folder with the same size, body, lens and
+    /// focal length), folder (each folder has one), image (each photo has its own), single (all
+    /// have one).
+    #[arg(long, value_name = "GROUPS", default_value_t = CameraGrouping::Auto)]
+    pub(crate) cameras: CameraGrouping,
     /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
     /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
     /// 0.5 to cx and cy. Four numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
@@ -192,6 +199,13 @@ pub(crate) struct Cameras {
         conflicts_with = "focal_prior"
     )]
     pub(crate) intrinsics: Option<NumberList>,
+    /// Known intrinsics of single cameras; they stay fixed. FILE is COLMAP's cameras.txt, OpenCV's
+    /// YAML, Kalibr's camchain or KITTI's calib.txt, each with its own pixel centre. With a PATTERN
+    /// it is for the folders or photos that match (`*` any characters, `?` one); #CAMERA is the
+    /// name of the camera in the file, as `left=calib.txt#P2`. Without a pattern the cameras of the
+    /// file are those of the folders, by name or in their order. May be given several times.
+    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA]", conflicts_with = "intrinsics")]
+    pub(crate) calibration: Vec<CalibrationSource>,
     /// Initial focal length of all cameras, in pixels; it is refined. By default from EXIF, else
     /// 1.2 times the larger image side.
     #[arg(long, value_name = "PX")]
@@ -223,6 +237,13 @@ pub(crate) struct Mapping {
     /// time offsets are estimated (paper: to half a frame interval).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
+    /// Intrinsics to refine, as a list of focal, principal-point and distortion, or none. Also
+    /// aspect (fx and fy are refined separately; else pixels stay square, which anamorphic video
+    /// does not have) and prism (the thin prism of the model, which stays fixed else). By default
+    /// focal,principal-point,distortion, and known intrinsics stay fixed; given, the option holds
+    /// for these, too.
+    #[arg(long, value_name = "LIST", value_parser = refine)]
+    pub(crate) refine: Option<RefineIntrinsics>,
     /// Known distance between the first two cameras (in the order of their folders) with its unit,
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m")]
@@ -549,7 +570,7 @@ impl Cameras {
     /// # Errors
     ///
     /// The number or the values of the intrinsics do not fit the camera model.
-    pub(crate) fn calibration(&self) -> Result<Calibration, String> {
+    pub(crate) fn initial(&self) -> Result<Calibration, String> {
         let Some(NumberList(params)) = &self.intrinsics else {
             let model = self.camera_model.unwrap_or(CameraModelKind::SimpleRadial);
             return Ok(Calibration::Unknown {
@@ -587,11 +608,13 @@ mod tests {
 
     fn calibration(intrinsics: &str, model: Option<&str>) -> Result<Calibration, String> {
         Cameras {
+            cameras: CameraGrouping::Auto,
+            calibration: Vec::new(),
             intrinsics: Some(intrinsics.parse()?),
             focal_prior: None,
             camera_model: model.map(camera_model).transpose()?,
         }
-        .calibration()
+        .initial()
     }
 
     #[test]

@@ -28,9 +28,13 @@ pub(crate) fn report(workspace: &Path, report: &Report) -> String {
             0 => String::new(),
             count => format!(", {count} skipped"),
         };
+        let cameras = match features.cameras.len() {
+            0 | 1 => String::new(),
+            count => format!(" of {count} cameras"),
+        };
         let (images, keypoints, seconds) = (features.images, features.keypoints, features.seconds);
         line(format_args!(
-            "features  {images} images, {keypoints} keypoints{skipped}  ({seconds:.1} s)"
+            "features  {images} images{cameras}, {keypoints} keypoints{skipped}  ({seconds:.1} s)"
         ));
     }
     if let Some(matches) = &report.stages.matches {

@@ -1,4 +1,4 @@
-//! EXIF data of a photo: focal length, orientation, time.
+//! EXIF data of a photo: focal length, orientation, time, camera body and lens.
 
 use std::io::{BufRead, Cursor, Seek};
 use std::path::Path;
@@ -16,14 +16,34 @@ const FILM_DIAGONAL_MM: f64 = 43.266_615;
 /// P1000).
 const FOCAL_RANGE: std::ops::RangeInclusive<f64> = 0.1..=150.0;
 
+/// Longest name of a body or lens that is kept, in bytes; of a longer one the beginning.
+const MAX_NAME_BYTES: usize = 128;
+
+/// Camera body and lens, as the photo names them, without white space around the names.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Device {
+    /// Maker of the body.
+    pub make: Option<String>,
+    /// Model of the body.
+    pub model: Option<String>,
+    /// Serial number of the body.
+    pub serial: Option<String>,
+    /// Model of the lens. Phones name each of their lenses.
+    pub lens: Option<String>,
+    /// Serial number of the lens.
+    pub lens_serial: Option<String>,
+}
+
 /// The EXIF fields that are used; a photo without EXIF data has none.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Exif {
     /// Focal length, in millimetres.
     pub focal_mm: Option<f64>,
     /// 35 mm equivalent focal length, in millimetres: the same diagonal angle of view on 35 mm
     /// film.
     pub focal_35mm: Option<f64>,
+    /// Ratio of the digital zoom, more than 1; `None` without one.
+    pub digital_zoom: Option<f64>,
     /// Resolution of the sensor, in pixels of the original photo per millimetre.
     pub pixels_per_mm: Option<f64>,
     /// Longer side of the original photo, in pixels.
@@ -32,6 +52,8 @@ pub struct Exif {
     pub orientation: u8,
     /// Time in seconds since 1970-01-01 00:00 on the clock of the camera.
     pub time_s: Option<f64>,
+    /// Body and lens.
+    pub device: Device,
 }
 
 impl Default for Exif {
@@ -39,10 +61,12 @@ impl Default for Exif {
         Self {
             focal_mm: None,
             focal_35mm: None,
+            digital_zoom: None,
             pixels_per_mm: None,
             long_side_px: None,
             orientation: 1,
             time_s: None,
+            device: Device::default(),
         }
     }
 }
@@ -86,12 +110,18 @@ impl Exif {
             Value::Ascii(list) => list.first().and_then(|bytes| std::str::from_utf8(bytes).ok()),
             _ => None,
         };
+        let name = |tag| {
+            let name = ascii(tag)?.trim_matches(|c: char| c.is_whitespace() || c == '\0');
+            let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
+            (!name.is_empty()).then(|| name.to_owned())
+        };
         let sub_s = ascii(Tag::SubSecTimeOriginal)
             .and_then(|digits| format!("0.{}", digits.trim()).parse::<f64>().ok())
             .unwrap_or(0.0);
         Self {
             focal_mm: positive(Tag::FocalLength),
             focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
+            digital_zoom: positive(Tag::DigitalZoomRatio).filter(|ratio| *ratio > 1.0),
             pixels_per_mm: positive(Tag::FocalPlaneXResolution)
                 .zip(unit_mm)
                 .map(|(count, mm)| count / mm),
@@ -100,6 +130,13 @@ impl Exif {
             time_s: ascii(Tag::DateTimeOriginal)
                 .and_then(seconds_of_date)
                 .map(|seconds| seconds + sub_s),
+            device: Device {
+                make: name(Tag::Make),
+                model: name(Tag::Model),
+                serial: name(Tag::BodySerialNumber),
+                lens: name(Tag::LensModel),
+                lens_serial: name(Tag::LensSerialNumber),
+            },
         }
     }
 

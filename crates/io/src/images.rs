@@ -30,7 +30,7 @@ pub struct SourceImage {
 }
 
 /// Metadata of an image: size, time and EXIF data.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ImageInfo {
     /// Width in pixels, after the rotation that the EXIF orientation asks for.
     pub width: u32,

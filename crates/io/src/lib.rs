@@ -3,6 +3,7 @@
 mod atomic;
 pub mod bal;
 mod binary;
+pub mod calibration;
 pub mod colmap;
 mod counted_file;
 #[cfg(feature = "database")]
@@ -35,11 +36,12 @@ pub mod timestamps;
 pub mod trajectory;
 pub mod undistort;
 pub mod video;
+mod yaml;
 
 pub use atomic::AtomicFile;
 pub use dense_map::DenseMap;
 pub use error::{Error, Result};
-pub use exif::Exif;
+pub use exif::{Device, Exif};
 pub use fused_ply::FusedPly;
 pub use fused_visibility::FusedVisibility;
 pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};

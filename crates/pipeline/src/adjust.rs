@@ -83,7 +83,9 @@ fn adjust_colmap(
 ) -> Result<AdjustReport, Error> {
     let mut model = colmap::read_model(path)?;
     let defaults = AdjustOptions::default();
-    let are_known = fix_intrinsics || ModelLocation::of(path).has_known_intrinsics();
+    let location = ModelLocation::of(path);
+    location.add_camera_facts(&mut model);
+    let are_known = fix_intrinsics || location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { defaults.refine };
     let options = AdjustOptions { refine, max_iterations: MAX_ITERATIONS, ..defaults };
     let start = Instant::now();

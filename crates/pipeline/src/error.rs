@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use crate::Stage;
+use crate::{CameraGrouping, Stage};
 
 fn comma_separated(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
@@ -239,14 +239,14 @@ pub enum Error {
         /// The folder of the frames.
         path: PathBuf,
     },
-    /// The photos of one camera have different sizes.
+    /// Photos that are asked to share a camera have different sizes.
     #[error(
-        "the photos of camera {camera} have different sizes, {first} is {first_size} and {other} \
-        is {other_size}: put them into one folder for each camera"
+        "--cameras {grouping} makes {first} and {other} one camera, but the first is {first_size} \
+        and the other {other_size}: leave the option out, or give --cameras image"
     )]
     TwoSizes {
-        /// The folder.
-        camera: String,
+        /// Which photos share a camera.
+        grouping: CameraGrouping,
         /// A photo.
         first: String,
         /// Its size in pixels.
@@ -255,6 +255,29 @@ pub enum Error {
         other: String,
         /// Its size in pixels.
         other_size: Size,
+    },
+    /// Known intrinsics were given for photos of several sizes.
+    #[error(
+        "--intrinsics are those of one image size, but {first} is {first_size} and {other} is \
+        {other_size}: give a file with each camera by --calibration"
+    )]
+    IntrinsicsOfSizes {
+        /// A photo.
+        first: String,
+        /// Its size in pixels.
+        first_size: Size,
+        /// A photo of another size in the same folder.
+        other: String,
+        /// Its size in pixels.
+        other_size: Size,
+    },
+    /// A calibration does not fit the photos.
+    #[error("{path}: {what}")]
+    Calibration {
+        /// The file.
+        path: PathBuf,
+        /// The contradiction.
+        what: String,
     },
     /// A file of capture times does not fit the photos.
     #[error("{path}: {what}")]

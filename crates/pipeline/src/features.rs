@@ -12,7 +12,8 @@ use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
 use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, Luma, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
-use crate::cameras::Calibration;
+use crate::calibration::{CalibrationSource, Calibrations};
+use crate::cameras::{Calibration, FoundCameras, firsts};
 use crate::fingerprint::of_text;
 use crate::memory::budget_bytes;
 use crate::ordered::for_each_within_budget;
@@ -20,15 +21,19 @@ use crate::photos::Photo;
 use crate::records::{Progress, Recipe};
 use crate::workspace::TIMESTAMPS;
 use crate::{
-    CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch, Workspace,
-    emit, option_keys,
+    CameraGrouping, CameraReport, Error, Event, FeaturesReport, Photos, SkippedImage, Stage, Watch,
+    Workspace, emit, option_keys,
 };
 
 /// Options of feature extraction.
 #[derive(Clone, Debug)]
 pub struct FeatureOptions {
-    /// Prior knowledge of the intrinsics.
+    /// Prior knowledge of the intrinsics of cameras without a calibration file.
     pub calibration: Calibration,
+    /// Files of known calibrations, whose intrinsics stay fixed.
+    pub calibration_files: Vec<CalibrationSource>,
+    /// Which photos share a camera.
+    pub cameras: CameraGrouping,
     /// Options of SIFT.
     pub detector: sift::Options,
     /// CSV file of the capture times with the header `image,seconds`; `None`: times in the file
@@ -43,6 +48,8 @@ impl Default for FeatureOptions {
     fn default() -> Self {
         Self {
             calibration: Calibration::default(),
+            calibration_files: Vec::new(),
+            cameras: CameraGrouping::default(),
             detector: sift::Options::default(),
             timestamps: None,
             max_pixels: DEFAULT_MAX_PIXELS,
@@ -51,12 +58,19 @@ impl Default for FeatureOptions {
 }
 
 impl FeatureOptions {
-    /// The recipe of the stage: fingerprint of the photos, and the options.
-    fn recipe(&self, photos: &Photos) -> Result<Recipe, Error> {
-        let Self { calibration, detector, timestamps, max_pixels } = self;
+    /// The recipe of the stage: fingerprint of the photos, the options, and what was found of the
+    /// cameras.
+    fn recipe(&self, photos: &Photos, found: &FoundCameras) -> Result<Recipe, Error> {
+        let Self { calibration, calibration_files, cameras, detector, timestamps, max_pixels } =
+            self;
+        let files = calibration_files.iter().map(CalibrationSource::fingerprint);
+        let files: Vec<String> = files.collect::<Result<_, _>>()?;
         let timestamps = timestamps.as_deref().map(of_text).transpose()?;
         let mut texts = option_keys::of_features(calibration, detector, timestamps);
         texts.push(option_keys::of_pixel_limit(*max_pixels));
+        texts.push(option_keys::of_cameras(*cameras));
+        texts.push(option_keys::of_calibration_files(&files));
+        texts.extend(found.facts.texts());
         Ok(Recipe::new(photos.fingerprint()?, texts))
     }
 }
@@ -67,8 +81,8 @@ impl FeatureOptions {
 /// # Errors
 ///
 /// The options are invalid; the stage was run with other photos or options, and `redo` does not ask
-/// for it; fewer than two photos are usable, or photos of one camera differ in size; a file cannot
-/// be read or written; `watch` returns `Break`.
+/// for it; fewer than two photos are usable, or photos that are to share a camera differ in size; a
+/// file cannot be read or written; `watch` returns `Break`.
 pub fn extract_features(
     photos: &Photos,
     workspace: &mut Workspace,
@@ -80,10 +94,16 @@ pub fn extract_features(
     options.detector.validate()?;
     let photos = &photos.with_max_pixels(options.max_pixels);
     let inputs_before = std::mem::replace(&mut workspace.records.inputs, photos.inputs.clone());
-    let recipe = options.recipe(photos)?;
-    let (usable, mut skipped) = photos.survey()?;
+    let calibrations = Calibrations::read(&options.calibration_files, &photos.folder)?;
+    let (usable, mut skipped) = photos.survey(options.cameras, &calibrations)?;
+    let found =
+        FoundCameras::new(photos, &usable, &options.calibration, &calibrations, options.cameras)?;
+    let recipe = options.recipe(photos, &found)?;
     let times = times(photos, &usable, options)?;
-    workspace.folder.protect(photos.files().chain(options.timestamps.as_deref()));
+    let calibration_files = options.calibration_files.iter().map(|source| source.path.as_path());
+    workspace
+        .folder
+        .protect(photos.files().chain(options.timestamps.as_deref()).chain(calibration_files));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         if workspace.records.inputs != inputs_before {
@@ -93,7 +113,7 @@ pub fn extract_features(
         return emit(watch, &Event::StageKept { stage: STAGE });
     }
     let start = Instant::now();
-    let cameras = cameras(&usable, &options.calibration);
+    let cameras = found.cameras;
     // Foreign files are detected before anything is replaced.
     let staged = workspace.folder.stage(TIMESTAMPS)?;
     timestamps::write(&staged, times.iter().map(|(name, time_s)| (*name, *time_s)))?;
@@ -119,8 +139,8 @@ pub fn extract_features(
         emit(watch, &Event::ImageSkipped { image, why })?;
     }
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
-        for photo in firsts(&usable) {
-            let ImageInfo { width, height, exif, .. } = photo.info;
+        for photo in firsts(&usable).filter(|photo| photo.calibration.is_none()) {
+            let ImageInfo { width, height, ref exif, .. } = photo.info;
             if let Some(focal_px) = exif.implausible_focal_px(width, height) {
                 emit(watch, &Event::FocalIgnored { image: photos.name(photo), focal_px })?;
             }
@@ -204,22 +224,6 @@ fn times<'a>(
         return Err(Error::Times { path: path.clone(), what });
     }
     Ok(times)
-}
-
-/// The initial cameras, each from its first photo.
-fn cameras(usable: &[Photo], calibration: &Calibration) -> Vec<Camera> {
-    firsts(usable).map(|photo| calibration.camera(&photo.info)).collect()
-}
-
-/// The first photo of each camera.
-fn firsts(usable: &[Photo]) -> impl Iterator<Item = &Photo> {
-    // Cameras are numbered in the order of their first photos.
-    let mut known = 0;
-    usable.iter().filter(move |photo| {
-        let is_first = photo.camera == known;
-        known += usize::from(is_first);
-        is_first
-    })
 }
 
 /// Opens the database to resume, or creates it with cameras and images.

@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 
 mod adjust;
+mod calibration;
+mod camera_facts;
 mod cameras;
 mod cloud;
 mod colors;
@@ -13,6 +15,7 @@ mod export;
 mod features;
 mod file_names;
 mod fingerprint;
+mod grouping;
 mod image_names;
 mod kalibr;
 mod legacy_options;
@@ -42,6 +45,7 @@ mod view;
 mod workspace;
 
 pub use adjust::{AdjustReport, AdjustStep, adjust};
+pub use calibration::CalibrationSource;
 pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
 pub use dense::dense;
@@ -55,6 +59,7 @@ pub(crate) use event::emit;
 pub use event::{DenseStep, Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
+pub use grouping::CameraGrouping;
 pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
 pub use model_tools::{

@@ -11,9 +11,10 @@ use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics, RigTerm,
-    VerifyOptions, rig_pairs,
+    VerifyOptions, rig_candidates, rig_pairs,
 };
 
+use crate::camera_facts::CameraFacts;
 use crate::colors::color_points;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::matching::keypoint;
@@ -32,6 +33,9 @@ use crate::{
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
+    /// Intrinsics to refine, also of cameras whose intrinsics are known; `None`: those of
+    /// [`MapOptions::mapper`], and known ones stay fixed.
+    pub refine: Option<RefineIntrinsics>,
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
     pub baseline_m: Option<f64>,
@@ -52,11 +56,14 @@ pub fn map(
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
-    let MapOptions { mapper: mut options, baseline_m } = *options;
-    if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
+    let MapOptions { mapper: mut options, refine, baseline_m } = *options;
+    if let Some(refine) = refine {
+        options.refine = refine;
+    } else if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
         options.refine = RefineIntrinsics::NONE;
     }
-    let texts = option_keys::of_mapping(&options, baseline_m);
+    let mut texts = option_keys::of_mapping(&options, baseline_m);
+    texts.push(option_keys::of_known_intrinsics(refine.is_some()));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -66,7 +73,10 @@ pub fn map(
     // Foreign files are detected before mapping. Old models stay until the new ones are complete.
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
-    let (graph, scene) = load(workspace)?;
+    let (graph, mut scene) = load(workspace)?;
+    if refine.is_some() {
+        scene.calibrated.clear();
+    }
     let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
     emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
     if graph.pairs().is_empty() {
@@ -149,6 +159,8 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
     for camera in database.read_cameras()? {
         scene.add_camera(camera);
     }
+    let value = |key: &str| workspace.records.option(Stage::Features, key);
+    CameraFacts::read(value).add_to(&mut scene);
     let times = workspace.timestamps_as_left()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     for (index, image) in database.read_images()?.into_iter().enumerate() {
@@ -219,12 +231,12 @@ fn require_synchronous_images(
     term: RigTerm,
 ) -> Result<(), Error> {
     let has_times = term != RigTerm::Paper
-        && scene.cameras().count() > 1
+        && rig_candidates(scene).len() > 1
         && scene.images().all(|(_, i)| i.time_s.is_some());
     if has_times || rig_pairs(scene).iter().any(|rig| rig.pairs.len() >= 2) {
         return Ok(());
     }
-    let cameras = scene.cameras().count();
+    let cameras = rig_candidates(scene).len();
     Err(Error::NoSynchronousImages { path: workspace.root().to_owned(), cameras })
 }
 

@@ -134,8 +134,9 @@ pub fn match_images(
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs to match. The images of a camera are ordered by time if all times are known, else by
-/// name; similar images are found by the visual vocabulary.
+/// The pairs to match. The images of a folder are a sequence, whatever settings its camera had; they
+/// are ordered by time if all times are known, else by name. Similar images are found by the visual
+/// vocabulary.
 fn select_pairs(
     workspace: &Workspace,
     database: &Database,
@@ -144,13 +145,21 @@ fn select_pairs(
 ) -> Result<Vec<ImagePair>, Error> {
     let times = workspace.timestamps_as_left()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
-    let mut cameras: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
+    // Of each camera: the first camera in its folder, that of its first image.
+    let mut firsts: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut first_in_folder: BTreeMap<&str, u32> = BTreeMap::new();
+    for image in images {
+        firsts
+            .entry(image.camera.0)
+            .or_insert_with(|| *first_in_folder.entry(image.folder()).or_insert(image.camera.0));
+    }
+    let mut folders: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
     let are_timed = images.iter().all(|image| times.contains_key(&image.name));
     for (id, image) in (0..).zip(images) {
         let time_s = times.get(&image.name).copied().unwrap_or_default();
-        cameras.entry(image.camera.0).or_default().push((time_s, id));
+        folders.entry(firsts[&image.camera.0]).or_default().push((time_s, id));
     }
-    let sequences = cameras.into_values().map(|mut images| {
+    let sequences = folders.into_values().map(|mut images| {
         if !are_timed {
             return Ok(Sequence::new(images.into_iter().map(|(_, id)| id).collect()));
         }

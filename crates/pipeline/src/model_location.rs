@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use tiepoint_sfm::scene::Reconstruction;
+
+use crate::camera_facts::CameraFacts;
 use crate::file_names::{model_path, rig_name};
 use crate::records::Records;
 use crate::workspace::{DATABASE, REPORT, STAGES, TIMESTAMPS, current_records, is_workspace};
@@ -52,6 +55,16 @@ impl ModelLocation {
         let has_database = self.root.join(DATABASE).is_file();
         current_records(&self.root).is_ok_and(|records| is_given(&records))
             || !has_database && recorded().is_some_and(|records| is_given(&records))
+    }
+
+    /// Adds what the workspace knows of its cameras to a model; nothing for a model in no
+    /// workspace.
+    pub(crate) fn add_camera_facts(&self, model: &mut Reconstruction) {
+        if is_workspace(&self.root)
+            && let Ok(records) = current_records(&self.root)
+        {
+            CameraFacts::read(|key| records.option(Stage::Features, key)).add_to(model);
+        }
     }
 
     /// The report of the workspace, and the index of this model in it.

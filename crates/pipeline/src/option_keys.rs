@@ -24,6 +24,7 @@ use tiepoint_sfm::{
 
 use crate::DenseOptions;
 use crate::cameras::Calibration;
+use crate::grouping::CameraGrouping;
 
 /// Value of an option that is not given.
 pub(crate) const NONE: &str = "none";
@@ -36,13 +37,29 @@ pub(crate) const FOCAL_PRIOR: &str = "features.focal_prior";
 /// Key of the limit on the pixels of a photo, in millions.
 const MAX_PIXELS_KEY: &str = "features.max_megapixels";
 
+/// Key of the files of known calibrations.
+const CALIBRATION_KEY: &str = "features.calibration";
+/// Key that tells whether known intrinsics are refined.
+const REFINE_KNOWN_KEY: &str = "mapper.refine.known";
+
+/// Key of the photos that share a camera.
+const CAMERAS_KEY: &str = "features.cameras";
+
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 13] = [
+const ON_COMMAND_LINE: [(&str, &str); 21] = [
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
+    (CALIBRATION_KEY, "--calibration"),
+    (REFINE_KNOWN_KEY, "--refine"),
+    ("mapper.refine.aspect", "--refine aspect"),
+    ("mapper.refine.distortion", "--refine distortion"),
+    ("mapper.refine.focal", "--refine focal"),
+    ("mapper.refine.principal_point", "--refine principal-point"),
+    ("mapper.refine.prism", "--refine prism"),
     ("features.camera_model", "--camera-model"),
     (FOCAL_PRIOR, "--focal-prior"),
     (INTRINSICS, "--intrinsics"),
+    (CAMERAS_KEY, "--cameras"),
     (MAX_PIXELS_KEY, "--max-megapixels"),
     ("features.timestamps", "--timestamps"),
     ("match.pairs", "--pairs"),
@@ -133,6 +150,22 @@ pub(crate) fn of_pixel_limit(max_pixels: u64) -> (&'static str, String) {
     (MAX_PIXELS_KEY, or_none((max_pixels != DEFAULT_MAX_PIXELS).then_some(max_pixels as f64 / 1e6)))
 }
 
+/// Which photos share a camera, an option of the feature stage. The default is `none`, so that
+/// workspaces of versions without the option stay valid.
+pub(crate) fn of_cameras(cameras: CameraGrouping) -> (&'static str, String) {
+    (CAMERAS_KEY, or_none((cameras != CameraGrouping::Auto).then_some(cameras)))
+}
+
+/// Files of known calibrations by their fingerprints, an option of the feature stage.
+pub(crate) fn of_calibration_files(files: &[String]) -> (&'static str, String) {
+    (CALIBRATION_KEY, or_none((!files.is_empty()).then(|| files.join(" "))))
+}
+
+/// Whether known intrinsics are refined, an option of the map stage.
+pub(crate) fn of_known_intrinsics(refine: bool) -> (&'static str, String) {
+    (REFINE_KNOWN_KEY, or_none(refine.then_some(true)))
+}
+
 /// Options of the match stage.
 pub(crate) fn of_matching(
     pairs: &PairSelection,
@@ -173,7 +206,7 @@ pub(crate) fn of_matching(
 /// Options of the map stage.
 pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Texts {
     let MapperOptions {
-        refine: RefineIntrinsics { focal, principal_point, distortion },
+        refine: RefineIntrinsics { focal, aspect, principal_point, distortion, prism },
         tracks:
             TrackOptions {
                 max_create_error_px,
@@ -212,6 +245,9 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.refine.focal", focal.to_string()),
         ("mapper.refine.principal_point", principal_point.to_string()),
         ("mapper.refine.distortion", distortion.to_string()),
+        // `none` where they are constant, so that workspaces of versions without them stay valid.
+        ("mapper.refine.aspect", or_none(aspect.then_some(true))),
+        ("mapper.refine.prism", or_none(prism.then_some(true))),
         ("mapper.tracks.max_create_error_px", max_create_error_px.to_string()),
         ("mapper.tracks.max_merge_error_px", max_merge_error_px.to_string()),
         ("mapper.tracks.min_angle_rad", min_angle_rad.to_string()),
@@ -323,6 +359,8 @@ mod tests {
             "mapper.refine.focal = true",
             "mapper.refine.principal_point = true",
             "mapper.refine.distortion = true",
+            "mapper.refine.aspect = none",
+            "mapper.refine.prism = none",
             "mapper.tracks.max_create_error_px = 12",
             "mapper.tracks.max_merge_error_px = 4",
             "mapper.tracks.min_angle_rad = 0.026179938779914945",
@@ -459,7 +497,8 @@ mod tests {
                 &Default::default(),
                 0,
             ))
-            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS)])
+            .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
+            .chain([of_calibration_files(&[]), of_known_intrinsics(false)])
             .chain(of_mapping(&mapper, None))
             .map(|(key, _)| key)
             .collect();

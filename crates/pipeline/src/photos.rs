@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
 
+use crate::calibration::Calibrations;
 use crate::fingerprint::fingerprint;
+use crate::grouping::{CameraGrouping, CameraNumbers, GroupedPhoto};
 use crate::{Error, Size, SkippedImage};
 
 /// The files of the input photos; their contents are not read yet.
@@ -22,13 +24,16 @@ pub(crate) struct Photo {
     pub(crate) index: usize,
     /// Index of its camera among the cameras with a usable photo.
     pub(crate) camera: usize,
+    /// Number of its lens. Cameras of one lens differ in the size of their photos.
+    pub(crate) lens: usize,
+    /// Number of its known calibration.
+    pub(crate) calibration: Option<usize>,
     pub(crate) info: ImageInfo,
 }
 
 impl Photos {
-    /// Lists the photos of `inputs`: a folder of images is one camera, a folder with one sub-folder
-    /// per camera is several. `masks`: folder of masks; no keypoints are detected where a mask is
-    /// 0.
+    /// Lists the photos of `inputs`: folders of images, or folders with one sub-folder per camera
+    /// of a rig. `masks`: folder of masks; no keypoints are detected where a mask is 0.
     ///
     /// # Errors
     ///
@@ -73,6 +78,11 @@ impl Photos {
         &self.folder.images()[photo.index].name
     }
 
+    /// Number of the folder of a photo.
+    pub(crate) fn folder_of(&self, photo: &Photo) -> usize {
+        self.folder.images()[photo.index].camera.index()
+    }
+
     /// Fingerprint of all photos and masks.
     ///
     /// # Errors
@@ -89,8 +99,12 @@ impl Photos {
     ///
     /// # Errors
     ///
-    /// Photos of one camera differ in size, or fewer than two are usable.
-    pub(crate) fn survey(&self) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
+    /// Photos that `grouping` makes one camera differ in size, or fewer than two are usable.
+    pub(crate) fn survey(
+        &self,
+        grouping: CameraGrouping,
+        calibrations: &Calibrations,
+    ) -> Result<(Vec<Photo>, Vec<SkippedImage>), Error> {
         let images = self.folder.images();
         let infos: Vec<_> =
             (0..images.len()).into_par_iter().map(|index| self.folder.info(index)).collect();
@@ -99,8 +113,9 @@ impl Photos {
         let mut skipped: Vec<SkippedImage> = files
             .map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() })
             .collect();
-        let mut first_of_camera: Vec<Option<usize>> = vec![None; self.folder.camera_names().len()];
-        let mut num_cameras = 0;
+        let mut cameras = CameraNumbers::new(grouping);
+        // The first photo of each camera.
+        let mut firsts: Vec<usize> = Vec::new();
         for (index, (image, info)) in images.iter().zip(infos).enumerate() {
             let info = match info {
                 Ok(info) => info,
@@ -110,28 +125,30 @@ impl Photos {
                     continue;
                 }
             };
-            let camera = match first_of_camera[image.camera.index()] {
-                None => {
-                    first_of_camera[image.camera.index()] = Some(photos.len());
-                    num_cameras += 1;
-                    num_cameras - 1
-                }
+            let calibration = calibrations.of_image(index);
+            let (lens, camera) = cameras.of(&GroupedPhoto {
+                index: photos.len(),
+                folder: image.camera.index(),
+                calibration,
+                info: &info,
+            });
+            match firsts.get(camera) {
+                None => firsts.push(photos.len()),
                 Some(first) => {
-                    let first = &photos[first];
+                    let first = &photos[*first];
                     let size = |info: &ImageInfo| Size(info.width, info.height);
                     if size(&first.info) != size(&info) {
                         return Err(Error::TwoSizes {
-                            camera: self.folder.camera_names()[image.camera.index()].clone(),
+                            grouping,
                             first: self.name(first).to_owned(),
                             first_size: size(&first.info),
                             other: image.name.clone(),
                             other_size: size(&info),
                         });
                     }
-                    first.camera
                 }
-            };
-            photos.push(Photo { index, camera, info });
+            }
+            photos.push(Photo { index, camera, lens, calibration, info });
         }
         if photos.len() < 2 {
             return Err(

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
 
+use crate::camera_facts::FOUND;
 use crate::option_keys::{NONE, shown};
 use crate::{Error, Stage, legacy_options};
 
@@ -64,9 +65,12 @@ impl Recipe {
     /// Difference between this recorded recipe and the one that is asked for, as the end of the
     /// sentence "they were made …"; `None` if they are equal.
     fn difference(&self, asked: &Self, stage: Stage) -> Option<String> {
+        // What was found follows from the photos and the other options.
         let keys: BTreeSet<&String> = self.options.keys().chain(asked.options.keys()).collect();
-        let changed =
-            keys.into_iter().filter(|key| self.options.get(*key) != asked.options.get(*key));
+        let changed = keys
+            .into_iter()
+            .filter(|key| !key.starts_with(FOUND))
+            .filter(|key| self.options.get(*key) != asked.options.get(*key));
         let changed: Vec<String> = changed.map(|key| self.changed_option(asked, key)).collect();
         if !changed.is_empty() {
             let named = changed[..changed.len().min(MAX_NAMED)].join(", ");

@@ -44,6 +44,11 @@ impl Image {
         }
     }
 
+    /// The folder in its name, without a final `/`; empty if there is none.
+    pub fn folder(&self) -> &str {
+        self.name.rsplit_once('/').map_or("", |(folder, _)| folder)
+    }
+
     /// Pose, if registered.
     pub fn cam_from_world(&self) -> Option<&Rigid3> {
         self.cam_from_world.as_ref()

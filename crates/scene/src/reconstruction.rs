@@ -1,6 +1,7 @@
 //! The owner of cameras, images and tracks. All changes go through methods that keep keypoints and
 //! tracks consistent with each other. [`Reconstruction::validate`] checks all invariants.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
@@ -22,6 +23,11 @@ pub struct Reconstruction {
     /// Frames of the rigs. An image is in at most one frame; an image in no frame has an
     /// independent pose.
     pub frames: Vec<Frame>,
+    /// Cameras with known intrinsics, which adjustments keep.
+    pub calibrated: BTreeSet<CameraId>,
+    /// Pairs of cameras of one lens whose images are turned by 90° against each other. A camera is
+    /// in at most one pair.
+    pub turned: Vec<[CameraId; 2]>,
 }
 
 impl Reconstruction {

@@ -33,7 +33,7 @@ pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
     ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,
     RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, growing_links,
-    relative_poses, rig_pairs, sensor_pairs,
+    relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;

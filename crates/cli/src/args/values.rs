@@ -7,7 +7,7 @@ use std::str::FromStr;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::sfm::geometry::CameraModelKind;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
-use tiepoint_pipeline::sfm::{BoundingBox, Readout, RigTerm};
+use tiepoint_pipeline::sfm::{BoundingBox, Readout, RefineIntrinsics, RigTerm};
 use tiepoint_synth::RouteKind;
 
 /// Width and height, in pixels.
@@ -163,6 +163,34 @@ pub(super) fn readout(text: &str) -> Result<Readout, String> {
             1e3 * MAX_READOUT_S
         )
     })
+}
+
+pub(super) fn refine(text: &str) -> Result<RefineIntrinsics, String> {
+    let mut refine = RefineIntrinsics::NONE;
+    if text == "none" {
+        return Ok(refine);
+    }
+    for word in text.split(',') {
+        let part = match word.trim() {
+            "focal" => &mut refine.focal,
+            "aspect" => &mut refine.aspect,
+            "principal-point" => &mut refine.principal_point,
+            "distortion" => &mut refine.distortion,
+            "prism" => &mut refine.prism,
+            other => {
+                return Err(format!(
+                    "'{other}' is no part of the intrinsics: expected none, or a list of focal, \
+                    aspect, principal-point, distortion and prism"
+                ));
+            }
+        };
+        *part = true;
+    }
+    // These are parts of others.
+    if refine.aspect && !refine.focal || refine.prism && !refine.distortion {
+        return Err("aspect is refined with focal, and prism with distortion: name both".to_owned());
+    }
+    Ok(refine)
 }
 
 pub(super) fn alignment(name: &str) -> Result<Alignment, String> {

@@ -150,7 +150,7 @@ fn reconstruct_drive(
         },
         mapping: MapOptions {
             mapper: MapperOptions { rig, seed: args.seed, ..MapperOptions::default() },
-            baseline_m: None,
+            ..MapOptions::default()
         },
         ..Options::default()
     };

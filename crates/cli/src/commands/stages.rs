@@ -106,7 +106,9 @@ fn check_redo(redo: Option<Stage>, own: Stage) -> Result<Option<Stage>, Failure>
 
 fn feature_options(input: &Input, cameras: &Cameras) -> Result<FeatureOptions, Failure> {
     Ok(FeatureOptions {
-        calibration: cameras.calibration().map_err(Failure::Usage)?,
+        calibration: cameras.initial().map_err(Failure::Usage)?,
+        calibration_files: cameras.calibration.clone(),
+        cameras: cameras.cameras,
         timestamps: input.timestamps.clone(),
         max_pixels: MEGA * input.max_megapixels,
         ..FeatureOptions::default()
@@ -125,6 +127,7 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> MapOptions {
             seed: seed.seed,
             ..MapperOptions::default()
         },
+        refine: mapping.refine,
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
     }
 }

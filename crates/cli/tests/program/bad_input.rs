@@ -87,10 +87,25 @@ fn two_sizes_in_one_camera() {
     let folder = dir.path().join("photos");
     photos::write(&folder, 2, 0);
     imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
-    reconstruct(dir.path()).failed(
-        1,
-        &["photos", "0.png", "320 x 240", "2.png", "240 x 320", "one folder for each camera"],
-    );
+    for grouping in ["folder", "single"] {
+        tiepoint_in(
+            dir.path(),
+            &format!("reconstruct {{}}/photos -o {{}}/ws --cameras {grouping}"),
+        )
+        .failed(
+            1,
+            &[
+                &format!("--cameras {grouping}"),
+                "0.png",
+                "320 x 240",
+                "2.png",
+                "240 x 320",
+                "--cameras image",
+            ],
+        );
+    }
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --cameras none")
+        .failed(2, &["none", "auto, folder, image or single"]);
 }
 
 #[test]
@@ -139,6 +154,10 @@ fn wrong_command_lines() {
     wrong("reconstruct {} -o {}/ws --intrinsics 0,2,3,4", &["--intrinsics", "fx"]);
     wrong("reconstruct {} -o {}/ws --intrinsics 9,9,3,3 --focal-prior 4", &["cannot be used with"]);
     wrong("reconstruct {} -o {}/ws --focal-prior -4", &["-4"]);
+    wrong("reconstruct {} -o {}/ws --calibration =x", &["PATTERN=FILE#CAMERA"]);
+    wrong("reconstruct {} -o {}/ws --intrinsics 9,9,3,3 --calibration x", &["cannot be used with"]);
+    wrong("reconstruct {} -o {}/ws --refine lens", &["'lens'", "principal-point and distortion"]);
+    wrong("map {}/ws --refine prism", &["prism with distortion"]);
     wrong("reconstruct {} -o {}/ws --camera-model LENS", &["LENS", "SIMPLE_RADIAL"]);
     wrong("reconstruct {} -o {}/ws --threads 0", &["--threads"]);
     wrong("map {}/ws --redo match", &["--redo can only be map"]);
@@ -245,4 +264,58 @@ fn invalid_rolling_shutter() {
         with(wrong).failed(2, &["estimate", "16ms"]);
     }
     with("16ms").failed(1, &["ws", "--timestamps", "leave the option out"]);
+}
+
+#[test]
+fn calibrations_that_do_not_fit() {
+    let dir = tempfile::tempdir().unwrap();
+    for folder in ["left", "right"] {
+        photos::write(&dir.path().join("photos").join(folder), 2, 0);
+    }
+    let wrong = |name: &str, text: &str, option: &str, parts: &[&str]| {
+        fs::write(dir.path().join(name), text).unwrap();
+        let line = format!("features {{}}/photos -o {{}}/ws --calibration {option}");
+        let run = tiepoint_in(dir.path(), &line).failed(1, parts);
+        assert!(run.stderr().lines().last().unwrap().len() < 600, "{}", run.stderr());
+    };
+    let colmap = "1 PINHOLE 320 240 330 330 160 120\n2 PINHOLE 320 240 330 330 160 120\n";
+    let kitti = "P0: 330 0 160 0 0 330 120 0 0 0 1 0\nP1: 330 0 160 0 0 330 120 0 0 0 1 0\n\
+                 P2: 330 0 160 0 0 330 120 0 0 0 1 0\n";
+    let kalibr = "cam0:\n  camera_model: pinhole\n  intrinsics: [330, 330, 160, 120]\n  \
+                  resolution: [320, 240]\n";
+    wrong("c.txt", colmap, "{}/c.txt#3", &["c.txt", "no camera \"3\"", "1, 2"]);
+    wrong("c.txt", colmap, "left={}/c.txt", &["has the cameras 1, 2", "c.txt#1"]);
+    wrong("c.txt", colmap, "middle={}/c.txt#1", &["\"middle\"", "no photo", "left, right"]);
+    wrong("k.txt", kitti, "{}/k.txt", &["P0, P1, P2", "left, right", "left=", "#P0"]);
+    wrong(
+        "c.txt",
+        &colmap.replace("320 240", "640 480"),
+        "{}/c.txt",
+        &["c.txt", "640 x 480", "left/0.png", "320 x 240", "calibrate at the size"],
+    );
+    let outside = kitti.replace("160 0", "500 0");
+    wrong("k.txt", &outside, "{}/k.txt#P0", &["principal point", "(500.5, 120.5)", "left/0.png"]);
+    wrong("k.txt", &kitti.replace("P0: 330", "P0: NaN"), "{}/k.txt#P1", &["line 1", "NaN"]);
+    wrong("k.txt", &kitti.replace("P0: 330", "P0: -330"), "{}/k.txt#P1", &["line 1", "fx"]);
+    wrong("a.yaml", &kalibr[..60], "{}/a.yaml", &["a.yaml", "no YAML"]);
+    wrong("a.yaml", &kalibr.replace("pinhole", "omni"), "{}/a.yaml", &["line 2", "omni"]);
+    wrong("a.yaml", &"[".repeat(1 << 20), "{}/a.yaml", &["a.yaml", "recursion limit"]);
+    wrong("a.yaml", &"a: 1\n".repeat(1 << 20), "{}/a.yaml", &["a.yaml", "more than 4 MB"]);
+    wrong("a.txt", "words\n", "{}/a.txt", &["is no calibration", "camchain"]);
+    wrong("a.txt", "", "{}/none.txt", &["none.txt", "No such file"]);
+    wrong("a.txt", "", "{}", &["is a folder"]);
+    assert!(!dir.path().join("ws/database.db").exists());
+}
+
+#[test]
+fn one_calibration_for_photos_of_two_sizes() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("photos");
+    photos::write(&folder, 2, 0);
+    imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --intrinsics 330,330,160,120")
+        .failed(1, &["--intrinsics", "0.png is 320 x 240", "2.png is 240 x 320", "--calibration"]);
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 330 330 160 120\n").unwrap();
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --calibration {}/c.txt")
+        .failed(1, &["c.txt", "320 x 240", "2.png", "240 x 320", "PATTERN=FILE"]);
 }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod bad_input;
+mod cameras;
 mod dense;
 mod drive;
 mod exits;

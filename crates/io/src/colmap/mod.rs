@@ -30,6 +30,7 @@ use rig_tables::RigTables;
 
 pub use file_names::MODEL_FILES;
 use file_names::{IMAGES, REQUIRED};
+pub(crate) use text::read_cameras;
 
 /// The encoding of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -151,12 +151,17 @@ pub(super) fn read(dir: &Path) -> Result<Tables> {
         (Err(error), _) | (_, Err(error)) => return Err(error),
     };
     Ok(Tables {
-        cameras: records(open(CAMERAS)?, read_camera)?,
+        cameras: read_cameras(open(CAMERAS)?)?,
         rigs,
         frames,
         images: read_images(open(IMAGES)?)?,
         points: records(open(POINTS)?, read_point)?,
     })
+}
+
+/// Reads `cameras.txt`: ids and cameras.
+pub(crate) fn read_cameras(lines: Lines) -> Result<Vec<(u32, Camera)>> {
+    records(lines, read_camera)
 }
 
 /// Reads one record from each line.

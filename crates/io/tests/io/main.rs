@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // the lint knows test functions, not their helpers
 
+mod calibration;
 mod colmap;
 mod common;
 mod database;

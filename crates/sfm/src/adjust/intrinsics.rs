@@ -12,8 +12,8 @@ use super::options::{AdjustOptions, RefineIntrinsics};
 const FOCAL_RATIO_SIGMA: f64 = 1e-6;
 
 /// Returns the indices of the constant parameters. Parameters that act like a rotation of the
-/// camera are constant: a systematic error of a hundredth of a pixel would rotate the camera by a
-/// tenth of a degree.
+/// camera are constant unless asked for: a systematic error of a hundredth of a pixel would rotate
+/// the camera by a tenth of a degree.
 pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> Vec<usize> {
     (0..kind.num_params())
         .filter(|index| {
@@ -24,19 +24,21 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
             } else if kind.principal_point_indices().contains(index) {
                 !refine.principal_point
             } else {
-                !refine.distortion || kind.rotation_degenerate_indices().contains(index)
+                let is_prism = kind.rotation_degenerate_indices().contains(index);
+                !refine.distortion || is_prism && !refine.prism
             }
         })
         .collect()
 }
 
 /// Prior on the intrinsics: principal point near the image centre, small distortion, constant ratio
-/// of the focal lengths, and the options' prior on the first focal length. Standard deviations are
-/// divided by the noise of the keypoints.
+/// of the focal lengths unless it is refined, and the options' prior on the first focal length.
+/// Standard deviations are divided by the noise of the keypoints.
 pub(super) fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,
     camera: &Camera,
+    refine: RefineIntrinsics,
     options: &AdjustOptions,
 ) -> Result<Prior<SVector<f64, N>, N>, tiepoint_ba::Error> {
     let kind = camera.intrinsics.kind();
@@ -59,7 +61,7 @@ pub(super) fn intrinsics_prior<const N: usize>(
         }
     }
     let mut prior = Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))?;
-    if let &[x, y] = kind.focal_indices() {
+    if let (&[x, y], false) = (kind.focal_indices(), refine.aspect) {
         let (ratio, weight) =
             (params[y] / params[x], options.noise / (FOCAL_RATIO_SIGMA * params[y]));
         prior.mean[y] = ratio * prior.mean[x];

@@ -7,6 +7,7 @@ mod problem;
 mod rigid_frames;
 mod solve;
 mod term;
+mod turned;
 mod variables;
 
 pub use gauge::fix_gauge;

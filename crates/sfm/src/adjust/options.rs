@@ -11,24 +11,35 @@ use crate::two_view::FocalPrior;
 /// Intrinsics that a bundle adjustment refines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefineIntrinsics {
-    /// Focal lengths, at a constant ratio, since pixels are square. On a street where no camera
-    /// rolls, a change of the ratio is nearly equivalent to scaling all heights. A keypoint error
-    /// of a twentieth of a pixel would change the ratio by a thousandth.
+    /// Focal lengths.
     pub focal: bool,
+    /// The ratio of the focal lengths of models that have two; else it is constant, since pixels
+    /// are square. On a street where no camera rolls, a change of the ratio is nearly equivalent to
+    /// scaling all heights. A keypoint error of a twentieth of a pixel would change the ratio by a
+    /// thousandth. Anamorphic video needs it.
+    pub aspect: bool,
     /// The principal point, with a prior at the image centre.
     pub principal_point: bool,
     /// Distortion coefficients.
     pub distortion: bool,
+    /// Also the coefficients that act like a rotation of the camera, as those of a thin prism
+    /// ([`tiepoint_geometry::CameraModelKind::rotation_degenerate_indices`]).
+    pub prism: bool,
 }
 
 impl RefineIntrinsics {
     /// No intrinsics, for a known calibration.
-    pub const NONE: Self = Self { focal: false, principal_point: false, distortion: false };
+    pub const NONE: Self = Self {
+        focal: false,
+        aspect: false,
+        principal_point: false,
+        distortion: false,
+        prism: false,
+    };
     /// Focal length and distortion with a constant principal point.
-    pub const FOCAL_AND_DISTORTION: Self =
-        Self { focal: true, principal_point: false, distortion: true };
-    /// All intrinsics.
-    pub const ALL: Self = Self { focal: true, principal_point: true, distortion: true };
+    pub const FOCAL_AND_DISTORTION: Self = Self { focal: true, distortion: true, ..Self::NONE };
+    /// All intrinsics of a camera with square pixels and without a prism.
+    pub const ALL: Self = Self { principal_point: true, ..Self::FOCAL_AND_DISTORTION };
 }
 
 /// Options of a bundle adjustment.

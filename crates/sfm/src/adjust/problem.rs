@@ -17,6 +17,7 @@ use super::gauge::fix_gauge;
 use super::intrinsics::{fixed_columns, intrinsics_prior};
 use super::options::{AdjustOptions, RefineIntrinsics, Scope};
 use super::term::{Shifted, Term, TermContext};
+use super::turned::{CameraKey, add_turned};
 use super::variables::{Composed, Variables};
 use crate::Error;
 use crate::noise::keypoint_sigma_px;
@@ -61,9 +62,11 @@ pub(crate) fn build(
     }
     fix_problem_gauge(&mut variables, &context, options)?;
     set_tree_retraction(&mut variables, &observations)?;
+    let mut keys = Vec::new();
     for (camera, _) in model.cameras() {
-        add_camera(&mut variables, &context, options, terms, &observations, camera)?;
+        keys.extend(add_camera(&mut variables, &context, options, terms, &observations, camera)?);
     }
+    add_turned(variables.problem_mut(), model, &keys)?;
     Ok(variables)
 }
 
@@ -155,7 +158,8 @@ enum Pose {
     Composed(Composed),
 }
 
-/// Adds the intrinsics of a camera and the observations of its images.
+/// Adds the intrinsics of a camera and the observations of its images. Returns the key of the
+/// intrinsics; `None` for a camera without images in the problem.
 fn add_camera(
     variables: &mut Variables,
     context: &TermContext,
@@ -163,14 +167,14 @@ fn add_camera(
     terms: &mut [&mut dyn Term],
     observations: &Observations,
     camera: CameraId,
-) -> Result<(), Error> {
+) -> Result<Option<CameraKey>, Error> {
     let model = context.model;
     let own = variables.poses.iter().map(|(image, key)| (*image, Pose::Variable(*key)));
     let composed = variables.composed.iter().map(|(image, pose)| (*image, Pose::Composed(*pose)));
     let is_of_camera = |(image, _): &(ImageId, Pose)| model.image(*image).camera == camera;
     let images: Vec<(ImageId, Pose)> = own.chain(composed).filter(is_of_camera).collect();
     if images.is_empty() {
-        return Ok(());
+        return Ok(None);
     }
     for term in terms.iter_mut() {
         term.add_to_camera(context, camera, variables)?;
@@ -178,13 +182,14 @@ fn add_camera(
     // The images of a local adjustment determine the intrinsics too weakly if the camera has other
     // images.
     let mut all = model.registered().filter(|(_, image, _)| image.camera == camera);
-    let refine = if all.all(|(id, ..)| context.scope.moves(id)) {
+    let is_known = model.calibrated.contains(&camera);
+    let refine = if !is_known && all.all(|(id, ..)| context.scope.moves(id)) {
         options.refine
     } else {
         RefineIntrinsics::NONE
     };
     let camera_of_images = model.camera(camera);
-    with_camera_model!(&camera_of_images.intrinsics, M, params => {
+    let key: CameraKey = with_camera_model!(&camera_of_images.intrinsics, M, params => {
         let kind = camera_of_images.intrinsics.kind();
         let columns = fixed_columns(kind, refine);
         let problem = variables.problem_mut();
@@ -193,7 +198,7 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            let prior = intrinsics_prior(params, camera, camera_of_images, options)?;
+            let prior = intrinsics_prior(params, camera, camera_of_images, refine, options)?;
             problem.add(key, prior, Loss::Trivial)?;
         }
         for (image, pose) in &images {
@@ -208,8 +213,9 @@ fn add_camera(
         }
         let read = move |problem: &Problem| problem.get(key).as_slice().to_vec();
         variables.cameras.push((camera, Box::new(read)));
+        (camera, Box::new(key))
     });
-    Ok(())
+    Ok(Some(key))
 }
 
 /// The observations of an image.

@@ -9,6 +9,7 @@ use super::options::{AdjustOptions, Scope};
 use super::problem::build;
 use super::rigid_frames::RigidFrames;
 use super::term::Term;
+use super::turned::copy_to_unused;
 use crate::Error;
 use crate::tracks::triangulate_observations;
 
@@ -50,6 +51,7 @@ pub fn adjust(
     if let Some(frames) = frames {
         frames.write_back(model);
     }
+    copy_to_unused(model);
     retriangulate_others(model, scope, &variables.points);
     Ok(summary)
 }

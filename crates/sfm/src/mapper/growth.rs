@@ -229,7 +229,11 @@ impl<'a> Mapper<'a> {
         refine.focal &= self.solution.noise.is_some() || has_rotation;
         refine.principal_point &= self.solution.noise.is_some() && has_rotation;
         if self.solution.model.num_registered() < MIN_IMAGES_FOR_DISTORTION {
-            refine = RefineIntrinsics { focal: refine.focal, ..RefineIntrinsics::NONE };
+            refine = RefineIntrinsics {
+                focal: refine.focal,
+                aspect: refine.aspect,
+                ..RefineIntrinsics::NONE
+            };
         }
         if self.solution.model.num_registered() < 3 {
             refine = RefineIntrinsics::NONE;

@@ -2,6 +2,7 @@
 //! and constraints on relative poses.
 
 mod autocorrelation_time;
+mod candidates;
 mod constrain;
 mod context;
 mod covariance;
@@ -19,6 +20,7 @@ mod sensor_pair;
 mod sigma_selection;
 mod solution;
 
+pub use candidates::rig_candidates;
 pub(crate) use constrain::constrain_rig;
 pub(crate) use context::Context;
 pub use extrinsics::{ExtrinsicsCovariance, RigConstraint};

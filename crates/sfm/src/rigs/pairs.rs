@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use tiepoint_rig::{RelativePose, interval_s};
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
-use crate::timeline::{images_in_time, images_of_cameras};
+use super::candidates::rig_candidates;
+use crate::timeline::images_in_time;
 
 /// Two images of one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,10 +31,10 @@ pub struct RigPairs {
     pub pairs: Vec<RigPair>,
 }
 
-/// Pairs the images of every camera with those of the reference camera, which is the first one.
-/// Cameras without a pair are left out.
+/// Pairs the images of every camera that may be on a rig with those of the reference camera, which
+/// is the first one. Cameras without a pair are left out.
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
-    let images = images_of_cameras(scene);
+    let images = rig_candidates(scene);
     let mut cameras = images.iter();
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
     cameras

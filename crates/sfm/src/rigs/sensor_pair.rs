@@ -17,6 +17,7 @@ use tiepoint_rig::{
 };
 use tiepoint_scene::{CameraId, ImageId, Reconstruction};
 
+use super::candidates::rig_candidates;
 use super::pairs::{RigPair, by_name, by_time};
 use crate::timeline::{images_in_time, images_of_cameras};
 
@@ -171,10 +172,10 @@ const MAX_DEVIATIONS: f64 = 6.0;
 const MAX_PHASE: f64 = 0.1;
 const MIN_PHASE_S: f64 = 0.001;
 
-/// Pairs each camera with the reference camera, which is the first one, and initialises the clocks
+/// Pairs each camera that may be on a rig with the reference camera, which is the first one, and initialises the clocks
 /// from times, file names and motion.
 pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
-    let cameras = images_of_cameras(model);
+    let cameras = rig_candidates(model);
     let mut cameras = cameras.iter();
     let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
     cameras

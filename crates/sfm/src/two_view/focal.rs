@@ -77,32 +77,50 @@ pub fn focal_priors(model: &Reconstruction, found: &[CameraId]) -> Vec<FocalPrio
     model.cameras().map(prior).collect()
 }
 
-/// Estimates and sets the focal length of each camera without a focal prior. Returns the cameras
-/// for which it is determined.
+/// Estimates and sets the focal length of each camera without a focal prior; turned cameras of one
+/// lens have one. Returns the cameras for which it is determined.
 pub fn estimate_focal_lengths(
     graph: &CorrespondenceGraph,
     model: &mut Reconstruction,
 ) -> Vec<CameraId> {
-    let unknown: Vec<CameraId> =
-        model.cameras().filter(|(_, c)| !c.is_calibrated()).map(|(id, _)| id).collect();
+    let unknown: Vec<Vec<CameraId>> = unknown_lenses(model);
     let mut found = vec![false; unknown.len()];
     let rounds = if unknown.len() > 1 { NUM_ROUNDS } else { 1 };
     let pairs: Vec<(Vec<Pair>, bool)> =
-        unknown.iter().map(|&camera| pairs_of(graph, model, camera)).collect();
+        unknown.iter().map(|cameras| pairs_of(graph, model, cameras)).collect();
     for round in 0..rounds {
-        for (index, (&camera, (pairs, is_alone))) in unknown.iter().zip(&pairs).enumerate() {
+        for (index, (cameras, (pairs, is_alone))) in unknown.iter().zip(&pairs).enumerate() {
             // Pairs within one camera do not change after the first round.
             if round > 0 && *is_alone {
                 continue;
             }
-            if let Some(focal_px) = best_focal_px(model, camera, pairs) {
+            if let Some(focal_px) = best_focal_px(model, cameras, pairs) {
                 found[index] = true;
-                let camera = model.camera_mut(camera);
-                camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
+                for &camera in cameras {
+                    let camera = model.camera_mut(camera);
+                    camera.intrinsics = with_focal(&camera.intrinsics, focal_px);
+                }
             }
         }
     }
-    unknown.into_iter().zip(found).filter_map(|(camera, found)| found.then_some(camera)).collect()
+    let found =
+        unknown.into_iter().zip(found).filter_map(|(cameras, found)| found.then_some(cameras));
+    found.flatten().collect()
+}
+
+/// The cameras without a focal prior. Turned cameras of one lens are together.
+fn unknown_lenses(model: &Reconstruction) -> Vec<Vec<CameraId>> {
+    let is_unknown = |camera: CameraId| !model.camera(camera).is_calibrated();
+    let turned = model.turned.iter().filter(|pair| pair.iter().all(|&camera| is_unknown(camera)));
+    let mut lenses: Vec<Vec<CameraId>> = turned.map(|pair| pair.to_vec()).collect();
+    let alone: Vec<CameraId> = model
+        .cameras()
+        .map(|(id, _)| id)
+        .filter(|&id| is_unknown(id) && !lenses.iter().any(|cameras| cameras.contains(&id)))
+        .collect();
+    lenses.extend(alone.into_iter().map(|camera| vec![camera]));
+    lenses.sort();
+    lenses
 }
 
 /// Matched pixels of two images.
@@ -156,12 +174,12 @@ impl Pair {
     }
 }
 
-/// Returns the best pair of each image of a camera: pairs within the camera if there are enough,
-/// whose flag is true, and all pairs otherwise.
+/// Returns the best pair of each image of the cameras of a lens: pairs within them if there are
+/// enough, whose flag is true, and all pairs otherwise.
 fn pairs_of(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
-    camera: CameraId,
+    cameras: &[CameraId],
 ) -> (Vec<Pair>, bool) {
     let choose = |is_wanted: &dyn Fn(CameraId, CameraId) -> bool| -> Vec<Pair> {
         let mut best: BTreeMap<ImageId, Pair> = BTreeMap::new();
@@ -177,24 +195,25 @@ fn pairs_of(
         let step = best.len().div_ceil(MAX_PAIRS).max(1);
         best.into_values().step_by(step).collect()
     };
-    let within = choose(&|a, b| a == camera && b == camera);
+    let within = choose(&|a, b| cameras.contains(&a) && cameras.contains(&b));
     if within.len() >= MAX_PAIRS / 8 {
         return (within, true);
     }
-    (choose(&|a, b| a == camera || b == camera), false)
+    (choose(&|a, b| cameras.contains(&a) || cameras.contains(&b)), false)
 }
 
 /// Returns the focal length with the least cost, in pixels; `None` if the pairs do not determine
 /// it.
-fn best_focal_px(model: &Reconstruction, camera: CameraId, pairs: &[Pair]) -> Option<f64> {
+fn best_focal_px(model: &Reconstruction, cameras: &[CameraId], pairs: &[Pair]) -> Option<f64> {
     if pairs.is_empty() {
         return None;
     }
-    let side_px = f64::from(model.camera(camera).width.max(model.camera(camera).height));
+    let first = model.camera(*cameras.first()?);
+    let side_px = f64::from(first.width.max(first.height));
     let cost = |focal_px: f64| -> f64 {
         let intrinsics = |id: CameraId| {
             let intrinsics = model.camera(id).intrinsics;
-            if id == camera { with_focal(&intrinsics, focal_px) } else { intrinsics }
+            if cameras.contains(&id) { with_focal(&intrinsics, focal_px) } else { intrinsics }
         };
         let costs: Vec<f64> = pairs
             .par_iter()

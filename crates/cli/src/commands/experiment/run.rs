@@ -231,7 +231,7 @@ impl Task<'_> {
                     seed: *seed,
                     ..MapperOptions::default()
                 },
-                baseline_m: None,
+                ..MapOptions::default()
             },
             ..Options::default()
         };

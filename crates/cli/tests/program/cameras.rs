@@ -1,0 +1,131 @@
+//! Cameras that are found: photos of several sizes, turns and lenses in one folder.
+
+use std::fs;
+use std::path::Path;
+
+use image::imageops;
+use serde_json::Value;
+
+use crate::{photos, tiepoint_in};
+
+/// The cameras of the feature stage as width and height, and the camera (from 0) of each image in
+/// the order of their names.
+fn cameras_and_images(dir: &Path) -> (Vec<[u64; 2]>, Vec<i64>) {
+    let report = fs::read(dir.join("ws/report.json")).unwrap();
+    let report: Value = serde_json::from_slice(&report).unwrap();
+    let cameras = report["stages"]["features"]["cameras"].as_array().unwrap();
+    let size = |camera: &Value| ["width", "height"].map(|side| camera[side].as_u64().unwrap());
+    let database = rusqlite::Connection::open(dir.join("ws/database.db")).unwrap();
+    let mut query = database.prepare("SELECT camera_id - 1 FROM images ORDER BY name").unwrap();
+    let images = query.query_map([], |row| row.get(0)).unwrap();
+    (cameras.iter().map(size).collect(), images.map(Result::unwrap).collect())
+}
+
+/// Eight photos; a third is turned by 90°, and one has half the size.
+fn write_mixed(dir: &Path) {
+    photos::write(dir, 8, 0);
+    for index in [1, 4, 7] {
+        let turned = imageops::rotate90(&photos::photo(index, 0));
+        turned.save(dir.join(format!("{index}.png"))).unwrap();
+    }
+    let half = imageops::thumbnail(&photos::photo(5, 0), photos::WIDTH / 2, photos::HEIGHT / 2);
+    half.save(dir.join("5.png")).unwrap();
+}
+
+#[test]
+fn a_folder_of_turned_and_smaller_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    write_mixed(&photos);
+    photos::write_truth(&dir.path().join("truth"), 8);
+    tiepoint_in(dir.path(), "reconstruct {}/photos -o {}/ws").done();
+    let (cameras, images) = cameras_and_images(dir.path());
+    assert_eq!(cameras, [[320, 240], [240, 320], [160, 120]]);
+    assert_eq!(images, [0, 1, 0, 0, 1, 2, 0, 1]);
+    // One folder is no rig, so that the default --rig auto has nothing to constrain.
+    assert!(!dir.path().join("ws/rig.json").exists());
+    let found =
+        tiepoint_in(dir.path(), "evaluate poses {}/ws --truth strecha:{}/truth --json").json();
+    assert_eq!(found["registered"], 8);
+    // The cameras stand on an arc of 2.5 m.
+    let error_m = found["centre_error"]["rmse"].as_f64().unwrap();
+    assert!(error_m < 0.02, "{error_m}");
+}
+
+#[test]
+fn groups_of_the_command_line() {
+    let dir = tempfile::tempdir().unwrap();
+    for folder in ["a", "b"] {
+        photos::write(&dir.path().join("photos").join(folder), 2, 0);
+    }
+    for (grouping, expected) in [
+        ("auto", [0, 0, 1, 1]),
+        ("folder", [0, 0, 1, 1]),
+        ("image", [0, 1, 2, 3]),
+        ("single", [0, 0, 0, 0]),
+    ] {
+        let line = format!(
+            "features {{}}/photos -o {{}}/ws --cameras {grouping} --max-megapixels 1 --redo \
+            features"
+        );
+        tiepoint_in(dir.path(), &line).done();
+        assert_eq!(cameras_and_images(dir.path()).1, expected, "{grouping}");
+    }
+    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --max-megapixels 1")
+        .failed(1, &["--cameras single and not none", "--redo features"]);
+}
+
+#[test]
+fn known_calibrations_of_single_cameras_stay_fixed() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos/left"), 4, 0);
+    photos::write(&dir.path().join("photos/right"), 6, 0);
+    for index in 0..4 {
+        fs::remove_file(dir.path().join(format!("photos/right/{index}.png"))).unwrap();
+    }
+    photos::write(&dir.path().join("photos/rear"), 8, 0);
+    for index in 0..6 {
+        fs::remove_file(dir.path().join(format!("photos/rear/{index}.png"))).unwrap();
+    }
+    // The same lens in three formats; the first pixel is at (0, 0) in two of them.
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 330 330 160 120\n").unwrap();
+    let kalibr = "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n  \
+                  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]\n  intrinsics: [330, 330, 159.5, \
+                  119.5]\n  resolution: [320, 240]\n";
+    fs::write(dir.path().join("k.yaml"), kalibr).unwrap();
+    let line = "reconstruct {}/photos -o {}/ws --rig off --calibration left={}/c.txt \
+                --calibration *ight={}/k.yaml#cam0";
+    let params = |report: Value| -> Vec<(String, Vec<f64>)> {
+        let cameras = report["models"][0]["cameras"].as_array().unwrap().clone();
+        let numbers = |camera: &Value| camera["params"].as_array().unwrap().clone();
+        cameras
+            .iter()
+            .map(|camera| {
+                let model = camera["model"].as_str().unwrap().to_owned();
+                (model, numbers(camera).iter().map(|n| n.as_f64().unwrap()).collect())
+            })
+            .collect()
+    };
+    let report = tiepoint_in(dir.path(), &format!("{line} --json")).done().json();
+    assert_eq!(report["models"][0]["registered"], 8);
+    let found = params(report);
+    let left = vec![330.0, 330.0, 160.0, 120.0];
+    let right = [left.clone(), vec![0.0; 4]].concat();
+    assert_eq!(found[0], ("PINHOLE".to_owned(), left.clone()));
+    assert_eq!(found[2], ("OPENCV".to_owned(), right));
+    // The camera without a calibration is estimated.
+    let rear = &found[1];
+    assert_eq!(rear.0, "SIMPLE_RADIAL");
+    assert!((rear.1[0] - photos::FOCAL_PX).abs() < 0.02 * photos::FOCAL_PX, "{rear:?}");
+    assert_ne!(rear.1[1..3], [160.0, 120.0]);
+    // The same command keeps all stages, and a changed file is named.
+    let again = tiepoint_in(dir.path(), &format!("{line} --json")).done();
+    assert!(again.events().iter().any(|event| event["event"] == "stage_kept"));
+    let refined =
+        tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal --redo map --json").done();
+    let refined = params(refined.json());
+    assert_ne!(refined[0].1[0], 330.0, "--refine holds for known intrinsics");
+    assert_eq!(refined[0].1[2..], left[2..]);
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 331 331 160 120\n").unwrap();
+    tiepoint_in(dir.path(), line).failed(1, &["another --calibration", "--redo features"]);
+}

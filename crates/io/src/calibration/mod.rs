@@ -1,0 +1,135 @@
+//! Known intrinsics of cameras, in the files of several programs. All have the centre of the
+//! top-left pixel at (0.5, 0.5) after reading: COLMAP has it there, and OpenCV, Kalibr and KITTI,
+//! which have it at (0, 0), get half a pixel added to their principal points.
+
+mod kalibr;
+mod opencv;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
+
+use crate::text::Lines;
+use crate::{Error, Result, colmap, kitti, require_regular_file, yaml};
+
+/// Longest file that is read, in bytes. A calibration has some kilobytes, and `cameras.txt` of ten
+/// thousand cameras one million.
+const MAX_BYTES: u64 = 4 << 20;
+/// Pixel coordinates of COLMAP minus those of OpenCV, Kalibr and KITTI.
+const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
+
+/// The calibration of one camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraCalibration {
+    /// Its name in the file: the id in COLMAP's, `cam0` in Kalibr's, `P0` in KITTI's; `M1` and `M2`
+    /// in OpenCV's of a stereo pair, else `camera`.
+    pub name: String,
+    /// Kalibr's name of the recording, such as `/left/image_raw`.
+    pub topic: Option<String>,
+    /// Width and height of its images in pixels, if the file has them.
+    pub size: Option<[u32; 2]>,
+    /// Model and parameters; the centre of the top-left pixel is (0.5, 0.5).
+    pub intrinsics: Intrinsics,
+}
+
+/// Reads COLMAP's `cameras.txt`, OpenCV's YAML of `FileStorage` (also of ROS), Kalibr's camchain or
+/// KITTI's `calib.txt`; the content decides which it is. Returns at least one camera, in the order
+/// of the file, with unique names.
+///
+/// # Errors
+///
+/// If the file cannot be read, is larger than four megabytes, is none of these or not as its format
+/// says, and if a camera model is unknown, a number is not finite or a focal length not positive.
+pub fn read(path: &Path) -> Result<Vec<CameraCalibration>> {
+    let text = read_text(path)?;
+    let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !is_comment(line));
+    let first_word = first.and_then(|line| line.split_whitespace().next()).unwrap_or("");
+    let is_yaml_name = path.extension().is_some_and(|ending| {
+        ["yaml", "yml"].iter().any(|known| ending.eq_ignore_ascii_case(known))
+    });
+    let is_matrix_name =
+        |word: &str| word.starts_with(['P', 'R', 'T']) && word.ends_with(':') && word.len() > 2;
+    let cameras = if is_yaml_name || text.starts_with("%YAML") {
+        of_yaml(path, &text)?
+    } else if !first_word.is_empty() && first_word.bytes().all(|byte| byte.is_ascii_digit()) {
+        of_colmap(path)?
+    } else if is_matrix_name(first_word) {
+        of_kitti(path)?
+    } else if first_word.ends_with(':') {
+        of_yaml(path, &text)?
+    } else {
+        return Err(Error::content(
+            path,
+            "is no calibration: give COLMAP's cameras.txt, OpenCV's YAML, Kalibr's camchain or \
+            KITTI's calib.txt",
+        ));
+    };
+    for (index, camera) in cameras.iter().enumerate() {
+        if cameras[..index].iter().any(|other| other.name == camera.name) {
+            return Err(Error::content(path, format!("has the camera {} twice", camera.name)));
+        }
+    }
+    Ok(cameras)
+}
+
+fn is_comment(line: &str) -> bool {
+    line.starts_with('#')
+}
+
+fn read_text(path: &Path) -> Result<String> {
+    require_regular_file(path)?;
+    let file = File::open(path).map_err(Error::io(path))?;
+    let mut bytes = Vec::new();
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
+    if bytes.len() as u64 > MAX_BYTES {
+        let most = MAX_BYTES >> 20;
+        return Err(Error::content(path, format!("has more than {most} MB: it is no calibration")));
+    }
+    String::from_utf8(bytes).map_err(|_| Error::content(path, "is not UTF-8 text"))
+}
+
+fn of_yaml(path: &Path, text: &str) -> Result<Vec<CameraCalibration>> {
+    let root = yaml::parse(path, text)?;
+    if kalibr::is_camchain(&root) {
+        kalibr::cameras(path, &root)
+    } else {
+        opencv::cameras(path, &root)
+    }
+}
+
+fn of_colmap(path: &Path) -> Result<Vec<CameraCalibration>> {
+    let cameras = colmap::read_cameras(Lines::open(path)?)?;
+    let cameras = cameras.into_iter().map(|(id, camera)| CameraCalibration {
+        name: id.to_string(),
+        topic: None,
+        size: Some([camera.width, camera.height]),
+        intrinsics: camera.intrinsics,
+    });
+    Ok(cameras.collect())
+}
+
+fn of_kitti(path: &Path) -> Result<Vec<CameraCalibration>> {
+    let cameras = kitti::read_calibration(path)?.cameras.into_iter();
+    let cameras = cameras.map(|camera| CameraCalibration {
+        name: format!("P{}", camera.number),
+        topic: None,
+        size: None,
+        intrinsics: camera.intrinsics,
+    });
+    Ok(cameras.collect())
+}
+
+/// Intrinsics from fx, fy, cx, cy with the centre of the top-left pixel at (0, 0), and the further
+/// parameters of a model.
+fn intrinsics(
+    model: &str,
+    [fx, fy, cx, cy]: [f64; 4],
+    further: &[f64],
+) -> std::result::Result<Intrinsics, String> {
+    let kind = CameraModelKind::from_name(model).map_err(|cause| cause.to_string())?;
+    let mut params = vec![fx, fy, cx + PIXEL_CENTRE_OFFSET_PX, cy + PIXEL_CENTRE_OFFSET_PX];
+    params.extend(further);
+    Intrinsics::new(kind, &params).map_err(|cause| cause.to_string())
+}

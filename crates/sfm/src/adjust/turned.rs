@@ -1,0 +1,175 @@
+//! Two cameras of one lens whose images are turned by 90° against each other: photos of a camera
+//! that is held upright, with pixels that are upright, too.
+//!
+//! Turning an image exchanges the focal lengths and keeps the coefficients of the radial
+//! distortion. The cameras share these up to [`SIGMA`]. The principal point and the distortion that
+//! is not radial stay separate: they depend on the sense of the turn, which pixels do not tell.
+
+use std::any::Any;
+
+use tiepoint_ba::{Factor, Key, Linear, Problem};
+use tiepoint_geometry::nalgebra::{SMatrix, SVector};
+use tiepoint_geometry::{CameraModelKind, Intrinsics, Loss, with_camera_model};
+use tiepoint_scene::{CameraId, Reconstruction};
+
+use crate::Error;
+
+/// Standard deviation of the relation: relative for focal lengths, absolute for coefficients. A
+/// value ten times as large suffices for a million keypoints, as for the ratio of focal lengths.
+const SIGMA: f64 = 1e-6;
+
+/// A parameter that turned cameras share: its index in the one and in the other camera.
+type Shared = (usize, usize);
+
+/// The shared parameters of a camera model.
+fn shared_params(kind: CameraModelKind) -> Vec<Shared> {
+    let focal = match *kind.focal_indices() {
+        [x, y] => vec![(x, y), (y, x)],
+        ref single => single.iter().map(|&index| (index, index)).collect(),
+    };
+    // Radial coefficients are k, k1, k2, …, and omega of FOV.
+    let is_radial = |name: &str| {
+        name == "omega"
+            || name.strip_prefix('k').is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
+    };
+    let radial = kind.param_names().iter().enumerate().filter(|(_, name)| is_radial(name));
+    focal.into_iter().chain(radial.map(|(index, _)| (index, index))).collect()
+}
+
+/// Residual of the parameters that turned cameras share.
+struct TurnedLens<const N: usize> {
+    shared: Vec<Shared>,
+    /// Reciprocal standard deviation of each parameter of the second camera.
+    weights: SVector<f64, N>,
+}
+
+impl<const N: usize> Factor<N> for TurnedLens<N> {
+    type Vars = (SVector<f64, N>, SVector<f64, N>);
+
+    fn linearize(
+        &self,
+        (one, other): (&SVector<f64, N>, &SVector<f64, N>),
+    ) -> Option<Linear<Self::Vars, N>> {
+        let mut residual = SVector::<f64, N>::zeros();
+        let mut by_one = SMatrix::<f64, N, N>::zeros();
+        let mut by_other = SMatrix::<f64, N, N>::zeros();
+        for &(i, j) in &self.shared {
+            let weight = self.weights[j];
+            residual[j] = weight * (other[j] - one[i]);
+            (by_one[(j, i)], by_other[(j, j)]) = (-weight, weight);
+        }
+        Some((residual, (by_one, by_other)))
+    }
+}
+
+/// The key of a camera's parameters. Its type depends on the camera model.
+pub(super) type CameraKey = (CameraId, Box<dyn Any>);
+
+/// Adds the factors of the turned cameras that are both in the problem.
+pub(super) fn add_turned(
+    problem: &mut Problem,
+    model: &Reconstruction,
+    keys: &[CameraKey],
+) -> Result<(), Error> {
+    let key_of = |camera: CameraId| keys.iter().find(|(id, _)| *id == camera).map(|(_, key)| key);
+    for &[one, other] in &model.turned {
+        let (Some(key1), Some(key2)) = (key_of(one), key_of(other)) else { continue };
+        let intrinsics = &model.camera(one).intrinsics;
+        let is_fixed = |camera| model.calibrated.contains(&camera);
+        if intrinsics.kind() != model.camera(other).intrinsics.kind()
+            || is_fixed(one)
+            || is_fixed(other)
+        {
+            continue;
+        }
+        with_camera_model!(intrinsics, M, params => {
+            type Params<M> = <M as tiepoint_geometry::CameraModel>::Params;
+            if let (Some(key1), Some(key2)) = (
+                key1.downcast_ref::<Key<Params<M>>>(),
+                key2.downcast_ref::<Key<Params<M>>>(),
+            ) {
+                let factor = turned_lens(intrinsics, params);
+                problem.add((*key1, *key2), factor, Loss::Trivial)?;
+            }
+        });
+    }
+    Ok(())
+}
+
+/// The factor at these intrinsics.
+fn turned_lens<const N: usize>(intrinsics: &Intrinsics, params: &SVector<f64, N>) -> TurnedLens<N> {
+    let kind = intrinsics.kind();
+    let sigma = |index: usize| {
+        if kind.focal_indices().contains(&index) { SIGMA * params[index] } else { SIGMA }
+    };
+    let weights = SVector::from_fn(|index, _| 1.0 / sigma(index));
+    TurnedLens { shared: shared_params(kind), weights }
+}
+
+/// Copies the shared parameters to cameras that no registered image has yet, so that their first
+/// image is registered with the lens as it is known.
+pub(super) fn copy_to_unused(model: &mut Reconstruction) {
+    let is_used = |model: &Reconstruction, camera: CameraId| {
+        model.registered().any(|(_, image, _)| image.camera == camera)
+    };
+    for [one, other] in model.turned.clone() {
+        let (from, to) = match (is_used(model, one), is_used(model, other)) {
+            (true, false) => (one, other),
+            (false, true) => (other, one),
+            _ => continue,
+        };
+        let source = model.camera(from).intrinsics;
+        let is_same_kind = source.kind() == model.camera(to).intrinsics.kind();
+        if !is_same_kind || model.calibrated.contains(&to) {
+            continue;
+        }
+        for (i, j) in shared_params(source.kind()) {
+            model.camera_mut(to).intrinsics.params_mut()[j] = source.params()[i];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_ba::testing::check_jacobians;
+    use tiepoint_scene::{Camera, Image};
+
+    #[test]
+    fn focal_lengths_change_places_and_radial_coefficients_stay() {
+        assert_eq!(shared_params(CameraModelKind::SimpleRadial), [(0, 0), (3, 3)]);
+        let opencv = shared_params(CameraModelKind::Opencv);
+        assert_eq!(opencv, [(0, 1), (1, 0), (4, 4), (5, 5)]);
+        let fisheye = shared_params(CameraModelKind::OpencvFisheye);
+        assert_eq!(fisheye, [(0, 1), (1, 0), (4, 4), (5, 5), (6, 6), (7, 7)]);
+    }
+
+    #[test]
+    fn jacobians_of_the_factor() {
+        let params = [500.0, 510.0, 320.0, 240.0, 0.1, -0.2, 0.01, 0.02];
+        let intrinsics = Intrinsics::new(CameraModelKind::Opencv, &params).unwrap();
+        let one = SVector::<f64, 8>::from(params);
+        let other = one.map(|param| 1.1 * param + 0.1);
+        // Large weights would hide errors behind rounding.
+        let mut factor = turned_lens(&intrinsics, &one);
+        factor.weights.fill(2.0);
+        check_jacobians(&factor, (one, other), 1e-6).unwrap();
+    }
+
+    #[test]
+    fn an_unused_camera_follows_the_used_one() {
+        let mut model = Reconstruction::default();
+        let [one, other] = [(640, 480), (480, 640)].map(|(width, height)| {
+            let intrinsics = Intrinsics::centred(CameraModelKind::Opencv, 500.0, width, height);
+            model.add_camera(Camera { intrinsics, width, height, has_focal_prior: false })
+        });
+        model.turned.push([one, other]);
+        let image = model.add_image(Image::new("0", one, Vec::new()));
+        model.register(image, tiepoint_geometry::Rigid3::identity());
+        let refined = [400.0, 401.0, 318.0, 242.0, 0.1, 0.2, 0.3, 0.4];
+        model.camera_mut(one).intrinsics.params_mut().copy_from_slice(&refined);
+        copy_to_unused(&mut model);
+        let expected = [401.0, 400.0, 240.0, 320.0, 0.1, 0.2, 0.0, 0.0];
+        assert_eq!(model.camera(other).intrinsics.params(), expected);
+    }
+}
