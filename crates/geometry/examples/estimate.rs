@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             confidence: RansacOptions::default().confidence,
             min_iterations: next(tokens)?,
             max_iterations: next(tokens)?,
-            min_inlier_share: 0.0,
+            min_inlier_ratio: 0.0,
             seed: next(tokens)?,
         };
         let (count, repetitions): (usize, usize) = (next(tokens)?, next(tokens)?);

@@ -51,7 +51,7 @@ pub struct RansacOptions {
     /// Minimum inlier ratio of a model. The number of samples is limited to the number that finds
     /// a model of this inlier ratio with the given confidence. A model is not locally optimised if
     /// its inliers and near-inliers together are below this ratio.
-    pub min_inlier_share: f64,
+    pub min_inlier_ratio: f64,
     /// Seed of the random numbers.
     pub seed: u64,
 }
@@ -63,7 +63,7 @@ impl Default for RansacOptions {
             confidence: 0.9999,
             min_iterations: 100,
             max_iterations: 10_000,
-            min_inlier_share: 0.0,
+            min_inlier_ratio: 0.0,
             seed: 0,
         }
     }
@@ -132,7 +132,7 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
     let mut models = Vec::new();
     let mut best: Option<Scored<E::Model>> = None;
     let mut best_minimal_score = f64::INFINITY;
-    let max_needed = needed_iterations(options.min_inlier_share, E::SAMPLE_SIZE, options)
+    let max_needed = needed_iterations(options.min_inlier_ratio, E::SAMPLE_SIZE, options)
         .min(options.max_iterations);
     let mut needed = max_needed;
     let mut iterations = 0;
@@ -170,7 +170,7 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &RansacOptions) -> Option<Re
         squared.iter().map(|&s| s < options.max_error * options.max_error).collect();
     let num_inliers = inliers.iter().filter(|inlier| **inlier).count();
     let score = truncated_sum(&squared, options.max_error * options.max_error);
-    let min_inliers = (options.min_inlier_share * num_data as f64).max(E::SAMPLE_SIZE as f64);
+    let min_inliers = (options.min_inlier_ratio * num_data as f64).max(E::SAMPLE_SIZE as f64);
     (num_inliers as f64 >= min_inliers).then_some(Report {
         model,
         inliers,
@@ -190,7 +190,7 @@ struct Scored<M> {
 struct Scorer<'a, E> {
     estimator: &'a E,
     max_error: f64,
-    min_inlier_share: f64,
+    min_inlier_ratio: f64,
     loss: Loss,
     /// Squared residuals of one scoring block.
     squared: [f64; BLOCK_SIZE],
@@ -198,9 +198,9 @@ struct Scorer<'a, E> {
 
 impl<'a, E: Estimator> Scorer<'a, E> {
     fn new(estimator: &'a E, options: &RansacOptions) -> Self {
-        let RansacOptions { max_error, min_inlier_share, .. } = *options;
+        let RansacOptions { max_error, min_inlier_ratio, .. } = *options;
         let loss = Loss::Truncated(max_error);
-        Self { estimator, max_error, min_inlier_share, loss, squared: [0.0; BLOCK_SIZE] }
+        Self { estimator, max_error, min_inlier_ratio, loss, squared: [0.0; BLOCK_SIZE] }
     }
 
     /// Indices of the inliers and near-inliers of a model.
@@ -210,7 +210,7 @@ impl<'a, E: Estimator> Scorer<'a, E> {
 
     /// Whether a model with this number of near-inliers can reach the minimum inlier ratio.
     fn is_promising(&self, num_near: usize) -> bool {
-        num_near as f64 >= self.min_inlier_share * self.estimator.num_data() as f64
+        num_near as f64 >= self.min_inlier_ratio * self.estimator.num_data() as f64
     }
 
     /// The MSAC score of a model; `None` if it is not below `bound`.

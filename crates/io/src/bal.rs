@@ -302,7 +302,7 @@ pub enum BalError {
     },
     /// A camera model that the format cannot express.
     #[error(
-        "a BAL file knows one focal length and two radial distortions, but camera {camera:?} is a \
+        "a BAL file knows one focal length and two radial distortions, but camera {camera} is a \
         {model}"
     )]
     NotRadial {

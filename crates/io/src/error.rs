@@ -53,7 +53,7 @@ pub enum Error {
     },
     /// The reconstruction that was read, or is to be written, is not consistent
     /// ([`scene::Reconstruction::validate`]).
-    #[error("{path}: {cause}")]
+    #[error("{path}: {cause} (all are numbered from 0, in the order of their ids)")]
     Model {
         /// The file or folder.
         path: PathBuf,

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
-    Ends, Match, Options, PairSelection, Preempt, Prepared, Sequence, match_features,
+    Ends, Match, Options, PairSelection, PreemptiveMatching, Prepared, Sequence, match_features,
     match_prepared,
 };
 
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let selection = PairSelection::Sequential { reach: reach.parse()?, ends: Ends::Open, loops: 0 };
     let options = Options::default();
     let always_preempted =
-        Options { preempt: Some(Preempt { min_matches: u32::MAX }), ..options.clone() };
+        Options { preempt: Some(PreemptiveMatching { min_matches: u32::MAX }), ..options.clone() };
     for (i, j) in selection.pairs(&[Sequence::new((0..images.len() as u32).collect())]) {
         let (a, b) = (i as usize, j as usize);
         let start = Instant::now();

@@ -17,7 +17,7 @@ use crate::pruned::match_pruned;
 pub fn match_features(a: &[Descriptor], b: &[Descriptor], options: &Options) -> Vec<Match> {
     let [a, b] = [a, b].map(|descriptors| {
         let mut prepared = Prepared::new(descriptors);
-        if options.method.is_forest_for(a.len(), b.len()) {
+        if options.method.uses_forest_for_pair(a.len(), b.len()) {
             prepared.grow_forest(&ForestOptions::default());
         }
         prepared
@@ -32,7 +32,7 @@ pub fn match_prepared(a: &Prepared, b: &Prepared, options: &Options) -> Vec<Matc
     }
     let found = match (options.method, &a.forest, &b.forest) {
         (Method::Forest(checks) | Method::Cheapest(checks), Some(forest_a), Some(forest_b))
-            if options.method.is_forest_for(a.len(), b.len()) =>
+            if options.method.uses_forest_for_pair(a.len(), b.len()) =>
         {
             NearestBothWays {
                 of_a: forest_b.nearest_of(forest_a, checks),

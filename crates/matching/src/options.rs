@@ -19,7 +19,7 @@ pub struct Options {
     pub method: Method,
     /// Preemptive matching: rejects image pairs whose largest features have too few matches. `None`
     /// matches all features of every pair.
-    pub preempt: Option<Preempt>,
+    pub preempt: Option<PreemptiveMatching>,
 }
 
 impl Default for Options {
@@ -76,10 +76,11 @@ pub enum Method {
 impl Method {
     /// Whether two images of this number of features are matched by forests, if they have forests.
     pub fn uses_forest(self, features: usize) -> bool {
-        self.is_forest_for(features, features)
+        self.uses_forest_for_pair(features, features)
     }
 
-    pub(crate) fn is_forest_for(self, features_a: usize, features_b: usize) -> bool {
+    /// Whether two images with these numbers of features are matched by forests, if they have them.
+    pub(crate) fn uses_forest_for_pair(self, features_a: usize, features_b: usize) -> bool {
         match self {
             Method::BruteForce => false,
             Method::Forest(_) => true,
@@ -124,14 +125,14 @@ const CHECK_DOUBLING_NS: f64 = 48.0;
 /// of five data sets. A minimum of 4 matches rejected pairs with up to 23 inliers, and 256 leading
 /// features rejected pairs with up to 387 inliers (`bench/matching.py preempt`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Preempt {
+pub struct PreemptiveMatching {
     /// Minimum number of matches among the leading features. [`crate::Prepared::from_features`]
     /// sets the number of leading features.
     pub min_matches: u32,
 }
 
-impl Default for Preempt {
+impl Default for PreemptiveMatching {
     fn default() -> Self {
-        Preempt { min_matches: 2 }
+        PreemptiveMatching { min_matches: 2 }
     }
 }

@@ -24,7 +24,7 @@ pub enum PairSelection {
         /// Whether the ends of the sequence are matched with each other.
         ends: Ends,
         /// Number of similar images with which each image is matched too, for loop closures; 0 for
-        /// none. [`Bank::pairs`](crate::Bank::pairs) retrieves them.
+        /// none. [`RetrievalIndex::pairs`](crate::RetrievalIndex::pairs) retrieves them.
         loops: u32,
     },
     /// Each image with the most similar images, independent of their order.
@@ -143,8 +143,8 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Images of unknown times. Images of different cameras at equal positions count as
-    /// simultaneous.
+    /// The images of one camera in their order, without times. Two images of different cameras
+    /// count as simultaneous if they have equal positions in their sequences.
     pub fn new(images: Vec<u32>) -> Self {
         Sequence { images, times_s: Vec::new() }
     }

@@ -37,7 +37,7 @@ impl Prepared {
     }
 
     /// Prepares the descriptors of `features`, and those of the `leading` largest keypoints for
-    /// preemptive matching ([`crate::Preempt`]).
+    /// preemptive matching ([`crate::PreemptiveMatching`]).
     pub fn from_features(features: &Features, leading: usize) -> Self {
         let mut order: Vec<usize> =
             (0..features.descriptors.len().min(features.keypoints.len())).collect();

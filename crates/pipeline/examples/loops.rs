@@ -21,7 +21,9 @@ use std::time::Instant;
 use rayon::prelude::*;
 use tiepoint_io::features::{Descriptor, Features, GrayView, Options, Sift};
 use tiepoint_sfm::geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_sfm::matching::{self, Bank, Prepared, Vocabulary, VocabularyOptions, match_prepared};
+use tiepoint_sfm::matching::{
+    self, Prepared, RetrievalIndex, Vocabulary, VocabularyOptions, match_prepared,
+};
 use tiepoint_synth::image::DynamicImage;
 use tiepoint_synth::{Drive, DriveOptions, Exposure, Motion, Mount, Mounting, RouteKind};
 
@@ -109,13 +111,13 @@ fn measure(drive: &Drive) -> Result<(), Box<dyn std::error::Error>> {
     let described: Vec<_> =
         views.iter().map(|view| vocabulary.describe(&view.features.descriptors)).collect();
     let describe_ms = 1e3 * start.elapsed().as_secs_f64() / views.len() as f64;
-    let bank: Bank = described.iter().cloned().collect();
-    let full: Bank = described.iter().cycle().take(BANK).cloned().collect();
+    let index: RetrievalIndex = described.iter().cloned().collect();
+    let full: RetrievalIndex = described.iter().cycle().take(BANK).cloned().collect();
 
     let half_round = views.iter().map(|view| view.frame).max().unwrap_or(0) / 3;
     let apart = |a: usize, b: usize| views[a].frame.abs_diff(views[b].frame);
     let count = |min_apart: usize, is_right: &dyn Fn(usize, usize) -> bool| {
-        let found = bank.related(TOP, |a, b| apart(a as usize, b as usize) > min_apart);
+        let found = index.related(TOP, |a, b| apart(a as usize, b as usize) > min_apart);
         let mut tally = Tally::default();
         for (a, found) in found.iter().enumerate() {
             let found: Vec<usize> = found.iter().map(|&b| b as usize).collect();

@@ -178,7 +178,7 @@ fn snake_case(name: &str) -> String {
 mod tests {
     use tiepoint_io::features as sift;
     use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics, Loss};
-    use tiepoint_sfm::matching::{self, Checks, Ends, Method, PairSelection, Preempt};
+    use tiepoint_sfm::matching::{self, Checks, Ends, Method, PairSelection, PreemptiveMatching};
     use tiepoint_sfm::{MapperOptions, Readout, RefineIntrinsics, RigTerm, VerifyOptions};
 
     use super::*;
@@ -294,7 +294,7 @@ mod tests {
             max_ratio: None,
             mutual: false,
             method: Method::Cheapest(Checks::PerTree(8)),
-            preempt: Some(Preempt { min_matches: 2 }),
+            preempt: Some(PreemptiveMatching { min_matches: 2 }),
             ..matching::Options::default()
         };
         let pairs = PairSelection::Sequential { reach: 10, ends: Ends::Closed, loops: 5 };

@@ -304,17 +304,17 @@ mod tests {
         let mut model = Reconstruction::default();
         let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
         let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: true };
-        let right_from_left =
+        let cam_from_rig =
             Rigid3::new(UnitQuaternion::identity(), Vector3::new(-baseline, 0.0, 0.0));
         let [left, right] = ["left", "right"].map(|folder| {
             let camera = model.add_camera(camera);
             model.add_image(Image::new(format!("{folder}/0.png"), camera, Vec::new()))
         });
         model.register(left, Rigid3::identity());
-        model.register(right, right_from_left);
+        model.register(right, cam_from_rig);
         let sensor_pair = SensorPair {
-            left: model.image(left).camera,
-            right: model.image(right).camera,
+            reference: model.image(left).camera,
+            other: model.image(right).camera,
             clock: Clock::default(),
             clock_state: ClockState::Synchronised,
             assumed_baseline: None,
@@ -323,7 +323,7 @@ mod tests {
         let constraint = RigConstraint::Soft { sigma_translation: 0.1, sigma_rotation_rad: 0.1 };
         let camera = CalibratedCamera {
             sensor_pair,
-            right_from_left,
+            cam_from_rig,
             covariance: None,
             constraint,
             num_referenced_images: 1,
@@ -334,7 +334,11 @@ mod tests {
             rig: Some(CalibratedRig {
                 constraint: Some(constraint),
                 cameras: vec![camera],
-                bad_pairs: if has_bad_pair { vec![RigPair { left, right }] } else { Vec::new() },
+                bad_pairs: if has_bad_pair {
+                    vec![RigPair { reference: left, other: right }]
+                } else {
+                    Vec::new()
+                },
                 split: None,
                 error_off_px: 1.0,
                 error_px: 1.0,

@@ -11,8 +11,8 @@ use tiepoint_io::database::Database;
 use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
 use tiepoint_sfm::matching::{
-    self, Bank, GlobalDescriptor, PairSelection, Prepared, Sequence, Vocabulary, VocabularyOptions,
-    match_prepared,
+    self, GlobalDescriptor, PairSelection, Prepared, RetrievalIndex, Sequence, Vocabulary,
+    VocabularyOptions, match_prepared,
 };
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{VerifyOptions, View, verify_pair};
@@ -170,8 +170,8 @@ fn select_pairs(
     let sequences: Vec<Sequence> = sequences.collect::<Result<_, _>>()?;
     let mut pairs = options.pairs.pairs(&sequences);
     if options.pairs.similar() > 0 {
-        let bank = bank(database, images.len(), options.seed)?;
-        let similar = bank.pairs(options.pairs.similar() as usize, &pairs);
+        let index = retrieval_index(database, images.len(), options.seed)?;
+        let similar = index.pairs(options.pairs.similar() as usize, &pairs);
         pairs.extend(similar);
         pairs.sort_unstable();
     }
@@ -179,14 +179,14 @@ fn select_pairs(
 }
 
 /// Global descriptors of all images, from a visual vocabulary that is learnt from a sample of them.
-fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
+fn retrieval_index(database: &Database, images: usize, seed: u64) -> Result<RetrievalIndex, Error> {
     let mut sample = Vec::new();
     for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
         let features = database.read_features(ImageId::from_index(image))?;
         sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
     }
     let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
-    let mut bank = Bank::default();
+    let mut index = RetrievalIndex::default();
     let ids: Vec<ImageId> = (0..images).map(ImageId::from_index).collect();
     for batch in ids.chunks(IMAGES_READ_AT_ONCE) {
         let features = batch.iter().map(|&image| database.read_features(image));
@@ -195,9 +195,9 @@ fn bank(database: &Database, images: usize, seed: u64) -> Result<Bank, Error> {
             .par_iter()
             .map(|features| vocabulary.describe(&features.descriptors))
             .collect();
-        described.iter().for_each(|image| bank.push(image));
+        described.iter().for_each(|image| index.push(image));
     }
-    Ok(bank)
+    Ok(index)
 }
 
 /// Groups pairs by tile.
@@ -328,7 +328,7 @@ mod tests {
         for k in 0..2 * PLACES {
             database.write_features([(ImageId::from_index(k), &seen(k))]).unwrap();
         }
-        let pairs = bank(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
+        let pairs = retrieval_index(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
         let expected: Vec<(u32, u32)> =
             (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
         assert_eq!(pairs, expected);

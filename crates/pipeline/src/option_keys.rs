@@ -15,7 +15,7 @@ use tiepoint_io::features::{
 };
 use tiepoint_sfm::geometry::{Intrinsics, Loss};
 use tiepoint_sfm::matching::{
-    Checks, Method, Options as DescriptorOptions, PairSelection, Preempt,
+    Checks, Method, Options as DescriptorOptions, PairSelection, PreemptiveMatching,
 };
 use tiepoint_sfm::{
     FilterOptions, MapperOptions, Readout, RefineIntrinsics, RegisterOptions, RigTerm,
@@ -196,7 +196,7 @@ pub(crate) fn of_matching(
     ];
     texts.push(match preempt {
         None => ("match.descriptors.preempt", NONE.to_owned()),
-        Some(Preempt { min_matches }) => {
+        Some(PreemptiveMatching { min_matches }) => {
             ("match.descriptors.preempt.min_matches", min_matches.to_string())
         }
     });
@@ -216,7 +216,7 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
                 max_transitivity,
             },
         filter: FilterOptions { max_error_px: filter_error_px, min_angle_rad: filter_angle_rad },
-        register: RegisterOptions { max_error_px, min_num_inliers, min_inlier_share },
+        register: RegisterOptions { max_error_px, min_num_inliers, min_inlier_ratio },
         min_initial_inliers,
         min_model_size,
         loss,
@@ -257,7 +257,7 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.filter.min_angle_rad", filter_angle_rad.to_string()),
         ("mapper.register.max_error_px", max_error_px.to_string()),
         ("mapper.register.min_num_inliers", min_num_inliers.to_string()),
-        ("mapper.register.min_inlier_share", min_inlier_share.to_string()),
+        ("mapper.register.min_inlier_share", min_inlier_ratio.to_string()),
         ("mapper.min_initial_inliers", min_initial_inliers.to_string()),
         ("mapper.min_model_size", min_model_size.to_string()),
         ("mapper.loss", of_loss(loss)),
@@ -422,7 +422,7 @@ mod tests {
         let descriptors = |method| DescriptorOptions {
             max_ratio: None,
             method,
-            preempt: Some(Preempt { min_matches: 2 }),
+            preempt: Some(PreemptiveMatching { min_matches: 2 }),
             ..DescriptorOptions::default()
         };
         for (method, text) in [

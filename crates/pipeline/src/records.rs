@@ -35,6 +35,7 @@ const MAX_NAMED: usize = 3;
 
 /// Input and options of a stage, which determine its result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub(crate) struct Recipe {
     /// Fingerprint of the photos, or of the previous stage.
     pub(crate) input: String,
@@ -101,6 +102,7 @@ impl Recipe {
 
 /// The state of a stage on disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 struct Record {
     is_complete: bool,
     #[serde(flatten)]
@@ -126,6 +128,7 @@ fn convert_to_keys(stages: &mut BTreeMap<Stage, Record>) {
 
 /// A recipe as text in the database.
 #[derive(Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 struct RecipeRow {
     #[serde(default = "version_without_keys")]
     version: u32,
@@ -150,6 +153,7 @@ pub(crate) enum Progress {
 
 /// The content of `stages.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub(crate) struct Records {
     version: u32,
     /// Input folders of the photos.

@@ -8,6 +8,7 @@ use crate::{Error, RigReport, ScaleReport, Stage};
 
 /// `report.json`: the results of all stages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct Report {
     /// Version of this program.
     pub version: String,
@@ -19,6 +20,7 @@ pub struct Report {
 
 /// Summaries of the stages; `None` before a stage is complete.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct StageReports {
     /// Stage 1.
     pub features: Option<FeaturesReport>,
@@ -34,6 +36,7 @@ pub struct StageReports {
 
 /// Summary of feature extraction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct FeaturesReport {
     /// Wall time of the run that completed the stage.
     pub seconds: f64,
@@ -49,6 +52,7 @@ pub struct FeaturesReport {
 
 /// An image that was skipped.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct SkippedImage {
     /// Its name.
     pub image: String,
@@ -58,6 +62,7 @@ pub struct SkippedImage {
 
 /// Summary of matching.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct MatchReport {
     /// Wall time of the run that completed the stage.
     pub seconds: f64,
@@ -73,6 +78,7 @@ pub struct MatchReport {
 
 /// Summary of mapping.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct MapReport {
     /// Wall time.
     pub seconds: f64,
@@ -95,6 +101,7 @@ pub struct DenseReport {
 
 /// A model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct ModelReport {
     /// Its folder, relative to the workspace.
     pub path: String,
@@ -129,6 +136,7 @@ pub struct ModelReport {
 
 /// A camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct CameraReport {
     /// COLMAP's id.
     pub id: u32,

@@ -18,6 +18,7 @@ const UNIT_TOLERANCE: f64 = 1e-2;
 
 /// The rig of a model. The rig frame is the frame of the reference camera, which is the first.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object with the keys of rig.json")]
 pub struct RigFile {
     /// Folder of the reference camera.
     pub reference: String,
@@ -32,6 +33,7 @@ pub struct RigFile {
 
 /// A non-reference camera of a rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object that describes a camera")]
 pub struct RigCamera {
     /// Its folder.
     pub name: String,
@@ -64,6 +66,7 @@ pub struct RigCamera {
 
 /// Time of the reference camera = time + offset + drift (time − pivot).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object that describes a camera's clock")]
 pub struct RigClock {
     /// together: the cameras are synchronised, which fixes the offset; free: the offset is
     /// estimated; not observable: the images do not determine the offset, and that of the time
@@ -108,13 +111,13 @@ impl RigFile {
 
     /// The extrinsics of a model's rig; `None` if none were estimated.
     pub(crate) fn new(model: &Reconstruction, rig: &CalibratedRig) -> Option<Self> {
-        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.left);
+        let reference = folder_of(model, rig.cameras.first()?.sensor_pair.reference);
         let name = |image| model.image(image).name.clone();
         Some(Self {
             reference,
             cameras: rig.cameras.iter().map(|camera| RigCamera::new(model, camera)).collect(),
             bad_pairs: Some(
-                rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
+                rig.bad_pairs.iter().map(|pair| [name(pair.reference), name(pair.other)]).collect(),
             ),
         })
     }
@@ -129,7 +132,7 @@ impl RigCamera {
     }
 
     fn new(model: &Reconstruction, camera: &CalibratedCamera) -> Self {
-        let (pose, clock) = (&camera.right_from_left, &camera.sensor_pair.clock);
+        let (pose, clock) = (&camera.cam_from_rig, &camera.sensor_pair.clock);
         let q = &pose.rotation;
         let sd =
             |index: usize| camera.covariance.map(|covariance| covariance[(index, index)].sqrt());
@@ -139,7 +142,7 @@ impl RigCamera {
         };
         let is_estimated = camera.sensor_pair.clock_state == ClockState::Estimated;
         Self {
-            name: folder_of(model, camera.sensor_pair.right),
+            name: folder_of(model, camera.sensor_pair.other),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: pose.translation.into(),
             centre_in_rig: pose.origin_in_a().into(),
@@ -194,6 +197,14 @@ mod tests {
             let expected = format!("ws/rig.json: the camera {twice} is there twice");
             assert!(error.contains(&expected), "{error}");
         }
+    }
+
+    #[test]
+    fn a_value_of_another_kind_is_named_without_a_type_of_the_code() {
+        let text = br#"{ "reference": "left", "cameras": ["right"] }"#;
+        let error = RigFile::from_json(Path::new("ws/rig.json"), text).unwrap_err().to_string();
+        assert!(error.contains("expected an object that describes a camera"), "{error}");
+        assert!(!error.contains("RigCamera"), "{error}");
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::rig_file::RigFile;
 
 /// Relative poses and extrinsics of two or more cameras with synchronous images.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct RigReport {
     /// The value of `--rig`: off, paper, soft, hard or auto.
     pub mode: String,
@@ -27,6 +28,7 @@ pub struct RigReport {
 
 /// The rig extrinsics of a model, and the constraint that was chosen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct ExtrinsicsReport {
     /// off, soft or hard.
     pub chosen: String,
@@ -53,6 +55,7 @@ pub struct ExtrinsicsReport {
 
 /// A repaired split: images without matches to the other cameras had wrong poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct SplitReport {
     /// Number of images that were moved to the poses that the extrinsics give.
     pub images: usize,
@@ -63,6 +66,7 @@ pub struct SplitReport {
 
 /// Statistics of the relative pose of two cameras over all frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct RigCameraReport {
     /// Folders of the two cameras.
     pub names: [String; 2],
@@ -88,6 +92,7 @@ pub struct RigCameraReport {
 
 /// λ of Huang, Elhashash & Qin 2022 (Eq. 2), which depends on the unit of length.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct PaperReport {
     /// The initial pair: its distance is the unit of length. The gauge fixes the pose of the first
     /// image and one coordinate of the second.
@@ -109,9 +114,9 @@ pub struct PaperReport {
 }
 
 impl RigReport {
-    /// The report on the rig of a model; `None` for a single camera. `factor`: metres per unit of
-    /// the model while mapping, or 1 where the model was not scaled.
-    pub(crate) fn new(term: RigTerm, mapped: &MappedModel, factor: f64) -> Option<Self> {
+    /// The report on the rig of a model; `None` for a single camera. `metres_per_unit` is the
+    /// length of the unit that the model had while mapping; 1 if the model was not scaled.
+    pub(crate) fn new(term: RigTerm, mapped: &MappedModel, metres_per_unit: f64) -> Option<Self> {
         let MappedModel { reconstruction: model, initial_pair, rig, .. } = mapped;
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
@@ -121,7 +126,7 @@ impl RigReport {
             calibrated.iter().filter_map(|camera| calibrated_camera(model, camera)).collect();
         // Without estimated time offsets, the images nearest in time form a frame.
         let is_uncalibrated =
-            |rig: &RigPairs| calibrated.iter().all(|camera| camera.sensor_pair.right != rig.right);
+            |rig: &RigPairs| calibrated.iter().all(|camera| camera.sensor_pair.other != rig.other);
         cameras.extend(
             series
                 .iter()
@@ -136,7 +141,9 @@ impl RigReport {
             RigTerm::Auto => "auto",
         };
         let paper = match term {
-            RigTerm::Paper => paper_report(model, &series, &cameras, *initial_pair, factor),
+            RigTerm::Paper => {
+                paper_report(model, &series, &cameras, *initial_pair, metres_per_unit)
+            }
             _ => None,
         };
         let extrinsics = rig.as_ref().map(|rig| extrinsics_report(term, model, rig));
@@ -153,7 +160,7 @@ fn uncalibrated_camera(
     let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
     Some(camera_report(
         model,
-        [rig.left, rig.right],
+        [rig.reference, rig.other],
         rig.pairs.len(),
         &relative_pose_statistics(&relative)?,
     ))
@@ -161,7 +168,7 @@ fn uncalibrated_camera(
 
 /// Statistics of a camera with estimated extrinsics, over the frames that they constrain.
 fn calibrated_camera(model: &Reconstruction, camera: &CalibratedCamera) -> Option<RigCameraReport> {
-    let cameras = [camera.sensor_pair.left, camera.sensor_pair.right];
+    let cameras = [camera.sensor_pair.reference, camera.sensor_pair.other];
     Some(camera_report(model, cameras, camera.num_referenced_images, &camera.statistics?))
 }
 
@@ -217,7 +224,11 @@ fn extrinsics_report(
         sigma_rotation_deg: sigmas.map(|sigmas| sigmas.1),
         held_out_error_off_px: error_off_px,
         held_out_error_px: error_px,
-        bad_pairs: rig.bad_pairs.iter().map(|pair| [name(pair.left), name(pair.right)]).collect(),
+        bad_pairs: rig
+            .bad_pairs
+            .iter()
+            .map(|pair| [name(pair.reference), name(pair.other)])
+            .collect(),
         split: rig.split.map(|split| SplitReport {
             images: split.num_images,
             pairs_matched_again: split.num_rematched_pairs,
@@ -227,30 +238,33 @@ fn extrinsics_report(
     }
 }
 
+/// The part of the report on the paper's constraint: its unit of length, its weight as standard
+/// deviations, and the pairs that it classifies as bad.
 fn paper_report(
     model: &Reconstruction,
     series: &[(&RigPairs, Vec<(RigPair, RelativePose)>)],
     cameras: &[RigCameraReport],
     ImagePair { a, b }: ImagePair,
-    factor: f64,
+    metres_per_unit: f64,
 ) -> Option<PaperReport> {
     let centre = |image| Some(model.image(image).cam_from_world()?.origin_in_a());
     let (centre_a, centre_b) = (centre(a)?, centre(b)?);
     let name = |image| model.image(image).name.clone();
     let sigmas = paper::sigmas(paper::LAMBDA);
+    let sigma_translation = metres_per_unit * sigmas.translation;
     let mut bad_pairs = Vec::new();
     for (_, poses) in series {
         let relative: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
         let Some(average) = paper::average(&relative) else { continue };
         let bad = poses.iter().filter(|(_, pose)| paper::is_bad(pose, &average));
-        bad_pairs.extend(bad.map(|(pair, _)| [name(pair.left), name(pair.right)]));
+        bad_pairs.extend(bad.map(|(pair, _)| [name(pair.reference), name(pair.other)]));
     }
     Some(PaperReport {
         unit_images: [name(a), name(b)],
         unit_distance: (centre_a - centre_b).norm(),
         lambda: paper::LAMBDA,
-        sigma_translation: factor * sigmas.translation,
-        relative_sigma_translation: factor * sigmas.translation / cameras.first()?.median_baseline,
+        sigma_translation,
+        relative_sigma_translation: sigma_translation / cameras.first()?.median_baseline,
         sigma_rotation_deg: sigmas.rotation_rad.to_degrees(),
         bad_pairs,
     })

@@ -52,7 +52,9 @@ pub struct RigidReport {
 /// Largest deviation of a pair from the mean relative pose, without known extrinsics: distance in
 /// baselines, and angle in radians.
 const MAX_DEVIATION: (f64, f64) = (0.5, 0.1);
+/// Minimum number of frames of a camera that joins the rig.
 const MIN_PAIRS: usize = 2;
+/// Maximum number of Levenberg-Marquardt iterations.
 const ITERATIONS: usize = 100;
 
 /// Reads a model (a folder or a workspace) and adjusts it with exact rig extrinsics.
@@ -90,7 +92,7 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     let mut cameras: Vec<RigidCamera> = cameras.into_iter().map(|(camera, _)| camera).collect();
     let (error_before_px, observations_before) =
         (model.mean_reprojection_error_px(), model.num_observations());
-    let baseline = cameras[0].right_from_left.translation.norm();
+    let baseline = cameras[0].cam_from_rig.translation.norm();
     location.add_camera_facts(&mut model);
     let are_known = location.has_known_intrinsics();
     let refine = if are_known { RefineIntrinsics::NONE } else { MapperOptions::default().refine };
@@ -99,13 +101,14 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     constrain_rigidly(&mut model, &mut cameras, &options, &FilterOptions::default())
         .map_err(Error::adjusting(&folder))?;
     // The adjustment is free in scale. The baseline before may be metric.
-    let factor = baseline / cameras[0].right_from_left.translation.norm();
+    let factor = baseline / cameras[0].cam_from_rig.translation.norm();
     if factor.is_normal() {
         let (rotation, translation) = (UnitQuaternion::identity(), Vector3::zeros());
         model.transform(&Sim3 { scale: factor, rotation, translation });
     }
     let images = model.frames.iter().map(|frame| frame.images.len()).sum();
-    let names = std::iter::once(cameras[0].left).chain(cameras.iter().map(|camera| camera.right));
+    let names =
+        std::iter::once(cameras[0].reference).chain(cameras.iter().map(|camera| camera.other));
     let report = RigidReport {
         cameras: names.map(|camera| folder_of(&model, camera)).collect(),
         frames: model.frames.len(),
@@ -120,10 +123,11 @@ pub(crate) fn rigid_model(from: &Path) -> Result<(Reconstruction, RigidReport), 
     Ok((model, report))
 }
 
-/// Rig sensors with their clocks, and their sensor_from_rig if it is known.
+/// Pairs of the reference camera and another one with its clock, and `cam_from_rig` if it is known.
 type Sensors = Vec<(SensorPair, Option<Rigid3>)>;
 
-/// The rig sensors in `rig.json`, and the images of non-reference sensors in incorrect pairs.
+/// The cameras of the rig in `rig.json`, and the images of non-reference sensors in incorrect
+/// pairs.
 ///
 /// # Errors
 ///
@@ -143,13 +147,13 @@ fn known_sensors(
             .map(|(id, _)| id)
             .ok_or_else(|| broken(format!("there is no camera {name} in the model")))
     };
-    let left = find(&file.reference)?;
+    let reference = find(&file.reference)?;
     let camera = |camera: &RigCamera| {
         let clock = &camera.clock;
         let (offset_s, drift, pivot_s) = (clock.offset_s, 1e-6 * clock.drift_ppm, clock.pivot_s);
         let sensor_pair = SensorPair {
-            left,
-            right: find(&camera.name)?,
+            reference,
+            other: find(&camera.name)?,
             clock: Clock { offset_s, drift, pivot_s },
             clock_state: ClockState::Synchronised,
             assumed_baseline: None,
@@ -162,7 +166,7 @@ fn known_sensors(
         Some(pairs) => pairs,
         None => bad_pairs_of_report(location)?,
     };
-    let names: BTreeSet<&str> = pairs.iter().map(|[_, right]| right.as_str()).collect();
+    let names: BTreeSet<&str> = pairs.iter().map(|[_, other]| other.as_str()).collect();
     let bad =
         model.images().filter(|(_, image)| names.contains(image.name.as_str())).map(|(id, _)| id);
     Ok((cameras, bad.collect()))
@@ -193,14 +197,14 @@ fn rigid_camera(
     let pairs: Vec<RigPair> = sensor_pair
         .referenced_images(model)
         .iter()
-        .filter(|image| !bad.contains(&image.right))
+        .filter(|image| !bad.contains(&image.image))
         .map(|image| RigPair {
-            left: image.nearest_reference(&sensor_pair.clock),
-            right: image.right,
+            reference: image.nearest_reference(&sensor_pair.clock),
+            other: image.image,
         })
         .collect();
     let poses = relative_poses(model, &pairs);
-    let (right_from_left, pairs) = match calibration {
+    let (cam_from_rig, pairs) = match calibration {
         Some(known) => (known, pairs),
         None => {
             let all: Vec<RelativePose> = poses.iter().map(|(_, pose)| *pose).collect();
@@ -210,13 +214,13 @@ fn rigid_camera(
                 distance <= MAX_DEVIATION.0 * average.translation.norm() && angle <= MAX_DEVIATION.1
             };
             (
-                average.right_from_left(),
+                average.cam_from_rig(),
                 poses.into_iter().filter(|(_, pose)| is_near(pose)).map(|(pair, _)| pair).collect(),
             )
         }
     };
-    let (left, right) = (sensor_pair.left, sensor_pair.right);
-    (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { left, right, right_from_left, pairs })
+    let SensorPair { reference, other, .. } = sensor_pair;
+    (pairs.len() >= MIN_PAIRS).then_some(RigidCamera { reference, other, cam_from_rig, pairs })
 }
 
 /// Largest time difference between the two images of a pair, on the reference clock.
@@ -225,8 +229,8 @@ fn time_difference_s(model: &Reconstruction, cameras: &[(RigidCamera, Clock)]) -
         .iter()
         .flat_map(|(camera, clock)| camera.pairs.iter().map(move |pair| (pair, clock)));
     let difference_s = |(pair, clock): (&RigPair, &Clock)| {
-        let right_s = clock.reference_time_s(model.image(pair.right).time_s?);
-        Some((right_s - model.image(pair.left).time_s?).abs())
+        let other_s = clock.reference_time_s(model.image(pair.other).time_s?);
+        Some((other_s - model.image(pair.reference).time_s?).abs())
     };
     all.map(difference_s).try_fold(0.0, |max: f64, seconds| Some(max.max(seconds?)))
 }

@@ -18,6 +18,7 @@ use crate::image_names::folder_of;
 
 /// The metric scale of a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct ScaleReport {
     /// The given distance of the first two cameras, in metres.
     pub baseline_m: f64,
@@ -78,11 +79,11 @@ type Baseline = (f64, String);
 
 /// The baseline of estimated rig extrinsics.
 fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Baseline {
-    let [left, right] =
-        [camera.sensor_pair.left, camera.sensor_pair.right].map(|camera| folder_of(model, camera));
+    let [reference, other] = [camera.sensor_pair.reference, camera.sensor_pair.other]
+        .map(|camera| folder_of(model, camera));
     (
-        camera.right_from_left.translation.norm(),
-        format!("the baseline from {left} to {right} in the rig extrinsics"),
+        camera.cam_from_rig.translation.norm(),
+        format!("the baseline from {reference} to {other} in the rig extrinsics"),
     )
 }
 
@@ -90,15 +91,16 @@ fn extrinsics_baseline(model: &Reconstruction, camera: &CalibratedCamera) -> Bas
 fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baseline, String> {
     let found = if known.is_empty() { sensor_pairs(model) } else { Vec::new() };
     let sensor_pair = known.iter().chain(&found).next().ok_or("there is only one camera")?;
-    let [left, right] =
-        [sensor_pair.left, sensor_pair.right].map(|camera| folder_of(model, camera));
+    let [reference, other] =
+        [sensor_pair.reference, sensor_pair.other].map(|camera| folder_of(model, camera));
     let images = sensor_pair.referenced_images(model);
     let pose = |image: &ReferencedImage| image.relative_pose(model, &sensor_pair.clock);
     let poses: Vec<RelativePose> = images.iter().filter_map(pose).collect();
     let count = poses.len();
     let too_few = || {
         format!(
-            "{left} and {right} have poses at {count} common frames, and {MIN_FRAMES} are needed"
+            "{reference} and {other} have poses at {count} common frames, and {MIN_FRAMES} are \
+            needed"
         )
     };
     let average = robust_average(&poses).filter(|_| count >= MIN_FRAMES).ok_or_else(too_few)?;
@@ -108,21 +110,21 @@ fn mean_baseline(model: &Reconstruction, known: &[SensorPair]) -> Result<Baselin
     let deviation = median(&mut deviations).unwrap_or(f64::INFINITY);
     if deviation > units {
         return Err(format!(
-            "the position of {right} relative to {left} has a median deviation of {deviation:.3} \
-            units, more than their distance of {units:.3}"
+            "the position of {other} relative to {reference} has a median deviation of \
+            {deviation:.3} units, more than their distance of {units:.3}"
         ));
     }
     Ok((
         units,
-        format!("the baseline from {left} to {right} in the mean of {count} relative poses"),
+        format!("the baseline from {reference} to {other} in the mean of {count} relative poses"),
     ))
 }
 
 /// Scales extrinsics and their covariance. The first baseline is given (`has_given_length`), so
 /// that its length gets zero variance.
 fn scale_extrinsics(camera: &mut CalibratedCamera, factor: f64, has_given_length: bool) {
-    let translation = camera.right_from_left.translation;
-    camera.right_from_left.translation *= factor;
+    let translation = camera.cam_from_rig.translation;
+    camera.cam_from_rig.translation *= factor;
     camera.sensor_pair.assumed_baseline =
         camera.sensor_pair.assumed_baseline.map(|length| factor * length);
     if let Some(covariance) = &mut camera.covariance {
@@ -189,14 +191,14 @@ mod tests {
     fn calibrated_camera() -> CalibratedCamera {
         CalibratedCamera {
             sensor_pair: SensorPair {
-                left: CameraId(0),
-                right: CameraId(1),
+                reference: CameraId(0),
+                other: CameraId(1),
                 clock: Clock::default(),
                 clock_state: ClockState::Synchronised,
                 assumed_baseline: None,
                 unobservable_direction: None,
             },
-            right_from_left: Rigid3::new(
+            cam_from_rig: Rigid3::new(
                 UnitQuaternion::identity(),
                 Vector3::new(-BASELINE, 0.0, 0.0),
             ),
@@ -252,7 +254,7 @@ mod tests {
         let last = scaled.reconstruction.registered().last().unwrap().2.origin_in_a();
         assert!((last - Vector3::new(BASELINE, 0.0, 4.0) * factor).norm() < EPSILON);
         let camera = &scaled.rig.unwrap().cameras[0];
-        assert!((camera.right_from_left.translation.norm() - BASELINE_M).abs() < EPSILON);
+        assert!((camera.cam_from_rig.translation.norm() - BASELINE_M).abs() < EPSILON);
         assert!((camera.statistics.unwrap().median_baseline - BASELINE_M).abs() < EPSILON);
         assert!((camera.statistics.unwrap().rms_rotation_rad - 0.01).abs() < EPSILON);
         // The length has no variance now; the direction has that of before; rotation and clock are

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// A stage of the pipeline, whose result is kept on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(expecting = "the name of a stage")]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
     /// Keypoints and descriptors of every image.

@@ -1,9 +1,9 @@
 //! The baseline constraint between two frames: E = ½ w ‖p_i − p_{i+1}‖² (Huang, Elhashash & Qin
 //! 2022, Eq. 3).
 //!
-//! The factor joins four camera poses, left and right at time i and at time i + 1. It assumes that
-//! the relative pose is constant, and does not know its value. It weighs metres against radians, so
-//! its strength depends on the unit of the model; see [`crate::paper`].
+//! The factor connects four camera poses: two cameras at time i and at time i + 1. It assumes that
+//! their relative pose is constant, and does not know its value. It weighs metres against radians,
+//! so its strength depends on the unit of the model; see [`crate::paper`].
 //!
 //! A rotation has several axis-angle vectors, and the shortest one jumps at π, where cameras look
 //! in opposite directions. A difference of shortest vectors would change its sign there, so the
@@ -15,8 +15,8 @@ use tiepoint_geometry::nalgebra::SVector;
 
 use crate::relative_pose::RelativePose;
 
-/// The relative pose of two cameras equals that at the next frame. Variables: `left_from_world` and
-/// `right_from_world` at time i, then at time i + 1. Residual: √w (p_i − p_{i+1}), translation
+/// The relative pose of two cameras equals that at the next frame. Variables: `rig_from_world` and
+/// `cam_from_world` at time i, then at time i + 1. Residual: √w (p_i − p_{i+1}), translation
 /// first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baseline {
@@ -40,21 +40,24 @@ impl Factor<6> for Baseline {
 
     fn linearize(
         &self,
-        (left, right, next_left, next_right): Refs<'_, Self::Vars>,
+        (reference, cam, next_reference, next_cam): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 6>> {
-        let now = RelativePose::linearize(left, right).nearest_to(&self.near);
-        let next = RelativePose::linearize(next_left, next_right).nearest_to(&self.near);
+        let now = RelativePose::linearize(reference, cam).nearest_to(&self.near);
+        let next = RelativePose::linearize(next_reference, next_cam).nearest_to(&self.near);
         let w = self.sqrt_weight;
         let residual = (now.p.to_vector() - next.p.to_vector()) * w;
-        Some((residual, (now.d_left * w, now.d_right * w, next.d_left * -w, next.d_right * -w)))
+        Some((
+            residual,
+            (now.d_reference * w, now.d_cam * w, next.d_reference * -w, next.d_cam * -w),
+        ))
     }
 
     fn residual(
         &self,
-        (left, right, next_left, next_right): Refs<'_, Self::Vars>,
+        (reference, cam, next_reference, next_cam): Refs<'_, Self::Vars>,
     ) -> Option<SVector<f64, 6>> {
-        let now = RelativePose::between(left, right).nearest_to(&self.near);
-        let next = RelativePose::between(next_left, next_right).nearest_to(&self.near);
+        let now = RelativePose::between(reference, cam).nearest_to(&self.near);
+        let next = RelativePose::between(next_reference, next_cam).nearest_to(&self.near);
         Some((now.to_vector() - next.to_vector()) * self.sqrt_weight)
     }
 }

@@ -51,25 +51,26 @@ pub struct OffsetEstimate {
     pub sd_s: f64,
 }
 
-/// Searches the time offset of `right`, pairs of time in seconds and `cam_from_world`. The range is
+/// Searches the time offset of the camera `other`, given as pairs of time in seconds and
+/// `cam_from_world`, to the reference camera. The range is
 /// ±1.5 s if the drives overlap on their clocks, else all offsets at which half of the shorter
 /// drive overlaps. `None` if too few images can be compared.
-pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<OffsetEstimate> {
-    let (first, last) = (*left.times_s().first()?, *left.times_s().last()?);
-    let (right_first, right_last) = (right.first()?.0, right.last()?.0);
-    let shorter_s = (last - first).min(right_last - right_first);
-    let overlap_s = last.min(right_last) - first.max(right_first);
+pub fn find_offset(reference: &Trajectory, other: &[(f64, Rigid3)]) -> Option<OffsetEstimate> {
+    let (first, last) = (*reference.times_s().first()?, *reference.times_s().last()?);
+    let (other_first, other_last) = (other.first()?.0, other.last()?.0);
+    let shorter_s = (last - first).min(other_last - other_first);
+    let overlap_s = last.min(other_last) - first.max(other_first);
     let (from_s, to_s) = if overlap_s > MIN_OVERLAP * shorter_s {
         (-MAX_OFFSET_S, MAX_OFFSET_S)
     } else {
-        (first - right_last + 0.5 * shorter_s, last - right_first - 0.5 * shorter_s)
+        (first - other_last + 0.5 * shorter_s, last - other_first - 0.5 * shorter_s)
     };
-    let step_s = left.interval_s() / STEPS_PER_INTERVAL;
+    let step_s = reference.interval_s() / STEPS_PER_INTERVAL;
     if !(step_s > 0.0 && step_s.is_finite()) {
         return None;
     }
-    let every = right.len().div_ceil(MAX_IMAGES);
-    let right: Vec<(f64, Rigid3)> = right.iter().step_by(every).copied().collect();
+    let every = other.len().div_ceil(MAX_IMAGES);
+    let other: Vec<(f64, Rigid3)> = other.iter().step_by(every).copied().collect();
     // Multiples of the step, so that zero is among them.
     let indices = (from_s / step_s).ceil() as i64..=(to_s / step_s).floor() as i64;
     if indices.clone().count() > MAX_CANDIDATES {
@@ -78,7 +79,7 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<OffsetE
     let offsets: Vec<f64> = indices.map(|index| index as f64 * step_s).collect();
     let candidates: Vec<(usize, (f64, f64))> = offsets
         .iter()
-        .map(|offset_s| Samples::at(left, &right, *offset_s))
+        .map(|offset_s| Samples::at(reference, &other, *offset_s))
         .map(|samples| (samples.len(), samples.medians()))
         .collect();
     let max_images_compared = candidates.iter().map(|(count, _)| *count).max()?;
@@ -91,13 +92,13 @@ pub fn find_offset(left: &Trajectory, right: &[(f64, Rigid3)]) -> Option<OffsetE
     let scales =
         (LOSS_SCALE * scales.0.max(MIN_DEVIATION), LOSS_SCALE * scales.1.max(MIN_DEVIATION));
     let cost = |offset_s: f64| {
-        let samples = Samples::at(left, &right, offset_s);
+        let samples = Samples::at(reference, &other, offset_s);
         if samples.len() >= min_images { samples.cost(scales) } else { f64::INFINITY }
     };
     let grid = offsets.iter().map(|offset_s| (cost(*offset_s), *offset_s));
     let (_, coarse_s) = grid.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let offset_s = golden_section(cost, coarse_s - step_s, coarse_s + step_s, GOLDEN_STEPS);
-    let (best, count) = (cost(offset_s), right.len() as f64);
+    let (best, count) = (cost(offset_s), other.len() as f64);
     // Curvature over a tenth of a step, where the loss is smooth.
     let h = 0.1 * step_s;
     let curvature = count * (cost(offset_s - h) - 2.0 * best + cost(offset_s + h)) / (h * h);
@@ -116,11 +117,11 @@ struct Samples {
 }
 
 impl Samples {
-    fn at(left: &Trajectory, right: &[(f64, Rigid3)], offset_s: f64) -> Self {
+    fn at(reference: &Trajectory, other: &[(f64, Rigid3)], offset_s: f64) -> Self {
         let relative = |(time_s, pose): &(f64, Rigid3)| {
-            left.at(time_s + offset_s).map(|left| RelativePose::between(&left, pose))
+            reference.at(time_s + offset_s).map(|reference| RelativePose::between(&reference, pose))
         };
-        let poses: Vec<RelativePose> = right.iter().filter_map(relative).collect();
+        let poses: Vec<RelativePose> = other.iter().filter_map(relative).collect();
         let back = poses.get(poses.len() / 2).map(|middle| so3::exp(&middle.axis_angle).inverse());
         let rotation = |pose: &RelativePose| Some(so3::log(&(so3::exp(&pose.axis_angle) * back?)));
         Self {
@@ -133,6 +134,7 @@ impl Samples {
         self.centres.len()
     }
 
+    /// Median deviations of the centres (model units) and of the rotations (radians).
     fn medians(&self) -> (f64, f64) {
         (median_distance(&self.centres), median_distance(&self.rotations))
     }

@@ -1,12 +1,14 @@
 //! The relative pose p of two cameras at one frame: three numbers of translation and three of
 //! rotation.
 //!
-//! For the poses `l_from_world = (R_l, t_l)` and `r_from_world = (R_r, t_r)` of the left and the
-//! right camera, c = R_l c_r + t_l with c_r = −R_rᵀ t_r is the centre of the right camera in the
-//! left camera frame, and a = Log(R_r R_lᵀ) is the axis-angle vector (radians) of right from left.
-//! With the perturbations (δ, τ) of CONVENTIONS.md and Q = R_r R_lᵀ:
+//! The first camera is the reference camera, whose frame is the rig frame. For the poses
+//! `rig_from_world` = (R₁, t₁) of the first and `cam_from_world` = (R₂, t₂) of the second camera,
+//! c = R₁ c₂ + t₁ with c₂ = −R₂ᵀ t₂ is the second camera's centre in the first camera's frame, and
+//! a = Log(R₂ R₁ᵀ) is the axis-angle vector (radians) of the rotation `cam_from_rig`. In the paper
+//! they are the left and the right camera. With the perturbations (δ, τ) of CONVENTIONS.md and
+//! Q = R₂ R₁ᵀ:
 //!
-//! | | δ_l | τ_l | δ_r | τ_r |
+//! | | δ₁ | τ₁ | δ₂ | τ₂ |
 //! |---|---|---|---|---|
 //! | c | −[c]ₓ | I | 0 | −Qᵀ |
 //! | a | −J_l⁻¹(a) Q | 0 | J_l⁻¹(a) | 0 |
@@ -20,9 +22,9 @@ use tiepoint_geometry::{Rigid3, so3};
 /// p of Huang, Elhashash & Qin 2022, Eq. (3).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelativePose {
-    /// The right camera's centre in the left camera frame, in model units.
+    /// The second camera's centre in the first camera's frame, in model units.
     pub translation: Vector3<f64>,
-    /// Axis-angle vector of right from left, in radians.
+    /// Axis-angle vector of the rotation `cam_from_rig`, in radians.
     pub axis_angle: Vector3<f64>,
 }
 
@@ -31,27 +33,27 @@ pub struct RelativePose {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LinearRelativePose {
     pub(crate) p: RelativePose,
-    pub(crate) d_left: SMatrix<f64, 6, 6>,
-    pub(crate) d_right: SMatrix<f64, 6, 6>,
+    pub(crate) d_reference: SMatrix<f64, 6, 6>,
+    pub(crate) d_cam: SMatrix<f64, 6, 6>,
 }
 
 impl RelativePose {
-    /// From the poses of the two cameras.
-    pub fn between(left_from_world: &Rigid3, right_from_world: &Rigid3) -> Self {
-        let right_in_world = right_from_world.origin_in_a();
+    /// From the poses of the first and the second camera.
+    pub fn between(rig_from_world: &Rigid3, cam_from_world: &Rigid3) -> Self {
+        let cam_in_world = cam_from_world.origin_in_a();
         Self {
-            translation: *left_from_world * right_in_world,
-            axis_angle: so3::log(&(right_from_world.rotation * left_from_world.rotation.inverse())),
+            translation: *rig_from_world * cam_in_world,
+            axis_angle: so3::log(&(cam_from_world.rotation * rig_from_world.rotation.inverse())),
         }
     }
 
     /// The same relative pose as a rigid transform.
-    pub fn right_from_left(&self) -> Rigid3 {
+    pub fn cam_from_rig(&self) -> Rigid3 {
         let rotation = so3::exp(&self.axis_angle);
         Rigid3::new(rotation, -(rotation * self.translation))
     }
 
-    /// Distance between the right camera's centres in model units, and angle between the rotations
+    /// Distance between the second camera's centres in model units, and angle between the rotations
     /// in radians.
     pub fn distance_and_angle(&self, other: &RelativePose) -> (f64, f64) {
         let angle = so3::exp(&self.axis_angle).angle_to(&so3::exp(&other.axis_angle));
@@ -65,7 +67,7 @@ impl RelativePose {
     }
 
     /// The same rotation, represented by the axis-angle vector nearest to that of `other`: full
-    /// full_turns about the axis are added.
+    /// turns about the axis are added.
     pub fn nearest_to(&self, other: &RelativePose) -> Self {
         let angle = self.axis_angle.norm();
         if angle == 0.0 {
@@ -78,19 +80,19 @@ impl RelativePose {
 
     /// The relative pose and its derivatives.
     pub(crate) fn linearize(
-        left_from_world: &Rigid3,
-        right_from_world: &Rigid3,
+        rig_from_world: &Rigid3,
+        cam_from_world: &Rigid3,
     ) -> LinearRelativePose {
-        let p = Self::between(left_from_world, right_from_world);
-        let q = (right_from_world.rotation * left_from_world.rotation.inverse())
+        let p = Self::between(rig_from_world, cam_from_world);
+        let q = (cam_from_world.rotation * rig_from_world.rotation.inverse())
             .to_rotation_matrix()
             .into_inner();
-        let mut d_left = SMatrix::<f64, 6, 6>::zeros();
-        let mut d_right = SMatrix::<f64, 6, 6>::zeros();
-        d_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&p.translation));
-        d_left.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
-        d_right.fixed_view_mut::<3, 3>(0, 3).copy_from(&-q.transpose());
-        LinearRelativePose { p, d_left, d_right }.with_rotation(&q)
+        let mut d_reference = SMatrix::<f64, 6, 6>::zeros();
+        let mut d_cam = SMatrix::<f64, 6, 6>::zeros();
+        d_reference.fixed_view_mut::<3, 3>(0, 0).copy_from(&-so3::hat(&p.translation));
+        d_reference.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+        d_cam.fixed_view_mut::<3, 3>(0, 3).copy_from(&-q.transpose());
+        LinearRelativePose { p, d_reference, d_cam }.with_rotation(&q)
     }
 }
 
@@ -98,8 +100,8 @@ impl LinearRelativePose {
     /// Computes the rows of the rotation for the branch of `p`.
     fn with_rotation(mut self, q: &tiepoint_geometry::nalgebra::Matrix3<f64>) -> Self {
         let inverse = so3::left_jacobian_inverse(&self.p.axis_angle);
-        self.d_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * q));
-        self.d_right.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
+        self.d_reference.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * q));
+        self.d_cam.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
         self
     }
 

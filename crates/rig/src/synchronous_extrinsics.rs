@@ -1,16 +1,16 @@
 //! Rig extrinsics as a variable: the relative pose at every frame equals them, up to a standard
 //! deviation.
 //!
-//! With T = `right_from_left` = (R_T, t_T), c_T = −R_Tᵀ t_T the right camera's centre in the left
-//! camera frame, and (c, R) the same of the poses at one frame, the residual is ((c − c_T) / (|c_T|
-//! σ_t), Log(R R_Tᵀ) / σ_R). The translation error is relative to the baseline |c_T|, which is
-//! differentiated as well. Shrinking the model, as a whole or where clock errors scatter c,
-//! therefore does not lower the cost. Dividing by a constant instead lets the model shrink. It is
-//! needed for cameras without common view, though: if only the motion determines part of the
-//! baseline, a growing baseline would lower all other errors. With the perturbations of
-//! CONVENTIONS.md, D = R R_Tᵀ, φ = Log D, e = c − c_T:
+//! With T = `cam_from_rig` = (R_T, t_T), c_T = −R_Tᵀ t_T the camera's centre in the rig frame,
+//! which is the frame of the reference camera, and (c, R) the same of the poses at one frame, the
+//! residual is ((c − c_T) / (|c_T| σ_t), Log(R R_Tᵀ) / σ_R). The translation error is relative to
+//! the baseline |c_T|, which is differentiated as well. Shrinking the model, as a whole or where
+//! clock errors scatter c, therefore does not lower the cost. Dividing by a constant instead lets
+//! the model shrink. It is needed for cameras without common view, though: if only the motion
+//! determines part of the baseline, a growing baseline would lower all other errors. With the
+//! perturbations of CONVENTIONS.md, D = R R_Tᵀ, φ = Log D, e = c − c_T:
 //!
-//! | | left (δ, τ) | right (δ, τ) | T: δ | T: τ |
+//! | | reference (δ, τ) | cam (δ, τ) | T: δ | T: τ |
 //! |---|---|---|---|---|
 //! | c | see [`crate::RelativePose`] | see there | 0 | 0 |
 //! | c_T | 0 | 0 | 0 | −R_Tᵀ |
@@ -25,13 +25,13 @@ use tiepoint_geometry::{Rigid3, so3};
 
 use crate::relative_pose::RelativePose;
 
-/// Two cameras on one rig. Variables: `left_from_world` and `right_from_world` at one frame, and
-/// the rig extrinsics `right_from_left`. Invalid if the baseline is zero and no baseline is
+/// Two cameras on one rig. Variables: `rig_from_world` and `cam_from_world` at one frame, and
+/// the rig extrinsics `cam_from_rig`. Invalid if the baseline is zero and no baseline is
 /// assumed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynchronousExtrinsics {
-    /// Standard deviation of each coordinate of the right camera's centre, as a fraction of the
-    /// baseline.
+    /// Standard deviation of each coordinate of the camera's centre in the rig, as a fraction of
+    /// the baseline.
     pub sigma_translation: f64,
     /// Standard deviation of each component of the rotation, in radians.
     pub sigma_rotation_rad: f64,
@@ -43,18 +43,18 @@ pub struct SynchronousExtrinsics {
 impl SynchronousExtrinsics {
     fn errors(
         &self,
-        left: &Rigid3,
-        right: &Rigid3,
-        right_from_left: &Rigid3,
+        reference: &Rigid3,
+        cam: &Rigid3,
+        cam_from_rig: &Rigid3,
     ) -> Option<(SVector<f64, 6>, f64)> {
-        let centre = *left * right.origin_in_a();
-        let extrinsics_centre = right_from_left.origin_in_a();
+        let centre = *reference * cam.origin_in_a();
+        let extrinsics_centre = cam_from_rig.origin_in_a();
         let baseline = self.assumed_baseline.unwrap_or_else(|| extrinsics_centre.norm());
         if baseline <= f64::MIN_POSITIVE {
             return None;
         }
         let rotation_error = so3::log(
-            &(right.rotation * left.rotation.inverse() * right_from_left.rotation.inverse()),
+            &(cam.rotation * reference.rotation.inverse() * cam_from_rig.rotation.inverse()),
         );
         let mut residual = SVector::<f64, 6>::zeros();
         residual
@@ -70,22 +70,22 @@ impl Factor<6> for SynchronousExtrinsics {
 
     fn linearize(
         &self,
-        (left, right, right_from_left): Refs<'_, Self::Vars>,
+        (reference, cam, cam_from_rig): Refs<'_, Self::Vars>,
     ) -> Option<Linear<Self::Vars, 6>> {
-        let (residual, baseline) = self.errors(left, right, right_from_left)?;
-        let linear = RelativePose::linearize(left, right);
-        let relative = matrix(&(right.rotation * left.rotation.inverse()));
+        let (residual, baseline) = self.errors(reference, cam, cam_from_rig)?;
+        let linear = RelativePose::linearize(reference, cam);
+        let relative = matrix(&(cam.rotation * reference.rotation.inverse()));
         let (extrinsics_rotation, extrinsics_centre) =
-            (matrix(&right_from_left.rotation), right_from_left.origin_in_a());
+            (matrix(&cam_from_rig.rotation), cam_from_rig.origin_in_a());
         let rotation_error = residual.fixed_rows::<3>(3) * self.sigma_rotation_rad;
         let inverse = so3::left_jacobian_inverse(&rotation_error) / self.sigma_rotation_rad;
         let scale = 1.0 / (baseline * self.sigma_translation);
-        let mut d_left = linear.d_left * scale;
-        let mut d_right = linear.d_right * scale;
-        d_left.fixed_rows_mut::<3>(3).fill(0.0);
-        d_right.fixed_rows_mut::<3>(3).fill(0.0);
-        d_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * relative));
-        d_right.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
+        let mut d_reference = linear.d_reference * scale;
+        let mut d_cam = linear.d_cam * scale;
+        d_reference.fixed_rows_mut::<3>(3).fill(0.0);
+        d_cam.fixed_rows_mut::<3>(3).fill(0.0);
+        d_reference.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * relative));
+        d_cam.fixed_view_mut::<3, 3>(3, 0).copy_from(&inverse);
         // d r_t / d c_T, including the derivative of the baseline.
         let error = residual.fixed_rows::<3>(0) / scale;
         let by_baseline = match self.assumed_baseline {
@@ -94,19 +94,17 @@ impl Factor<6> for SynchronousExtrinsics {
         };
         let d_centre = -(Matrix3::identity() + by_baseline) * scale;
         let mut d_extrinsics = SMatrix::<f64, 6, 6>::zeros();
-        let left_from_right = extrinsics_rotation.transpose();
-        d_extrinsics.fixed_view_mut::<3, 3>(0, 3).copy_from(&(d_centre * -left_from_right));
-        d_extrinsics
-            .fixed_view_mut::<3, 3>(3, 0)
-            .copy_from(&-(inverse * relative * left_from_right));
-        Some((residual, (d_left, d_right, d_extrinsics)))
+        let rig_from_cam = extrinsics_rotation.transpose();
+        d_extrinsics.fixed_view_mut::<3, 3>(0, 3).copy_from(&(d_centre * -rig_from_cam));
+        d_extrinsics.fixed_view_mut::<3, 3>(3, 0).copy_from(&-(inverse * relative * rig_from_cam));
+        Some((residual, (d_reference, d_cam, d_extrinsics)))
     }
 
     fn residual(
         &self,
-        (left, right, right_from_left): Refs<'_, Self::Vars>,
+        (reference, cam, cam_from_rig): Refs<'_, Self::Vars>,
     ) -> Option<SVector<f64, 6>> {
-        self.errors(left, right, right_from_left).map(|(residual, _)| residual)
+        self.errors(reference, cam, cam_from_rig).map(|(residual, _)| residual)
     }
 }
 

@@ -4,7 +4,7 @@ use crate::{CameraId, FrameId, ImageId, PointId, RigId};
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// An image refers to a camera that does not exist.
-    #[error("image {image:?} refers to camera {camera:?}, but there are {cameras} cameras")]
+    #[error("image {image} refers to camera {camera}, but there are {cameras} cameras")]
     NoSuchCamera {
         /// The image.
         image: ImageId,
@@ -15,8 +15,8 @@ pub enum Error {
     },
     /// A track has an observation whose keypoint refers to another point or to none.
     #[error(
-        "point {point:?} observes keypoint {keypoint} of image {image:?}, which belongs to \
-        {found:?}"
+        "point {point} observes keypoint {keypoint} of image {image}, which belongs to {}",
+        .found.map_or_else(|| "no point".to_owned(), |found| format!("point {found}"))
     )]
     TrackMismatch {
         /// The point.
@@ -30,7 +30,7 @@ pub enum Error {
     },
     /// A keypoint refers to a point whose track does not contain it.
     #[error(
-        "keypoint {keypoint} of image {image:?} belongs to point {point:?}, whose track does not \
+        "keypoint {keypoint} of image {image} belongs to point {point}, whose track does not \
         hold it"
     )]
     DanglingKeypoint {
@@ -42,7 +42,7 @@ pub enum Error {
         point: PointId,
     },
     /// A track contains an observation in an unregistered image.
-    #[error("point {point:?} is observed by image {image:?}, which has no pose")]
+    #[error("point {point} is observed by image {image}, which has no pose")]
     UnposedObservation {
         /// The point.
         point: PointId,
@@ -56,7 +56,7 @@ pub enum Error {
         what: String,
     },
     /// A focal length is not positive.
-    #[error("a focal length of camera {camera:?} is {value}, and not above zero")]
+    #[error("a focal length of camera {camera} is {value}, and not above zero")]
     FocalLength {
         /// The camera.
         camera: CameraId,
@@ -70,13 +70,13 @@ pub enum Error {
         of: String,
     },
     /// A rig has no sensor.
-    #[error("rig {rig:?} has no camera")]
+    #[error("rig {rig} has no camera")]
     EmptyRig {
         /// The rig.
         rig: RigId,
     },
     /// A rig refers to a camera that does not exist.
-    #[error("rig {rig:?} has camera {camera:?}, but there are {cameras} cameras")]
+    #[error("rig {rig} has camera {camera}, but there are {cameras} cameras")]
     NoSuchRigCamera {
         /// The rig.
         rig: RigId,
@@ -86,21 +86,21 @@ pub enum Error {
         cameras: usize,
     },
     /// A camera is a sensor twice.
-    #[error("camera {camera:?} is on two rigs, or twice on one")]
+    #[error("camera {camera} is on two rigs, or twice on one")]
     CameraOnTwoRigs {
         /// The camera.
         camera: CameraId,
     },
     /// The reference sensor of a rig has a pose other than the identity.
     #[error(
-        "the first camera of rig {rig:?} is its reference and has another pose than the identity"
+        "the first camera of rig {rig} is its reference and has another pose than the identity"
     )]
     ReferenceWithPose {
         /// The rig.
         rig: RigId,
     },
     /// A frame refers to a rig that does not exist.
-    #[error("frame {frame:?} is of rig {rig:?}, but there are {rigs} rigs")]
+    #[error("frame {frame} is of rig {rig}, but there are {rigs} rigs")]
     NoSuchRig {
         /// The frame.
         frame: FrameId,
@@ -110,7 +110,7 @@ pub enum Error {
         rigs: usize,
     },
     /// A frame refers to an image that does not exist.
-    #[error("frame {frame:?} holds image {image:?}, but there are {images} images")]
+    #[error("frame {frame} holds image {image}, but there are {images} images")]
     NoSuchImage {
         /// The frame.
         frame: FrameId,
@@ -120,13 +120,13 @@ pub enum Error {
         images: usize,
     },
     /// An image is in two frames, or twice in one.
-    #[error("image {image:?} is in two frames, or twice in one")]
+    #[error("image {image} is in two frames, or twice in one")]
     ImageInTwoFrames {
         /// The image.
         image: ImageId,
     },
     /// A frame contains an image of a camera that is not on its rig.
-    #[error("frame {frame:?} holds image {image:?}, whose camera is not on its rig")]
+    #[error("frame {frame} holds image {image}, whose camera is not on its rig")]
     CameraNotOnRig {
         /// The frame.
         frame: FrameId,
@@ -134,7 +134,7 @@ pub enum Error {
         image: ImageId,
     },
     /// A frame contains two images of one camera.
-    #[error("frame {frame:?} holds two images of camera {camera:?}")]
+    #[error("frame {frame} holds two images of camera {camera}")]
     TwoImagesOfOneCamera {
         /// The frame.
         frame: FrameId,
@@ -142,7 +142,7 @@ pub enum Error {
         camera: CameraId,
     },
     /// A frame contains an unregistered image.
-    #[error("frame {frame:?} holds image {image:?}, which has no pose")]
+    #[error("frame {frame} holds image {image}, which has no pose")]
     UnposedImage {
         /// The frame.
         frame: FrameId,
@@ -150,13 +150,13 @@ pub enum Error {
         image: ImageId,
     },
     /// The pose of an image differs from the one composed of its frame and rig.
-    #[error("the pose of image {image:?} is not the one that its frame and rig give it")]
+    #[error("the pose of image {image} is not the one that its frame and rig give it")]
     PoseNotOfFrame {
         /// The image.
         image: ImageId,
     },
     /// A track contains an observation twice.
-    #[error("point {point:?} observes keypoint {keypoint} of image {image:?} twice")]
+    #[error("point {point} observes keypoint {keypoint} of image {image} twice")]
     RepeatedObservation {
         /// The point.
         point: PointId,

@@ -1,5 +1,5 @@
-//! Typed ids: indices into the lists of one [`crate::Reconstruction`]. Ids of different kinds do
-//! not convert into each other:
+//! Typed ids: indices into the lists of one [`crate::Reconstruction`]. In messages an id is its
+//! plain number, counted from 0. Ids of different kinds do not convert into each other:
 //!
 //! ```compile_fail
 //! use tiepoint_scene::{CameraId, ImageId};
@@ -20,6 +20,12 @@ macro_rules! ids {
             /// The id of an index in its list.
             pub fn from_index(index: usize) -> Self {
                 Self(u32::try_from(index).expect("fewer than 2³² of a kind fit in memory"))
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                self.0.fmt(f)
             }
         }
     )* };

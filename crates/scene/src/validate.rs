@@ -23,7 +23,7 @@ impl Reconstruction {
     pub fn validate(&self) -> Result<(), Error> {
         for (id, camera) in self.cameras() {
             let is_finite = camera.intrinsics.params().iter().all(|param| param.is_finite());
-            require_finite(is_finite, || format!("a parameter of camera {id:?}"))?;
+            require_finite(is_finite, || format!("a parameter of camera {id}"))?;
             let intrinsics = &camera.intrinsics;
             let kind = intrinsics.kind();
             let mut focals = kind
@@ -52,7 +52,7 @@ impl Reconstruction {
             });
         }
         if let Some(pose) = image.cam_from_world() {
-            validate_pose(pose, || format!("image {id:?}"))?;
+            validate_pose(pose, || format!("image {id}"))?;
         }
         for (keypoint, point) in (0..).zip(image.points()) {
             let Some(point) = *point else { continue };
@@ -80,7 +80,7 @@ impl Reconstruction {
                     return Err(Error::CameraOnTwoRigs { camera });
                 }
                 if let Some(cam_from_rig) = &sensor.cam_from_rig {
-                    validate_pose(cam_from_rig, || format!("camera {camera:?} on rig {id:?}"))?;
+                    validate_pose(cam_from_rig, || format!("camera {camera} on rig {id}"))?;
                 }
             }
             if reference.cam_from_rig.is_some_and(|pose| pose != Rigid3::identity()) {
@@ -94,7 +94,7 @@ impl Reconstruction {
         let mut is_in_frame = vec![false; self.num_images()];
         for (index, frame) in self.frames.iter().enumerate() {
             let id = FrameId::from_index(index);
-            validate_pose(&frame.rig_from_world, || format!("frame {id:?}"))?;
+            validate_pose(&frame.rig_from_world, || format!("frame {id}"))?;
             let rig = self.rigs.get(frame.rig.index()).ok_or(Error::NoSuchRig {
                 frame: id,
                 rig: frame.rig,
@@ -135,7 +135,7 @@ impl Reconstruction {
         let mut observations = Vec::new();
         for (point, track) in self.tracks() {
             require_finite(track.xyz.iter().all(|v| v.is_finite()), || {
-                format!("the position of point {point:?}")
+                format!("the position of point {point}")
             })?;
             for &Observation { image, keypoint } in &track.observations {
                 let found = self.image(image).points().get(keypoint as usize).copied().flatten();

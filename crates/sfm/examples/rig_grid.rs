@@ -159,10 +159,9 @@ fn main() {
                 let offset_s =
                     camera.sensor_pair.clock.reference_time_s(pivot_s) - clock.time_s(pivot_s);
                 let sd_s = camera.covariance.map_or(f64::NAN, |c| c[(6, 6)].sqrt());
-                let turn =
-                    camera.right_from_left.rotation.angle_to(&true_mount.rotation).to_degrees();
+                let turn = camera.cam_from_rig.rotation.angle_to(&true_mount.rotation).to_degrees();
                 let place =
-                    (camera.right_from_left.translation * scale - true_mount.translation).norm();
+                    (camera.cam_from_rig.translation * scale - true_mount.translation).norm();
                 let (offset_ms, sd_ms, place_mm) = (1e3 * offset_s, 1e3 * sd_s, 1e3 * place);
                 notes += &format!(
                     " {:?} {offset_ms:+.2} ± {sd_ms:.2}, {turn:.4}, {place_mm:.1};",

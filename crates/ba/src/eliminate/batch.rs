@@ -47,7 +47,7 @@ impl Kernel for BatchElimination<'_, '_> {
             }
         }
         if !batch.rank_updates.is_empty() {
-            I::run(normal::Add {
+            I::run(normal::AddRankUpdates {
                 workspace,
                 task,
                 rank_updates: &task.rank_updates.list[batch.rank_updates.clone()],

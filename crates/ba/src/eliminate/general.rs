@@ -75,7 +75,7 @@ impl<const P: usize> Kernel for Eliminate<'_, '_, P> {
                 [..pattern_block.padded];
             over_lanes!(
                 pattern_block.padded,
-                correct::<I>(w, width, pattern_block.padded_offset, y, correction)
+                add_gradient_correction::<I>(w, width, pattern_block.padded_offset, y, correction)
             );
         }
         if task.elimination == Elimination::Implicit {
@@ -172,9 +172,11 @@ fn add_to_y<V: Vector, const R: usize, const P: usize>(
     }
 }
 
-/// Adds Yᵀy of one block, over all landmarks.
+/// Adds Yᵀy of one landmark and one block to `correction`, which is subtracted from the reduced
+/// gradient. `w` is Y, `width` numbers for each direction of the landmark; the block begins at
+/// `column`.
 #[inline(always)]
-fn correct<V: Vector>(
+fn add_gradient_correction<V: Vector>(
     lane: usize,
     w: &[f64],
     width: usize,

@@ -1,5 +1,6 @@
-//! Normal equations of the kept variables: C, g_c and the diagonal of C, one rank-k update at a
-//! time, so that the sums stay in registers.
+//! Normal equations of the variables that are not eliminated: C = J_cᵀJ_c, the gradient g_c and the
+//! diagonal of C. One rank-k update adds all factors on the same variables, so that the sums stay
+//! in registers.
 
 use super::product::{ColumnSpan, GatheredRows, SumProduct, over_lanes};
 use super::simd::{Isa, Kernel, Vector, WIDE};
@@ -7,13 +8,13 @@ use super::workspace::Workspace;
 use crate::structure::{RankUpdate, Task, padded, tile_index};
 
 /// Adds rank-k updates, whose rows are in `workspace.rows`.
-pub(super) struct Add<'a, 'r> {
+pub(super) struct AddRankUpdates<'a, 'r> {
     pub(super) workspace: &'a mut Workspace<'r>,
     pub(super) task: &'a Task,
     pub(super) rank_updates: &'a [RankUpdate],
 }
 
-impl Kernel for Add<'_, '_> {
+impl Kernel for AddRankUpdates<'_, '_> {
     #[inline(always)]
     fn run<I: Isa>(self) {
         for rank_update in self.rank_updates {
@@ -30,10 +31,10 @@ fn add<I: Isa>(workspace: &mut Workspace<'_>, task: &Task, rank_update: &RankUpd
         numbers: rows,
         starts: task.rank_updates.rows[rank_update.rows.clone()].iter(),
     };
-    let (ats, pairs) =
+    let (vector_offsets, pairs) =
         task.rank_updates.targets[rank_update.targets..].split_at(shape.segments.len());
     let mut pairs = pairs.iter();
-    for (s, (segment, &at)) in shape.segments.iter().zip(ats).enumerate() {
+    for (s, (segment, &at)) in shape.segments.iter().zip(vector_offsets).enumerate() {
         let lanes = padded(segment.block_dof);
         let (gradient, rest) = vectors[3 * at as usize..][..3 * lanes].split_at_mut(lanes);
         let diagonal = &mut rest[lanes..];
@@ -51,7 +52,9 @@ fn add<I: Isa>(workspace: &mut Workspace<'_>, task: &Task, rank_update: &RankUpd
                 }
             }
         }
-        for ((other, other_at), &tile) in shape.segments[..=s].iter().zip(ats).zip(pairs.by_ref()) {
+        for ((other, other_at), &tile) in
+            shape.segments[..=s].iter().zip(vector_offsets).zip(pairs.by_ref())
+        {
             // The columns of a tile belong to the earlier block; for two segments of one block, to
             // the earlier segment.
             let (a, b) = if (other_at, other.offset) <= (&at, segment.offset) {

@@ -126,7 +126,7 @@ fn add_row<V: Vector, const N: usize>(
     sum.store(to);
 }
 
-/// Loads whole vectors of each row, from number `first` on.
+/// Loads `L` wide and then `S` narrow vectors of each row, from element `first` on.
 #[inline(always)]
 fn load_rows<const N: usize, const L: usize, const S: usize, I: Isa>(
     rows: &[&[f64]; N],

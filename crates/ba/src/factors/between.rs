@@ -1,7 +1,7 @@
 use nalgebra::{SMatrix, SVector};
 use tiepoint_geometry::{Block, Manifold, Rigid3};
 
-use super::difference::{Difference, from_sigmas};
+use super::difference::{Difference, sqrt_information};
 use super::relative::Relative;
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
@@ -26,7 +26,7 @@ impl<V: Difference<N>, const N: usize> Between<V, N> {
     /// # Errors
     /// [`Error::Sigma`] for one that is not positive.
     pub fn new(b_from_a: V, sigmas: &[f64; N]) -> Result<Self, Error> {
-        Ok(Self { b_from_a, sqrt_information: from_sigmas(sigmas)? })
+        Ok(Self { b_from_a, sqrt_information: sqrt_information(sigmas)? })
     }
 }
 

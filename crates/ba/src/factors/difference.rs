@@ -52,7 +52,7 @@ impl Difference<7> for Sim3 {
 
 /// Diagonal square root of the information matrix, from standard deviations. Infinite ones give
 /// zeros.
-pub(super) fn from_sigmas<const N: usize>(
+pub(super) fn sqrt_information<const N: usize>(
     sigmas: &[f64; N],
 ) -> Result<SMatrix<f64, N, N>, crate::Error> {
     if let Some((index, &value)) =

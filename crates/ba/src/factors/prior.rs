@@ -1,7 +1,7 @@
 use nalgebra::{SMatrix, SVector};
 use tiepoint_geometry::{Block, Manifold};
 
-use super::difference::{Difference, from_sigmas};
+use super::difference::{Difference, sqrt_information};
 use crate::error::Error;
 use crate::factor::{Factor, Linear};
 
@@ -21,7 +21,7 @@ impl<V: Difference<N>, const N: usize> Prior<V, N> {
     /// # Errors
     /// [`Error::Sigma`] for one that is not positive.
     pub fn new(mean: V, sigmas: &[f64; N]) -> Result<Self, Error> {
-        Ok(Self { mean, sqrt_information: from_sigmas(sigmas)? })
+        Ok(Self { mean, sqrt_information: sqrt_information(sigmas)? })
     }
 }
 

@@ -1,4 +1,4 @@
-//! Sparse lower triangle in compressed columns.
+//! The lower triangle of the reduced system as a sparse matrix in compressed columns (CSC).
 
 use super::factorisation::Layout;
 use crate::error::Error;
@@ -7,7 +7,9 @@ use crate::structure::Structure;
 pub(crate) struct Columns {
     /// Number of columns.
     pub(super) len: usize,
+    /// Index of the first stored element of each column, then the number of stored elements.
     pub(super) column_at: Vec<u32>,
+    /// Row of each stored element.
     pub(super) row_of: Vec<u32>,
     /// First column of each block, then the number of columns.
     pub(super) first_column: Vec<usize>,

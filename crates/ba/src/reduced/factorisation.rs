@@ -10,7 +10,7 @@ pub(crate) struct NotPositive(pub(crate) usize);
 
 /// Memory layout of the lower triangle.
 pub(crate) trait Layout: Sync {
-    /// Range of a block column.
+    /// Range of the stored numbers of block column `a`.
     fn block_column(&self, a: usize) -> Range<usize>;
     /// Offset in block column `a` of the rows of block `b` in its free column number `column`. In a
     /// diagonal block, the rows from `column` on are stored there.

@@ -43,7 +43,7 @@ pub(crate) struct Rendered {
     /// The true model, for `evaluate poses --truth colmap:`.
     pub(crate) truth: PathBuf,
     pub(crate) cameras: Vec<RenderedCamera>,
-    /// Length of the first camera's trajectory.
+    /// Length of the first camera's trajectory, in metres.
     pub(crate) driven_m: f64,
 }
 
@@ -176,7 +176,7 @@ pub(crate) fn render(
     Ok(Rendered::new(plan, drive))
 }
 
-/// Length of the first camera's trajectory.
+/// Length of the first camera's trajectory, in metres.
 pub(crate) fn driven_m(drive: &Drive) -> f64 {
     let exposures = drive.cameras()[0].exposures.iter();
     let centres: Vec<_> =

@@ -8,7 +8,8 @@ use crate::ransac::{Estimator, RansacOptions, Report, ransac};
 use crate::{Loss, Sim3, solvers};
 
 /// Estimates the similarity transform that maps `from[i]` to `to[i]`, with scale one unless
-/// `with_scale`. `options.max_error` is a distance in the unit of `to`.
+/// `with_scale`. `options.max_error` is a distance in the unit of `to`. `None` if no transform has
+/// enough inliers.
 pub fn similarity(
     from: &[Vector3<f64>],
     to: &[Vector3<f64>],

@@ -2,10 +2,10 @@
 //! five-point relative pose problem").
 //!
 //! The five epipolar constraints give E = xX + yY + zZ + W with a basis X, Y, Z, W of their null
-//! space. The cubic constraints det E = 0 and 2EEᵀE
-//! − tr(EEᵀ)E = 0 are ten polynomials in twenty monomials, ordered so that elimination of the first
-//! ten leaves, for the differences of suitable rows (Nistér's ⟨k⟩, ⟨l⟩, ⟨m⟩), a 3×3 matrix B(z)
-//! with B(z) (x, y, 1)ᵀ = 0; det B is of degree ten in z.
+//! space. The cubic constraints det E = 0 and 2EEᵀE − tr(EEᵀ)E = 0 are ten polynomials in the
+//! twenty monomials of x, y and z up to degree three. Elimination of the first ten monomials, and
+//! differences of suitable rows (Nistér's ⟨k⟩, ⟨l⟩, ⟨m⟩), leave a 3×3 matrix B(z) with B(z) (x, y,
+//! 1)ᵀ = 0. Its determinant is of degree ten in z, and its roots are the solutions.
 
 use arrayvec::ArrayVec;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};

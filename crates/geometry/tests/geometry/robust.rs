@@ -17,7 +17,7 @@ const OPTIONS: RansacOptions = RansacOptions {
     confidence: 0.9999,
     min_iterations: 100,
     max_iterations: 10_000,
-    min_inlier_share: 0.0,
+    min_inlier_ratio: 0.0,
     seed: 7,
 };
 
@@ -414,7 +414,7 @@ const LINE_OPTIONS: RansacOptions = RansacOptions {
     confidence: 0.9999,
     min_iterations: 1,
     max_iterations: 10_000,
-    min_inlier_share: 0.0,
+    min_inlier_ratio: 0.0,
     seed: 0,
 };
 
@@ -438,7 +438,7 @@ fn enumerates_all_samples_of_few_data() {
 
 #[test]
 fn no_model_below_the_minimum_inlier_ratio() {
-    let options = |min_inlier_share| RansacOptions { min_inlier_share, ..LINE_OPTIONS };
+    let options = |min_inlier_ratio| RansacOptions { min_inlier_ratio, ..LINE_OPTIONS };
     let free = ransac(&line(100, 100), &LINE_OPTIONS).expect("a line");
     let asked = ransac(&line(100, 100), &options(0.5)).expect("a line");
     assert_eq!(asked.inliers, free.inliers);

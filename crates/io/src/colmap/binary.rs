@@ -14,8 +14,10 @@ use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
 use crate::binary::{Reader, WriteLe, pose_numbers};
 use crate::{Error, Result};
 
-/// Value of COLMAP for cameras among the types of sensors.
+/// COLMAP's `SensorType::CAMERA`.
 const SENSOR_CAMERA: i32 = 0;
+/// Sizes of records in the files, or the least sizes of those of variable length: a count that
+/// needs more bytes than the file has is an error, found before memory is allocated.
 const POSE_BYTES: u64 = 7 * 8;
 const MIN_CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 3 * 8;
 const MIN_RIG_BYTES: u64 = 4 + 4;

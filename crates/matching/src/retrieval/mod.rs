@@ -11,12 +11,12 @@
 //! Sums are in exact integers, and IEEE 754 defines the rounding of the square roots. The results
 //! are the same on all CPUs and for any number of threads.
 
-mod bank;
 mod diffusion;
+mod index;
 mod similar;
 mod vocabulary;
 
-pub use bank::Bank;
+pub use index::RetrievalIndex;
 pub use similar::Similar;
 pub use vocabulary::{GlobalDescriptor, Vocabulary, VocabularyOptions};
 

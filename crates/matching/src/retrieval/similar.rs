@@ -1,9 +1,9 @@
 //! The similarity of images.
 
-/// An image of a [`Bank`](crate::Bank) and its similarity to a query image.
+/// An image of a [`RetrievalIndex`](crate::RetrievalIndex) and its similarity to a query image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similar {
-    /// Index of the image in the bank.
+    /// Number of the image: images are numbered from 0 in the order in which they were added.
     pub image: u32,
     /// Cosine similarity of the global descriptors: 1 for the same image, near 0 for unrelated
     /// images.

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 use tiepoint_features::Descriptor;
 
-use super::bank::dot;
+use super::index::dot;
 use super::*;
 use crate::brute::Isa;
 use crate::random::SplitMix64;
@@ -24,19 +24,20 @@ fn wall_sequence(images: usize) -> Vec<Vec<Descriptor>> {
         .collect()
 }
 
-fn bank(images: &[Vec<Descriptor>], options: &VocabularyOptions) -> (Vocabulary, Bank) {
+fn index(images: &[Vec<Descriptor>], options: &VocabularyOptions) -> (Vocabulary, RetrievalIndex) {
     let vocabulary = Vocabulary::learn(&images.concat(), options);
-    let bank = images.iter().map(|image| vocabulary.describe(image)).collect();
-    (vocabulary, bank)
+    let index = images.iter().map(|image| vocabulary.describe(image)).collect();
+    (vocabulary, index)
 }
 
 #[test]
 fn overlapping_images_are_similar() {
     let images = wall_sequence(40);
-    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 32, ..Default::default() });
+    let (vocabulary, index) =
+        index(&images, &VocabularyOptions { words: 32, ..Default::default() });
     let mut right = 0;
     for (at, image) in images.iter().enumerate() {
-        let found = bank.most_similar(&vocabulary.describe(image), 5, |_| true);
+        let found = index.most_similar(&vocabulary.describe(image), 5, |_| true);
         assert_eq!((found[0].image, found.len()), (at as u32, 5));
         assert!((found[0].similarity - 1.0).abs() < 1e-5, "{:?}", found[0]);
         assert!(found.windows(2).all(|pair| pair[0].similarity >= pair[1].similarity));
@@ -49,19 +50,19 @@ fn overlapping_images_are_similar() {
 #[test]
 fn pairs_are_related_images_without_known_pairs() {
     let images = wall_sequence(37);
-    let (_, bank) = bank(&images, &VocabularyOptions { words: 16, ..Default::default() });
+    let (_, index) = index(&images, &VocabularyOptions { words: 16, ..Default::default() });
     let known: Vec<_> = (0..36).map(|i| (i, i + 1)).collect();
     let mut expected = Vec::new();
-    for (a, others) in (0..).zip(bank.related(3, |a: u32, b| a.abs_diff(b) > 1)) {
+    for (a, others) in (0..).zip(index.related(3, |a: u32, b| a.abs_diff(b) > 1)) {
         assert_eq!(others.len(), 3);
         expected.extend(others.iter().map(|&b| (a.min(b), a.max(b))));
     }
     expected.sort_unstable();
     expected.dedup();
-    assert_eq!(bank.pairs(3, &known), expected);
+    assert_eq!(index.pairs(3, &known), expected);
     for threads in [1, 3] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert_eq!(pool.install(|| bank.pairs(3, &known)), expected);
+        assert_eq!(pool.install(|| index.pairs(3, &known)), expected);
     }
 }
 
@@ -72,13 +73,14 @@ fn diffusion_relates_images_without_common_features() {
     // The ten nearest candidates on each side.
     const NEAR: u32 = MIN_GAP + 9;
     let images = wall_sequence(60);
-    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 32, ..Default::default() });
-    let related = bank.related(10, |a, b| a.abs_diff(b) >= MIN_GAP);
+    let (vocabulary, index) =
+        index(&images, &VocabularyOptions { words: 32, ..Default::default() });
+    let related = index.related(10, |a, b| a.abs_diff(b) >= MIN_GAP);
     let [mut num_by_diffusion, mut num_by_similarity] = [0, 0];
     for (a, others) in (0u32..).zip(related) {
         let near = |others: &[u32]| others.iter().filter(|b| b.abs_diff(a) <= NEAR).count();
         num_by_diffusion += near(&others);
-        let similar = bank.most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| {
+        let similar = index.most_similar(&vocabulary.describe(&images[a as usize]), 10, |b| {
             b.abs_diff(a) >= MIN_GAP
         });
         num_by_similarity += near(&similar.iter().map(|other| other.image).collect::<Vec<_>>());
@@ -92,10 +94,10 @@ fn diffusion_relates_images_without_common_features() {
 #[test]
 fn related_falls_back_to_the_most_similar_images() {
     let images: Vec<Vec<Descriptor>> = (0..30).map(|at| noise(50, 100 + at)).collect();
-    let (vocabulary, bank) = bank(&images, &VocabularyOptions { words: 8, ..Default::default() });
-    for (a, others) in bank.related(4, |a, b| !(a + b).is_multiple_of(3)).into_iter().enumerate() {
+    let (vocabulary, index) = index(&images, &VocabularyOptions { words: 8, ..Default::default() });
+    for (a, others) in index.related(4, |a, b| !(a + b).is_multiple_of(3)).into_iter().enumerate() {
         let image = a as u32;
-        let similar = bank.most_similar(&vocabulary.describe(&images[a]), 4, |b| {
+        let similar = index.most_similar(&vocabulary.describe(&images[a]), 4, |b| {
             b != image && !(image + b).is_multiple_of(3)
         });
         assert_eq!(others, similar.iter().map(|other| other.image).collect::<Vec<_>>());
@@ -142,14 +144,15 @@ fn k_means_reduces_the_distances_to_words() {
 #[test]
 fn small_and_empty_samples() {
     let nothing = Vocabulary::learn(&[], &VocabularyOptions::default());
-    let (vocabulary, mut bank) = bank(&[noise(3, 1), noise(1, 2)], &VocabularyOptions::default());
-    bank.push(&vocabulary.describe(&[]));
-    let found = bank.most_similar(&vocabulary.describe(&[]), 5, |_| true);
+    let (vocabulary, mut index) = index(&[noise(3, 1), noise(1, 2)], &VocabularyOptions::default());
+    index.push(&vocabulary.describe(&[]));
+    let found = index.most_similar(&vocabulary.describe(&[]), 5, |_| true);
     assert!(found.iter().all(|similar| similar.similarity == 0.0) && found.len() == 3);
-    assert_eq!(bank.pairs(0, &[]), []);
-    let empty: Bank = [nothing.describe(&noise(9, 1)), nothing.describe(&[])].into_iter().collect();
+    assert_eq!(index.pairs(0, &[]), []);
+    let empty: RetrievalIndex =
+        [nothing.describe(&noise(9, 1)), nothing.describe(&[])].into_iter().collect();
     assert_eq!(empty.pairs(3, &[]), [(0, 1)]);
-    assert_eq!(Bank::default().pairs(3, &[]), []);
+    assert_eq!(RetrievalIndex::default().pairs(3, &[]), []);
 }
 
 proptest! {
@@ -177,8 +180,8 @@ proptest! {
             .collect();
         let vocabulary =
             Vocabulary::learn(&image, &VocabularyOptions { words: 7, rounds: 2, seed });
-        let bank: Bank = std::iter::once(vocabulary.describe(&image)).collect();
-        let found = bank.most_similar(&vocabulary.describe(&image), 1, |_| true);
+        let index: RetrievalIndex = std::iter::once(vocabulary.describe(&image)).collect();
+        let found = index.most_similar(&vocabulary.describe(&image), 1, |_| true);
         prop_assert!(found[0].similarity <= 1.0 + 1e-5 && found[0].similarity >= 0.0);
     }
 }

@@ -2,7 +2,8 @@
 
 use tiepoint_features::{Descriptor, Features, Keypoint};
 use tiepoint_matching::{
-    Checks, Method, Options, Preempt, Prepared, match_features, match_pairs, match_prepared,
+    Checks, Method, Options, PreemptiveMatching, Prepared, match_features, match_pairs,
+    match_prepared,
 };
 
 /// Descriptor `k` of a set of descriptors with large mutual distances.
@@ -47,7 +48,7 @@ fn preemptive_matching_uses_the_largest_features() {
     // total there are 30 common features.
     let (a, b) = (features(0..60), features(30..80));
     let full = Options::default();
-    let preempt = Options { preempt: Some(Preempt { min_matches: 1 }), ..full.clone() };
+    let preempt = Options { preempt: Some(PreemptiveMatching { min_matches: 1 }), ..full.clone() };
     let prepare = |features, leading| Prepared::from_features(features, leading);
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &full).len(), 30);
     assert_eq!(match_prepared(&prepare(&a, 10), &prepare(&b, 10), &preempt), []);

@@ -27,10 +27,9 @@ fn two_frames(
 ) -> impl Strategy<Value = [Rigid3; 4]> {
     (pose(), pose(), axis_angle, vector(1.0), vector(0.05), vector(0.05)).prop_map(
         |(left, next_left, w, t, dw, dt)| {
-            let right_from_left = Rigid3::from_axis_angle(w, t);
-            let next_right_from_left =
-                Rigid3::new(so3::exp(&dw) * right_from_left.rotation, t + dt);
-            [left, right_from_left * left, next_left, next_right_from_left * next_left]
+            let cam_from_rig = Rigid3::from_axis_angle(w, t);
+            let next_cam_from_rig = Rigid3::new(so3::exp(&dw) * cam_from_rig.rotation, t + dt);
+            [left, cam_from_rig * left, next_left, next_cam_from_rig * next_left]
         },
     )
 }
@@ -77,9 +76,9 @@ proptest! {
     }
 
     #[test]
-    fn right_from_left_inverts_between(left in pose(), w in vector(1.5), t in vector(1.0)) {
+    fn cam_from_rig_inverts_between(left in pose(), w in vector(1.5), t in vector(1.0)) {
         let rig = Rigid3::from_axis_angle(w, t);
-        let inverted = RelativePose::between(&left, &(rig * left)).right_from_left();
+        let inverted = RelativePose::between(&left, &(rig * left)).cam_from_rig();
         prop_assert!((inverted.translation - rig.translation).norm() < 1e-9);
         prop_assert!(inverted.rotation.angle_to(&rig.rotation) < 1e-7);
     }
@@ -125,8 +124,8 @@ fn perturbed_rig(
         "a baseline",
         |(left, w, t, dw, dt)| {
             let extrinsics = Rigid3::from_axis_angle(w, t);
-            let right_from_left = Rigid3::new(so3::exp(&dw) * extrinsics.rotation, t + dt);
-            (t.norm() > 0.2).then_some([left, right_from_left * left, extrinsics])
+            let cam_from_rig = Rigid3::new(so3::exp(&dw) * extrinsics.rotation, t + dt);
+            (t.norm() > 0.2).then_some([left, cam_from_rig * left, extrinsics])
         },
     )
 }

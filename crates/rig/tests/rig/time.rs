@@ -65,24 +65,24 @@ fn check(
     time_s: f64,
 ) {
     let clock = Clock { offset_s: 0.3, drift: 0.01, pivot_s: 2.0 };
-    let right_time_s = time_s - 0.3;
-    let left = knots_of(&knots).at(clock.reference_time_s(right_time_s));
+    let image_time_s = time_s - 0.3;
+    let left = knots_of(&knots).at(clock.reference_time_s(image_time_s));
     let pose_perturbations =
         [0.01, 0.1].map(|s| Rigid3::from_axis_angle(Vector3::x() * 0.5 * s, Vector3::z() * s));
     let whitening =
         InterpolatedExtrinsics::whitening(&EXTRINSICS, &left, &extrinsics, &pose_perturbations);
     let factor = InterpolatedExtrinsics {
         extrinsics: EXTRINSICS,
-        left_times_s: TIMES_S,
-        right_time_s,
+        reference_times_s: TIMES_S,
+        image_time_s,
         whitening,
     };
-    let right_from_left = Rigid3::new(
+    let cam_from_rig = Rigid3::new(
         so3::exp(&perturbation.0) * extrinsics.rotation,
         extrinsics.translation + perturbation.1,
     );
     let [a, b, c, d] = knots;
-    let values = (a, b, c, d, right_from_left * left, extrinsics, clock);
+    let values = (a, b, c, d, cam_from_rig * left, extrinsics, clock);
     if let Err(difference) = check_jacobians(&factor, values, JACOBIAN_TOLERANCE) {
         panic!("{difference}");
     }
@@ -169,8 +169,8 @@ proptest! {
     ) {
         let factor = InterpolatedExtrinsics {
             extrinsics: EXTRINSICS,
-            left_times_s: TIMES_S,
-            right_time_s: TIMES_S[which],
+            reference_times_s: TIMES_S,
+            image_time_s: TIMES_S[which],
             whitening: InterpolatedExtrinsics::whitening(&EXTRINSICS, &k[which], &m, &[]),
         };
         let [a, b, c, d] = &k;
@@ -298,8 +298,7 @@ fn pose_perturbations_cover_interpolation_and_timestamp_errors() {
         let jitter = timestamp_jitter_s(&times);
         assert!((jitter / JITTER_S - 1.0).abs() < 0.3, "{jitter} s");
         let trajectory = Trajectory::new(samples);
-        let right_from_left =
-            Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
+        let cam_from_rig = Rigid3::from_axis_angle(Vector3::zeros(), Vector3::new(-0.5, 0.0, 0.0));
         let extrinsics = SynchronousExtrinsics {
             sigma_translation: 0.0005,
             sigma_rotation_rad: 5e-5,
@@ -310,15 +309,14 @@ fn pose_perturbations_cover_interpolation_and_timestamp_errors() {
             let time_s = pair[0] + rng.uniform() * (pair[1] - pair[0]);
             let Some(first) = trajectory.knots_around(time_s) else { continue };
             let (left, truth) = (trajectory.knots(first).at(time_s), at(time_s));
-            let right = right_from_left * truth;
-            let residual = extrinsics
-                .residual((&left, &right, &right_from_left))
-                .expect("there is a baseline");
+            let right = cam_from_rig * truth;
+            let residual =
+                extrinsics.residual((&left, &right, &cam_from_rig)).expect("there is a baseline");
             let pose_perturbations = trajectory.pose_perturbations(first, time_s, jitter);
             let whitening = InterpolatedExtrinsics::whitening(
                 &extrinsics,
                 &left,
-                &right_from_left,
+                &cam_from_rig,
                 &pose_perturbations,
             );
             raw += residual.norm_squared() / (6 * count) as f64;

@@ -80,64 +80,64 @@ fn a_valid_model_passes() {
 fn each_broken_invariant_is_reported() {
     type Break = fn(&mut Reconstruction);
     let faults: [(&str, Break); 19] = [
-        ("a focal length of camera CameraId(1) is -2, and not above zero", |model| {
+        ("a focal length of camera 1 is -2, and not above zero", |model| {
             model.camera_mut(CameraId(1)).intrinsics.params_mut()[0] = -2.0;
         }),
-        ("rig RigId(1) has no camera", |model| model.rigs.push(Rig::default())),
-        ("rig RigId(0) has camera CameraId(7), but there are 3 cameras", |model| {
+        ("rig 1 has no camera", |model| model.rigs.push(Rig::default())),
+        ("rig 0 has camera 7, but there are 3 cameras", |model| {
             model.rigs[0].sensors[1].camera = CameraId(7);
         }),
-        ("camera CameraId(0) is on two rigs, or twice on one", |model| {
+        ("camera 0 is on two rigs, or twice on one", |model| {
             let sensors = vec![RigSensor { camera: CameraId(0), cam_from_rig: None }];
             model.rigs.push(Rig { sensors });
         }),
-        ("camera CameraId(0) is on two rigs, or twice on one", |model| {
+        ("camera 0 is on two rigs, or twice on one", |model| {
             model.rigs[0].sensors.push(RigSensor { camera: CameraId(0), cam_from_rig: None });
         }),
         (
-            "the first camera of rig RigId(0) is its reference and has another pose than the \
+            "the first camera of rig 0 is its reference and has another pose than the \
             identity",
             |model| {
                 model.rigs[0].sensors[0].cam_from_rig = Some(right_from_left());
             },
         ),
-        ("the pose of camera CameraId(1) on rig RigId(0) is not finite", |model| {
+        ("the pose of camera 1 on rig 0 is not finite", |model| {
             model.rigs[0].sensors[1].cam_from_rig.as_mut().unwrap().translation.x = f64::NAN;
         }),
-        ("the rotation of camera CameraId(1) on rig RigId(0) is no unit quaternion", |model| {
+        ("the rotation of camera 1 on rig 0 is no unit quaternion", |model| {
             model.rigs[0].sensors[1].cam_from_rig = Some(not_unit());
         }),
-        ("frame FrameId(1) is of rig RigId(3), but there are 1 rigs", |model| {
+        ("frame 1 is of rig 3, but there are 1 rigs", |model| {
             model.frames[1].rig = RigId(3);
         }),
-        ("the pose of frame FrameId(0) is not finite", |model| {
+        ("the pose of frame 0 is not finite", |model| {
             model.frames[0].rig_from_world.translation.y = f64::INFINITY;
         }),
-        ("the rotation of frame FrameId(0) is no unit quaternion", |model| {
+        ("the rotation of frame 0 is no unit quaternion", |model| {
             model.frames[0].rig_from_world = not_unit();
         }),
-        ("frame FrameId(0) holds image ImageId(9), but there are 6 images", |model| {
+        ("frame 0 holds image 9, but there are 6 images", |model| {
             model.frames[0].images.push(ImageId(9));
         }),
-        ("frame FrameId(0) holds image ImageId(4), whose camera is not on its rig", |model| {
+        ("frame 0 holds image 4, whose camera is not on its rig", |model| {
             model.frames[0].images.push(ImageId(4));
         }),
-        ("image ImageId(1) is in two frames, or twice in one", |model| {
+        ("image 1 is in two frames, or twice in one", |model| {
             model.frames[1].images = vec![ImageId(1)];
         }),
-        ("frame FrameId(0) holds two images of camera CameraId(0)", |model| {
+        ("frame 0 holds two images of camera 0", |model| {
             model.frames[0].images.push(ImageId(5));
         }),
-        ("frame FrameId(1) holds image ImageId(5), which has no pose", |model| {
+        ("frame 1 holds image 5, which has no pose", |model| {
             model.frames[1].images = vec![ImageId(5)];
         }),
-        ("the pose of image ImageId(2) is not the one that its frame and rig give it", |model| {
+        ("the pose of image 2 is not the one that its frame and rig give it", |model| {
             model.frames[1].rig_from_world.translation.x += 1e-4;
         }),
-        ("the pose of image ImageId(1) is not the one that its frame and rig give it", |model| {
+        ("the pose of image 1 is not the one that its frame and rig give it", |model| {
             model.rigs[0].sensors[1].cam_from_rig = None;
         }),
-        ("the rotation of image ImageId(4) is no unit quaternion", |model| {
+        ("the rotation of image 4 is no unit quaternion", |model| {
             model.register(ImageId(4), not_unit());
         }),
     ];

@@ -311,7 +311,7 @@ mod tests {
             .initialise(&candidates, &mut |_| ControlFlow::Continue(()))
             .expect("an easy scene");
         let failing = *mapper.frontier().last().expect("there are more images");
-        let impossible = RegisterOptions { min_inlier_share: 1.1, ..options.register };
+        let impossible = RegisterOptions { min_inlier_ratio: 1.1, ..options.register };
         for _ in 0..TRIALS {
             let model = &mut mapper.solution.model;
             let found =

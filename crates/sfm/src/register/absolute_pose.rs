@@ -30,12 +30,12 @@ pub struct RegisterOptions {
     /// Minimum number of inliers.
     pub min_num_inliers: usize,
     /// Minimum fraction of inliers.
-    pub min_inlier_share: f64,
+    pub min_inlier_ratio: f64,
 }
 
 impl Default for RegisterOptions {
     fn default() -> Self {
-        Self { max_error_px: 12.0, min_num_inliers: 30, min_inlier_share: 0.25 }
+        Self { max_error_px: 12.0, min_num_inliers: 30, min_inlier_ratio: 0.25 }
     }
 }
 
@@ -130,7 +130,7 @@ pub(crate) fn estimate_placement(
         (placement.inliers.len() >= min_inliers).then_some(placement)
     };
     let best = estimate_from(&candidates, options.min_num_inliers)?;
-    if (best.inliers.len() as f64) < options.min_inlier_share * candidates.len() as f64 {
+    if (best.inliers.len() as f64) < options.min_inlier_ratio * candidates.len() as f64 {
         return None;
     }
     // The outliers of the best pose may support another pose.
@@ -141,7 +141,7 @@ pub(crate) fn estimate_placement(
     let min_inliers = if best.is_plausible {
         MIN_SECOND_INLIERS * best.inliers.len() as f64
     } else {
-        options.min_inlier_share * others.len() as f64
+        options.min_inlier_ratio * others.len() as f64
     };
     let second = estimate_from(&others, options.min_num_inliers.max(min_inliers.ceil() as usize))
         .filter(|second| {

@@ -185,13 +185,13 @@ impl Context<'_> {
             all_extrinsics.iter().zip(extrinsics_covariances(model, &self.adjust, &all_extrinsics)?)
         {
             let constrained: BTreeSet<ImageId> =
-                extrinsics.referenced_images.iter().map(|referenced| referenced.right).collect();
+                extrinsics.referenced_images.iter().map(|referenced| referenced.image).collect();
             let all = extrinsics.sensor_pair.referenced_images(model);
             bad_pairs.extend(
-                all.iter().filter(|referenced| !constrained.contains(&referenced.right)).map(
+                all.iter().filter(|referenced| !constrained.contains(&referenced.image)).map(
                     |referenced| RigPair {
-                        left: referenced.nearest_reference(&extrinsics.sensor_pair.clock),
-                        right: referenced.right,
+                        reference: referenced.nearest_reference(&extrinsics.sensor_pair.clock),
+                        other: referenced.image,
                     },
                 ),
             );
@@ -199,7 +199,7 @@ impl Context<'_> {
                 relative_poses(model, &extrinsics.referenced_images, &extrinsics.sensor_pair.clock);
             cameras.push(CalibratedCamera {
                 sensor_pair: extrinsics.sensor_pair,
-                right_from_left: extrinsics.right_from_left,
+                cam_from_rig: extrinsics.cam_from_rig,
                 covariance: covariance.map(|covariance| extrinsics.with_prior_variance(covariance)),
                 constraint: extrinsics.constraint,
                 num_referenced_images: all.len(),
@@ -232,7 +232,7 @@ impl Context<'_> {
             let Some(covariance) = covariance else { continue };
             let sd_s = covariance[(6, 6)].sqrt();
             for sensor_pair in
-                sensor_pairs.iter_mut().filter(|c| c.right == extrinsics.sensor_pair.right)
+                sensor_pairs.iter_mut().filter(|c| c.other == extrinsics.sensor_pair.other)
             {
                 if sensor_pair.clock_state == ClockState::Estimated
                     && sd_s.is_nan() | (sd_s > MAX_CLOCK_SD_S)

@@ -46,9 +46,9 @@ pub(super) fn extrinsics_covariances(
 
 /// Jacobian of (rotation, translation, clock) by the tangent vectors: a translation t changes by τ
 /// − [t]ₓ δ.
-fn parameters_by_tangent(right_from_left: &Rigid3) -> ExtrinsicsCovariance {
+fn parameters_by_tangent(cam_from_rig: &Rigid3) -> ExtrinsicsCovariance {
     let mut jacobian = ExtrinsicsCovariance::identity();
-    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-so3::hat(&right_from_left.translation));
+    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-so3::hat(&cam_from_rig.translation));
     jacobian
 }
 

@@ -19,7 +19,7 @@ pub(crate) struct RigExtrinsics {
     /// The constrained images.
     pub referenced_images: Vec<ReferencedImage>,
     /// Extrinsics: initial value, and estimate after an adjustment.
-    pub right_from_left: Rigid3,
+    pub cam_from_rig: Rigid3,
     /// Constraint on the relative poses.
     pub constraint: RigConstraint,
     /// Those of the images that belong to a split of the model.
@@ -37,7 +37,7 @@ pub enum RigConstraint {
         /// Standard deviation of each component of the rotation, in radians.
         sigma_rotation_rad: f64,
     },
-    /// The right camera's pose is composed of the reference camera's pose and the extrinsics. It is
+    /// The other camera's pose is composed of the reference camera's pose and the extrinsics. It is
     /// no variable of its own.
     Rigid,
 }
@@ -65,13 +65,13 @@ pub type ExtrinsicsCovariance = SMatrix<f64, 8, 8>;
 /// An image of a split, and the nearest image of the reference camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct SplitImage {
-    pub(crate) right: ImageId,
-    pub(crate) left: ImageId,
+    pub(crate) image: ImageId,
+    pub(crate) reference: ImageId,
 }
 
 impl SplitImage {
     pub(crate) fn new(referenced: &ReferencedImage, clock: &Clock) -> Self {
-        Self { right: referenced.right, left: referenced.nearest_reference(clock) }
+        Self { image: referenced.image, reference: referenced.nearest_reference(clock) }
     }
 }
 
@@ -107,10 +107,10 @@ impl RigExtrinsics {
             assumed_baseline: self.sensor_pair.assumed_baseline,
         };
         let whitened = |referenced: &ReferencedImage| {
-            let left = referenced.left_from_world(model, &self.sensor_pair.clock)?;
-            let right = model.image(referenced.right).cam_from_world()?;
-            let residual = synchronous.residual((&left, right, &self.right_from_left))?;
-            Some(referenced.whitening(&synchronous, &left, &self.right_from_left) * residual)
+            let reference = referenced.rig_from_world(model, &self.sensor_pair.clock)?;
+            let cam = model.image(referenced.image).cam_from_world()?;
+            let residual = synchronous.residual((&reference, cam, &self.cam_from_rig))?;
+            Some(referenced.whitening(&synchronous, &reference, &self.cam_from_rig) * residual)
         };
         self.referenced_images.iter().filter_map(whitened).collect()
     }
@@ -144,11 +144,11 @@ impl RigExtrinsics {
         Self { constraint, ..self.clone() }
     }
 
-    /// Registers each constrained image at `right_from_left` relative to the reference camera.
-    pub(super) fn register_images(&self, model: &mut Reconstruction, right_from_left: &Rigid3) {
+    /// Registers each constrained image at `cam_from_rig` relative to the reference camera.
+    pub(super) fn register_images(&self, model: &mut Reconstruction, cam_from_rig: &Rigid3) {
         for referenced in &self.referenced_images {
-            if let Some(left) = referenced.left_from_world(model, &self.sensor_pair.clock) {
-                model.register(referenced.right, *right_from_left * left);
+            if let Some(reference) = referenced.rig_from_world(model, &self.sensor_pair.clock) {
+                model.register(referenced.image, *cam_from_rig * reference);
             }
         }
     }
@@ -162,7 +162,7 @@ impl RigExtrinsics {
         let assumed_baseline = self.sensor_pair.assumed_baseline?;
         // c = -Rᵀ t. The part of the rotation's covariance is smaller by the baseline over a radian
         // and is left out.
-        let rotation = self.right_from_left.rotation.to_rotation_matrix().into_inner();
+        let rotation = self.cam_from_rig.rotation.to_rotation_matrix().into_inner();
         let of_centre = rotation.transpose() * covariance.fixed_view::<3, 3>(3, 3) * rotation;
         let eigen = of_centre.symmetric_eigen();
         let (index, variance) = eigen.eigenvalues.argmax();
@@ -184,7 +184,7 @@ impl RigExtrinsics {
             ..
         } = self.sensor_pair
         {
-            let along = self.right_from_left.rotation * unobservable_direction * assumed_baseline;
+            let along = self.cam_from_rig.rotation * unobservable_direction * assumed_baseline;
             let mut of_place = covariance.fixed_view_mut::<3, 3>(3, 3);
             of_place += along * along.transpose();
         }

@@ -70,7 +70,7 @@ impl Term for ExtrinsicsTerm<'_> {
         let key = |image: &ImageId| keys.get(image).copied();
         for (index, extrinsics) in self.all_extrinsics.iter().enumerate() {
             let pose_key =
-                variables.problem_mut().add_parameter(extrinsics.right_from_left, Order::Shared);
+                variables.problem_mut().add_parameter(extrinsics.cam_from_rig, Order::Shared);
             let is_interpolated = extrinsics
                 .referenced_images
                 .iter()
@@ -103,40 +103,40 @@ impl Term for ExtrinsicsTerm<'_> {
             }
             self.keys.push((pose_key, clock));
             for referenced in &extrinsics.referenced_images {
-                let right = key(&referenced.right);
+                let cam = key(&referenced.image);
                 match (extrinsics.constraint, referenced.reference, clock) {
-                    (RigConstraint::Rigid, ReferencePose::Synchronous(left), _) => {
-                        if let (Some(left), Some(&(by_index, _))) =
-                            (key(&left), self.rigid.get(&referenced.right))
+                    (RigConstraint::Rigid, ReferencePose::Synchronous(reference), _) => {
+                        if let (Some(reference), Some(&(by_index, _))) =
+                            (key(&reference), self.rigid.get(&referenced.image))
                             && by_index == index
                         {
-                            variables.compose_pose(referenced.right, pose_key, left);
+                            variables.compose_pose(referenced.image, pose_key, reference);
                         }
                     }
                     (
                         RigConstraint::Soft { sigma_translation, sigma_rotation_rad },
-                        ReferencePose::Synchronous(left),
+                        ReferencePose::Synchronous(reference),
                         _,
                     ) => {
-                        let (Some(left), Some(right)) = (key(&left), right) else { continue };
+                        let (Some(reference), Some(cam)) = (key(&reference), cam) else { continue };
                         let factor = SynchronousExtrinsics {
                             sigma_translation,
                             sigma_rotation_rad,
                             assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
                         };
                         variables.problem_mut().add(
-                            (left, right, pose_key),
+                            (reference, cam, pose_key),
                             factor,
                             Loss::Trivial,
                         )?;
                     }
                     (
                         RigConstraint::Soft { sigma_translation, sigma_rotation_rad },
-                        ReferencePose::Interpolated { images, times_s, right_time_s, .. },
+                        ReferencePose::Interpolated { images, times_s, image_time_s, .. },
                         Some(clock),
                     ) => {
                         let [a, b, c, d] = images.each_ref().map(key);
-                        let (Some(a), Some(b), Some(c), Some(d), Some(right)) = (a, b, c, d, right)
+                        let (Some(a), Some(b), Some(c), Some(d), Some(cam)) = (a, b, c, d, cam)
                         else {
                             continue;
                         };
@@ -145,21 +145,24 @@ impl Term for ExtrinsicsTerm<'_> {
                             sigma_rotation_rad,
                             assumed_baseline: extrinsics.sensor_pair.assumed_baseline,
                         };
-                        let Some(left) =
-                            referenced.left_from_world(model, &extrinsics.sensor_pair.clock)
+                        let Some(reference) =
+                            referenced.rig_from_world(model, &extrinsics.sensor_pair.clock)
                         else {
                             continue;
                         };
-                        let whitening =
-                            referenced.whitening(&synchronous, &left, &extrinsics.right_from_left);
+                        let whitening = referenced.whitening(
+                            &synchronous,
+                            &reference,
+                            &extrinsics.cam_from_rig,
+                        );
                         let factor = InterpolatedExtrinsics {
                             extrinsics: synchronous,
-                            left_times_s: times_s,
-                            right_time_s,
+                            reference_times_s: times_s,
+                            image_time_s,
                             whitening,
                         };
                         variables.problem_mut().add(
-                            (a, b, c, d, right, pose_key, clock),
+                            (a, b, c, d, cam, pose_key, clock),
                             factor,
                             Loss::Trivial,
                         )?;
@@ -174,7 +177,7 @@ impl Term for ExtrinsicsTerm<'_> {
 
     fn read(&mut self, problem: &Problem) {
         for (extrinsics, (pose_key, clock)) in self.all_extrinsics.iter_mut().zip(&self.keys) {
-            extrinsics.right_from_left = problem.get(*pose_key);
+            extrinsics.cam_from_rig = problem.get(*pose_key);
             if let Some(clock) = clock {
                 extrinsics.sensor_pair.clock = problem.get(*clock);
             }
@@ -192,7 +195,7 @@ fn extrinsics_prior(
     let sigmas: [f64; 6] = std::array::from_fn(
         |k| if k < 3 { PRIOR_SIGMA_ROTATION_RAD } else { assumed_baseline } / noise,
     );
-    let rotation = extrinsics.right_from_left.rotation;
+    let rotation = extrinsics.cam_from_rig.rotation;
     let mut prior = Prior::new(Rigid3::new(rotation, Vector3::zeros()), &sigmas)?;
     if let Some(unobservable_direction) = extrinsics.sensor_pair.unobservable_direction {
         let along = rotation * unobservable_direction;
@@ -215,10 +218,11 @@ fn rigid_pairs(
         all_extrinsics.iter().enumerate().filter(|(_, m)| m.constraint == RigConstraint::Rigid)
     {
         for referenced in &extrinsics.referenced_images {
-            let ReferencePose::Synchronous(left) = referenced.reference else { continue };
-            if posed.binary_search(&left).is_ok() && posed.binary_search(&referenced.right).is_ok()
+            let ReferencePose::Synchronous(reference) = referenced.reference else { continue };
+            if posed.binary_search(&reference).is_ok()
+                && posed.binary_search(&referenced.image).is_ok()
             {
-                rigid.insert(referenced.right, (index, left));
+                rigid.insert(referenced.image, (index, reference));
             }
         }
     }

@@ -9,7 +9,7 @@ use tiepoint_scene::{Frame, ImageId, Reconstruction, Rig, RigId, RigSensor};
 use super::extrinsics::{RigConstraint, RigExtrinsics, relative_poses};
 use super::sensor_pair::ReferencePose;
 
-/// Registers the right cameras at the robust average of their relative poses.
+/// Registers the non-reference cameras at the robust average of their relative poses.
 pub(super) fn register_rigidly(model: &mut Reconstruction, all_extrinsics: &[RigExtrinsics]) {
     for extrinsics in
         all_extrinsics.iter().filter(|extrinsics| extrinsics.constraint == RigConstraint::Rigid)
@@ -18,7 +18,7 @@ pub(super) fn register_rigidly(model: &mut Reconstruction, all_extrinsics: &[Rig
         let poses =
             relative_poses(model, &extrinsics.referenced_images, &extrinsics.sensor_pair.clock);
         let Some(average) = robust_average(&poses) else { continue };
-        extrinsics.register_images(model, &average.right_from_left());
+        extrinsics.register_images(model, &average.cam_from_rig());
     }
 }
 
@@ -32,24 +32,24 @@ pub(super) fn add_frames(model: &mut Reconstruction, all_extrinsics: &[RigExtrin
         let pose = |image| model.image(image).cam_from_world().copied();
         let both = extrinsics.referenced_images.iter().filter_map(|referenced| {
             match referenced.reference {
-                ReferencePose::Synchronous(left) => {
-                    Some((left, referenced.right, pose(left)?, pose(referenced.right)?))
+                ReferencePose::Synchronous(reference) => {
+                    Some((reference, referenced.image, pose(reference)?, pose(referenced.image)?))
                 }
                 ReferencePose::Interpolated { .. } => None,
             }
         });
-        for (left, right, left_from_world, right_from_world) in both {
+        for (reference, image, rig_from_world, cam_from_world) in both {
             if sensors.is_empty() {
                 sensors.push(RigSensor {
-                    camera: extrinsics.sensor_pair.left,
+                    camera: extrinsics.sensor_pair.reference,
                     cam_from_rig: Some(Rigid3::identity()),
                 });
             }
-            if sensors.iter().all(|sensor| sensor.camera != extrinsics.sensor_pair.right) {
-                let cam_from_rig = Some(right_from_world * left_from_world.inverse());
-                sensors.push(RigSensor { camera: extrinsics.sensor_pair.right, cam_from_rig });
+            if sensors.iter().all(|sensor| sensor.camera != extrinsics.sensor_pair.other) {
+                let cam_from_rig = Some(cam_from_world * rig_from_world.inverse());
+                sensors.push(RigSensor { camera: extrinsics.sensor_pair.other, cam_from_rig });
             }
-            images.entry(left).or_insert_with(|| vec![left]).push(right);
+            images.entry(reference).or_insert_with(|| vec![reference]).push(image);
         }
     }
     if sensors.len() < 2 {
@@ -57,8 +57,8 @@ pub(super) fn add_frames(model: &mut Reconstruction, all_extrinsics: &[RigExtrin
     }
     model.rigs.push(Rig { sensors });
     let rig = RigId::from_index(model.rigs.len() - 1);
-    for (left, images) in images {
-        if let Some(rig_from_world) = model.image(left).cam_from_world().copied() {
+    for (reference, images) in images {
+        if let Some(rig_from_world) = model.image(reference).cam_from_world().copied() {
             model.frames.push(Frame { rig, rig_from_world, images });
         }
     }

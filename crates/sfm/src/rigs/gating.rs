@@ -92,11 +92,11 @@ impl Context<'_> {
             } else {
                 RigConstraint::soft(sigmas)
             };
-            let right_from_left = average.right_from_left();
+            let cam_from_rig = average.cam_from_rig();
             (referenced_images.len() >= 2).then_some(RigExtrinsics {
                 sensor_pair: *sensor_pair,
                 referenced_images,
-                right_from_left,
+                cam_from_rig,
                 constraint,
                 split_images,
             })
@@ -116,20 +116,20 @@ impl Context<'_> {
         average: &RelativePose,
     ) -> Option<bool> {
         let near = referenced.nearest_reference(clock);
-        let key = ImagePair::new(near, referenced.right)?;
+        let key = ImagePair::new(near, referenced.image)?;
         let two_view = self.graph.pairs().get(&key)?;
         if two_view.matches.len() < MIN_TWO_VIEW_MATCHES {
             return None;
         }
         let poses = || -> Option<(RelativePose, RelativePose)> {
             let b_from_a = relative_pose(model, &key, two_view)?;
-            let right_from_near = if key.a == near { b_from_a } else { b_from_a.inverse() };
+            let cam_from_near = if key.a == near { b_from_a } else { b_from_a.inverse() };
             let near_from_world = model.image(near).cam_from_world()?;
-            let left_from_near =
-                referenced.left_from_world(model, clock)? * near_from_world.inverse();
-            let expected = average.right_from_left() * left_from_near;
+            let rig_from_near =
+                referenced.rig_from_world(model, clock)? * near_from_world.inverse();
+            let expected = average.cam_from_rig() * rig_from_near;
             let from_near = |pose: &Rigid3| RelativePose::between(&Rigid3::identity(), pose);
-            Some((from_near(&right_from_near), from_near(&expected)))
+            Some((from_near(&cam_from_near), from_near(&expected)))
         };
         Some(poses().is_some_and(|(own, expected)| {
             let (own_t, t) = (own.translation.normalize(), expected.translation.normalize());

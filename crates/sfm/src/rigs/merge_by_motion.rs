@@ -35,7 +35,7 @@ const MAX_DEVIATION: f64 = 0.05;
 const MAX_ROTATION_RAD: f64 = 0.1;
 
 /// Poses with their times in seconds.
-type Samples = Vec<(f64, Rigid3)>;
+type TimedPoses = Vec<(f64, Rigid3)>;
 
 /// Merges two models in the frame of the first. Returns `None` if they share a camera, if times are
 /// missing, or if their motions do not fit one rig.
@@ -46,10 +46,10 @@ pub(crate) fn merge_by_motion(
     if !cameras(first).is_disjoint(&cameras(second)) {
         return None;
     }
-    let lefts = samples(first, *cameras(first).first()?);
-    let rights = cameras(second).into_iter().map(|camera| samples(second, camera));
-    let rights = rights.max_by_key(Vec::len)?;
-    let first_from_second = similarity(&Trajectory::new(lefts), &rights)?;
+    let references = timed_poses(first, *cameras(first).first()?);
+    let others = cameras(second).into_iter().map(|camera| timed_poses(second, camera));
+    let others = others.max_by_key(Vec::len)?;
+    let first_from_second = similarity(&Trajectory::new(references), &others)?;
     let mut merged = first.clone();
     let mut moved = second.clone();
     moved.transform(&first_from_second);
@@ -77,31 +77,34 @@ fn cameras(model: &Reconstruction) -> BTreeSet<CameraId> {
     model.registered().map(|(_, image, _)| image.camera).collect()
 }
 
-fn samples(model: &Reconstruction, camera: CameraId) -> Samples {
+/// The registered images of a camera: times in seconds and `cam_from_world`, in order of time.
+fn timed_poses(model: &Reconstruction, camera: CameraId) -> TimedPoses {
     posed_in_time(model, camera).into_iter().map(|(time_s, _, pose)| (time_s, pose)).collect()
 }
 
-/// Returns the similarity from the world frame of `rights` to that of `lefts`.
-fn similarity(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> Option<Sim3> {
-    let offset_s = offset_s(lefts, rights);
-    let both = |(time_s, right): &(f64, Rigid3)| Some((lefts.at(time_s + offset_s)?, *right));
-    let poses: Vec<(Rigid3, Rigid3)> = rights.iter().filter_map(both).collect();
+/// Returns the similarity from the world frame of `others` to that of `references`.
+fn similarity(references: &Trajectory, others: &[(f64, Rigid3)]) -> Option<Sim3> {
+    let offset_s = offset_s(references, others);
+    let both = |(time_s, other): &(f64, Rigid3)| Some((references.at(time_s + offset_s)?, *other));
+    let poses: Vec<(Rigid3, Rigid3)> = others.iter().filter_map(both).collect();
     if poses.len() < MIN_COMMON_TIMES {
         return None;
     }
-    let from: Vec<Vector3<f64>> = poses.iter().map(|(_, right)| right.origin_in_a()).collect();
+    let from: Vec<Vector3<f64>> = poses.iter().map(|(_, other)| other.origin_in_a()).collect();
     let mut extrinsics = Rigid3::identity();
     let mut found = None;
     for _ in 0..ROUNDS {
         let to: Vec<Vector3<f64>> =
-            poses.iter().map(|(left, _)| (extrinsics * *left).origin_in_a()).collect();
+            poses.iter().map(|(reference, _)| (extrinsics * *reference).origin_in_a()).collect();
         let similarity = umeyama(&from, &to, true)?;
         let relative: Vec<RelativePose> = poses
             .iter()
-            .map(|(left, right)| RelativePose::between(left, &similarity.transform_pose(right)))
+            .map(|(reference, other)| {
+                RelativePose::between(reference, &similarity.transform_pose(other))
+            })
             .collect();
         let average = robust_average(&relative)?;
-        extrinsics = average.right_from_left();
+        extrinsics = average.cam_from_rig();
         found = Some((similarity, relative, average, extent(&to)));
     }
     let (similarity, relative, average, extent) = found?;
@@ -121,8 +124,8 @@ fn extent(points: &[Vector3<f64>]) -> f64 {
 
 /// Returns the offset, to be added to the second camera's times, at which the rotation rates agree
 /// best.
-fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
-    let rights: Vec<(f64, f64)> = rights
+fn offset_s(references: &Trajectory, others: &[(f64, Rigid3)]) -> f64 {
+    let others: Vec<(f64, f64)> = others
         .windows(2)
         .filter(|pair| pair[1].0 > pair[0].0)
         .map(|pair| {
@@ -130,26 +133,26 @@ fn offset_s(lefts: &Trajectory, rights: &[(f64, Rigid3)]) -> f64 {
             (0.5 * (a_s + b_s), b.rotation.angle_to(&a.rotation) / (b_s - a_s))
         })
         .collect();
-    let half_s = 0.5 * lefts.interval_s();
+    let half_s = 0.5 * references.interval_s();
     let rate = |time_s: f64| {
-        let (a, b) = (lefts.at(time_s - half_s)?, lefts.at(time_s + half_s)?);
+        let (a, b) = (references.at(time_s - half_s)?, references.at(time_s + half_s)?);
         Some(a.rotation.angle_to(&b.rotation) / (2.0 * half_s))
     };
-    let mean = rights.iter().map(|(_, rate)| rate).sum::<f64>() / rights.len().max(1) as f64;
-    let scatter = rights.iter().map(|(_, rate)| (rate - mean).powi(2)).sum::<f64>()
-        / rights.len().max(1) as f64;
+    let mean = others.iter().map(|(_, rate)| rate).sum::<f64>() / others.len().max(1) as f64;
+    let scatter = others.iter().map(|(_, rate)| (rate - mean).powi(2)).sum::<f64>()
+        / others.len().max(1) as f64;
     if !half_s.is_finite() || scatter.sqrt() < MIN_RATE_SCATTER {
         return 0.0;
     }
     let cost = |offset_s: f64| {
-        let squares: Vec<f64> = rights
+        let squares: Vec<f64> = others
             .iter()
-            .filter_map(|(time_s, right)| Some((rate(time_s + offset_s)? - right).powi(2)))
+            .filter_map(|(time_s, other)| Some((rate(time_s + offset_s)? - other).powi(2)))
             .collect();
-        let is_enough = squares.len() >= MIN_COMMON_TIMES && 2 * squares.len() >= rights.len();
+        let is_enough = squares.len() >= MIN_COMMON_TIMES && 2 * squares.len() >= others.len();
         if is_enough { squares.iter().sum::<f64>() / squares.len() as f64 } else { f64::INFINITY }
     };
-    let step_s = lefts.interval_s() / STEPS_PER_INTERVAL;
+    let step_s = references.interval_s() / STEPS_PER_INTERVAL;
     let steps = (MAX_OFFSET_S / step_s).ceil() as i64;
     let offsets = (-steps..=steps).map(|step| step as f64 * step_s);
     // Ties go to the smallest offset.

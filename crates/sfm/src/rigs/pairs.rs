@@ -15,18 +15,18 @@ use crate::timeline::images_in_time;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RigPair {
     /// Image of the reference camera.
-    pub left: ImageId,
+    pub reference: ImageId,
     /// Image of another camera.
-    pub right: ImageId,
+    pub other: ImageId,
 }
 
 /// The image pairs of two cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RigPairs {
     /// The reference camera.
-    pub left: CameraId,
+    pub reference: CameraId,
     /// The other camera.
-    pub right: CameraId,
+    pub other: CameraId,
     /// The pairs, in order of time.
     pub pairs: Vec<RigPair>,
 }
@@ -36,38 +36,40 @@ pub struct RigPairs {
 pub fn rig_pairs(scene: &Reconstruction) -> Vec<RigPairs> {
     let images = rig_candidates(scene);
     let mut cameras = images.iter();
-    let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
+    let Some((&reference, reference_images)) = cameras.next() else { return Vec::new() };
     cameras
-        .map(|(&right, right_images)| {
-            let pairs =
-                match (images_in_time(scene, left_images), images_in_time(scene, right_images)) {
-                    (Some(lefts), Some(rights)) => by_time(&lefts, &rights),
-                    _ => by_name(scene, left_images, right_images),
-                };
-            RigPairs { left, right, pairs }
+        .map(|(&other, other_images)| {
+            let pairs = match (
+                images_in_time(scene, reference_images),
+                images_in_time(scene, other_images),
+            ) {
+                (Some(references), Some(others)) => by_time(&references, &others),
+                _ => by_name(scene, reference_images, other_images),
+            };
+            RigPairs { reference, other, pairs }
         })
         .filter(|rig| !rig.pairs.is_empty())
         .collect()
 }
 
 /// Returns the pairs of mutually nearest images in time, closer than half the median interval.
-pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Vec<RigPair> {
-    let interval = |referenced_images: &[(f64, ImageId)]| {
-        interval_s(&referenced_images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
+pub(crate) fn by_time(references: &[(f64, ImageId)], others: &[(f64, ImageId)]) -> Vec<RigPair> {
+    let interval = |images: &[(f64, ImageId)]| {
+        interval_s(&images.iter().map(|(time_s, _)| *time_s).collect::<Vec<f64>>())
     };
-    let max_difference_s = 0.5 * interval(lefts).max(interval(rights));
-    let nearest = |time_s: f64, others: &[(f64, ImageId)]| -> usize {
-        let after = others.partition_point(|other| other.0 < time_s);
+    let max_difference_s = 0.5 * interval(references).max(interval(others));
+    let nearest = |time_s: f64, images: &[(f64, ImageId)]| -> usize {
+        let after = images.partition_point(|image| image.0 < time_s);
         let distance = |index: usize| {
-            others.get(index).map_or(f64::INFINITY, |other| (other.0 - time_s).abs())
+            images.get(index).map_or(f64::INFINITY, |image| (image.0 - time_s).abs())
         };
         if after > 0 && distance(after - 1) <= distance(after) { after - 1 } else { after }
     };
     let mut pairs = Vec::new();
-    for (index, &(time_s, left)) in lefts.iter().enumerate() {
-        let Some(&(right_s, right)) = rights.get(nearest(time_s, rights)) else { continue };
-        if nearest(right_s, lefts) == index && (right_s - time_s).abs() <= max_difference_s {
-            pairs.push(RigPair { left, right });
+    for (index, &(time_s, reference)) in references.iter().enumerate() {
+        let Some(&(other_s, other)) = others.get(nearest(time_s, others)) else { continue };
+        if nearest(other_s, references) == index && (other_s - time_s).abs() <= max_difference_s {
+            pairs.push(RigPair { reference, other });
         }
     }
     pairs
@@ -76,14 +78,16 @@ pub(crate) fn by_time(lefts: &[(f64, ImageId)], rights: &[(f64, ImageId)]) -> Ve
 /// Returns the pairs of images with the same file name, sorted by that.
 pub(crate) fn by_name(
     scene: &Reconstruction,
-    lefts: &[ImageId],
-    rights: &[ImageId],
+    references: &[ImageId],
+    others: &[ImageId],
 ) -> Vec<RigPair> {
     let file = |id: ImageId| scene.image(id).name.rsplit('/').next().unwrap_or_default();
-    let rights: BTreeMap<&str, ImageId> = rights.iter().map(|&id| (file(id), id)).collect();
-    let mut pairs: Vec<(&str, RigPair)> = lefts
+    let others: BTreeMap<&str, ImageId> = others.iter().map(|&id| (file(id), id)).collect();
+    let mut pairs: Vec<(&str, RigPair)> = references
         .iter()
-        .filter_map(|&left| Some((file(left), RigPair { left, right: *rights.get(file(left))? })))
+        .filter_map(|&reference| {
+            Some((file(reference), RigPair { reference, other: *others.get(file(reference))? }))
+        })
         .collect();
     pairs.sort_by_key(|(name, _)| *name);
     pairs.into_iter().map(|(_, pair)| pair).collect()
@@ -95,7 +99,7 @@ pub fn relative_poses(model: &Reconstruction, pairs: &[RigPair]) -> Vec<(RigPair
     pairs
         .iter()
         .filter_map(|pair| {
-            Some((*pair, RelativePose::between(pose(pair.left)?, pose(pair.right)?)))
+            Some((*pair, RelativePose::between(pose(pair.reference)?, pose(pair.other)?)))
         })
         .collect()
 }
@@ -106,11 +110,11 @@ mod tests {
     use tiepoint_geometry::{CameraModelKind, Intrinsics};
     use tiepoint_scene::{Camera, Image};
 
-    /// Two cameras with images at the given times; the ids of the right images follow the left
-    /// ones.
-    fn scene(lefts: &[Option<f64>], rights: &[Option<f64>]) -> Reconstruction {
+    /// Two cameras with images at the given times; the ids of the second one's images follow
+    /// those of the first one's.
+    fn scene(references: &[Option<f64>], others: &[Option<f64>]) -> Reconstruction {
         let mut scene = Reconstruction::default();
-        for (folder, times) in [("left", lefts), ("right", rights)] {
+        for (folder, times) in [("left", references), ("right", others)] {
             let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
             let camera = scene.add_camera(Camera {
                 intrinsics,
@@ -132,24 +136,27 @@ mod tests {
 
     fn pairs(scene: &Reconstruction) -> Vec<(u32, u32)> {
         let rigs = rig_pairs(scene);
-        rigs.iter().flat_map(|rig| &rig.pairs).map(|pair| (pair.left.0, pair.right.0)).collect()
+        rigs.iter()
+            .flat_map(|rig| &rig.pairs)
+            .map(|pair| (pair.reference.0, pair.other.0))
+            .collect()
     }
 
     #[test]
     fn images_of_one_instant_are_mutually_nearest() {
-        // The right clock is 0.04 s ahead, its second image is missing, and it records longer.
-        let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
-        let rights = [0.04, 0.24, 0.34, 0.44].map(Some);
-        assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5), (3, 6)]);
+        // The other clock is 0.04 s ahead, its second image is missing, and it records longer.
+        let references = [0.0, 0.1, 0.2, 0.3].map(Some);
+        let others = [0.04, 0.24, 0.34, 0.44].map(Some);
+        assert_eq!(pairs(&scene(&references, &others)), [(0, 4), (2, 5), (3, 6)]);
     }
 
     #[test]
     fn at_different_rates_some_images_are_unpaired() {
-        let lefts = [0.0, 0.1, 0.2, 0.3].map(Some);
-        let rights = [0.01, 0.21].map(Some);
-        assert_eq!(pairs(&scene(&lefts, &rights)), [(0, 4), (2, 5)]);
+        let references = [0.0, 0.1, 0.2, 0.3].map(Some);
+        let others = [0.01, 0.21].map(Some);
+        assert_eq!(pairs(&scene(&references, &others)), [(0, 4), (2, 5)]);
         assert!(
-            pairs(&scene(&lefts, &[Some(10.0), Some(10.1)])).is_empty(),
+            pairs(&scene(&references, &[Some(10.0), Some(10.1)])).is_empty(),
             "these clocks do not agree at all"
         );
     }

@@ -27,7 +27,7 @@ pub struct BaselineLink {
 impl BaselineLink {
     /// The images in the order of [`tiepoint_rig::Baseline`]'s variables.
     pub(crate) fn images(&self) -> [ImageId; 4] {
-        [self.now.left, self.now.right, self.next.left, self.next.right]
+        [self.now.reference, self.now.other, self.next.reference, self.next.other]
     }
 }
 

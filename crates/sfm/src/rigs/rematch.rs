@@ -26,7 +26,8 @@ pub type Descriptors<'a> = dyn FnMut(ImageId) -> Vec<Descriptor> + 'a;
 /// from the rig constraint and not from these images.
 const MAX_GUIDE_ERROR_PX: f64 = 8.0;
 
-/// Returns the new verified pairs.
+/// Matches each image of the split with its reference image and with the graph neighbours of that
+/// one. Returns the verified pairs, which the graph does not have yet.
 pub(super) fn rematch(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
@@ -34,21 +35,21 @@ pub(super) fn rematch(
     descriptors: &mut Descriptors,
     seed: u64,
 ) -> Vec<(ImagePair, TwoView)> {
-    let pairs_of = |split_images: &SplitImage| {
-        let of_reference = graph.neighbours(split_images.left);
+    let pairs_of = |split: &SplitImage| {
+        let of_reference = graph.neighbours(split.reference);
         let others: BTreeSet<ImageId> =
-            std::iter::once(&split_images.left).chain(of_reference).copied().collect();
+            std::iter::once(&split.reference).chain(of_reference).copied().collect();
         let has_pose = |image: &ImageId| model.image(*image).cam_from_world().is_some();
         let pairs = others.into_iter().filter(has_pose);
-        let pairs = pairs.filter_map(|other| ImagePair::new(split_images.right, other));
+        let pairs = pairs.filter_map(|other| ImagePair::new(split.image, other));
         pairs.filter(|pair| !graph.pairs().contains_key(pair)).collect::<Vec<_>>()
     };
     let mut found: BTreeMap<ImagePair, TwoView> = BTreeMap::new();
     // Cache. Consecutive images share most of their neighbours.
     let mut features: BTreeMap<ImageId, Features> = BTreeMap::new();
-    for split_images in split_images {
+    for split in split_images {
         let pairs: Vec<ImagePair> =
-            pairs_of(split_images).into_iter().filter(|pair| !found.contains_key(pair)).collect();
+            pairs_of(split).into_iter().filter(|pair| !found.contains_key(pair)).collect();
         let needed: BTreeSet<ImageId> = pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
         features.retain(|image, _| needed.contains(image));
         for image in needed {
@@ -141,8 +142,8 @@ mod tests {
     /// Some repeated points lie on the same epipolar line.
     const MIN_SHARE: f64 = 0.8;
 
-    /// Three images of the same points: a left image and its neighbour, which match, and a right
-    /// image without matches.
+    /// Three images of the same points: two of the reference camera, which match, and one of the
+    /// other camera without matches.
     fn scene() -> (Reconstruction, CorrespondenceGraph) {
         let mut rng = Rng::stream(1, &[]);
         let mut model = Reconstruction::default();
@@ -184,7 +185,8 @@ mod tests {
     #[test]
     fn a_split_image_is_matched_with_its_reference_image_and_that_ones_neighbours() {
         let (model, graph) = scene();
-        let split_images = BTreeSet::from([SplitImage { right: ImageId(2), left: ImageId(0) }]);
+        let split_images =
+            BTreeSet::from([SplitImage { image: ImageId(2), reference: ImageId(0) }]);
         let mut asked = Vec::new();
         let mut descriptors = |image| {
             asked.push(image);
@@ -206,7 +208,8 @@ mod tests {
     #[test]
     fn without_descriptors_there_are_no_further_pairs() {
         let (model, graph) = scene();
-        let split_images = BTreeSet::from([SplitImage { right: ImageId(2), left: ImageId(0) }]);
+        let split_images =
+            BTreeSet::from([SplitImage { image: ImageId(2), reference: ImageId(0) }]);
         assert_eq!(rematch(&graph, &model, &split_images, &mut |_| Vec::new(), 0), []);
     }
 }

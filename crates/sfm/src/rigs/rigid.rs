@@ -22,11 +22,11 @@ use crate::tracks::{FilterOptions, filter_all_points};
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigidCamera {
     /// The reference camera.
-    pub left: CameraId,
+    pub reference: CameraId,
     /// The other camera.
-    pub right: CameraId,
+    pub other: CameraId,
     /// Extrinsics: initial value, and estimate after the adjustment.
-    pub right_from_left: Rigid3,
+    pub cam_from_rig: Rigid3,
     /// Pairs of one instant. Other images of the camera stay free.
     pub pairs: Vec<RigPair>,
 }
@@ -48,14 +48,14 @@ pub fn constrain_rigidly(
     let mut all_extrinsics: Vec<RigExtrinsics> =
         cameras.iter().map(RigidCamera::extrinsics).collect();
     for extrinsics in &all_extrinsics {
-        extrinsics.register_images(model, &extrinsics.right_from_left);
+        extrinsics.register_images(model, &extrinsics.cam_from_rig);
     }
     adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
     filter_all_points(model, filter);
     let summary = adjust_with_extrinsics(model, options, &mut all_extrinsics)?;
     add_frames(model, &all_extrinsics);
     for (camera, extrinsics) in cameras.iter_mut().zip(&all_extrinsics) {
-        camera.right_from_left = extrinsics.right_from_left;
+        camera.cam_from_rig = extrinsics.cam_from_rig;
     }
     Ok(summary)
 }
@@ -64,20 +64,20 @@ impl RigidCamera {
     /// The extrinsics as a rigid constraint of a synchronised sensor pair.
     fn extrinsics(&self) -> RigExtrinsics {
         let referenced = |pair: &RigPair| ReferencedImage {
-            right: pair.right,
-            reference: ReferencePose::Synchronous(pair.left),
+            image: pair.other,
+            reference: ReferencePose::Synchronous(pair.reference),
         };
         RigExtrinsics {
             sensor_pair: SensorPair {
-                left: self.left,
-                right: self.right,
+                reference: self.reference,
+                other: self.other,
                 clock: Clock::default(),
                 clock_state: ClockState::Synchronised,
                 assumed_baseline: None,
                 unobservable_direction: None,
             },
             referenced_images: self.pairs.iter().map(referenced).collect(),
-            right_from_left: self.right_from_left,
+            cam_from_rig: self.cam_from_rig,
             constraint: RigConstraint::Rigid,
             split_images: Vec::new(),
         }

@@ -1,10 +1,10 @@
-//! Pairs of a reference camera (`left`) and another camera of the rig (`right`), and the clock
-//! offset between them.
+//! Pairs of the rig's reference camera and another camera of the rig, and the clock offset between
+//! them. The rig frame is the frame of the reference camera, so `rig_from_world` is its pose.
 //!
-//! Cameras of a rig need not be triggered at the same instants. The pose of the reference camera at
-//! the time of another camera's image is interpolated between four of its images, on the other
-//! camera's clock. Images are paired one to one only for synchronised cameras and for images
-//! without times.
+//! Cameras of a rig need not be triggered at the same instants. The time of another camera's image
+//! is converted to the reference camera's clock, and the pose of the reference camera at that time
+//! is interpolated between four of its images. Images are paired one to one only for synchronised
+//! cameras and for images without times.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ use crate::timeline::{images_in_time, images_of_cameras};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferencedImage {
     /// The image of the non-reference camera.
-    pub right: ImageId,
+    pub image: ImageId,
     /// Source of the reference camera's pose.
     pub reference: ReferencePose,
 }
@@ -44,7 +44,7 @@ pub enum ReferencePose {
         /// Their times on the reference camera's clock, in seconds.
         times_s: [f64; 4],
         /// Time of the other camera's image on its own clock, in seconds.
-        right_time_s: f64,
+        image_time_s: f64,
         /// Perturbations of the interpolated pose, one standard deviation each: interpolation error
         /// and time-stamp jitter.
         pose_perturbations: [Rigid3; 5],
@@ -54,22 +54,22 @@ pub enum ReferencePose {
 impl ReferencedImage {
     /// Returns the pose of the reference camera at the time of the image; `None` if an image has no
     /// pose.
-    pub fn left_from_world(&self, model: &Reconstruction, clock: &Clock) -> Option<Rigid3> {
+    pub fn rig_from_world(&self, model: &Reconstruction, clock: &Clock) -> Option<Rigid3> {
         let pose = |image: ImageId| model.image(image).cam_from_world();
         match self.reference {
             ReferencePose::Synchronous(image) => pose(image).copied(),
-            ReferencePose::Interpolated { images: [a, b, c, d], times_s, right_time_s, .. } => {
+            ReferencePose::Interpolated { images: [a, b, c, d], times_s, image_time_s, .. } => {
                 let poses = [pose(a)?, pose(b)?, pose(c)?, pose(d)?];
                 let knots = tiepoint_rig::Knots { poses, times_s };
-                Some(knots.at(clock.reference_time_s(right_time_s)))
+                Some(knots.at(clock.reference_time_s(image_time_s)))
             }
         }
     }
 
     /// Returns the relative pose of the two cameras; `None` if an image has no pose.
     pub fn relative_pose(&self, model: &Reconstruction, clock: &Clock) -> Option<RelativePose> {
-        let left = self.left_from_world(model, clock)?;
-        Some(RelativePose::between(&left, model.image(self.right).cam_from_world()?))
+        let reference = self.rig_from_world(model, clock)?;
+        Some(RelativePose::between(&reference, model.image(self.image).cam_from_world()?))
     }
 
     /// Multiplies the standard deviations of the interpolated pose by `factor`.
@@ -85,16 +85,16 @@ impl ReferencedImage {
     pub(crate) fn whitening(
         &self,
         synchronous: &SynchronousExtrinsics,
-        left_from_world: &Rigid3,
-        right_from_left: &Rigid3,
+        rig_from_world: &Rigid3,
+        cam_from_rig: &Rigid3,
     ) -> SMatrix<f64, 6, 6> {
         match &self.reference {
             ReferencePose::Synchronous(_) => SMatrix::identity(),
             ReferencePose::Interpolated { pose_perturbations, .. } => {
                 InterpolatedExtrinsics::whitening(
                     synchronous,
-                    left_from_world,
-                    right_from_left,
+                    rig_from_world,
+                    cam_from_rig,
                     pose_perturbations,
                 )
             }
@@ -105,8 +105,8 @@ impl ReferencedImage {
     pub fn nearest_reference(&self, clock: &Clock) -> ImageId {
         match self.reference {
             ReferencePose::Synchronous(image) => image,
-            ReferencePose::Interpolated { images, times_s, right_time_s, .. } => {
-                let time_s = clock.reference_time_s(right_time_s);
+            ReferencePose::Interpolated { images, times_s, image_time_s, .. } => {
+                let time_s = clock.reference_time_s(image_time_s);
                 let nearest = (0..4).min_by(|&a, &b| {
                     (times_s[a] - time_s).abs().total_cmp(&(times_s[b] - time_s).abs())
                 });
@@ -139,10 +139,10 @@ impl ClockState {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorPair {
     /// The reference camera.
-    pub left: CameraId,
+    pub reference: CameraId,
     /// The other camera.
-    pub right: CameraId,
-    /// Clock of the other camera: `t_left = t_right + offset`.
+    pub other: CameraId,
+    /// Clock of the other camera: `t_reference = t_other + offset`.
     pub clock: Clock,
     /// State of the clock.
     pub clock_state: ClockState,
@@ -150,7 +150,7 @@ pub struct SensorPair {
     /// baseline. The median distance between consecutive images of the reference camera then
     /// replaces the baseline as the unit of length.
     pub assumed_baseline: Option<f64>,
-    /// Direction along which the motion does not determine the right camera's centre: a unit vector
+    /// Direction along which the motion does not determine the other camera's centre: a unit vector
     /// in the reference camera's frame, for example upwards on a flat road. The centre is kept at
     /// zero along it.
     pub unobservable_direction: Option<Vector3<f64>>,
@@ -163,11 +163,12 @@ const MIN_GAIN: f64 = 10.0;
 /// time stamps are used unless the motion contradicts them: at constant speed small lens biases
 /// change the trajectory by more than the noise of the keypoints predicts.
 const MAX_MOTION_SD_S: f64 = 0.002;
-/// Two cameras are synchronised if at some offset the fraction `COINCIDING` of their images
-/// coincide to within `MAX_JITTER` intervals. That offset must be near to the estimated one: within
-/// `MAX_DEVIATIONS` standard deviations and `MAX_PHASE` intervals, or within `MIN_PHASE_S` seconds.
-const MAX_JITTER: f64 = 0.02;
+/// Two cameras are synchronised if at some offset this fraction of their images coincides.
 const COINCIDING: f64 = 0.9;
+/// Two images coincide if their times differ by at most this fraction of the image interval.
+const MAX_JITTER: f64 = 0.02;
+/// The offset at which images coincide must agree with the estimated one: within this many standard
+/// deviations and this fraction of the image interval, or within `MIN_PHASE_S` seconds.
 const MAX_DEVIATIONS: f64 = 6.0;
 const MAX_PHASE: f64 = 0.1;
 const MIN_PHASE_S: f64 = 0.001;
@@ -177,47 +178,48 @@ const MIN_PHASE_S: f64 = 0.001;
 pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
     let cameras = rig_candidates(model);
     let mut cameras = cameras.iter();
-    let Some((&left, left_images)) = cameras.next() else { return Vec::new() };
+    let Some((&reference, reference_images)) = cameras.next() else { return Vec::new() };
     cameras
-        .filter_map(|(&right, right_images)| {
-            let assumed_baseline = if have_common_points(model, left, right) {
+        .filter_map(|(&other, other_images)| {
+            let assumed_baseline = if have_common_points(model, reference, other) {
                 None
             } else {
-                median_step(model, left_images)
+                median_step(model, reference_images)
             };
             let sensor_pair = |clock, clock_state| SensorPair {
-                left,
-                right,
+                reference,
+                other,
                 clock,
                 clock_state,
                 assumed_baseline,
                 unobservable_direction: None,
             };
-            let (Some(lefts), Some(rights)) =
-                (images_in_time(model, left_images), images_in_time(model, right_images))
+            let (Some(references), Some(others)) =
+                (images_in_time(model, reference_images), images_in_time(model, other_images))
             else {
                 return Some(sensor_pair(Clock::default(), ClockState::Synchronised));
             };
-            let pivot_s = 0.5 * (rights.first()?.0 + rights.last()?.0);
+            let pivot_s = 0.5 * (others.first()?.0 + others.last()?.0);
             // Only registered images are used.
             let posed = |times: &[(f64, ImageId)]| -> Vec<(f64, Rigid3)> {
                 let pose = |id: ImageId| model.image(id).cam_from_world().copied();
                 times.iter().filter_map(|&(time_s, id)| Some((time_s, pose(id)?))).collect()
             };
-            let (lefts, rights) = (Trajectory::new(posed(&lefts)), posed(&rights));
+            let (references, others) = (Trajectory::new(posed(&references)), posed(&others));
             let clock = |offset_s| Clock { offset_s, drift: 0.0, pivot_s };
-            let Some(found) = find_offset(&lefts, &rights) else {
+            let Some(found) = find_offset(&references, &others) else {
                 return Some(sensor_pair(clock(0.0), ClockState::Synchronised));
             };
             // The offset is zero unless the gain is significant.
             let is_zero = found.gain < MIN_GAIN;
             let offset_s = if is_zero { 0.0 } else { found.offset_s };
-            let tolerance_s = (MAX_DEVIATIONS * found.sd_s).min(MAX_PHASE * lefts.interval_s());
+            let tolerance_s =
+                (MAX_DEVIATIONS * found.sd_s).min(MAX_PHASE * references.interval_s());
             let is_near = |exact_s: f64| {
                 (exact_s - offset_s).abs() <= MIN_PHASE_S
                     || (exact_s - found.offset_s).abs() <= tolerance_s
             };
-            Some(match synchronous_offset(lefts.times_s(), &rights, offset_s) {
+            Some(match synchronous_offset(references.times_s(), &others, offset_s) {
                 Some(exact_s) if is_near(exact_s) => {
                     sensor_pair(clock(exact_s), ClockState::Synchronised)
                 }
@@ -231,11 +233,11 @@ pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
 }
 
 /// Returns whether both cameras observe some point.
-fn have_common_points(model: &Reconstruction, left: CameraId, right: CameraId) -> bool {
+fn have_common_points(model: &Reconstruction, reference: CameraId, other: CameraId) -> bool {
     model.tracks().any(|(_, track)| {
         let is_seen_by =
             |camera| track.observations.iter().any(|o| model.image(o.image).camera == camera);
-        is_seen_by(left) && is_seen_by(right)
+        is_seen_by(reference) && is_seen_by(other)
     })
 }
 
@@ -249,18 +251,18 @@ fn median_step(model: &Reconstruction, images: &[ImageId]) -> Option<f64> {
 
 /// Returns the offset nearest to `offset_s` at which the images of the two cameras coincide; `None`
 /// if they coincide at none.
-fn synchronous_offset(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -> Option<f64> {
-    let interval_s = interval_s(left_s);
+fn synchronous_offset(reference_s: &[f64], others: &[(f64, Rigid3)], offset_s: f64) -> Option<f64> {
+    let interval_s = interval_s(reference_s);
     let phase = |&(time_s, _): &(f64, Rigid3)| {
         let time_s = time_s + offset_s;
-        let after = left_s.partition_point(|left| *left < time_s);
+        let after = reference_s.partition_point(|reference| *reference < time_s);
         [after.checked_sub(1), Some(after)]
             .into_iter()
-            .filter_map(|index| Some(time_s - left_s.get(index?)?))
+            .filter_map(|index| Some(time_s - reference_s.get(index?)?))
             .min_by(|a, b| a.abs().total_cmp(&b.abs()))
             .filter(|phase| phase.abs() <= interval_s)
     };
-    let mut phases: Vec<f64> = rights.iter().filter_map(phase).collect();
+    let mut phases: Vec<f64> = others.iter().filter_map(phase).collect();
     let median = median(&mut phases)?;
     let coincide =
         phases.iter().filter(|phase| (*phase - median).abs() <= MAX_JITTER * interval_s).count();
@@ -268,59 +270,60 @@ fn synchronous_offset(left_s: &[f64], rights: &[(f64, Rigid3)], offset_s: f64) -
 }
 
 impl SensorPair {
-    /// Returns the registered images of the right camera at whose times the reference camera has a
+    /// Returns the registered images of the other camera at whose times the reference camera has a
     /// pose, in order of time.
     pub fn referenced_images(&self, model: &Reconstruction) -> Vec<ReferencedImage> {
         let images: BTreeMap<CameraId, Vec<ImageId>> = images_of_cameras(model);
-        let (Some(left_images), Some(right_images)) =
-            (images.get(&self.left), images.get(&self.right))
+        let (Some(reference_images), Some(other_images)) =
+            (images.get(&self.reference), images.get(&self.other))
         else {
             return Vec::new();
         };
         let has_pose = |id: ImageId| model.image(id).cam_from_world().is_some();
         let of_one_instant = |pairs: Vec<RigPair>| -> Vec<ReferencedImage> {
-            let both = pairs.iter().filter(|pair| has_pose(pair.left) && has_pose(pair.right));
+            let both = pairs.iter().filter(|pair| has_pose(pair.reference) && has_pose(pair.other));
             both.map(|pair| ReferencedImage {
-                right: pair.right,
-                reference: ReferencePose::Synchronous(pair.left),
+                image: pair.other,
+                reference: ReferencePose::Synchronous(pair.reference),
             })
             .collect()
         };
-        let (Some(lefts), Some(mut rights)) =
-            (images_in_time(model, left_images), images_in_time(model, right_images))
+        let (Some(references), Some(mut others)) =
+            (images_in_time(model, reference_images), images_in_time(model, other_images))
         else {
-            return of_one_instant(by_name(model, left_images, right_images));
+            return of_one_instant(by_name(model, reference_images, other_images));
         };
         if self.clock_state == ClockState::Synchronised {
-            rights
+            others
                 .iter_mut()
                 .for_each(|(time_s, _)| *time_s = self.clock.reference_time_s(*time_s));
-            return of_one_instant(by_time(&lefts, &rights));
+            return of_one_instant(by_time(&references, &others));
         }
-        let lefts: Vec<(f64, ImageId, Rigid3)> = lefts
+        let references: Vec<(f64, ImageId, Rigid3)> = references
             .iter()
             .filter_map(|&(time_s, id)| Some((time_s, id, *model.image(id).cam_from_world()?)))
             .collect();
-        let trajectory = Trajectory::new(lefts.iter().map(|(time_s, _, pose)| (*time_s, *pose)));
-        let right_s: Vec<f64> = rights.iter().map(|(time_s, _)| *time_s).collect();
+        let trajectory =
+            Trajectory::new(references.iter().map(|(time_s, _, pose)| (*time_s, *pose)));
+        let other_s: Vec<f64> = others.iter().map(|(time_s, _)| *time_s).collect();
         let time_sigma_s =
-            timestamp_jitter_s(trajectory.times_s()).hypot(timestamp_jitter_s(&right_s));
-        let referenced = |&(right_time_s, right): &(f64, ImageId)| {
-            let time_s = self.clock.reference_time_s(right_time_s);
+            timestamp_jitter_s(trajectory.times_s()).hypot(timestamp_jitter_s(&other_s));
+        let referenced = |&(image_time_s, image): &(f64, ImageId)| {
+            let time_s = self.clock.reference_time_s(image_time_s);
             let first = trajectory.knots_around(time_s)?;
             let pose_perturbations = trajectory.pose_perturbations(first, time_s, time_sigma_s);
-            let images = std::array::from_fn(|k| lefts[first + k].1);
-            let times_s = std::array::from_fn(|k| lefts[first + k].0);
+            let images = std::array::from_fn(|k| references[first + k].1);
+            let times_s = std::array::from_fn(|k| references[first + k].0);
             Some(ReferencedImage {
-                right,
+                image,
                 reference: ReferencePose::Interpolated {
                     images,
                     times_s,
-                    right_time_s,
+                    image_time_s,
                     pose_perturbations,
                 },
             })
         };
-        rights.iter().filter(|(_, right)| has_pose(*right)).filter_map(referenced).collect()
+        others.iter().filter(|(_, image)| has_pose(*image)).filter_map(referenced).collect()
     }
 }

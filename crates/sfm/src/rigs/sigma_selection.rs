@@ -173,7 +173,7 @@ impl Context<'_> {
             for extrinsics in &all_extrinsics {
                 sensor_pairs
                     .iter_mut()
-                    .filter(|sensor_pair| sensor_pair.right == extrinsics.sensor_pair.right)
+                    .filter(|sensor_pair| sensor_pair.other == extrinsics.sensor_pair.other)
                     .for_each(|sensor_pair| sensor_pair.clock = extrinsics.sensor_pair.clock);
             }
             let constrained =
@@ -251,7 +251,7 @@ impl Context<'_> {
                 .collect();
             adjust_with_extrinsics(model, &options, &mut loose)?;
             for (extrinsics, loose) in all_extrinsics.iter_mut().zip(loose) {
-                extrinsics.right_from_left = loose.right_from_left;
+                extrinsics.cam_from_rig = loose.cam_from_rig;
             }
         }
         Ok(())

@@ -31,7 +31,7 @@ pub struct CalibratedCamera {
     /// The cameras and the clock.
     pub sensor_pair: SensorPair,
     /// Extrinsics, in units of the model.
-    pub right_from_left: Rigid3,
+    pub cam_from_rig: Rigid3,
     /// Covariance of extrinsics and clock; `None` if something is not determined. Along
     /// [`SensorPair::unobservable_direction`] the centre has the prior's mean, zero, and a standard
     /// deviation of one assumed baseline.
@@ -44,7 +44,8 @@ pub struct CalibratedCamera {
     pub statistics: Option<RelativePoseStatistics>,
 }
 
-/// A repaired split: images without matches across cameras that were far from their extrinsics.
+/// A repaired split: images whose poses were far from those that the extrinsics give, and which had
+/// no matches with the images of the other cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SplitRepair {
     /// Number of images.

@@ -165,7 +165,7 @@ impl Pair {
             confidence: 0.99,
             min_iterations: 20,
             max_iterations: MAX_SAMPLES,
-            min_inlier_share: 0.0,
+            min_inlier_ratio: 0.0,
             seed: u64::from(self.images.a.0) << 32 | u64::from(self.images.b.0),
         };
         let nothing = pixels1.len() as f64 * MAX_ERROR_PX * MAX_ERROR_PX;

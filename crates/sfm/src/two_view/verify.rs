@@ -122,7 +122,7 @@ pub fn verify_pair(
         two_view.matches.iter().map(|m| view1.keypoints[m.a as usize].pixel).collect();
     let inliers2: Vec<Vector2<f64>> =
         two_view.matches.iter().map(|m| view2.keypoints[m.b as usize].pixel).collect();
-    let ransac = RansacOptions { min_inlier_share: options.max_homography_share, ..ransac };
+    let ransac = RansacOptions { min_inlier_ratio: options.max_homography_share, ..ransac };
     if let Some(homography) = estimate::homography(&inliers1, &inliers2, &ransac)
         && homography.num_inliers as f64 > options.max_homography_share * inliers1.len() as f64
     {

@@ -76,8 +76,7 @@ fn errors(run: &Run) -> ([f64; 8], [f64; 8]) {
     let camera = run.camera.as_ref().expect("the right camera was calibrated");
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
     let scale = scale(run);
-    let found =
-        Rigid3::new(camera.right_from_left.rotation, camera.right_from_left.translation / scale);
+    let found = Rigid3::new(camera.cam_from_rig.rotation, camera.cam_from_rig.translation / scale);
     let turn = so3::log(&(found.rotation * truth.rotation.inverse()));
     let shift = found.translation - truth.translation;
     let pivot_s = camera.sensor_pair.clock.pivot_s;

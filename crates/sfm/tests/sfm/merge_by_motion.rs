@@ -100,7 +100,7 @@ fn cameras_without_common_points_are_merged_into_one_model() {
     let camera = run.camera.expect("it is calibrated");
     assert_eq!(camera.sensor_pair.clock_state, ClockState::Estimated);
     let (truth, clock) = (run.drive.cam_from_rig(1), run.drive.cameras()[1].clock);
-    let Rigid3 { rotation, translation } = camera.right_from_left;
+    let Rigid3 { rotation, translation } = camera.cam_from_rig;
     let turn_rad = so3::log(&(rotation * truth.rotation.inverse())).norm();
     // In the first camera's frame: right, down, ahead.
     let found = -(rotation.inverse() * translation) * run.metres;

@@ -66,17 +66,17 @@ fn drive_with(
         .collect();
     let mut scene = Reconstruction::default();
     let (mut poses, mut seen) = (Vec::new(), Vec::new());
-    let mut left_from_world = Vec::new();
+    let mut rig_from_world = Vec::new();
     let mut centre = Vector3::zeros();
     for frame in 0..NUM_FRAMES {
         let yaw = turn_rad * frame as f64;
         let waver = Vector3::new(rng.normal(), rng.normal(), rng.normal()) * ROTATION_NOISE_RAD;
         let rotation =
             Rigid3::from_axis_angle(waver - Vector3::y() * yaw, Vector3::zeros()).rotation;
-        left_from_world.push(Rigid3::new(rotation, -(rotation * centre)));
+        rig_from_world.push(Rigid3::new(rotation, -(rotation * centre)));
         centre += Vector3::new(yaw.sin(), 0.0, yaw.cos()) * STEP_M;
     }
-    let right_from_left = |frame| {
+    let cam_from_rig = |frame| {
         Rigid3::from_axis_angle(
             Vector3::new(0.0, 0.01, 0.0),
             Vector3::new(-baseline_m(frame), 0.0, 0.0),
@@ -89,9 +89,9 @@ fn drive_with(
             height: 480,
             has_focal_prior,
         });
-        for (frame, left_from_world) in left_from_world.iter().enumerate() {
-            let cam_from_left = if is_right { right_from_left(frame) } else { Rigid3::identity() };
-            let pose = cam_from_left * *left_from_world;
+        for (frame, rig_from_world) in rig_from_world.iter().enumerate() {
+            let cam_from_left = if is_right { cam_from_rig(frame) } else { Rigid3::identity() };
+            let pose = cam_from_left * *rig_from_world;
             let (mut keypoints, mut which) = (Vec::new(), Vec::new());
             for (point, xyz) in points.iter().enumerate() {
                 let Some(pixel) = truth.project(&(pose * *xyz)) else { continue };
@@ -194,7 +194,7 @@ fn each_model_reports_its_own_rig() {
         };
         let metres = first(&|id| truth.poses[id.index()])
             / first(&|id| *model.reconstruction.image(id).cam_from_world().expect("a pose"));
-        let found_m = metres * rig.cameras[0].right_from_left.translation.norm();
+        let found_m = metres * rig.cameras[0].cam_from_rig.translation.norm();
         assert!(
             (found_m / baseline_m - 1.0).abs() < MAX_BASELINE_ERROR,
             "{found_m} m for {baseline_m}"
@@ -413,8 +413,12 @@ fn a_pair_of_different_instants_is_reported_and_not_constrained() {
     truth.scene.set_time(other, times[0]);
     let MappedModel { reconstruction: model, rig, .. } =
         run_whole(&truth, &calibrated(RigTerm::Hard));
-    let bad: Vec<_> =
-        rig.expect("it was asked for").bad_pairs.iter().map(|p| (p.left.0, p.right.0)).collect();
+    let bad: Vec<_> = rig
+        .expect("it was asked for")
+        .bad_pairs
+        .iter()
+        .map(|p| (p.reference.0, p.other.0))
+        .collect();
     assert_eq!(bad, [(3, other.0), (6, one.0)]);
     assert_eq!(model.frames.len(), NUM_FRAMES - 2);
 }

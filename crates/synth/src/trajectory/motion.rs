@@ -11,8 +11,8 @@ pub struct Motion {
     pub stop_duration_s: f64,
     /// Lateral position of the lane, in metres to the left of the centre line.
     pub lane_left_m: f64,
-    /// Length of a loop that is driven a second time, in metres, so that the ends of the drive see
-    /// the same street.
+    /// On a loop, the distance in metres that the vehicle drives on after it has reached its start
+    /// again, so that the beginning and the end of the drive see the same street.
     pub overlap_m: f64,
     /// Scale of the pitch, roll and heave of the body: 1 for a real car, 0 for none.
     pub suspension: f64,
@@ -21,7 +21,7 @@ pub struct Motion {
 }
 
 impl Default for Motion {
-    /// 25 mph in the right lane with two stops; no pitch, roll, heave and vibration.
+    /// 11 m/s (25 mph) in the right lane with two stops, without pitch, roll, heave or vibration.
     fn default() -> Self {
         Self {
             speed_mps: 11.0,

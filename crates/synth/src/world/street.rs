@@ -179,6 +179,8 @@ fn houses(
     }
 }
 
+/// Adds taller houses behind the first row where there is room, on one side of the route: `side` is
+/// 1 for left and −1 for right.
 fn second_row(world: &mut Builder, lots: &mut Vec<Lot>, route: &Route, side: f64, rng: &mut Rng) {
     let mut along = 0.0;
     while along < route.length_m() {

@@ -10,12 +10,12 @@ use crate::brute::Isa;
 use crate::brute::Kind;
 use crate::pairs::{Pair, normalise};
 
-/// Number of query images per parallel task. The bank is read from memory once per task.
+/// Number of query images per parallel task. The index is read from memory once per task.
 const TASK_SIZE: usize = QUERIES;
 
 /// The retrieval index: the global descriptors of a set of images.
 #[derive(Clone, Debug, Default)]
-pub struct Bank {
+pub struct RetrievalIndex {
     entries: Vec<i8>,
     /// Number of entries of a global descriptor.
     len: usize,
@@ -23,23 +23,23 @@ pub struct Bank {
     inverse_norms: Vec<f32>,
 }
 
-impl FromIterator<GlobalDescriptor> for Bank {
+impl FromIterator<GlobalDescriptor> for RetrievalIndex {
     fn from_iter<I: IntoIterator<Item = GlobalDescriptor>>(images: I) -> Self {
-        let mut bank = Bank::default();
-        images.into_iter().for_each(|image| bank.push(&image));
-        bank
+        let mut index = RetrievalIndex::default();
+        images.into_iter().for_each(|image| index.push(&image));
+        index
     }
 }
 
-impl Bank {
+impl RetrievalIndex {
     /// Adds an image.
     ///
     /// # Panics
-    /// If the global descriptor is of another vocabulary size than those in the bank.
+    /// If the global descriptor is of another vocabulary size than those in the retrieval index.
     pub fn push(&mut self, image: &GlobalDescriptor) {
         assert!(
             self.is_empty() || image.entries.len() == self.len,
-            "the global descriptors of a bank must have the same vocabulary"
+            "the global descriptors of an index must have the same vocabulary"
         );
         self.len = image.entries.len();
         self.inverse_norms.push(inverse_norm(&image.entries));
@@ -57,8 +57,8 @@ impl Bank {
     }
 
     /// The `count` most similar images to a query among those with `is_candidate`, in descending
-    /// order of similarity, then ascending order of index. The query must have the vocabulary of
-    /// the bank; it need not be in the bank.
+    /// order of similarity, then in ascending order of image number. The query must have the
+    /// vocabulary of the retrieval index; it need not be one of its images.
     pub fn most_similar(
         &self,
         image: &GlobalDescriptor,
@@ -162,7 +162,7 @@ impl Bank {
         &self.entries[image * self.len..][..self.len]
     }
 
-    /// The similarity of an image of the bank to a global descriptor.
+    /// The cosine similarity of an image of the retrieval index to a global descriptor.
     fn similarity(&self, isa: Isa, at: usize, other: &[i8], inverse_norm: f32) -> f32 {
         dot(isa, self.row(at), other) as f32 * (self.inverse_norms[at] * inverse_norm)
     }
@@ -183,7 +183,8 @@ fn best(similarities: &[f32], count: usize, is_candidate: impl Fn(u32) -> bool) 
     ranked(all.filter(|similar| is_candidate(similar.image)).collect(), count)
 }
 
-/// The first `count` images in descending order of similarity, then ascending order of index.
+/// The first `count` images in descending order of similarity, then in ascending order of image
+/// number.
 fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar> {
     let order = |a: &Similar, b: &Similar| {
         b.similarity.total_cmp(&a.similarity).then(a.image.cmp(&b.image))
