@@ -134,9 +134,9 @@ pub fn match_images(
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs to match. The images of a folder are a sequence, whatever settings its camera had; they
-/// are ordered by time if all times are known, else by name. Similar images are found by the visual
-/// vocabulary.
+/// The pairs to match. The images of a folder are a sequence, whatever settings its camera had;
+/// they are ordered by time if all times are known, else by name. Similar images are found by the
+/// visual vocabulary.
 fn select_pairs(
     workspace: &Workspace,
     database: &Database,

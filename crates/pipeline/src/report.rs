@@ -86,6 +86,7 @@ pub struct MapReport {
 
 /// Summary of dense reconstruction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "an object")]
 pub struct DenseReport {
     /// Wall time of the run that completed the stage.
     pub seconds: f64,

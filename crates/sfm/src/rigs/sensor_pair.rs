@@ -173,8 +173,8 @@ const MAX_DEVIATIONS: f64 = 6.0;
 const MAX_PHASE: f64 = 0.1;
 const MIN_PHASE_S: f64 = 0.001;
 
-/// Pairs each camera that may be on a rig with the reference camera, which is the first one, and initialises the clocks
-/// from times, file names and motion.
+/// Pairs each camera that may be on a rig with the reference camera, which is the first one, and
+/// initialises the clocks from times, file names and motion.
 pub fn sensor_pairs(model: &Reconstruction) -> Vec<SensorPair> {
     let cameras = rig_candidates(model);
     let mut cameras = cameras.iter();
