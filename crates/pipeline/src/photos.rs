@@ -138,6 +138,10 @@ impl Photos {
                     let first = &photos[*first];
                     let size = |info: &ImageInfo| Size(info.width, info.height);
                     if size(&first.info) != size(&info) {
+                        // The sizes of the photos are not those of the file.
+                        if let Some(calibration) = calibration {
+                            calibrations.camera(calibration, &image.name, &info)?;
+                        }
                         return Err(Error::TwoSizes {
                             grouping,
                             first: self.name(first).to_owned(),

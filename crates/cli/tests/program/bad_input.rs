@@ -156,7 +156,7 @@ fn wrong_command_lines() {
     wrong("reconstruct {} -o {}/ws --focal-prior -4", &["-4"]);
     wrong("reconstruct {} -o {}/ws --calibration =x", &["PATTERN=FILE#CAMERA"]);
     wrong("reconstruct {} -o {}/ws --intrinsics 9,9,3,3 --calibration x", &["cannot be used with"]);
-    wrong("reconstruct {} -o {}/ws --refine lens", &["'lens'", "principal-point and distortion"]);
+    wrong("reconstruct {} -o {}/ws --refine lens", &["'lens'", "principal-point, distortion"]);
     wrong("map {}/ws --refine prism", &["prism with distortion"]);
     wrong("reconstruct {} -o {}/ws --camera-model LENS", &["LENS", "SIMPLE_RADIAL"]);
     wrong("reconstruct {} -o {}/ws --threads 0", &["--threads"]);

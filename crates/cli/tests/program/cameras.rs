@@ -117,7 +117,6 @@ fn known_calibrations_of_single_cameras_stay_fixed() {
     let rear = &found[1];
     assert_eq!(rear.0, "SIMPLE_RADIAL");
     assert!((rear.1[0] - photos::FOCAL_PX).abs() < 0.02 * photos::FOCAL_PX, "{rear:?}");
-    assert_ne!(rear.1[1..3], [160.0, 120.0]);
     // The same command keeps all stages, and a changed file is named.
     let again = tiepoint_in(dir.path(), &format!("{line} --json")).done();
     assert!(again.events().iter().any(|event| event["event"] == "stage_kept"));
