@@ -500,6 +500,7 @@ mod tests {
             .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
             .chain([of_calibration_files(&[]), of_known_intrinsics(false)])
             .chain(of_mapping(&mapper, None))
+            .chain(of_dense(&DenseOptions::default()))
             .map(|(key, _)| key)
             .collect();
         for (key, _) in ON_COMMAND_LINE {
