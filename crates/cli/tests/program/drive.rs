@@ -81,8 +81,10 @@ fn foreign_folders_are_not_changed() {
     fs::create_dir(dir.path().join("drive")).unwrap();
     fs::write(dir.path().join("drive/mine.txt"), "mine").unwrap();
     tiepoint_in(dir.path(), "synth -o {}/drive").failed(1, &["drive is not empty", "-o"]);
+    fs::create_dir(dir.path().join("street")).unwrap();
+    fs::rename(dir.path().join("drive"), dir.path().join("street/drive")).unwrap();
     tiepoint_in(dir.path(), "demo -o {}").failed(1, &["drive is not empty", "-o"]);
-    assert_eq!(fs::read_dir(dir.path().join("drive")).unwrap().count(), 1);
+    assert_eq!(fs::read_dir(dir.path().join("street/drive")).unwrap().count(), 1);
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
 }
 
