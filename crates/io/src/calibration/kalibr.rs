@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::{CameraCalibration, intrinsics};
+use super::camera::{CameraCalibration, intrinsics};
 use crate::excerpt::Excerpt;
 use crate::yaml::Node;
 use crate::{Error, Result};

@@ -2,6 +2,7 @@
 //! top-left pixel at (0.5, 0.5) after reading: COLMAP has it there, and OpenCV, Kalibr and KITTI,
 //! which have it at (0, 0), get half a pixel added to their principal points.
 
+mod camera;
 mod kalibr;
 mod opencv;
 
@@ -9,7 +10,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use tiepoint_geometry::{CameraModelKind, Intrinsics};
+pub use camera::CameraCalibration;
 
 use crate::text::Lines;
 use crate::{Error, Result, colmap, kitti, require_regular_file, yaml};
@@ -17,22 +18,6 @@ use crate::{Error, Result, colmap, kitti, require_regular_file, yaml};
 /// Longest file that is read, in bytes. A calibration has some kilobytes, and `cameras.txt` of ten
 /// thousand cameras one million.
 const MAX_BYTES: u64 = 4 << 20;
-/// Pixel coordinates of COLMAP minus those of OpenCV, Kalibr and KITTI.
-const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
-
-/// The calibration of one camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraCalibration {
-    /// Its name in the file: the id in COLMAP's, `cam0` in Kalibr's, `P0` in KITTI's; `M1` and `M2`
-    /// in OpenCV's of a stereo pair, else `camera`.
-    pub name: String,
-    /// Kalibr's name of the recording, such as `/left/image_raw`.
-    pub topic: Option<String>,
-    /// Width and height of its images in pixels, if the file has them.
-    pub size: Option<[u32; 2]>,
-    /// Model and parameters; the centre of the top-left pixel is (0.5, 0.5).
-    pub intrinsics: Intrinsics,
-}
 
 /// Reads COLMAP's `cameras.txt`, OpenCV's YAML of `FileStorage` (also of ROS), Kalibr's camchain or
 /// KITTI's `calib.txt`; the content decides which it is. Returns at least one camera, in the order
@@ -119,17 +104,4 @@ fn of_kitti(path: &Path) -> Result<Vec<CameraCalibration>> {
         intrinsics: camera.intrinsics,
     });
     Ok(cameras.collect())
-}
-
-/// Intrinsics from fx, fy, cx, cy with the centre of the top-left pixel at (0, 0), and the further
-/// parameters of a model.
-fn intrinsics(
-    model: &str,
-    [fx, fy, cx, cy]: [f64; 4],
-    further: &[f64],
-) -> std::result::Result<Intrinsics, String> {
-    let kind = CameraModelKind::from_name(model).map_err(|cause| cause.to_string())?;
-    let mut params = vec![fx, fy, cx + PIXEL_CENTRE_OFFSET_PX, cy + PIXEL_CENTRE_OFFSET_PX];
-    params.extend(further);
-    Intrinsics::new(kind, &params).map_err(|cause| cause.to_string())
 }
