@@ -5,7 +5,7 @@ mod values;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{ArgGroup, Args, Parser, Subcommand};
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
@@ -360,17 +360,13 @@ pub(crate) struct TransformModel {
 const MAX_TRANSFER_ERROR_PX: f64 = 8.0;
 
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("target").args(["to", "positions"]).required(true))]
 pub(crate) struct AlignModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
     /// The model whose frame the result has: folder or workspace. Points that the same keypoints of
     /// common images observe in both models are compared.
-    #[arg(
-        long,
-        value_name = "MODEL",
-        required_unless_present = "positions",
-        conflicts_with = "positions"
-    )]
+    #[arg(long, value_name = "MODEL")]
     pub(crate) to: Option<PathBuf>,
     /// Text file with camera positions in the frame that the result has, a line for each image:
     /// name x y z.
@@ -397,17 +393,12 @@ pub(crate) struct AlignModel {
 }
 
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("region").args(["bounds", "quantiles"]).required(true))]
 pub(crate) struct CropModel {
     /// Folder with a COLMAP model, or workspace.
     pub(crate) model: PathBuf,
     /// The box, in units of the model.
-    #[arg(
-        long = "box",
-        value_name = "x1,y1,z1,x2,y2,z2",
-        allow_hyphen_values = true,
-        required_unless_present = "quantiles",
-        conflicts_with = "quantiles"
-    )]
+    #[arg(long = "box", value_name = "x1,y1,z1,x2,y2,z2", allow_hyphen_values = true)]
     pub(crate) bounds: Option<CropBox>,
     /// The box between two quantiles of each coordinate of the points, from 0 to 1, as 0.01,0.99.
     #[arg(long, value_name = "q1,q2", allow_hyphen_values = true)]

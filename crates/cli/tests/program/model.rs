@@ -178,7 +178,7 @@ fn alignment_to_positions_ignores_wrong_ones() {
     fs::write(dir.join("p.txt"), "x.png 1 2 3\n").unwrap();
     tiepoint_in(dir, line).failed(1, &["p.txt", "0 of its images", "at least 3"]);
     for (text, part) in [
-        ("a.png 1 2\n", "has no name"),
+        ("a.png 1 2\n", "x is `a.png`, not a number: expected `name x y z`"),
         ("1 2 3\n", "has no name"),
         ("a.png 1 2 nan\n", "z is `nan`"),
         ("a.png 1 2 3\na.png 1 2 3\n", "listed twice"),
