@@ -6,6 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand};
+use clap_complete::Shell;
 use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
@@ -75,6 +76,11 @@ pub(crate) enum Command {
     /// colmap/sparse/0 of a workspace gets a column of its own.
     #[command(subcommand)]
     Experiment(Experiment),
+    /// Prints the completions of a shell to stdout. The shell reads them from its folder of
+    /// completions.
+    Completions(Completions),
+    /// Prints the manual page of the program or of a command to stdout, in roff.
+    Man(Man),
 }
 
 #[derive(Debug, Args)]
@@ -553,6 +559,19 @@ pub(crate) struct Scenery {
     /// Image pairs to match, as in `match`.
     #[arg(long, value_name = "SELECTION", default_value = "sequential:6+ends")]
     pub(crate) pairs: PairSelection,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Completions {
+    /// The shell.
+    pub(crate) shell: Shell,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Man {
+    /// The command, as `map` or `model crop`; by default the page of the program itself.
+    #[arg(value_name = "COMMAND")]
+    pub(crate) command: Vec<String>,
 }
 
 impl Cameras {

@@ -36,9 +36,21 @@ impl Output {
         } else {
             text().split_inclusive('\n').map(printable_line).collect()
         };
-        let mut stdout = io::stdout();
-        ignore_broken_pipe(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
-            .map_err(|cause| Failure::CouldNot(write_error("the result", &cause)))
+        write_result(&text)
+    }
+
+    /// Writes a text that the program itself generated to stdout: `value` as one JSON object, or
+    /// its `text` byte for byte.
+    ///
+    /// # Errors
+    ///
+    /// Writing to stdout fails.
+    pub(crate) fn generated<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce(&T) -> &str,
+    ) -> Result<(), Failure> {
+        if self.json { write_result(&(json_line(value) + "\n")) } else { write_result(text(value)) }
     }
 
     /// Writes an error message to stderr, on one line.
@@ -51,6 +63,12 @@ impl Output {
         };
         line_to_stderr(&line);
     }
+}
+
+fn write_result(text: &str) -> Result<(), Failure> {
+    let mut stdout = io::stdout();
+    ignore_broken_pipe(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
+        .map_err(|cause| Failure::CouldNot(write_error("the result", &cause)))
 }
 
 /// A closed pipe is no error: the reader has read enough.

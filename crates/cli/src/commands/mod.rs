@@ -1,11 +1,13 @@
 //! The commands, one file each.
 
 mod adjust;
+mod completions;
 mod demo;
 mod drive_evaluation;
 mod evaluate;
 mod experiment;
 mod export;
+mod man;
 mod model;
 mod stages;
 mod synth;
@@ -31,5 +33,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
         Command::Experiment(args) => experiment::experiment(&args, output),
+        Command::Completions(args) => completions::completions(&args, output),
+        Command::Man(args) => man::man(&args, output),
     }
 }

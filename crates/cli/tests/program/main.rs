@@ -9,6 +9,7 @@ mod drive;
 mod exits;
 mod experiment;
 mod faults;
+mod generated;
 mod hostile;
 mod model;
 mod names;

@@ -1,0 +1,81 @@
+//! Completions and manual pages, which the program generates from its own command line.
+
+use crate::tiepoint;
+
+/// Names of the commands below a command, as `--help` lists them.
+fn commands_of(command: &[&str]) -> Vec<String> {
+    let help = tiepoint(command.iter().chain(&["--help"])).done().stdout();
+    let Some((_, list)) = help.split_once("\nCommands:\n") else { return Vec::new() };
+    let is_name = |line: &&str| line.starts_with("  ") && !line.starts_with("   ");
+    let list = list.lines().take_while(|line| !line.is_empty());
+    let names = list.filter(is_name).filter_map(|line| line.split_whitespace().next());
+    names.filter(|name| *name != "help").map(str::to_owned).collect()
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
+    let program = commands_of(&[]);
+    assert!(program.len() > 10 && program.iter().any(|name| name == "reconstruct"), "{program:?}");
+    let of_program = tiepoint(["man"]).done().stdout();
+    assert!(of_program.contains(".TH tiepoint 1"), "{of_program}");
+    for name in &program {
+        assert!(of_program.contains(&format!("tiepoint\\-{name}(1)")), "no {name}: {of_program}");
+        let page = tiepoint(["man", name]).done().stdout();
+        assert!(page.contains(&format!(".TH tiepoint-{name} 1")), "{page}");
+        // The options of the program are options of each command.
+        assert!(page.contains("\\-\\-threads"), "{page}");
+        for below in commands_of(&[name]) {
+            let page = tiepoint(["man", name, &below]).done().stdout();
+            assert!(page.contains(&format!(".TH tiepoint-{name}-{below} 1")), "{page}");
+        }
+    }
+    let page = tiepoint(["man", "model", "crop"]).done().stdout();
+    assert!(page.contains("\\-\\-quantiles") && !page.contains("\u{1b}"), "{page}");
+}
+
+#[test]
+fn completions_of_every_shell_name_the_commands() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = tiepoint(["completions", shell]).done().stdout();
+        for word in ["reconstruct", "quantiles", "rolling-shutter", "mounting"] {
+            assert!(script.contains(word), "{shell}: no {word}");
+        }
+    }
+}
+
+/// The shell itself reads the script, and completes the name of a command and of an option.
+#[test]
+#[cfg(unix)]
+fn bash_completes_commands_and_options() {
+    let script = tiepoint(["completions", "bash"]).done().stdout();
+    // Not a path, so that `complete` is asked as on a command line.
+    let complete = |words: &str, last: usize| {
+        let ask = format!(
+            "{script}\nCOMP_WORDS=({words}); COMP_CWORD={last}\n\
+             _tiepoint tiepoint \"${{COMP_WORDS[{last}]}}\" \"${{COMP_WORDS[{last} - 1]}}\"\n\
+             echo \"${{COMPREPLY[*]}}\""
+        );
+        let output = std::process::Command::new("bash").args(["-c", &ask]).output().unwrap();
+        assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert_eq!(complete("tiepoint rec", 1).trim(), "reconstruct");
+    assert_eq!(complete("tiepoint model crop --qu", 3).trim(), "--quantiles");
+}
+
+#[test]
+fn generated_texts_are_json_with_json_output() {
+    let page = tiepoint(["man", "map"]).done().stdout();
+    assert_eq!(tiepoint(["man", "map", "--json"]).done().json()["page"], page);
+    let script = tiepoint(["completions", "zsh"]).done().stdout();
+    assert!(script.contains('\t') || script.contains('\n'));
+    assert_eq!(tiepoint(["completions", "zsh", "--json"]).done().json()["completions"], script);
+}
+
+#[test]
+fn pages_and_shells_that_do_not_exist() {
+    tiepoint(["man", "mop"]).failed(2, &["'tiepoint' has no command 'mop'", "reconstruct, "]);
+    tiepoint(["man", "model", "mop"]).failed(2, &["'tiepoint model' has no command", "crop"]);
+    tiepoint(["man", "map", "mop"]).failed(2, &["'tiepoint map' has no command", "fewer names"]);
+    tiepoint(["completions", "dos"]).failed(2, &["dos", "bash, elvish, fish"]);
+}
