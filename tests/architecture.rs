@@ -53,7 +53,8 @@ fn is_c(package: &str) -> bool {
         || ["cc", "cmake", "bindgen", "pkg-config", "vcpkg"].contains(&package)
 }
 
-fn cargo(arguments: &[&str]) -> String {
+/// What cargo prints, without network.
+pub(crate) fn cargo(arguments: &[&str]) -> String {
     let output = Command::new(env!("CARGO"))
         .args(arguments)
         .args(["--offline", "--locked"])

@@ -5,6 +5,7 @@
 
 mod architecture;
 mod lines;
+mod metadata;
 mod modules;
 mod pipeline;
 mod skipped;
