@@ -7,7 +7,7 @@ const MAX_COLUMNS: usize = 100;
 /// Extensions of the checked files.
 const EXTENSIONS: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
 /// Checked scripts without an extension.
-const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri"];
+const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri", "release/package"];
 /// Folders with generated files.
 const GENERATED: &[&str] = &["target", "corpus", "artifacts"];
 
