@@ -275,8 +275,8 @@ pub(crate) struct Adjust {
     /// Where to write the result in the format of the input; without it only the costs are printed.
     #[arg(short, long = "output", value_name = "OUT")]
     pub(crate) output: Option<PathBuf>,
-    /// Keeps all intrinsics fixed. Intrinsics that a workspace was given with --intrinsics are
-    /// always fixed.
+    /// Keeps all intrinsics fixed. Intrinsics that a workspace was given with --intrinsics or
+    /// --calibration are fixed without it, also those that --refine refined.
     #[arg(long)]
     pub(crate) fix_intrinsics: bool,
 }

@@ -22,11 +22,12 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Vector3<f64>>> {
     let mut lines = Lines::open(path)?;
     let mut positions = BTreeMap::new();
     while let Some(mut line) = lines.next()? {
-        let text = line.rest();
-        let mut words = text.rsplitn(4, char::is_whitespace).map(str::trim);
+        // Columns may be aligned with several spaces.
+        let mut rest = line.rest().trim();
         let mut xyz = [0.0; 3];
         for (axis, value) in [(2, "z"), (1, "y"), (0, "x")] {
-            let word = words.next().unwrap_or_default();
+            let (before, word) = rest.rsplit_once(char::is_whitespace).unwrap_or(("", rest));
+            rest = before.trim_end();
             let number = word.parse().ok().filter(|number: &f64| number.is_finite());
             xyz[axis] = number.ok_or_else(|| {
                 line.error(format!(
@@ -35,10 +36,11 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Vector3<f64>>> {
                 ))
             })?;
         }
-        let name = words.next().filter(|name| !name.is_empty());
-        let name = name.ok_or_else(|| line.error("has no name: expected `name x y z`"))?;
-        if positions.insert(name.to_owned(), Vector3::from(xyz)).is_some() {
-            return Err(line.error(format!("the image {} is listed twice", Excerpt(name))));
+        if rest.is_empty() {
+            return Err(line.error("has no name: expected `name x y z`"));
+        }
+        if positions.insert(rest.to_owned(), Vector3::from(xyz)).is_some() {
+            return Err(line.error(format!("the image {} is listed twice", Excerpt(rest))));
         }
     }
     Ok(positions)

@@ -7,7 +7,6 @@ use tiepoint_sfm::scene::{CameraId, Reconstruction};
 
 /// What the keys begin with.
 pub(crate) const FOUND: &str = "found.";
-const CALIBRATED: &str = "found.calibrated";
 const TURNED: &str = "found.turned";
 
 /// What is known of the cameras.
@@ -20,13 +19,16 @@ pub(crate) struct CameraFacts {
 }
 
 impl CameraFacts {
+    /// Key of the cameras with known intrinsics.
+    pub(crate) const CALIBRATED: &str = "found.calibrated";
+
     /// Keys and values for the record; nothing for cameras of which nothing is known.
     pub(crate) fn texts(&self) -> Vec<(&'static str, String)> {
         let calibrated: Vec<String> =
             self.calibrated.iter().map(|camera| camera.0.to_string()).collect();
         let turned: Vec<String> =
             self.turned.iter().map(|[one, other]| format!("{}-{}", one.0, other.0)).collect();
-        let mut texts = vec![(CALIBRATED, calibrated.join(",")), (TURNED, turned.join(","))];
+        let mut texts = vec![(Self::CALIBRATED, calibrated.join(",")), (TURNED, turned.join(","))];
         texts.retain(|(_, value)| !value.is_empty());
         texts
     }
@@ -40,7 +42,7 @@ impl CameraFacts {
             Some([id(one)?, id(other)?])
         };
         Self {
-            calibrated: words(CALIBRATED).filter_map(id).collect(),
+            calibrated: words(Self::CALIBRATED).filter_map(id).collect(),
             turned: words(TURNED).filter_map(pair).collect(),
         }
     }

@@ -309,6 +309,15 @@ pub enum Error {
         /// Focal length in pixels from EXIF and image size in pixels of a camera that has one.
         from_exif: Option<(f64, Size)>,
     },
+    /// A similarity takes a model to numbers that are not finite.
+    #[error(
+        "cannot transform {path}: poses or points would not be finite numbers; check the scale and \
+        the translation of the transform"
+    )]
+    TransformOverflows {
+        /// The model.
+        path: PathBuf,
+    },
     /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
         "--rig needs two cameras with images of the same times, and in {path} no two of {cameras} \

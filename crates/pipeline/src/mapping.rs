@@ -63,7 +63,10 @@ pub fn map(
         options.refine = RefineIntrinsics::NONE;
     }
     let mut texts = option_keys::of_mapping(&options, baseline_m);
-    texts.push(option_keys::of_known_intrinsics(refine.is_some()));
+    let has_known = [option_keys::INTRINSICS, CameraFacts::CALIBRATED]
+        .iter()
+        .any(|option| workspace.records.option(Stage::Features, option).is_some());
+    texts.push(option_keys::of_known_intrinsics(refine.is_some() && has_known));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {

@@ -194,10 +194,10 @@ impl Model {
     /// Applies a similarity.
     fn transform(&mut self, new_from_old: &Sim3) -> Result<(), Error> {
         self.reconstruction.transform(new_from_old);
-        // A transform of huge numbers may overflow.
+        // A transform of huge numbers may overflow. The model was valid when it was read.
         self.reconstruction
             .validate()
-            .map_err(|cause| tiepoint_io::Error::Model { path: self.folder.clone(), cause }.into())
+            .map_err(|_| Error::TransformOverflows { path: self.folder.clone() })
     }
 }
 

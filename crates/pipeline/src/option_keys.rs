@@ -45,6 +45,28 @@ const REFINE_KNOWN_KEY: &str = "mapper.refine.known";
 /// Key of the photos that share a camera.
 const CAMERAS_KEY: &str = "features.cameras";
 
+/// How an option differs between two runs, given its values in the records, as in "made with
+/// --pairs exhaustive and not sequential:5".
+pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
+    let name = shown(key);
+    let parameter = match key {
+        REFINE_KNOWN_KEY => Some("known intrinsics"),
+        _ => name.strip_prefix("--refine "),
+    };
+    if let Some(parameter) = parameter {
+        let [was, is] = [was, is].map(|value| if value == "true" { "refined" } else { "fixed" });
+        return format!("{parameter} {was} and not {is} (--refine)");
+    }
+    // The values of a command line that does not give the option.
+    let default = match key {
+        CAMERAS_KEY => CameraGrouping::Auto.to_string(),
+        MAX_PIXELS_KEY => (DEFAULT_MAX_PIXELS as f64 / 1e6).to_string(),
+        _ => NONE.to_owned(),
+    };
+    let value = |value: &str| if value == NONE { default.clone() } else { value.to_owned() };
+    format!("{name} {} and not {}", value(was), value(is))
+}
+
 /// Keys of options of the command line, and their names there.
 const ON_COMMAND_LINE: [(&str, &str); 21] = [
     ("dense.max_image_size", "--max-size"),

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use tiepoint_io::database::StageRow;
 
 use crate::camera_facts::FOUND;
-use crate::option_keys::{NONE, shown};
+use crate::option_keys::{NONE, difference, shown};
 use crate::{Error, Stage, legacy_options};
 
 /// Current version of the file format.
@@ -91,11 +91,11 @@ impl Recipe {
     fn changed_option(&self, asked: &Self, key: &str) -> String {
         let value =
             |recipe: &Self| recipe.options.get(key).cloned().unwrap_or_else(|| NONE.to_owned());
-        let (name, was, is) = (shown(key), value(self), value(asked));
+        let (was, is) = (value(self), value(asked));
         if was.len().max(is.len()) <= MAX_QUOTED {
-            format!("{name} {was} and not {is}")
+            difference(key, &was, &is)
         } else {
-            format!("another {name}")
+            format!("another {}", shown(key))
         }
     }
 }

@@ -72,7 +72,7 @@ fn groups_of_the_command_line() {
         assert_eq!(cameras_and_images(dir.path()).1, expected, "{grouping}");
     }
     tiepoint_in(dir.path(), "features {}/photos -o {}/ws --max-megapixels 1")
-        .failed(1, &["--cameras single and not none", "--redo features"]);
+        .failed(1, &["--cameras single and not auto", "--redo features"]);
 }
 
 #[test]
@@ -120,6 +120,8 @@ fn known_calibrations_of_single_cameras_stay_fixed() {
     // The same command keeps all stages, and a changed file is named.
     let again = tiepoint_in(dir.path(), &format!("{line} --json")).done();
     assert!(again.events().iter().any(|event| event["event"] == "stage_kept"));
+    tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal")
+        .failed(1, &["known intrinsics fixed and not refined (--refine)", "--redo map"]);
     let refined =
         tiepoint_in(dir.path(), "map {}/ws --rig off --refine focal --redo map --json").done();
     let refined = params(refined.json());

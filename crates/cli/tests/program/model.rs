@@ -139,7 +139,7 @@ fn transform_and_its_inverse() {
         ("1 0 0 0 0 0 0 0", "no rotation"),
         ("1 1 0 0 0 0 0 0 0", "follows"),
         ("1 1 0 0 0 0 0 0\n1 1 0 0 0 0 0 0", "follows the only similarity"),
-        ("1e308 1 0 0 0 0 0 0", "finite"),
+        ("1e308 1 0 0 0 0 0 0", "check the scale"),
     ] {
         fs::write(dir.join("t.txt"), text).unwrap();
         tiepoint_in(dir, "model transform {}/a --by {}/t.txt -o {}/bad").failed(1, &[part]);
@@ -162,7 +162,7 @@ fn alignment_to_positions_ignores_wrong_ones() {
     let mut text = String::from("# name x y z\nnot there.png 1 2 3\n");
     for (id, image, pose) in model.registered() {
         let c = pose.origin_in_a() + Vector3::x() * if id.0 == 2 { 50.0 } else { 0.0 };
-        text += &format!("{}  {} {}\t{}\n", image.name, c.x, c.y, c.z);
+        text += &format!("{}  {}   {}\t {}\n", image.name, c.x, c.y, c.z);
     }
     fs::write(dir.join("p.txt"), &text).unwrap();
     let line = "model align {}/a --positions {}/p.txt --max-error 0.1 -o {}/b --json \

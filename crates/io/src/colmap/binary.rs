@@ -19,7 +19,8 @@ const SENSOR_CAMERA: i32 = 0;
 /// Sizes of records in the files, or the least sizes of those of variable length: a count that
 /// needs more bytes than the file has is an error, found before memory is allocated.
 const POSE_BYTES: u64 = 7 * 8;
-const MIN_CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 3 * 8;
+/// EQUIRECTANGULAR has the fewest parameters: width and height.
+const MIN_CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 2 * 8;
 const MIN_RIG_BYTES: u64 = 4 + 4;
 const MIN_SENSOR_BYTES: u64 = 4 + 4 + 1;
 const MIN_FRAME_BYTES: u64 = 4 + 4 + POSE_BYTES + 4;

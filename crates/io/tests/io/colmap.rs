@@ -25,6 +25,18 @@ fn round_trip(model: &Reconstruction, format: Format) -> Reconstruction {
     read_model(dir.path()).unwrap()
 }
 
+#[test]
+fn a_model_of_one_camera_of_any_kind_is_read_as_written() {
+    for kind in CameraModelKind::ALL {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(*kind, 500.0, 640, 320);
+        model.add_camera(Camera { intrinsics, width: 640, height: 320, has_focal_prior: false });
+        for format in FORMATS {
+            assert_eq!(round_trip(&model, format), model, "{kind:?} {format:?}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig {
         cases: 32,

@@ -27,9 +27,9 @@ fn shared_params(kind: CameraModelKind) -> Vec<Shared> {
         [x, y] => vec![(x, y), (y, x)],
         ref single => single.iter().map(|&index| (index, index)).collect(),
     };
-    // Radial coefficients are k, k1, k2, …, and omega of FOV.
+    // Radial coefficients are k, k1, k2, …, omega of FOV, alpha and beta of EUCM.
     let is_radial = |name: &str| {
-        name == "omega"
+        ["omega", "alpha", "beta"].contains(&name)
             || name.strip_prefix('k').is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
     };
     let radial = kind.param_names().iter().enumerate().filter(|(_, name)| is_radial(name));
@@ -142,6 +142,7 @@ mod tests {
         assert_eq!(opencv, [(0, 1), (1, 0), (4, 4), (5, 5)]);
         let fisheye = shared_params(CameraModelKind::OpencvFisheye);
         assert_eq!(fisheye, [(0, 1), (1, 0), (4, 4), (5, 5), (6, 6), (7, 7)]);
+        assert_eq!(shared_params(CameraModelKind::Eucm), [(0, 1), (1, 0), (4, 4), (5, 5)]);
     }
 
     #[test]
