@@ -12,6 +12,7 @@ mod faults;
 mod hostile;
 mod model;
 mod names;
+mod onto;
 mod own_files;
 mod photos;
 mod records;
