@@ -52,6 +52,9 @@ pub(crate) enum Command {
     /// COLMAP in WORKSPACE/dense (images, sparse, stereo, fused.ply, fused.ply.vis). Resumes an
     /// interrupted run image by image.
     Dense(Dense),
+    /// Estimates the poses of photos in an existing model, which stays as it is. Prints a line for
+    /// each photo: name, number of inliers and cam_from_world as qw qx qy qz tx ty tz.
+    Localize(Localize),
     /// Bundle adjustment of a COLMAP model or a BAL problem.
     Adjust(Adjust),
     /// Compares a model with ground truth.
@@ -138,6 +141,42 @@ pub(crate) struct Map {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Localize {
+    /// A workspace, or a folder with database.db and sparse/, or a model in it.
+    pub(crate) model: PathBuf,
+    /// Folders of photos.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(crate) inputs: Vec<PathBuf>,
+    /// Folder for the model with the photos, as COLMAP's binary files.
+    #[arg(short, long = "output", value_name = "OUT")]
+    pub(crate) output: PathBuf,
+    /// Known intrinsics of all photos, in pixels, as in `features`. By default those of a camera of
+    /// the model with photos of the same size, body, lens and focal length; else the focal length
+    /// is estimated with the pose.
+    #[arg(
+        long,
+        value_name = "fx,fy,cx,cy[,k..]",
+        allow_hyphen_values = true,
+        conflicts_with = "focal_prior"
+    )]
+    pub(crate) intrinsics: Option<NumberList>,
+    /// Known intrinsics of single photos, as in `features`.
+    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA]", conflicts_with = "intrinsics")]
+    pub(crate) calibration: Vec<CalibrationSource>,
+    /// Initial focal length of all photos, in pixels; it is estimated with the pose.
+    #[arg(long, value_name = "PX")]
+    pub(crate) focal_prior: Option<PositivePixels>,
+    /// COLMAP's name of the camera model of the photos [default: SIMPLE_RADIAL].
+    #[arg(long, value_name = "NAME", value_parser = camera_model)]
+    pub(crate) camera_model: Option<CameraModelKind>,
+    /// Folder with a mask for each photo, as in `features`.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) masks: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) seed: Seed,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Dense {
     /// A workspace that has a model. The photos must still be where they were.
     pub(crate) workspace: PathBuf,
@@ -157,8 +196,18 @@ pub(crate) struct Dense {
 pub(crate) struct Input {
     /// A folder of photos, a folder with one sub-folder of photos per camera of a rig, or
     /// videos (one camera each; the program ffmpeg reads them).
-    #[arg(required = true, value_name = "INPUT")]
+    #[arg(required_unless_present = "database", value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
+    /// Takes the features of this COLMAP database (of COLMAP, pycolmap, hloc, of any version), and
+    /// its matches or two-view geometries if it has any. It is copied and not changed. INPUT is
+    /// then optional: the folder that the names of the images are relative to, for colours.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["masks", "timestamps", "calibration", "intrinsics", "focal_prior",
+                              "camera_model", "cameras"]
+    )]
+    pub(crate) database: Option<PathBuf>,
     /// Folder for intermediate files and results: a COLMAP project.
     #[arg(short, long = "output", value_name = "WORKSPACE")]
     pub(crate) output: PathBuf,
@@ -252,8 +301,18 @@ pub(crate) struct Mapping {
     pub(crate) refine: Option<RefineIntrinsics>,
     /// Known distance between the first two cameras (in the order of their folders) with its unit,
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
-    #[arg(long, value_name = "0.62m")]
+    #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
+    /// Goes on from this model (folder with a COLMAP model, or workspace): its images keep their
+    /// poses, intrinsics, points and the frame and scale of the model, and further photos are
+    /// registered onto it. Images are compared by name; those that the workspace lacks stay in the
+    /// result.
+    #[arg(long, value_name = "MODEL")]
+    pub(crate) input_model: Option<PathBuf>,
+    /// With --input-model: the poses of the model stay as they are, and its intrinsics unless
+    /// --refine is given. By default they are refined with the new ones.
+    #[arg(long, requires = "input_model")]
+    pub(crate) fix_existing_frames: bool,
     /// Readout time of rolling-shutter cameras from the first row to the last, as 16ms, or
     /// `estimate`. Needs capture times. By default a global shutter is assumed.
     #[arg(long, value_name = "16ms", value_parser = readout, allow_hyphen_values = true)]
@@ -581,30 +640,46 @@ impl Cameras {
     ///
     /// The number or the values of the intrinsics do not fit the camera model.
     pub(crate) fn initial(&self) -> Result<Calibration, String> {
-        let Some(NumberList(params)) = &self.intrinsics else {
-            let model = self.camera_model.unwrap_or(CameraModelKind::SimpleRadial);
-            return Ok(Calibration::Unknown {
-                model,
-                focal_px: self.focal_prior.map(|focal| focal.0),
-            });
-        };
-        let intrinsics = match (self.camera_model, params.len()) {
-            (Some(model), _) => Intrinsics::new(model, params),
-            (None, 4) => Intrinsics::new(CameraModelKind::Pinhole, params),
-            (None, 5..=8) => {
-                let mut padded = params.clone();
-                padded.resize(CameraModelKind::Opencv.num_params(), 0.0);
-                Intrinsics::new(CameraModelKind::Opencv, &padded)
-            }
-            (None, count) => {
-                return Err(format!(
-                    "--intrinsics has {count} numbers: give fx,fy,cx,cy, or \
-                    fx,fy,cx,cy,k1,k2,p1,p2, or --camera-model NAME and its parameters"
-                ));
-            }
-        };
-        intrinsics.map(Calibration::Known).map_err(|error| format!("--intrinsics: {error}"))
+        initial_calibration(self.intrinsics.as_ref(), self.focal_prior, self.camera_model)
     }
+}
+
+impl Localize {
+    /// [`Cameras::initial`] of the photos.
+    ///
+    /// # Errors
+    ///
+    /// The number or the values of the intrinsics do not fit the camera model.
+    pub(crate) fn initial(&self) -> Result<Calibration, String> {
+        initial_calibration(self.intrinsics.as_ref(), self.focal_prior, self.camera_model)
+    }
+}
+
+fn initial_calibration(
+    intrinsics: Option<&NumberList>,
+    focal_prior: Option<PositivePixels>,
+    camera_model: Option<CameraModelKind>,
+) -> Result<Calibration, String> {
+    let Some(NumberList(params)) = intrinsics else {
+        let model = camera_model.unwrap_or(CameraModelKind::SimpleRadial);
+        return Ok(Calibration::Unknown { model, focal_px: focal_prior.map(|focal| focal.0) });
+    };
+    let intrinsics = match (camera_model, params.len()) {
+        (Some(model), _) => Intrinsics::new(model, params),
+        (None, 4) => Intrinsics::new(CameraModelKind::Pinhole, params),
+        (None, 5..=8) => {
+            let mut padded = params.clone();
+            padded.resize(CameraModelKind::Opencv.num_params(), 0.0);
+            Intrinsics::new(CameraModelKind::Opencv, &padded)
+        }
+        (None, count) => {
+            return Err(format!(
+                "--intrinsics has {count} numbers: give fx,fy,cx,cy, or \
+                    fx,fy,cx,cy,k1,k2,p1,p2, or --camera-model NAME and its parameters"
+            ));
+        }
+    };
+    intrinsics.map(Calibration::Known).map_err(|error| format!("--intrinsics: {error}"))
 }
 
 #[cfg(test)]

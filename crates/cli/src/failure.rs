@@ -15,6 +15,7 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
         let of_pipeline = (&error as &dyn std::error::Error).downcast_ref();
         match of_pipeline {
             Some(tiepoint_pipeline::Error::Cancelled) => Self::Cancelled,
+            Some(tiepoint_pipeline::Error::MovesPoses { .. }) => Self::Usage(error.to_string()),
             _ => Self::CouldNot(error.to_string()),
         }
     }

@@ -110,6 +110,22 @@ impl Progress {
                 self.show(&format!("initial pair {image1}, {image2}: {points} points"));
                 self.bar.set_position(2);
             }
+            Event::ModelExtended { images, absent, other_keypoints, points } => {
+                let absent = match absent {
+                    0 => String::new(),
+                    count => format!(", {count} of them not in the workspace"),
+                };
+                let other = match other_keypoints {
+                    0 => String::new(),
+                    count => format!("; {count} images have other keypoints there"),
+                };
+                self.print_line(&format!(
+                    "going on from a model of {images} images{absent}, {points} points{other}"
+                ));
+            }
+            Event::ImageLocalized { image, inliers } => {
+                self.show(&format!("{image}: {inliers} inliers"));
+            }
             Event::ImageRegistered { image, registered, points } => {
                 self.show(&format!("{image}: {points} points"));
                 self.bar.set_position(registered as u64);

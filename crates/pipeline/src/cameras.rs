@@ -35,6 +35,11 @@ impl Default for Calibration {
 }
 
 impl Calibration {
+    /// The initial camera of a photo on its own.
+    pub(crate) fn of_photo(&self, info: &ImageInfo) -> Camera {
+        self.camera(info, sides(info))
+    }
+
     /// The initial camera of an image. `largest`: sides of the largest image of its lens, the
     /// longer one first. A smaller image may be scaled or cropped. Its focal length begins as that
     /// of a scaled one and is no prior.

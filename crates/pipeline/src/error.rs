@@ -376,6 +376,53 @@ pub enum Error {
         /// The input folders.
         inputs: Vec<PathBuf>,
     },
+    /// Mapping cannot go on from a model.
+    #[error("cannot go on from {path}: {cause}")]
+    InputModel {
+        /// The folder of the model.
+        path: PathBuf,
+        /// The reason.
+        cause: tiepoint_sfm::Error,
+    },
+    /// A database of another program has too few images.
+    #[error(
+        "{path} has {images} images with keypoints: a map needs at least two, so extract features \
+        first, or leave out --database"
+    )]
+    EmptyDatabase {
+        /// The file.
+        path: PathBuf,
+        /// Number of its images with keypoints.
+        images: usize,
+    },
+    /// Features of another program are not SIFT.
+    #[error(
+        "{path}: {image} has no SIFT descriptor for each keypoint, so that it cannot be matched: \
+        match the features with the program that made them, and give that database"
+    )]
+    NoSift {
+        /// The database.
+        path: PathBuf,
+        /// Name of an image.
+        image: String,
+    },
+    /// A model has no database with the features of its images.
+    #[error(
+        "{path} has no database.db beside its model: give a workspace, or a folder with \
+        database.db and sparse/"
+    )]
+    NoModelDatabase {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Two options contradict each other.
+    #[error("{option} sets poses that {with} keeps: leave one of them out")]
+    MovesPoses {
+        /// An option.
+        option: &'static str,
+        /// The other one.
+        with: &'static str,
+    },
     /// A cloud is too small or degenerate to be aligned.
     #[error(
         "cannot compare {cloud} with {reference}: one of them has fewer than three points that \

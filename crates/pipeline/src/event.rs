@@ -85,6 +85,18 @@ pub enum Event<'a> {
         /// Number of triangulated points.
         points: usize,
     },
+    /// A map goes on from a model.
+    ModelExtended {
+        /// Number of images of the model.
+        images: usize,
+        /// Number of those that the workspace lacks. They stay in the map.
+        absent: usize,
+        /// Number of those with other keypoints in the workspace. Their points are triangulated
+        /// anew.
+        other_keypoints: usize,
+        /// Number of points that were taken.
+        points: usize,
+    },
     /// An image was registered.
     ImageRegistered {
         /// Its name.
@@ -93,6 +105,13 @@ pub enum Event<'a> {
         registered: usize,
         /// Number of points of the model.
         points: usize,
+    },
+    /// A photo was compared with a model.
+    ImageLocalized {
+        /// Its name.
+        image: &'a str,
+        /// Number of keypoints that observe a point; 0 without a pose.
+        inliers: usize,
     },
     /// A loop was closed.
     LoopClosed {

@@ -52,6 +52,29 @@ pub(crate) fn of_files(paths: &[PathBuf]) -> Result<String, Error> {
     Ok(all.finalize().to_hex().to_string())
 }
 
+/// Fingerprint of a list of files, of their whole contents, without their names.
+pub(crate) fn of_contents(paths: &[PathBuf]) -> Result<String, Error> {
+    let mut all = blake3::Hasher::new();
+    for path in paths {
+        require_regular_file(path)?;
+        let hash = contents_of(path);
+        all.update(&hash.map_err(|cause| Error::Unreadable { path: path.clone(), cause })?);
+    }
+    Ok(all.finalize().to_hex().to_string())
+}
+
+fn contents_of(path: &Path) -> io::Result<[u8; 32]> {
+    let mut file = File::open(path)?;
+    let mut hash = blake3::Hasher::new();
+    let mut buffer = vec![0; END as usize];
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(*hash.finalize().as_bytes()),
+            length => hash.update(&buffer[..length]),
+        };
+    }
+}
+
 fn of_file(path: &Path) -> io::Result<[u8; 32]> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();

@@ -15,10 +15,14 @@ mod export;
 mod features;
 mod file_names;
 mod fingerprint;
+mod foreign_database;
 mod grouping;
 mod image_names;
+mod input_model;
 mod kalibr;
+mod keypoints;
 mod legacy_options;
+mod localize;
 mod mapping;
 mod matching;
 mod memory;
@@ -59,7 +63,12 @@ pub(crate) use event::emit;
 pub use event::{DenseStep, Event, Watch};
 pub use export::{ExportFormat, Exported, export, export_rigid};
 pub use features::{FeatureOptions, extract_features};
+pub use foreign_database::import_features;
 pub use grouping::CameraGrouping;
+pub use input_model::InputModel;
+pub use localize::{
+    CameraSource, LocalizeOptions, LocalizeReport, LocalizedPhoto, PhotoPose, localize,
+};
 pub use mapping::{MapOptions, map};
 pub use matching::{MatchOptions, match_images};
 pub use model_tools::{

@@ -10,14 +10,15 @@ use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
-    self as sfm, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics, RigTerm,
-    VerifyOptions, rig_candidates, rig_pairs,
+    self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
+    RigTerm, VerifyOptions, rig_candidates, rig_pairs,
 };
 
 use crate::camera_facts::CameraFacts;
 use crate::colors::color_points;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
-use crate::matching::keypoint;
+use crate::input_model::{InputModel, OpenedModel};
+use crate::keypoints::keypoint;
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_file::RigFile;
@@ -29,7 +30,7 @@ use crate::{
 };
 
 /// Options of mapping.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
@@ -39,6 +40,8 @@ pub struct MapOptions {
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
     pub baseline_m: Option<f64>,
+    /// The model to go on from.
+    pub input_model: Option<InputModel>,
 }
 
 /// Maps a workspace that has matches and writes its models, the largest first.
@@ -46,7 +49,8 @@ pub struct MapOptions {
 /// # Errors
 ///
 /// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
-/// it; no image pair overlaps; a rig constraint or a rolling shutter is asked for and the capture
+/// it; the input model cannot be read, has no image in common with the workspace, or contradicts
+/// another option; no image pair overlaps; a rig constraint or a rolling shutter is asked for and the capture
 /// times do not suffice; the mapper fails; a file cannot be read or written; `watch` returns
 /// `Break`.
 pub fn map(
@@ -56,17 +60,24 @@ pub fn map(
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
-    let MapOptions { mapper: mut options, refine, baseline_m } = *options;
+    let MapOptions { mapper: mut options, refine, baseline_m, ref input_model } = *options;
+    let input_model = input_model.as_ref().map(InputModel::open).transpose()?;
     if let Some(refine) = refine {
         options.refine = refine;
     } else if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
         options.refine = RefineIntrinsics::NONE;
     }
     let mut texts = option_keys::of_mapping(&options, baseline_m);
-    let has_known = [option_keys::INTRINSICS, CameraFacts::CALIBRATED]
-        .iter()
-        .any(|option| workspace.records.option(Stage::Features, option).is_some());
+    let has_known = input_model.is_some()
+        || [option_keys::INTRINSICS, CameraFacts::CALIBRATED]
+            .iter()
+            .any(|option| workspace.records.option(Stage::Features, option).is_some());
     texts.push(option_keys::of_known_intrinsics(refine.is_some() && has_known));
+    if let Some(model) = &input_model {
+        texts.extend(model.texts());
+        options = model.options(options)?;
+        workspace.folder.protect(model.files());
+    }
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -76,7 +87,11 @@ pub fn map(
     // Foreign files are detected before mapping. Old models stay until the new ones are complete.
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
-    let (graph, mut scene) = load(workspace)?;
+    let mut scene = load_scene(workspace)?;
+    if let Some(model) = &input_model {
+        take(&mut scene, model, watch)?;
+    }
+    let graph = load_graph(workspace, &scene)?;
     if refine.is_some() {
         scene.calibrated.clear();
     }
@@ -95,25 +110,45 @@ pub fn map(
     }
     let name = |id| scene.image(id).name.as_str();
     let database = Database::open(&workspace.database())?;
+    let is_imported = workspace.records.option(Stage::Features, option_keys::DATABASE).is_some();
+    let has_sift = !is_imported || database.image_without_sift()?.is_none();
     let mut unreadable = None;
-    let mut descriptors = |image| match database.read_features(image) {
-        Ok(features) => features.descriptors,
-        Err(error) => {
-            unreadable.get_or_insert(error);
-            Vec::new()
+    let mut descriptors = |image: ImageId| {
+        // The images of an input model come behind those of the database.
+        if !has_sift || image.index() >= database.num_images() {
+            return Vec::new();
+        }
+        database.read_features(image).map_or_else(
+            |error| {
+                unreadable.get_or_insert(error);
+                Vec::new()
+            },
+            |features| features.descriptors,
+        )
+    };
+    let mut notified = |event: &sfm::Event| {
+        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+    };
+    let mut models = match &input_model {
+        None => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
+        Some(model) => {
+            let has_constant_poses = model.fix_existing_frames;
+            let existing = Existing { model: &scene, has_constant_poses };
+            sfm::extend(&graph, &existing, &mut descriptors, &options, &mut notified)
+                .map_err(|cause| model.error(cause))?
         }
     };
-    let mut models = sfm::map(&graph, &scene, &mut descriptors, &options, &mut |event| {
-        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
-    })?;
     if let Some(error) = unreadable {
         return Err(error.into());
     }
     database.close()?;
-    if let Err(error) = color_points(
-        &workspace.records.inputs,
-        models.iter_mut().map(|model| &mut model.reconstruction),
-    ) {
+    // A database of another program may come without photos.
+    if !workspace.records.inputs.is_empty()
+        && let Err(error) = color_points(
+            &workspace.records.inputs,
+            models.iter_mut().map(|model| &mut model.reconstruction),
+        )
+    {
         // The photos may have moved; the model is valid without colours.
         emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
     }
@@ -155,8 +190,26 @@ fn describe_failure(Failure { stage, why }: &Failure) -> String {
     format!("{stage}, and the model is the one before it: {why}")
 }
 
-/// Reads the database: the correspondence graph, and the scene without poses.
-fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), Error> {
+/// Replaces the scene by one with the poses and points of a model.
+fn take(scene: &mut Reconstruction, model: &OpenedModel, watch: Watch) -> Result<(), Error> {
+    let found = model.transfer(scene)?;
+    *scene = found.scene;
+    if model.fix_existing_frames {
+        scene.calibrated.extend(found.cameras);
+    }
+    emit(
+        watch,
+        &Event::ModelExtended {
+            images: found.existing.len(),
+            absent: found.num_added_images,
+            other_keypoints: found.num_other_keypoints,
+            points: scene.num_tracks(),
+        },
+    )
+}
+
+/// Reads the scene without poses from the database.
+pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error> {
     let database = Database::open(&workspace.database())?;
     let mut scene = Reconstruction::default();
     for camera in database.read_cameras()? {
@@ -173,10 +226,17 @@ fn load(workspace: &Workspace) -> Result<(CorrespondenceGraph, Reconstruction), 
         image.time_s = times.get(&image.name).copied();
         scene.add_image(image);
     }
+    database.close()?;
+    Ok(scene)
+}
+
+/// Reads the correspondence graph from the database. The scene may have further images.
+fn load_graph(workspace: &Workspace, scene: &Reconstruction) -> Result<CorrespondenceGraph, Error> {
+    let database = Database::open(&workspace.database())?;
     let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
     let graph = CorrespondenceGraph::new(&counts, database.read_two_views()?);
     database.close()?;
-    Ok((graph, scene))
+    Ok(graph)
 }
 
 /// [`Error::NoOverlap`] with the numbers of the database.
@@ -333,7 +393,7 @@ mod tests {
             statistics: None,
         };
         MappedModel {
-            initial_pair: ImagePair::new(left, right).unwrap(),
+            initial_pair: ImagePair::new(left, right),
             rig: Some(CalibratedRig {
                 constraint: Some(constraint),
                 cameras: vec![camera],

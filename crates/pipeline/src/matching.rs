@@ -9,7 +9,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use tiepoint_io::database::Database;
 use tiepoint_io::timestamps;
-use tiepoint_sfm::geometry::{Rng, nalgebra::Vector2};
+use tiepoint_sfm::geometry::Rng;
 use tiepoint_sfm::matching::{
     self, GlobalDescriptor, PairSelection, Prepared, RetrievalIndex, Sequence, Vocabulary,
     VocabularyOptions, match_prepared,
@@ -17,6 +17,8 @@ use tiepoint_sfm::matching::{
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
+use crate::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
+use crate::keypoints::keypoint;
 use crate::ordered::for_each_in_order;
 use crate::records::{Progress, Recipe};
 use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit, option_keys};
@@ -86,6 +88,9 @@ pub fn match_images(
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Match;
     options.descriptors.validate()?;
+    if has_imported_pairs(workspace, redo) {
+        return verify_imported_pairs(workspace, &options.verify, options.seed, redo, watch);
+    }
     let recipe = options.recipe(workspace.fingerprint(Stage::Features)?);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -93,6 +98,7 @@ pub fn match_images(
     }
     let start = Instant::now();
     let mut database = Database::open(&workspace.database())?;
+    require_sift(workspace, &database)?;
     if progress == Progress::Begin {
         database.clear_matches_for(&workspace.records.rows())?;
         workspace.note(|_| {})?;
@@ -230,14 +236,6 @@ fn load(
         loaded.extend(features.into_par_iter().map(prepare).collect::<Vec<_>>());
     }
     Ok(())
-}
-
-/// Converts a keypoint of the detector to one of the scene.
-pub(crate) fn keypoint(keypoint: &tiepoint_io::features::Keypoint) -> Keypoint {
-    Keypoint {
-        pixel: Vector2::new(f64::from(keypoint.x), f64::from(keypoint.y)),
-        scale_px: keypoint.scale,
-    }
 }
 
 /// Matches the descriptors of a pair and estimates its two-view geometry. The random seed depends

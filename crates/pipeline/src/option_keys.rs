@@ -42,6 +42,14 @@ const CALIBRATION_KEY: &str = "features.calibration";
 /// Key that tells whether known intrinsics are refined.
 const REFINE_KNOWN_KEY: &str = "mapper.refine.known";
 
+/// Key of the database of another program, whose features are taken.
+pub(crate) const DATABASE: &str = "features.database";
+/// Key that tells whether this database has pairs. It follows from the database.
+pub(crate) const FOUND_PAIRS: &str = "found.pairs";
+/// Key of the pairs to match, and its value for those of a database of another program.
+pub(crate) const PAIRS: &str = "match.pairs";
+pub(crate) const PAIRS_OF_DATABASE: &str = "database";
+
 /// Key of the photos that share a camera.
 const CAMERAS_KEY: &str = "features.cameras";
 
@@ -68,7 +76,7 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
 }
 
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 21] = [
+const ON_COMMAND_LINE: [(&str, &str); 24] = [
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
     (CALIBRATION_KEY, "--calibration"),
@@ -79,14 +87,17 @@ const ON_COMMAND_LINE: [(&str, &str); 21] = [
     ("mapper.refine.principal_point", "--refine principal-point"),
     ("mapper.refine.prism", "--refine prism"),
     ("features.camera_model", "--camera-model"),
+    (DATABASE, "--database"),
     (FOCAL_PRIOR, "--focal-prior"),
     (INTRINSICS, "--intrinsics"),
     (CAMERAS_KEY, "--cameras"),
     (MAX_PIXELS_KEY, "--max-megapixels"),
     ("features.timestamps", "--timestamps"),
-    ("match.pairs", "--pairs"),
+    (PAIRS, "--pairs"),
     ("match.seed", "--seed"),
     ("mapper.baseline", "--baseline"),
+    ("mapper.fix_existing_frames", "--fix-existing-frames"),
+    ("mapper.input_model", "--input-model"),
     ("mapper.readout", "--rolling-shutter"),
     ("mapper.rig", "--rig"),
     ("mapper.seed", "--seed"),
@@ -196,8 +207,6 @@ pub(crate) fn of_matching(
     seed: u64,
 ) -> Texts {
     let DescriptorOptions { max_ratio, max_angle_rad, mutual, method, preempt } = descriptors;
-    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } =
-        verify;
     let method = match method {
         Method::BruteForce => "brute_force".to_owned(),
         Method::Forest(checks) => format!("forest:{}", of_checks(checks)),
@@ -205,17 +214,14 @@ pub(crate) fn of_matching(
     };
     let mut texts = vec![
         // In the format of the command line.
-        ("match.pairs", pairs.to_string()),
+        (PAIRS, pairs.to_string()),
         ("match.seed", seed.to_string()),
         ("match.descriptors.max_ratio", or_none(*max_ratio)),
         ("match.descriptors.max_angle_rad", or_none(*max_angle_rad)),
         ("match.descriptors.mutual", mutual.to_string()),
         ("match.descriptors.method", method),
-        ("match.verify.max_error_px", max_error_px.to_string()),
-        ("match.verify.min_num_inliers", min_num_inliers.to_string()),
-        ("match.verify.min_essential_share", min_essential_share.to_string()),
-        ("match.verify.max_homography_share", max_homography_share.to_string()),
     ];
+    texts.extend(of_verification(verify));
     texts.push(match preempt {
         None => ("match.descriptors.preempt", NONE.to_owned()),
         Some(PreemptiveMatching { min_matches }) => {
@@ -285,6 +291,38 @@ pub(crate) fn of_mapping(mapper: &MapperOptions, baseline_m: Option<f64>) -> Tex
         ("mapper.loss", of_loss(loss)),
         ("mapper.local_images", local_images.to_string()),
         ("mapper.global_growth", global_growth.to_string()),
+    ]
+}
+
+/// The feature stage with the features of another program. `hash`: of its database.
+pub(crate) fn of_database(hash: &str, has_pairs: bool) -> Texts {
+    vec![(DATABASE, hash.to_owned()), (FOUND_PAIRS, or_none(has_pairs.then_some(true)))]
+}
+
+/// Options of the match stage with the pairs of another program.
+pub(crate) fn of_imported_pairs(verify: &VerifyOptions, seed: u64) -> Texts {
+    let mut texts = vec![(PAIRS, PAIRS_OF_DATABASE.to_owned()), ("match.seed", seed.to_string())];
+    texts.extend(of_verification(verify));
+    texts
+}
+
+/// Options of geometric verification.
+fn of_verification(verify: &VerifyOptions) -> Texts {
+    let VerifyOptions { max_error_px, min_num_inliers, min_essential_share, max_homography_share } =
+        verify;
+    vec![
+        ("match.verify.max_error_px", max_error_px.to_string()),
+        ("match.verify.min_num_inliers", min_num_inliers.to_string()),
+        ("match.verify.min_essential_share", min_essential_share.to_string()),
+        ("match.verify.max_homography_share", max_homography_share.to_string()),
+    ]
+}
+
+/// The model that mapping goes on from; `hash`: of its files.
+pub(crate) fn of_input_model(hash: &str, fix_existing_frames: bool) -> Texts {
+    vec![
+        ("mapper.input_model", hash.to_owned()),
+        ("mapper.fix_existing_frames", or_none(fix_existing_frames.then_some(true))),
     ]
 }
 
@@ -522,6 +560,8 @@ mod tests {
             .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
             .chain([of_calibration_files(&[]), of_known_intrinsics(false)])
             .chain(of_mapping(&mapper, None))
+            .chain(of_input_model("", false))
+            .chain(of_database("", false))
             .chain(of_dense(&DenseOptions::default()))
             .map(|(key, _)| key)
             .collect();

@@ -3,12 +3,15 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
-    Watch, extract_features, map, match_images, open_input,
+    Watch, Workspace, extract_features, import_features, map, match_images, open_input,
 };
 
 /// Options of [`reconstruct`].
 #[derive(Clone, Debug)]
 pub struct Options {
+    /// A database of another program whose features are taken in place of stage 1, and whose pairs,
+    /// if it has any, in place of stage 2.
+    pub database: Option<PathBuf>,
     /// Stage 1.
     pub features: FeatureOptions,
     /// Folder with a mask for each image; no keypoints are detected where a mask is 0.
@@ -26,6 +29,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
+            database: None,
             features: FeatureOptions::default(),
             masks: None,
             every: DEFAULT_EVERY,
@@ -41,19 +45,29 @@ impl Default for Options {
 ///
 /// # Errors
 ///
-/// Those of [`open_input`], [`extract_features`], [`match_images`] and [`map`].
+/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`] and [`map`].
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,
     options: &Options,
     watch: Watch,
 ) -> Result<Report, Error> {
+    if let Some(file) = &options.database {
+        let mut workspace = Workspace::create(workspace)?;
+        import_features(file, inputs, &mut workspace, options.redo, watch)?;
+        return finish(workspace, options, watch);
+    }
     let (masks, every) = (options.masks.as_deref(), options.every);
     let OpenedInput { mut workspace, photos, timestamps } =
         open_input(inputs, masks, workspace, every, options.redo, watch)?;
     let mut features = options.features.clone();
     features.timestamps = features.timestamps.or(timestamps);
     extract_features(&photos, &mut workspace, &features, options.redo, watch)?;
+    finish(workspace, options, watch)
+}
+
+/// Runs the stages after the features.
+fn finish(mut workspace: Workspace, options: &Options, watch: Watch) -> Result<Report, Error> {
     match_images(&mut workspace, &options.matching, options.redo, watch)?;
     map(&mut workspace, &options.mapping, options.redo, watch)?;
     workspace.report()

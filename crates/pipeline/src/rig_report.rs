@@ -141,9 +141,8 @@ impl RigReport {
             RigTerm::Auto => "auto",
         };
         let paper = match term {
-            RigTerm::Paper => {
-                paper_report(model, &series, &cameras, *initial_pair, metres_per_unit)
-            }
+            RigTerm::Paper => initial_pair
+                .and_then(|pair| paper_report(model, &series, &cameras, pair, metres_per_unit)),
             _ => None,
         };
         let extrinsics = rig.as_ref().map(|rig| extrinsics_report(term, model, rig));

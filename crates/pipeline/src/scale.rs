@@ -228,7 +228,7 @@ mod tests {
         };
         let mut models = [MappedModel {
             reconstruction: model.clone(),
-            initial_pair: ImagePair::new(ImageId(0), ImageId(1)).unwrap(),
+            initial_pair: ImagePair::new(ImageId(0), ImageId(1)),
             rig: Some(rig),
             shutters: Vec::new(),
             row_poses: BTreeMap::new(),

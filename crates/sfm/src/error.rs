@@ -16,6 +16,42 @@ pub enum Error {
         /// Required number.
         required: usize,
     },
+    /// The registered images of a model that is to be extended have no common point.
+    #[error(
+        "the {images} images with a pose have no matches with each other that triangulate to a \
+        point: match them with each other and with the new images"
+    )]
+    NothingToExtend {
+        /// Images with a pose.
+        images: usize,
+    },
+    /// No image of a model is in the scene.
+    #[error(
+        "none of its {images} images is among the images of the workspace: images are compared \
+        by name, and the model has {in_model:?} where the workspace has {in_scene:?}"
+    )]
+    NoCommonImage {
+        /// Images of the model.
+        images: usize,
+        /// The name of one.
+        in_model: String,
+        /// The name of an image of the scene.
+        in_scene: String,
+    },
+    /// An image has another size in a model.
+    #[error(
+        "its image {image} has {}x{} pixels, and that of the workspace {}x{}: use photos of one \
+        size, turned as their EXIF orientation says", in_model[0], in_model[1], in_scene[0],
+        in_scene[1]
+    )]
+    OtherSize {
+        /// The name of the image.
+        image: String,
+        /// Width and height in the model, in pixels.
+        in_model: [u32; 2],
+        /// Width and height in the scene, in pixels.
+        in_scene: [u32; 2],
+    },
     /// Fewer than two registered images have a common point.
     #[error(
         "nothing to adjust: {images} posed images, {points} points, {observations} observations"

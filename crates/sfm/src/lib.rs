@@ -24,11 +24,14 @@ pub use adjust::{
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
 pub use mapped_model::MappedModel;
-pub use mapper::map;
-pub use model_tools::{BoundingBox, MergeOutcome, ModelAlignment, align_models, crop, merge_model};
+pub use mapper::{Existing, extend, map};
+pub use model_tools::{
+    BoundingBox, MergeOutcome, ModelAlignment, Transferred, align_models, crop, merge_model,
+    transfer_model,
+};
 pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigTerm};
-pub use register::{RegisterOptions, register_image};
+pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, register_image};
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
     ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,

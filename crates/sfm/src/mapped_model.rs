@@ -11,8 +11,9 @@ use crate::rolling_shutter::{RollingShutter, RowPoses};
 pub struct MappedModel {
     /// Cameras, registered images and points; frames if the cameras are constrained rigidly.
     pub reconstruction: Reconstruction,
-    /// The initial pair. With the paper's rig term the first image is at the origin.
-    pub initial_pair: ImagePair,
+    /// The initial pair; `None` for a model that was extended ([`crate::extend`]). With the paper's
+    /// rig term the first image is at the origin.
+    pub initial_pair: Option<ImagePair>,
     /// Result of the rig calibration; `None` without a rig term that calibrates, without images to
     /// constrain, or if the stage failed.
     pub rig: Option<CalibratedRig>,

@@ -7,6 +7,7 @@ mod drive_evaluation;
 mod evaluate;
 mod experiment;
 mod export;
+mod localize;
 mod man;
 mod model;
 mod stages;
@@ -24,6 +25,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Match(args) => stages::match_images(&args, output),
         Command::Map(args) => stages::map(&args, output),
         Command::Dense(args) => stages::dense(&args, output),
+        Command::Localize(args) => localize::localize(&args, output),
         Command::Adjust(args) => adjust::adjust(&args, output),
         Command::Evaluate(Evaluate::Poses(args)) => evaluate::poses(&args, output),
         Command::Evaluate(Evaluate::Cloud(args)) => evaluate::cloud(&args, output),

@@ -2,9 +2,10 @@
 
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::{
-    DenseOptions, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Options, Stage, Workspace,
-    dense as dense_workspace, extract_features, map as map_workspace,
-    match_images as match_workspace, open_input, reconstruct as reconstruct_all,
+    DenseOptions, FeatureOptions, InputModel, MapOptions, MatchOptions, OpenedInput, Options,
+    Stage, Workspace, dense as dense_workspace, extract_features, import_features,
+    map as map_workspace, match_images as match_workspace, open_input,
+    reconstruct as reconstruct_all,
 };
 
 use crate::args::{
@@ -23,6 +24,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         ));
     }
     let options = Options {
+        database: args.input.database.clone(),
         features: feature_options(&args.input, &args.cameras)?,
         masks: args.input.masks.clone(),
         every: args.input.every,
@@ -43,7 +45,13 @@ pub(crate) fn features(args: &Features, output: &Output) -> Result<(), Failure> 
     let redo = check_redo(args.redo, Stage::Features)?;
     let mut options = feature_options(&args.input, &args.cameras)?;
     let mut progress = Progress::new(output);
-    let Input { inputs, output: root, masks, every, .. } = &args.input;
+    let Input { inputs, output: root, masks, every, database, .. } = &args.input;
+    if let Some(file) = database {
+        let mut workspace = Workspace::create(root)?;
+        import_features(file, inputs, &mut workspace, redo, &mut |event| progress.watch(event))?;
+        drop(progress);
+        return print_report(&workspace, output);
+    }
     let OpenedInput { photos, mut workspace, timestamps } =
         open_input(inputs, masks.as_deref(), root, *every, redo, &mut |event| {
             progress.watch(event)
@@ -129,5 +137,9 @@ fn map_options(mapping: &Mapping, seed: &Seed) -> MapOptions {
         },
         refine: mapping.refine,
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
+        input_model: mapping
+            .input_model
+            .clone()
+            .map(|path| InputModel { path, fix_existing_frames: mapping.fix_existing_frames }),
     }
 }

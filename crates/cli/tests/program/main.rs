@@ -13,6 +13,7 @@ mod generated;
 mod hostile;
 mod model;
 mod names;
+mod onto;
 mod own_files;
 mod photos;
 mod records;

@@ -48,26 +48,37 @@ impl Database {
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path))?;
         let mut database = Self::with(connect(path, path)?, path)?;
-        // Checked first: a view could yield rows without end.
-        schema::check(&database.connection)
-            .map_err(error(path))?
-            .map_err(|what| database.content(what))?;
+        database.check_tables()?;
         // Fails for a read-only file, which can still be read.
         let _ = database.connection.pragma_update(None, "journal_mode", "WAL");
         database.run("PRAGMA synchronous = NORMAL;")?;
         database.disable_foreign_keys()?;
+        database.index_tables()?;
+        Ok(database)
+    }
+
+    /// Checks that the tables are ordinary ones. Done first: a view could yield rows without end.
+    pub(super) fn check_tables(&self) -> Result<()> {
+        let checked = schema::check(&self.connection).map_err(error(&self.path))?;
+        checked.map_err(|what| self.content(what))?;
         for table in schema::REQUIRED {
-            if database.columns(table)?.is_empty() {
-                return Err(Error::content(
-                    path,
-                    format!("is not a COLMAP database: it has no table `{table}`"),
-                ));
+            if self.columns(table)?.is_empty() {
+                return Err(
+                    self.content(format!("is not a COLMAP database: it has no table `{table}`"))
+                );
             }
         }
-        database.cameras =
-            database.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
-        database.index_images()?;
-        Ok(database)
+        Ok(())
+    }
+
+    /// Checks the tables, and reads the ids of cameras and images.
+    pub(super) fn index_tables(&mut self) -> Result<()> {
+        self.check_tables()?;
+        self.cameras =
+            self.rows("SELECT camera_id FROM cameras ORDER BY camera_id", |row| row.get(0))?;
+        self.images.clear();
+        self.camera_of.clear();
+        self.index_images()
     }
 
     /// A database without cameras and images; errors name `path`.

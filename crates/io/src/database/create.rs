@@ -34,6 +34,17 @@ impl Database {
     /// If `fill` fails, if another run creates the database or has the old one open, and if the
     /// system reports an error. The old database is then unchanged.
     pub fn create_with(path: &Path, fill: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
+        Self::replace_with(path, |database| {
+            database.transaction(|db| db.run(schema::CREATE))?;
+            fill(database)
+        })
+    }
+
+    /// [`Database::create_with`] for a file without tables.
+    pub(super) fn replace_with(
+        path: &Path,
+        fill: impl FnOnce(&mut Self) -> Result<()>,
+    ) -> Result<Self> {
         if path.file_name().is_none() {
             return Err(Error::content(path, "is not the name of a file"));
         }
@@ -52,7 +63,6 @@ impl Database {
         // before the rename.
         database.run("PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;")?;
         database.disable_foreign_keys()?;
-        database.transaction(|db| db.run(schema::CREATE))?;
         fill(&mut database)?;
         database.connection.close().map_err(|(_, cause)| error(path)(cause))?;
         temporary.file.sync().map_err(Error::io(path))?;

@@ -153,6 +153,24 @@ impl Database {
         Ok(Features { keypoints, descriptors })
     }
 
+    /// The image with descriptors that are not SIFT, or with another number of descriptors than
+    /// keypoints; `None` if all have SIFT descriptors.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
+    pub fn image_without_sift(&self) -> Result<Option<String>> {
+        let has_kind = self.columns("descriptors")?.iter().any(|name| name == "type");
+        let kind = if has_kind { "descriptors.type" } else { "0" };
+        let sql = format!(
+            "SELECT images.name FROM images JOIN keypoints USING (image_id) LEFT JOIN descriptors \
+            USING (image_id) WHERE keypoints.rows > 0 AND (descriptors.rows IS NULL OR \
+            descriptors.rows <> keypoints.rows OR descriptors.cols <> {DESCRIPTOR_BYTES} OR {kind} \
+            <> {SIFT}) ORDER BY image_id LIMIT 1"
+        );
+        Ok(self.rows(&sql, |row| row.get(0))?.into_iter().next())
+    }
+
     /// Type, number of columns and data of the row of an image. The data have the length that rows
     /// · columns give.
     fn feature_row(

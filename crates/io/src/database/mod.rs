@@ -12,10 +12,12 @@
 //! filled the other tables. COLMAP ignores it.
 
 mod connection;
+mod copy;
 mod create;
 mod features;
 mod guard;
 mod pairs;
+mod read_only;
 mod rigs;
 mod schema;
 mod stages;

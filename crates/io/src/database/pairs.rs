@@ -59,7 +59,8 @@ impl Database {
         batch: impl IntoIterator<Item = (ImagePair, &'a TwoView)>,
     ) -> Result<()> {
         self.transaction(|db| {
-            batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(pair, view))
+            let sql = db.two_view_sql()?;
+            batch.into_iter().try_for_each(|(pair, view)| db.put_two_view(&sql, pair, view))
         })
     }
 
@@ -74,9 +75,10 @@ impl Database {
         batch: impl IntoIterator<Item = (ImagePair, &'a [Match], &'a TwoView)>,
     ) -> Result<()> {
         self.transaction(|db| {
+            let sql = db.two_view_sql()?;
             batch.into_iter().try_for_each(|(pair, matches, view)| {
                 db.put_matches(pair, matches)?;
-                db.put_two_view(pair, view)
+                db.put_two_view(&sql, pair, view)
             })
         })
     }
@@ -90,25 +92,27 @@ impl Database {
         )
     }
 
-    fn put_two_view(&self, pair: ImagePair, view: &TwoView) -> Result<()> {
+    /// The statement that writes a two-view geometry. Files older than COLMAP 3.8 have no pose.
+    fn two_view_sql(&self) -> Result<String> {
+        let has_pose = self.columns("two_view_geometries")?.iter().any(|name| name == "qvec");
+        let (pose, values) = if has_pose { (", qvec, tvec", ", ?8, ?9") } else { ("", "") };
+        Ok(format!(
+            "INSERT OR REPLACE INTO two_view_geometries\
+            (pair_id, rows, cols, data, config, F, E, H{pose}) \
+            VALUES (?1, ?2, 2, ?3, ?4, ?5, ?6, ?7{values})"
+        ))
+    }
+
+    fn put_two_view(&self, sql: &str, pair: ImagePair, view: &TwoView) -> Result<()> {
         let pose = view.cam2_from_cam1.as_ref().map(pose_numbers);
-        let sql = "INSERT OR REPLACE INTO two_view_geometries\
-                   (pair_id, rows, cols, data, config, F, E, H, qvec, tvec, camera1, camera2) \
-                   VALUES (?1, ?2, 2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, NULL, NULL)";
-        self.execute(
-            sql,
-            params![
-                self.pair_id_of(pair)?,
-                view.matches.len() as i64,
-                match_bytes(&view.matches),
-                view.kind as i64,
-                matrix_bytes(view.fundamental.as_ref()),
-                matrix_bytes(view.essential.as_ref()),
-                matrix_bytes(view.homography.as_ref()),
-                pose.map(|pose| bytes(&pose[..4])),
-                pose.map(|pose| bytes(&pose[4..]))
-            ],
-        )
+        let (id, rows) = (self.pair_id_of(pair)?, view.matches.len() as i64);
+        let (data, kind) = (match_bytes(&view.matches), view.kind as i64);
+        let [f, e, h] = [&view.fundamental, &view.essential, &view.homography]
+            .map(|matrix| matrix_bytes(matrix.as_ref()));
+        let (q, t) = (pose.map(|pose| bytes(&pose[..4])), pose.map(|pose| bytes(&pose[4..])));
+        let values: [&dyn rusqlite::ToSql; 9] = [&id, &rows, &data, &kind, &f, &e, &h, &q, &t];
+        // Without the columns of the pose, their values are left out.
+        self.execute(sql, &values[..sql.matches('?').count()])
     }
 
     /// Deletes all matches and two-view geometries.
@@ -158,6 +162,17 @@ impl Database {
         numbers.into_iter().map(|number| self.pair(number)).collect()
     }
 
+    /// Whether any pair has matches or a two-view geometry. Rows are not checked.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
+    pub fn has_pairs(&self) -> Result<bool> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM matches WHERE rows > 0) \
+                   OR EXISTS (SELECT 1 FROM two_view_geometries WHERE rows > 0)";
+        Ok(self.rows(sql, |row| row.get(0))?.into_iter().any(|found: bool| found))
+    }
+
     /// The number of matches of each pair, sorted by pair, without reading the matches.
     ///
     /// # Errors
@@ -204,6 +219,20 @@ impl Database {
         self.try_rows(sql, |row| {
             Ok((self.pair(row.get(0).map_err(error(&self.path))?)?, self.matches(row)?))
         })
+    }
+
+    /// Reads the matches of a pair; empty if none were written.
+    ///
+    /// # Errors
+    ///
+    /// If the row has invalid content, and if the file cannot be read.
+    pub fn read_matches_of(&self, pair: ImagePair) -> Result<Vec<Match>> {
+        let sql = format!(
+            "SELECT pair_id, rows, cols, data FROM matches WHERE pair_id = {}",
+            self.pair_id_of(pair)?
+        );
+        let found = self.try_rows(&sql, |row| self.matches(row))?;
+        Ok(found.into_iter().next().unwrap_or_default())
     }
 
     /// Reads all two-view geometries, sorted by pair.
@@ -269,7 +298,7 @@ impl Database {
         Ok(MAX_IMAGE_ID * self.file_id(pair.a)? + self.file_id(pair.b)?)
     }
 
-    fn pair(&self, number: i64) -> Result<ImagePair> {
+    pub(super) fn pair(&self, number: i64) -> Result<ImagePair> {
         let by = || format!("pair {number}");
         let (a, b) = (number.div_euclid(MAX_IMAGE_ID), number.rem_euclid(MAX_IMAGE_ID));
         let (a, b) = (self.image_id(a, by)?, self.image_id(b, by)?);

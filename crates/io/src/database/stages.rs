@@ -1,15 +1,13 @@
 //! The table `tiepoint_stages`: the inputs from which the content of the database was computed.
 //! COLMAP ignores it.
 
-use std::fs::File;
-use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-use rusqlite::config::DbConfig;
-use rusqlite::{Connection, ErrorCode, OpenFlags, params};
+use rusqlite::{Connection, params};
 
 use super::connection::{Database, connect, error};
-use super::guard::{self, Guard, side_file};
+use super::guard::{Guard, side_file};
+use super::read_only::{is_read_only, open_to_read};
 use super::schema;
 use crate::{Error, Result, disk};
 
@@ -19,13 +17,6 @@ const CREATE: &str = "CREATE TABLE IF NOT EXISTS tiepoint_stages \
 const FIND: &str =
     "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'tiepoint_stages'";
 const READ: &str = "SELECT stage, is_complete, recipe FROM tiepoint_stages ORDER BY rowid";
-/// Range of the file format versions for writing and reading in the header of a database, and their
-/// values in WAL mode (<https://www.sqlite.org/fileformat.html>, section 1.3).
-const VERSIONS: std::ops::Range<usize> = 18..20;
-const WAL: [u8; 2] = [2, 2];
-/// SQLite's VFS without locks.
-const LOCKLESS: &str = if cfg!(windows) { "win32-none" } else { "unix-none" };
-
 /// The record of a stage of the pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageRow {
@@ -92,44 +83,6 @@ pub fn read_stage_rows(path: &Path) -> Result<Option<Vec<StageRow>>> {
     }
 }
 
-/// Opens a database such that reading changes no file.
-fn open_to_read(file: &Path, path: &Path) -> Result<rusqlite::Result<Connection>> {
-    std::fs::metadata(file).map_err(Error::io(path))?;
-    let has_wal = std::fs::metadata(side_file(file, "-wal")).is_ok_and(|found| found.len() > 0);
-    // A process with an open database in WAL mode keeps the index of the log (`-shm`).
-    let has_shm = side_file(file, "-shm").exists();
-    let would_create_wal = !has_wal && !has_shm && uses_wal(file).map_err(Error::io(path))?;
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let open = || -> rusqlite::Result<Connection> {
-        let connection = if would_create_wal {
-            Connection::open_with_flags(immutable_uri(file), flags | OpenFlags::SQLITE_OPEN_URI)?
-        } else if has_wal && !has_shm {
-            // In exclusive mode SQLite keeps the index of the log in memory. Locks would need a
-            // writable file.
-            let connection = Connection::open_with_flags_and_vfs(file, flags, LOCKLESS)?;
-            connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
-            connection
-        } else {
-            Connection::open_with_flags(file, flags)?
-        };
-        guard::restrict_schema(&connection)?;
-        // No checkpoint on close: it would write to the file.
-        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        Ok(connection)
-    };
-    Ok(open())
-}
-
-/// Whether a database is in WAL mode. Only for a database that this process does not have open:
-/// closing a file releases all POSIX locks of the process on it.
-fn uses_wal(file: &Path) -> std::io::Result<bool> {
-    let mut header = [0; VERSIONS.end];
-    match File::open(file)?.read_exact(&mut header) {
-        Err(cause) if cause.kind() == ErrorKind::UnexpectedEof => Ok(false),
-        read => read.map(|()| header[VERSIONS] == WAL),
-    }
-}
-
 /// Checks the schema of a database and reads its stages; the inner error says why a table is
 /// refused.
 fn read_guarded(
@@ -151,20 +104,4 @@ fn read(connection: &Connection) -> rusqlite::Result<Option<Vec<StageRow>>> {
         Ok(StageRow { stage: row.get(0)?, is_complete: row.get(1)?, recipe: row.get(2)? })
     });
     rows?.collect::<rusqlite::Result<_>>().map(Some)
-}
-
-fn is_read_only(cause: &rusqlite::Error) -> bool {
-    matches!(cause.sqlite_error_code(), Some(ErrorCode::ReadOnly | ErrorCode::CannotOpen))
-}
-
-/// The URI of an absolute path with `immutable=1`: SQLite then takes no locks and looks for no log.
-fn immutable_uri(file: &Path) -> String {
-    #[cfg(unix)]
-    let bytes = std::os::unix::ffi::OsStrExt::as_bytes(file.as_os_str()).to_vec();
-    #[cfg(not(unix))]
-    let bytes = format!("/{}", file.to_string_lossy().replace('\\', "/")).into_bytes();
-    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-".contains(&byte);
-    let escaped =
-        |byte| if is_plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
-    format!("file://{}?immutable=1", bytes.into_iter().map(escaped).collect::<String>())
 }

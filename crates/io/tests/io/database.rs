@@ -425,3 +425,81 @@ fn set_read_only(dir: &Path, is_read_only: bool) {
         std::fs::set_permissions(&path, permissions).unwrap();
     }
 }
+
+#[test]
+fn copies_of_other_programs_files_have_ids_from_one_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, copy) = (dir.path().join("theirs.db"), dir.path().join("ours.db"));
+    let mut db = filled(&path);
+    let mut rng = Rng::stream(4, &[]);
+    let features = random_features(&mut rng, 5);
+    let ids = [0, 1, 2, 3].map(ImageId);
+    db.write_features(ids.map(|id| (id, &features))).unwrap();
+    let matches = [Match { a: 1, b: 2 }];
+    let pairs =
+        [(0, 1), (1, 2), (0, 3), (2, 3)].map(|(a, b)| ImagePair::new(ids[a], ids[b]).unwrap());
+    db.write_matches(pairs.map(|pair| (pair, &matches[..]))).unwrap();
+    db.write_rigs(&[], &[]).unwrap();
+    db.close().unwrap();
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    // The second image was deleted; cameras are 7 and 9, images 0, 30 and 2000000000.
+    sql.execute_batch(
+        "PRAGMA foreign_keys = OFF; DELETE FROM images WHERE image_id = 2;
+         UPDATE cameras SET camera_id = 5 + 2 * camera_id;
+         UPDATE images SET camera_id = 5 + 2 * camera_id;
+         UPDATE rigs SET ref_sensor_id = 5 + 2 * ref_sensor_id;
+         UPDATE frame_data SET sensor_id = 5 + 2 * sensor_id;
+         INSERT INTO pose_priors VALUES (1, 3, 7, 0, NULL, NULL, NULL, 1);
+         CREATE TABLE theirs(text); INSERT INTO theirs VALUES ('stays');",
+    )
+    .unwrap();
+    let images = [("images", "image_id"), ("keypoints", "image_id"), ("descriptors", "image_id")];
+    let images =
+        images.into_iter().chain([("frame_data", "data_id"), ("pose_priors", "corr_data_id")]);
+    for (table, column) in images {
+        for (old, new) in [(1, 0), (3, 30), (4, 2_000_000_000)] {
+            sql.execute(&format!("UPDATE {table} SET {column} = {new} WHERE {column} = {old}"), [])
+                .unwrap();
+        }
+    }
+    for (a, b, new_a, new_b) in
+        [(1, 4, 0, 2_000_000_000), (3, 4, 30, 2_000_000_000), (1, 2, 0, 2), (2, 3, 2, 30)]
+    {
+        let id = |a: i64, b: i64| 2_147_483_647 * a + b;
+        let update = "UPDATE matches SET pair_id = ?1 WHERE pair_id = ?2";
+        sql.execute(update, [id(new_a, new_b), id(a, b)]).unwrap();
+    }
+    drop(sql);
+    let before = std::fs::read(&path).unwrap();
+
+    let read = Database::open_read_only(&path).unwrap();
+    assert_eq!(read.num_images(), 3);
+    assert!(read.has_pairs().unwrap());
+    assert_eq!(read.image_without_sift().unwrap(), None);
+    drop(read);
+    let db = Database::copy_with(&path, &copy, |_| Ok(())).unwrap();
+    let found: Vec<(String, CameraId)> =
+        db.read_images().unwrap().into_iter().map(|image| (image.name, image.camera)).collect();
+    let expected = [("a/1.png", 0), ("a/2.png", 0), ("b/2.png", 1)];
+    assert_eq!(found, expected.map(|(name, camera)| (name.to_owned(), CameraId(camera))));
+    assert_eq!(db.keypoint_counts().unwrap(), [Some(5); 3]);
+    let expected = [(0, 2), (1, 2)].map(|(a, b)| ImagePair::new(ids[a], ids[b]).unwrap());
+    assert_eq!(db.matched_pairs().unwrap(), expected);
+    assert_eq!(db.read_matches_of(expected[1]).unwrap(), matches);
+    db.close().unwrap();
+    let sql = rusqlite::Connection::open(&copy).unwrap();
+    let text = |query: &str| sql.query_row(query, [], |row| row.get::<_, String>(0)).unwrap();
+    assert_eq!(text("SELECT group_concat(image_id) FROM images ORDER BY image_id"), "1,2,3");
+    assert_eq!(text("SELECT group_concat(camera_id) FROM cameras ORDER BY camera_id"), "1,2");
+    assert_eq!(text("SELECT text FROM theirs"), "stays");
+    assert_eq!(text("SELECT corr_data_id || ',' || corr_sensor_id FROM pose_priors"), "2,1");
+    assert_eq!(
+        text("SELECT group_concat(frame_id || data_id || sensor_id) FROM frame_data"),
+        "111,221,332"
+    );
+    drop(sql);
+    assert_eq!(std::fs::read(&path).unwrap(), before, "the file is only read");
+    std::fs::write(&path, "words").unwrap();
+    assert!(Database::copy_with(&path, &copy, |_| Ok(())).is_err());
+    assert!(Database::open(&copy).is_ok(), "an earlier copy stays");
+}

@@ -64,6 +64,8 @@ pub struct AdjustOptions<'a> {
     /// The images that fix the gauge: the pose of the first and one coordinate of the second one's
     /// centre. By default the first image and the one farthest from it.
     pub gauge: Option<ImagePair>,
+    /// Images whose poses are constant, in every scope.
+    pub constant_poses: Option<&'a BTreeSet<ImageId>>,
     /// Maximum number of iterations.
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends.
@@ -81,6 +83,7 @@ impl Default for AdjustOptions<'_> {
             noise: 1.0,
             focal_priors: &[],
             gauge: None,
+            constant_poses: None,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }
@@ -95,6 +98,11 @@ const CAUCHY_SIGMAS: f64 = 2.385;
 const MIN_NOISE: f64 = 0.05;
 
 impl AdjustOptions<'_> {
+    /// Whether the pose of an image is variable in a scope.
+    pub(super) fn moves(&self, scope: &Scope, image: ImageId) -> bool {
+        scope.moves(image) && !self.constant_poses.is_some_and(|images| images.contains(&image))
+    }
+
     /// Sets priors and loss for the noise scale of a finished model ([`AdjustOptions::noise`]). The
     /// weight of the priors does not increase beyond that for a noise scale of 1, because larger
     /// residuals are errors of the model.

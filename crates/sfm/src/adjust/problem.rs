@@ -52,7 +52,7 @@ pub(crate) fn build(
     }
     let composed: BTreeSet<ImageId> =
         terms.iter_mut().flat_map(|term| term.composed_images(&posed)).collect();
-    add_poses(&mut variables, &context, &posed, &composed);
+    add_poses(&mut variables, &context, options, &posed, &composed);
     for term in terms.iter_mut() {
         term.add(&context, &mut variables)?;
     }
@@ -98,13 +98,14 @@ fn add_points(
 fn add_poses(
     variables: &mut Variables,
     context: &TermContext,
+    options: &AdjustOptions,
     posed: &[ImageId],
     composed: &BTreeSet<ImageId>,
 ) {
     for (order, &image) in posed.iter().enumerate().filter(|(_, image)| !composed.contains(image)) {
         let Some(pose) = context.model.image(image).cam_from_world() else { continue };
         let key = variables.problem_mut().add_parameter(*pose, Order::At(order as u32));
-        if !context.scope.moves(image) {
+        if !options.moves(context.scope, image) {
             variables.problem_mut().fix(key);
         }
         variables.poses.push((image, key));
@@ -117,7 +118,8 @@ fn fix_problem_gauge(
     context: &TermContext,
     options: &AdjustOptions,
 ) -> Result<(), Error> {
-    let of_images = variables.poses.iter().map(|(image, key)| (*key, !context.scope.moves(*image)));
+    let is_fixed = |image: ImageId| !options.moves(context.scope, image);
+    let of_images = variables.poses.iter().map(|(image, key)| (*key, is_fixed(*image)));
     let (keys, fixed): (Vec<Key<Rigid3>>, Vec<bool>) =
         of_images.chain(variables.rig_poses.iter().copied()).unzip();
     let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);

@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tiepoint_geometry::Rng;
+use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, ImagePair, Reconstruction};
 
 use super::refinement_schedule::RefinementSchedule;
@@ -19,7 +19,7 @@ use crate::options::{MapperOptions, RigTerm};
 use crate::register::NextBestView;
 use crate::rigs::{BaselineLink, BaselineTerm, RigPairs, growing_links};
 use crate::tracks::{
-    complete_tracks, filter_all_points, filter_images, filter_points, merge_tracks,
+    complete_tracks, filter_all_points, filter_images_except, filter_points, merge_tracks,
     triangulate_image, update_tracks,
 };
 use crate::two_view::FocalPrior;
@@ -45,6 +45,10 @@ pub(super) struct Mapper<'a> {
     /// Number of images at which growth stops, in a trial of an initial pair or of focal lengths;
     /// `None` for all images.
     pub(super) max_images: Option<usize>,
+    /// Images whose poses are constant, and which always stay registered.
+    pub(super) constant_poses: Option<&'a BTreeSet<ImageId>>,
+    /// Poses of the model that is extended.
+    pub(super) existing_poses: &'a [(ImageId, Rigid3)],
     pub(super) next_best_view: NextBestView,
     /// The initial pair.
     pub(super) initial: Option<ImagePair>,
@@ -64,6 +68,8 @@ impl<'a> Mapper<'a> {
             rig_pairs: &[],
             mapped_images: BTreeSet::new(),
             max_images: None,
+            constant_poses: None,
+            existing_poses: &[],
             next_best_view: NextBestView::new(scene, options.seed),
             initial: None,
             solution: Solution::new(scene.clone()),
@@ -212,7 +218,12 @@ impl<'a> Mapper<'a> {
         let summary =
             adjust(&mut self.solution.model, &Scope::Global, &options, terms, &mut keep_going)?;
         filter_all_points(&mut self.solution.model, &self.options.filter);
-        filter_images(&mut self.solution.model, self.options.register.min_num_inliers / 2);
+        let constant = self.constant_poses;
+        filter_images_except(
+            &mut self.solution.model,
+            self.options.register.min_num_inliers / 2,
+            &|image| constant.is_some_and(|images| images.contains(&image)),
+        );
         let (num_observations, cost) = (self.solution.model.num_observations(), summary.final_cost);
         let (num_images, iterations) =
             (self.solution.model.num_registered(), summary.iterations.len());
@@ -243,6 +254,7 @@ impl<'a> Mapper<'a> {
             selects_points: schedule.selects_points,
             loss: self.options.loss,
             focal_priors: self.focal_priors,
+            constant_poses: self.constant_poses,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
             max_iterations: schedule.max_iterations,
             function_tolerance: schedule.tolerance,

@@ -32,28 +32,59 @@ pub fn map(
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
+    let mut options = *options;
+    options.tracks.two_view |= graph.num_images() == 2;
+    let options = &options;
+    let (scene, focal_priors) = prepared(graph, scene, options);
+    let mut models =
+        map_rest(graph, &scene, &focal_priors, Vec::new(), descriptors, options, watch)?;
+    models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
+    if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
+        merge_rig_models(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+    }
+    Ok(models)
+}
+
+/// The scene without poses and points, with initial focal lengths, and their priors.
+pub(super) fn prepared(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    options: &MapperOptions,
+) -> (Reconstruction, Vec<FocalPrior>) {
     let mut scene = scene.clone();
     (scene.rigs, scene.frames) = (Vec::new(), Vec::new());
     let posed: Vec<ImageId> = scene.registered().map(|(id, ..)| id).collect();
     posed.into_iter().for_each(|image| scene.deregister(image));
-    let mut options = *options;
-    options.tracks.two_view |= graph.num_images() == 2;
-    let options = &options;
     let mut found = Vec::new();
     if options.refine.focal {
         found = estimate_focal_lengths(graph, &mut scene);
         choose_focal_lengths(graph, &mut scene, options, &found);
     }
     let focal_priors = focal_priors(&scene, &found);
+    (scene, focal_priors)
+}
+
+/// Maps the images that are in none of `models`, and returns all models, those first.
+pub(super) fn map_rest(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    focal_priors: &[FocalPrior],
+    mut models: Vec<MappedModel>,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut Watch,
+) -> Result<Vec<MappedModel>, Error> {
     let pairs_of_rig = match options.rig {
-        RigTerm::Paper => rig_pairs(&scene),
+        RigTerm::Paper => rig_pairs(scene),
         _ => Vec::new(),
     };
-    let mut models: Vec<MappedModel> = Vec::new();
-    let mut mapped_images: BTreeSet<ImageId> = BTreeSet::new();
+    let registered = |model: &MappedModel| -> Vec<ImageId> {
+        model.reconstruction.registered().map(|(id, ..)| id).collect()
+    };
+    let mut mapped_images: BTreeSet<ImageId> = models.iter().flat_map(registered).collect();
     loop {
-        let mut mapper = Mapper::new(graph, &scene, options);
-        mapper.focal_priors = &focal_priors;
+        let mut mapper = Mapper::new(graph, scene, options);
+        mapper.focal_priors = focal_priors;
         mapper.rig_pairs = &pairs_of_rig;
         mapper.mapped_images = mapped_images.clone();
         let mapped = match mapper.run(descriptors, watch) {
@@ -64,8 +95,7 @@ pub fn map(
             // The remaining images cannot be mapped. The earlier models are kept.
             Err(_) => break,
         };
-        let registered: Vec<ImageId> =
-            mapped.reconstruction.registered().map(|(id, ..)| id).collect();
+        let registered = registered(&mapped);
         if models.is_empty() || registered.len() >= options.min_model_size {
             models.push(mapped);
         }
@@ -74,10 +104,6 @@ pub fn map(
         if mapped_images.len() == before {
             break;
         }
-    }
-    models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
-    if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
-        merge_rig_models(graph, &focal_priors, options, &mut models, descriptors, watch)?;
     }
     Ok(models)
 }

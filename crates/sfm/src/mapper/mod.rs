@@ -1,5 +1,6 @@
 //! The incremental mapper.
 
+mod extend;
 mod focal_trials;
 mod growth;
 mod incremental;
@@ -13,4 +14,5 @@ mod support;
 mod test_scene;
 mod transaction;
 
+pub use extend::{Existing, extend};
 pub use incremental::map;

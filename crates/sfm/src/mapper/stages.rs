@@ -1,5 +1,7 @@
 //! Stages that follow the growth of a model, in a list.
 
+use tiepoint_scene::ImagePair;
+
 use super::growth::Mapper;
 use super::refinement_schedule::RefinementSchedule;
 use super::solution::Solution;
@@ -25,28 +27,36 @@ enum Stage {
     RollingShutter { is_last: bool },
     /// Closes loops.
     Loops,
+    /// Moves an extended model back into its frame.
+    Gauge,
     /// Constrains the cameras of a rig.
     Rig,
 }
 
 /// The first rolling-shutter stage comes before loop closure: a rolling shutter changes the scale
 /// along a drive, sevenfold in 2 km, and no loop closes over such a change.
-const STAGES: [Stage; 6] = [
+const STAGES: [Stage; 7] = [
     Stage::Refine(RefinementSchedule::BEFORE_LOOP_CLOSURE),
     Stage::RollingShutter { is_last: false },
     Stage::Loops,
     Stage::Refine(RefinementSchedule::FINAL),
     Stage::RollingShutter { is_last: true },
+    Stage::Gauge,
     Stage::Rig,
 ];
 
 impl Stage {
+    /// Whether the stage sets poses other than by an adjustment of single images.
+    fn moves_poses(self) -> bool {
+        !matches!(self, Self::Refine(_))
+    }
+
     /// The optional stage, which is undone if it fails; `None` for a stage that must succeed.
     fn optional(self) -> Option<OptionalStage> {
         match self {
             Self::RollingShutter { .. } => Some(OptionalStage::RollingShutter),
             Self::Rig => Some(OptionalStage::Rig),
-            Self::Refine(_) | Self::Loops => None,
+            Self::Refine(_) | Self::Loops | Self::Gauge => None,
         }
     }
 }
@@ -64,10 +74,23 @@ impl Mapper<'_> {
             None => self.initialise(&candidates, watch)?,
         };
         self.grow(watch)?;
+        self.run_stages(Some(initial_pair), descriptors, watch)
+    }
+
+    /// Runs the stages that follow growth. Of a model with constant poses only the refinements run,
+    /// because the others move poses.
+    pub(super) fn run_stages(
+        mut self,
+        initial_pair: Option<ImagePair>,
+        descriptors: &mut Descriptors,
+        watch: &mut Watch,
+    ) -> Result<MappedModel, Error> {
         self.solution.shutters =
             self.options.readout.map(|readout| RollingShutters::new(&self.solution.model, readout));
         let mut failures = Vec::new();
-        for stage in STAGES {
+        let has_constant_poses = self.constant_poses.is_some();
+        let stages = STAGES.into_iter().filter(|stage| !has_constant_poses || !stage.moves_poses());
+        for stage in stages {
             let Some(optional) = stage.optional() else {
                 self.run_stage(stage, descriptors, watch)?;
                 continue;
@@ -112,6 +135,10 @@ impl Mapper<'_> {
             }
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
             Stage::Loops => self.close_loops(watch),
+            Stage::Gauge => {
+                self.restore_gauge();
+                Ok(())
+            }
             Stage::Rig => match self.options.rig {
                 RigTerm::Off => Ok(()),
                 RigTerm::Paper => {

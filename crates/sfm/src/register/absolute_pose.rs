@@ -56,9 +56,9 @@ pub fn register_image(
 /// An estimated pose of an image.
 pub(crate) struct Placement {
     pub(crate) image: ImageId,
-    cam_from_world: Rigid3,
+    pub(super) cam_from_world: Rigid3,
     /// Inliers: keypoints and their points.
-    inliers: Vec<(u32, PointId)>,
+    pub(super) inliers: Vec<(u32, PointId)>,
     /// Number of expected points that the inliers contain.
     num_found: usize,
     /// Visible-point recall: `num_found` relative to the number of expected points.
@@ -180,7 +180,7 @@ fn is_expected(
 }
 
 /// Returns keypoints with the points of their correspondences. A keypoint may have several points.
-fn candidates(
+pub(super) fn candidates(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     image: ImageId,

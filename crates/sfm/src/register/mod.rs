@@ -2,8 +2,10 @@
 
 mod absolute_pose;
 mod continuity;
+mod localize;
 mod next_image;
 mod visibility;
 
 pub use absolute_pose::{RegisterOptions, register_image};
+pub use localize::{Localization, QueryCamera, localize_image};
 pub(crate) use next_image::NextBestView;

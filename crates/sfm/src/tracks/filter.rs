@@ -110,9 +110,18 @@ fn has_angle(
 
 /// Deregisters images that observe fewer than `min_points` points. Returns them.
 pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
+    filter_images_except(model, min_points, &|_| false)
+}
+
+/// [`filter_images`] without the images that `is_kept` names.
+pub(crate) fn filter_images_except(
+    model: &mut Reconstruction,
+    min_points: usize,
+    is_kept: &dyn Fn(ImageId) -> bool,
+) -> Vec<ImageId> {
     let removed: Vec<ImageId> = model
         .registered()
-        .filter(|(_, image, _)| image.num_points() < min_points)
+        .filter(|(id, image, _)| image.num_points() < min_points && !is_kept(*id))
         .map(|(id, ..)| id)
         .collect();
     removed.iter().for_each(|&image| model.deregister(image));

@@ -7,6 +7,7 @@ mod infinity;
 mod selection;
 mod triangulation;
 
+pub(crate) use filter::filter_images_except;
 pub use filter::{FilterOptions, filter_all_points, filter_images, filter_points};
 pub use grow::{TrackOptions, complete_tracks, merge_tracks, retriangulate, triangulate_image};
 pub(crate) use grow::{mean_position, update_tracks};

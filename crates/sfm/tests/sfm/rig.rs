@@ -184,7 +184,13 @@ fn each_model_reports_its_own_rig() {
     assert_eq!(sizes, [2 * (NUM_FRAMES - FIRST_FRAMES), 2 * FIRST_FRAMES]);
     for (model, baseline_m) in models.iter().zip([BASELINE_M, OTHER_BASELINE_M]) {
         let rig = model.rig.as_ref().expect("it was asked for");
-        assert!(model.reconstruction.image(model.initial_pair.a).cam_from_world().is_some());
+        assert!(
+            model
+                .reconstruction
+                .image(model.initial_pair.expect("of a new model").a)
+                .cam_from_world()
+                .is_some()
+        );
         // Metres per unit of this model.
         let first = |poses: &dyn Fn(ImageId) -> Rigid3| {
             let lefts =
