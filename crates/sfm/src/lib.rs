@@ -4,6 +4,7 @@ mod adjust;
 mod error;
 mod event;
 mod image_grid;
+mod known_rigs;
 mod loop_closure;
 mod mapped_model;
 mod mapper;
@@ -23,8 +24,9 @@ pub use adjust::{
 };
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
+pub use known_rigs::{KnownFrame, KnownRigs};
 pub use mapped_model::MappedModel;
-pub use mapper::map;
+pub use mapper::{map, map_with_rigs};
 pub use model_tools::{BoundingBox, MergeOutcome, ModelAlignment, align_models, crop, merge_model};
 pub use noise::keypoint_sigma_px;
 pub use options::{MapperOptions, RigTerm};
@@ -32,8 +34,8 @@ pub use register::{RegisterOptions, register_image};
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
     ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,
-    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, growing_links,
-    relative_poses, rig_candidates, rig_pairs, sensor_pairs,
+    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, frames_by_time,
+    growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;

@@ -64,6 +64,8 @@ pub struct AdjustOptions<'a> {
     /// The images that fix the gauge: the pose of the first and one coordinate of the second one's
     /// centre. By default the first image and the one farthest from it.
     pub gauge: Option<ImagePair>,
+    /// Whether the extrinsics of the model's rigs are constant. Then they determine the scale.
+    pub has_constant_rigs: bool,
     /// Maximum number of iterations.
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends.
@@ -81,6 +83,7 @@ impl Default for AdjustOptions<'_> {
             noise: 1.0,
             focal_priors: &[],
             gauge: None,
+            has_constant_rigs: false,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }

@@ -11,6 +11,7 @@ use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, notify};
+use crate::known_rigs::KnownRigs;
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
 use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
@@ -28,6 +29,37 @@ use crate::two_view::{FocalPrior, estimate_focal_lengths, focal_priors};
 pub fn map(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<Vec<MappedModel>, Error> {
+    map_all(graph, scene, None, descriptors, options, watch)
+}
+
+/// Maps all images as [`map`] does, with rigs whose extrinsics are known, and registers their
+/// frames as a whole. The models have the unit of length of the rigs; [`MapperOptions::rig`] has no
+/// effect. If no frame of a model has two images that agree with the extrinsics, its images are
+/// registered one by one, and [`MappedModel::failures`] says so.
+///
+/// # Errors
+///
+/// As [`map`].
+pub fn map_with_rigs(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    rigs: &KnownRigs,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<Vec<MappedModel>, Error> {
+    let options = &MapperOptions { rig: RigTerm::Off, ..*options };
+    map_all(graph, scene, Some(rigs), descriptors, options, watch)
+}
+
+fn map_all(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    rigs: Option<&KnownRigs>,
     descriptors: &mut Descriptors,
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
@@ -56,6 +88,9 @@ pub fn map(
         mapper.focal_priors = &focal_priors;
         mapper.rig_pairs = &pairs_of_rig;
         mapper.mapped_images = mapped_images.clone();
+        if let Some(rigs) = rigs {
+            mapper.use_rigs(rigs);
+        }
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {

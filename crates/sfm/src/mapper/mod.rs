@@ -3,6 +3,7 @@
 mod focal_trials;
 mod growth;
 mod incremental;
+mod known_rigs;
 mod loops;
 mod refinement_schedule;
 mod solution;
@@ -13,4 +14,4 @@ mod support;
 mod test_scene;
 mod transaction;
 
-pub use incremental::map;
+pub use incremental::{map, map_with_rigs};

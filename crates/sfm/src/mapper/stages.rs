@@ -113,6 +113,7 @@ impl Mapper<'_> {
             Stage::RollingShutter { is_last } => self.rectify_shutters(is_last, watch),
             Stage::Loops => self.close_loops(watch),
             Stage::Rig => match self.options.rig {
+                _ if self.known_rigs.is_some() => self.finish_known_rigs(),
                 RigTerm::Off => Ok(()),
                 RigTerm::Paper => {
                     let links = final_links(&self.solution.model, self.rig_pairs);

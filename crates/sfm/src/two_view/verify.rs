@@ -2,9 +2,9 @@
 //!
 //! After Schönberger & Frahm 2016, section 4.1: an essential matrix if both cameras are calibrated,
 //! a fundamental matrix otherwise, and a homography to detect planes and pure rotations. Pairs with
-//! a spherical camera have an essential matrix alone, since its image is no plane. Neither is that of
-//! a fisheye: without a focal length, relative poses are estimated at several focal lengths, and the
-//! one with the most inliers selects the matches.
+//! a spherical camera have an essential matrix alone, since its image is no plane. Neither is that
+//! of a fisheye: without a focal length, relative poses are estimated at several focal lengths, and
+//! the one with the most inliers selects the matches.
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
