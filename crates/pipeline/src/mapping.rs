@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use tiepoint_io::colmap::Format;
@@ -20,16 +21,17 @@ use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::matching::keypoint;
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
+use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
 use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
-    option_keys,
+    fingerprint, option_keys,
 };
 
 /// Options of mapping.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct MapOptions {
     /// Options of the mapper.
     pub mapper: MapperOptions,
@@ -39,6 +41,11 @@ pub struct MapOptions {
     /// Known distance between the first two cameras, in metres: it determines the scale of the
     /// models.
     pub baseline_m: Option<f64>,
+    /// Known rigs: COLMAP's `rig_config.json` or Kalibr's camchain. Frames are registered as a
+    /// whole, and [`MapperOptions::rig`] has no effect.
+    pub rig_calibration: Option<PathBuf>,
+    /// Whether the extrinsics of the known rigs are initial values, which are refined.
+    pub refine_extrinsics: bool,
 }
 
 /// Maps a workspace that has matches and writes its models, the largest first.
@@ -51,12 +58,14 @@ pub struct MapOptions {
 /// `Break`.
 pub fn map(
     workspace: &mut Workspace,
-    options: &MapOptions,
+    map_options: &MapOptions,
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
-    let MapOptions { mapper: mut options, refine, baseline_m } = *options;
+    let MapOptions { mapper: mut options, refine, baseline_m, refine_extrinsics, .. } =
+        *map_options;
+    let rig_calibration = map_options.rig_calibration.as_deref();
     if let Some(refine) = refine {
         options.refine = refine;
     } else if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
@@ -64,6 +73,8 @@ pub fn map(
     }
     let mut texts = option_keys::of_mapping(&options, baseline_m);
     texts.push(option_keys::of_known_intrinsics(refine.is_some()));
+    let hash = rig_calibration.map(fingerprint::of_text).transpose()?;
+    texts.extend(option_keys::of_rig_calibration(hash, refine_extrinsics));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -74,6 +85,11 @@ pub fn map(
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let (graph, mut scene) = load(workspace)?;
+    let takes_intrinsics =
+        workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_none();
+    let known_rigs = rig_calibration
+        .map(|path| known_rigs(path, &mut scene, takes_intrinsics, refine_extrinsics))
+        .transpose()?;
     if refine.is_some() {
         scene.calibrated.clear();
     }
@@ -85,6 +101,7 @@ pub fn map(
     }
     match options.rig {
         RigTerm::Off | RigTerm::Auto => {}
+        _ if known_rigs.is_some() => {}
         term => require_synchronous_images(workspace, &scene, term)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
@@ -100,9 +117,15 @@ pub fn map(
             Vec::new()
         }
     };
-    let mut models = sfm::map(&graph, &scene, &mut descriptors, &options, &mut |event| {
+    let mut translated = |event: &sfm::Event| {
         translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
-    })?;
+    };
+    let mut models = match &known_rigs {
+        Some(rigs) => {
+            sfm::map_with_rigs(&graph, &scene, rigs, &mut descriptors, &options, &mut translated)?
+        }
+        None => sfm::map(&graph, &scene, &mut descriptors, &options, &mut translated)?,
+    };
     if let Some(error) = unreadable {
         return Err(error.into());
     }
@@ -122,13 +145,14 @@ pub fn map(
     };
     let staged = stage_models(workspace, &models)?;
     let reports = models.iter().zip(scales).enumerate();
+    let is_known = known_rigs.is_some();
     let reports = reports.map(|(index, (model, scale))| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
             failed: model.failures.iter().map(describe_failure).collect(),
-            rig: RigReport::new(options.rig, model, metres_per_unit),
+            rig: RigReport::new(options.rig, is_known, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });
