@@ -11,13 +11,13 @@ use tiepoint_pipeline::eval::Alignment;
 use tiepoint_pipeline::io::{ABSOLUTE_MAX_PIXELS, DEFAULT_MAX_PIXELS};
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_pipeline::sfm::matching::PairSelection;
-use tiepoint_pipeline::sfm::{Readout, RefineIntrinsics, RigTerm};
+use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_pipeline::{
     Calibration, CalibrationSource, CameraGrouping, DEFAULT_EVERY, ExportFormat, Stage, Truth,
 };
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
-pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, rig_name};
+pub(crate) use values::{CropBox, ImageSize, Metres, Quantiles, Refine, rig_name};
 use values::{
     NumberList, PositivePixels, alignment, camera_model, positive, readout, refine, rig_term,
     route, threads,
@@ -292,13 +292,24 @@ pub(crate) struct Mapping {
     /// time offsets are estimated (paper: to half a frame interval).
     #[arg(long, value_name = "MODE", default_value = "auto", value_parser = rig_term)]
     pub(crate) rig: RigTerm,
+    /// Known rigs: COLMAP's rig_config.json (photos of one frame have the same name after their
+    /// image_prefix) or Kalibr's camchain (its cameras are the folders, by name or in their order;
+    /// photos of one frame have the same name, or the same time). Frames are registered as a whole,
+    /// and the extrinsics are kept, unless --refine names them. Intrinsics in the file are used,
+    /// too, where --calibration gives none.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["rig", "baseline", "rolling_shutter", "input_model"]
+    )]
+    pub(crate) rig_calibration: Option<PathBuf>,
     /// Intrinsics to refine, as a list of focal, principal-point and distortion, or none. Also
     /// aspect (fx and fy are refined separately; else pixels stay square, which anamorphic video
     /// does not have) and prism (the thin prism of the model, which stays fixed else). By default
     /// focal,principal-point,distortion, and known intrinsics stay fixed; given, the option holds
-    /// for these, too.
+    /// for these, too. With extrinsics in the list, those of --rig-calibration are refined.
     #[arg(long, value_name = "LIST", value_parser = refine)]
-    pub(crate) refine: Option<RefineIntrinsics>,
+    pub(crate) refine: Option<Refine>,
     /// Known distance between the first two cameras (in the order of their folders) with its unit,
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]

@@ -28,6 +28,7 @@ mod pixels;
 pub mod ply;
 pub mod positions;
 mod regular_file;
+pub mod rig_calibration;
 mod rotation;
 pub mod similarity;
 pub mod strecha;

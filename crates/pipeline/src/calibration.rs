@@ -108,34 +108,39 @@ impl Calibrations {
         name: &str,
         info: &ImageInfo,
     ) -> Result<Camera, Error> {
-        let (source, CameraCalibration { name: camera, size, intrinsics, .. }) =
-            &self.cameras[index];
-        let source = &self.sources[*source];
-        let ImageInfo { width, height, .. } = *info;
-        if let Some([w, h]) = *size
-            && (w, h) != (width, height)
-        {
-            let what = format!(
-                "the camera {camera} has images of {}, and {name} has {}: calibrate at the size of \
-                the photos, or name the photos that the calibration is of, as PATTERN=FILE",
-                Size(w, h),
-                Size(width, height)
-            );
-            return Err(source.error(what));
-        }
-        let camera_of_photo =
-            Camera { intrinsics: *intrinsics, width, height, has_focal_prior: true };
-        if !camera_of_photo.contains(&intrinsics.principal_point()) {
-            let [x, y] = [intrinsics.principal_point().x, intrinsics.principal_point().y];
-            let what = format!(
-                "the principal point of the camera {camera}, ({x}, {y}), lies outside of {name}, \
-                which has {}: is the calibration that of another camera?",
-                Size(width, height)
-            );
-            return Err(source.error(what));
-        }
-        Ok(camera_of_photo)
+        let (source, calibration) = &self.cameras[index];
+        camera_of_photo(calibration, name, [info.width, info.height])
+            .map_err(|what| self.sources[*source].error(what))
     }
+}
+
+/// The calibrated camera of a photo with this name, width and height; an error if they do not fit.
+pub(crate) fn camera_of_photo(
+    calibration: &CameraCalibration,
+    photo: &str,
+    [width, height]: [u32; 2],
+) -> Result<Camera, String> {
+    let CameraCalibration { name, size, intrinsics, .. } = calibration;
+    if let Some([w, h]) = *size
+        && (w, h) != (width, height)
+    {
+        return Err(format!(
+            "the camera {name} has images of {}, and {photo} has {}: calibrate at the size of the \
+            photos, or name the photos that the calibration is of, as PATTERN=FILE",
+            Size(w, h),
+            Size(width, height)
+        ));
+    }
+    let camera = Camera { intrinsics: *intrinsics, width, height, has_focal_prior: true };
+    if !camera.contains(&intrinsics.principal_point()) {
+        let [x, y] = [intrinsics.principal_point().x, intrinsics.principal_point().y];
+        return Err(format!(
+            "the principal point of the camera {name}, ({x}, {y}), lies outside of {photo}, which \
+            has {}: is the calibration that of another camera?",
+            Size(width, height)
+        ));
+    }
+    Ok(camera)
 }
 
 /// The cameras of a file, each with its images.
@@ -196,7 +201,9 @@ fn assign(
         .iter()
         .enumerate()
         .filter_map(|(index, camera)| {
-            let folder = folders.iter().position(|folder| is_named(camera, folder))?;
+            let topic = camera.topic.as_deref();
+            let is_own = |folder: &String| is_named(&camera.name, topic, folder);
+            let folder = folders.iter().position(is_own)?;
             Some((index, of_folder(folder)))
         })
         .collect();
@@ -218,10 +225,10 @@ fn assign(
 }
 
 /// Whether a camera of a file is named as a folder: by its name, or by a part of its topic.
-fn is_named(camera: &CameraCalibration, folder: &str) -> bool {
+pub(crate) fn is_named(name: &str, topic: Option<&str>, folder: &str) -> bool {
     let last = folder.rsplit('/').next().unwrap_or(folder);
-    let topic = camera.topic.as_deref().unwrap_or("");
-    camera.name == folder || camera.name == last || topic.split('/').any(|part| part == last)
+    let mut parts = topic.unwrap_or("").split('/').filter(|part| !part.is_empty());
+    name == folder || name == last || parts.any(|part| part == last)
 }
 
 /// Whether a text matches a pattern with the wildcards `*` and `?`.
@@ -267,6 +274,14 @@ mod tests {
         ] {
             assert_eq!(matches(pattern, text), expected, "{pattern} {text}");
         }
+    }
+
+    #[test]
+    fn a_camera_has_the_folder_of_its_name_or_topic() {
+        assert!(is_named("cam0", None, "drive/cam0"));
+        assert!(is_named("cam0", Some("/left/image_raw"), "left"));
+        assert!(!is_named("cam0", Some("/left/image_raw"), "right"));
+        assert!(!is_named("cam0", Some("/left/image_raw"), ""));
     }
 
     #[test]

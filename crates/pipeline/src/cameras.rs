@@ -27,6 +27,8 @@ pub enum Calibration {
 
 /// Default focal length over the larger image side, as in COLMAP: a field of view of 45°.
 const DEFAULT_FOCAL: f64 = 1.2;
+/// The same for a fisheye: an equidistant view of 180°, 1/π.
+const DEFAULT_FISHEYE_FOCAL: f64 = std::f64::consts::FRAC_1_PI;
 
 impl Default for Calibration {
     fn default() -> Self {
@@ -52,7 +54,9 @@ impl Calibration {
                 let given = focal_px.map(|focal| focal * f64::from(longest) / f64::from(largest.0));
                 let known = given.or_else(|| exif.focal_px(width, height, None));
                 let is_original = largest == sides(info);
-                let focal_px = known.unwrap_or(DEFAULT_FOCAL * f64::from(longest));
+                let default =
+                    if model.is_fisheye() { DEFAULT_FISHEYE_FOCAL } else { DEFAULT_FOCAL };
+                let focal_px = known.unwrap_or(default * f64::from(longest));
                 let intrinsics = Intrinsics::centred(model, focal_px, width, height);
                 let is_calibrated = known.is_some() || model.focal_indices().is_empty();
                 (intrinsics, is_calibrated && is_original)

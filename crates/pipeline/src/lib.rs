@@ -36,6 +36,7 @@ mod photos;
 mod reconstruct;
 mod records;
 mod report;
+mod rig_calibration;
 mod rig_evaluation;
 mod rig_file;
 mod rig_report;

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use tiepoint_io::colmap::Format;
@@ -21,12 +22,13 @@ use crate::input_model::{InputModel, OpenedModel};
 use crate::keypoints::keypoint;
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
+use crate::rig_calibration::known_rigs;
 use crate::rig_file::RigFile;
 use crate::scale::{ScaleReport, scale_to_baseline};
 use crate::workspace::{POINTS, rigs_in};
 use crate::{
     Error, Event, MapReport, ModelReport, RigReport, Size, Stage, Watch, Workspace, emit,
-    option_keys,
+    fingerprint, option_keys,
 };
 
 /// Options of mapping.
@@ -42,6 +44,11 @@ pub struct MapOptions {
     pub baseline_m: Option<f64>,
     /// The model to go on from.
     pub input_model: Option<InputModel>,
+    /// Known rigs: COLMAP's `rig_config.json` or Kalibr's camchain. Frames are registered as a
+    /// whole, and [`MapperOptions::rig`] has no effect.
+    pub rig_calibration: Option<PathBuf>,
+    /// Whether the extrinsics of the known rigs are initial values, which are refined.
+    pub refine_extrinsics: bool,
 }
 
 /// Maps a workspace that has matches and writes its models, the largest first.
@@ -50,18 +57,20 @@ pub struct MapOptions {
 ///
 /// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
 /// it; the input model cannot be read, has no image in common with the workspace, or contradicts
-/// another option; no image pair overlaps; a rig constraint or a rolling shutter is asked for and the capture
-/// times do not suffice; the mapper fails; a file cannot be read or written; `watch` returns
+/// another option; no image pair overlaps; a rig constraint or a rolling shutter is asked for and
+/// the capture times do not suffice; the mapper fails; a file cannot be read or written; `watch` returns
 /// `Break`.
 pub fn map(
     workspace: &mut Workspace,
-    options: &MapOptions,
+    map_options: &MapOptions,
     redo: Option<Stage>,
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Map;
-    let MapOptions { mapper: mut options, refine, baseline_m, ref input_model } = *options;
-    let input_model = input_model.as_ref().map(InputModel::open).transpose()?;
+    let &MapOptions { mapper: mut options, refine, baseline_m, refine_extrinsics, .. } =
+        map_options;
+    let rig_calibration = map_options.rig_calibration.as_deref();
+    let input_model = map_options.input_model.as_ref().map(InputModel::open).transpose()?;
     if let Some(refine) = refine {
         options.refine = refine;
     } else if workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_some() {
@@ -69,6 +78,7 @@ pub fn map(
     }
     let mut texts = option_keys::of_mapping(&options, baseline_m);
     let has_known = input_model.is_some()
+        || rig_calibration.is_some()
         || [option_keys::INTRINSICS, CameraFacts::CALIBRATED]
             .iter()
             .any(|option| workspace.records.option(Stage::Features, option).is_some());
@@ -78,6 +88,8 @@ pub fn map(
         options = model.options(options)?;
         workspace.folder.protect(model.files());
     }
+    let hash = rig_calibration.map(fingerprint::of_text).transpose()?;
+    texts.extend(option_keys::of_rig_calibration(hash, refine_extrinsics));
     let recipe = Recipe::new(workspace.fingerprint(Stage::Match)?, texts);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
@@ -92,6 +104,11 @@ pub fn map(
         take(&mut scene, model, watch)?;
     }
     let graph = load_graph(workspace, &scene)?;
+    let takes_intrinsics =
+        workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_none();
+    let known_rigs = rig_calibration
+        .map(|path| known_rigs(path, &mut scene, takes_intrinsics, refine_extrinsics))
+        .transpose()?;
     if refine.is_some() {
         scene.calibrated.clear();
     }
@@ -103,6 +120,7 @@ pub fn map(
     }
     match options.rig {
         RigTerm::Off | RigTerm::Auto => {}
+        _ if known_rigs.is_some() => {}
         term => require_synchronous_images(workspace, &scene, term)?,
     }
     if options.readout.is_some() && !is_timed(&scene) {
@@ -129,9 +147,12 @@ pub fn map(
     let mut notified = |event: &sfm::Event| {
         translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
     };
-    let mut models = match &input_model {
-        None => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
-        Some(model) => {
+    let mut models = match (&input_model, &known_rigs) {
+        (None, None) => sfm::map(&graph, &scene, &mut descriptors, &options, &mut notified)?,
+        (None, Some(rigs)) => {
+            sfm::map_with_rigs(&graph, &scene, rigs, &mut descriptors, &options, &mut notified)?
+        }
+        (Some(model), _) => {
             let has_constant_poses = model.fix_existing_frames;
             let existing = Existing { model: &scene, has_constant_poses };
             sfm::extend(&graph, &existing, &mut descriptors, &options, &mut notified)
@@ -160,13 +181,14 @@ pub fn map(
     };
     let staged = stage_models(workspace, &models)?;
     let reports = models.iter().zip(scales).enumerate();
+    let is_known = known_rigs.is_some();
     let reports = reports.map(|(index, (model, scale))| {
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
             failed: model.failures.iter().map(describe_failure).collect(),
-            rig: RigReport::new(options.rig, model, metres_per_unit),
+            rig: RigReport::new(options.rig, is_known, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });

@@ -49,6 +49,10 @@ pub(crate) const FOUND_PAIRS: &str = "found.pairs";
 /// Key of the pairs to match, and its value for those of a database of another program.
 pub(crate) const PAIRS: &str = "match.pairs";
 pub(crate) const PAIRS_OF_DATABASE: &str = "database";
+/// Key of the file of known rigs.
+const RIG_CALIBRATION_KEY: &str = "mapper.rig_calibration";
+/// Key that tells whether known extrinsics are refined.
+const REFINE_EXTRINSICS_KEY: &str = "mapper.refine.extrinsics";
 
 /// Key of the photos that share a camera.
 const CAMERAS_KEY: &str = "features.cameras";
@@ -76,11 +80,13 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
 }
 
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 24] = [
+const ON_COMMAND_LINE: [(&str, &str); 26] = [
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
     (CALIBRATION_KEY, "--calibration"),
     (REFINE_KNOWN_KEY, "--refine"),
+    (REFINE_EXTRINSICS_KEY, "--refine extrinsics"),
+    (RIG_CALIBRATION_KEY, "--rig-calibration"),
     ("mapper.refine.aspect", "--refine aspect"),
     ("mapper.refine.distortion", "--refine distortion"),
     ("mapper.refine.focal", "--refine focal"),
@@ -197,6 +203,14 @@ pub(crate) fn of_calibration_files(files: &[String]) -> (&'static str, String) {
 /// Whether known intrinsics are refined, an option of the map stage.
 pub(crate) fn of_known_intrinsics(refine: bool) -> (&'static str, String) {
     (REFINE_KNOWN_KEY, or_none(refine.then_some(true)))
+}
+
+/// Known rigs by the hash of their file, and whether they are refined: options of the map stage.
+pub(crate) fn of_rig_calibration(hash: Option<String>, is_refined: bool) -> Texts {
+    vec![
+        (RIG_CALIBRATION_KEY, or_none(hash)),
+        (REFINE_EXTRINSICS_KEY, or_none(is_refined.then_some(true))),
+    ]
 }
 
 /// Options of the match stage.
@@ -559,6 +573,7 @@ mod tests {
             ))
             .chain([of_pixel_limit(DEFAULT_MAX_PIXELS), of_cameras(CameraGrouping::Auto)])
             .chain([of_calibration_files(&[]), of_known_intrinsics(false)])
+            .chain(of_rig_calibration(None, false))
             .chain(of_mapping(&mapper, None))
             .chain(of_input_model("", false))
             .chain(of_database("", false))

@@ -15,7 +15,7 @@ use crate::rig_file::RigFile;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(expecting = "an object")]
 pub struct RigReport {
-    /// The value of `--rig`: off, paper, soft, hard or auto.
+    /// The value of `--rig`: off, paper, soft, hard or auto; known with `--rig-calibration`.
     pub mode: String,
     /// Relative-pose statistics of the first camera with each other one.
     pub cameras: Vec<RigCameraReport>,
@@ -116,7 +116,13 @@ pub struct PaperReport {
 impl RigReport {
     /// The report on the rig of a model; `None` for a single camera. `metres_per_unit` is the
     /// length of the unit that the model had while mapping; 1 if the model was not scaled.
-    pub(crate) fn new(term: RigTerm, mapped: &MappedModel, metres_per_unit: f64) -> Option<Self> {
+    /// `is_known`: the extrinsics come from a file, and `term` has no effect.
+    pub(crate) fn new(
+        term: RigTerm,
+        is_known: bool,
+        mapped: &MappedModel,
+        metres_per_unit: f64,
+    ) -> Option<Self> {
         let MappedModel { reconstruction: model, initial_pair, rig, .. } = mapped;
         let rigs = rig_pairs(model);
         let series: Vec<(&RigPairs, Vec<(RigPair, RelativePose)>)> =
@@ -134,6 +140,7 @@ impl RigReport {
                 .filter_map(|(rig, poses)| uncalibrated_camera(model, rig, poses)),
         );
         let mode = match term {
+            _ if is_known => "known",
             RigTerm::Off => "off",
             RigTerm::Paper => "paper",
             RigTerm::Soft => "soft",
@@ -141,7 +148,7 @@ impl RigReport {
             RigTerm::Auto => "auto",
         };
         let paper = match term {
-            RigTerm::Paper => initial_pair
+            RigTerm::Paper if !is_known => initial_pair
                 .and_then(|pair| paper_report(model, &series, &cameras, pair, metres_per_unit)),
             _ => None,
         };

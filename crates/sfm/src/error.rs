@@ -72,6 +72,12 @@ pub enum Error {
         /// Registered images after the correction.
         after: usize,
     },
+    /// The known extrinsics of a rig have no use.
+    #[error(
+        "no frame has two images whose relative pose agrees with the known extrinsics to 20 \
+        degrees, so that images were registered one by one"
+    )]
+    NoKnownFrame,
     /// Closing a loop removed more matches elsewhere than it added.
     #[error(
         "a loop of {pairs} pairs of images was not closed: their matches contradict the others'"

@@ -4,6 +4,7 @@ mod adjust;
 mod error;
 mod event;
 mod image_grid;
+mod known_rigs;
 mod loop_closure;
 mod mapped_model;
 mod mapper;
@@ -23,8 +24,9 @@ pub use adjust::{
 };
 pub use error::Error;
 pub use event::{Event, Failure, OptionalStage};
+pub use known_rigs::{KnownFrame, KnownRigs};
 pub use mapped_model::MappedModel;
-pub use mapper::{Existing, extend, map};
+pub use mapper::{Existing, extend, map, map_with_rigs};
 pub use model_tools::{
     BoundingBox, MergeOutcome, ModelAlignment, Transferred, align_models, crop, merge_model,
     transfer_model,
@@ -35,8 +37,8 @@ pub use register::{Localization, QueryCamera, RegisterOptions, localize_image, r
 pub use rigs::{
     BaselineLink, BaselineTerm, CalibratedCamera, CalibratedRig, ClockState, Descriptors,
     ExtrinsicsCovariance, ReferencePose, ReferencedImage, RigConstraint, RigPair, RigPairs,
-    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, growing_links,
-    relative_poses, rig_candidates, rig_pairs, sensor_pairs,
+    RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, frames_by_time,
+    growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
 pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
 pub use tiepoint_ba as ba;

@@ -165,10 +165,18 @@ pub(super) fn readout(text: &str) -> Result<Readout, String> {
     })
 }
 
-pub(super) fn refine(text: &str) -> Result<RefineIntrinsics, String> {
-    let mut refine = RefineIntrinsics::NONE;
+/// What bundle adjustment refines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Refine {
+    pub(crate) intrinsics: RefineIntrinsics,
+    /// The extrinsics of known rigs.
+    pub(crate) extrinsics: bool,
+}
+
+pub(super) fn refine(text: &str) -> Result<Refine, String> {
+    let (mut refine, mut extrinsics) = (RefineIntrinsics::NONE, false);
     if text == "none" {
-        return Ok(refine);
+        return Ok(Refine { intrinsics: refine, extrinsics });
     }
     for word in text.split(',') {
         let part = match word.trim() {
@@ -177,10 +185,11 @@ pub(super) fn refine(text: &str) -> Result<RefineIntrinsics, String> {
             "principal-point" => &mut refine.principal_point,
             "distortion" => &mut refine.distortion,
             "prism" => &mut refine.prism,
+            "extrinsics" => &mut extrinsics,
             other => {
                 return Err(format!(
-                    "'{other}' is no part of the intrinsics: expected none, or a list of focal, \
-                    aspect, principal-point, distortion and prism"
+                    "'{other}' is no part of the calibration: expected none, or a list of focal, \
+                    aspect, principal-point, distortion, prism and extrinsics"
                 ));
             }
         };
@@ -190,7 +199,7 @@ pub(super) fn refine(text: &str) -> Result<RefineIntrinsics, String> {
     if refine.aspect && !refine.focal || refine.prism && !refine.distortion {
         return Err("aspect is refined with focal, and prism with distortion: name both".to_owned());
     }
-    Ok(refine)
+    Ok(Refine { intrinsics: refine, extrinsics })
 }
 
 pub(super) fn alignment(name: &str) -> Result<Alignment, String> {

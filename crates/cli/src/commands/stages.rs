@@ -29,7 +29,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         masks: args.input.masks.clone(),
         every: args.input.every,
         matching: match_options(&args.pairs, &args.seed),
-        mapping: map_options(&args.mapping, &args.seed),
+        mapping: map_options(&args.mapping, &args.seed)?,
         redo: args.redo,
     };
     let mut progress = Progress::new(output);
@@ -76,9 +76,8 @@ pub(crate) fn map(args: &Map, output: &Output) -> Result<(), Failure> {
     let redo = check_redo(args.redo, Stage::Map)?;
     let mut workspace = Workspace::open(&args.workspace)?;
     let mut progress = Progress::new(output);
-    map_workspace(&mut workspace, &map_options(&args.mapping, &args.seed), redo, &mut |event| {
-        progress.watch(event)
-    })?;
+    let options = map_options(&args.mapping, &args.seed)?;
+    map_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;
     drop(progress);
     print_report(&workspace, output)
 }
@@ -127,19 +126,27 @@ fn match_options(pairs: &Pairs, seed: &Seed) -> MatchOptions {
     MatchOptions { pairs: pairs.pairs, seed: seed.seed, ..MatchOptions::default() }
 }
 
-fn map_options(mapping: &Mapping, seed: &Seed) -> MapOptions {
-    MapOptions {
+fn map_options(mapping: &Mapping, seed: &Seed) -> Result<MapOptions, Failure> {
+    let refine_extrinsics = mapping.refine.is_some_and(|refine| refine.extrinsics);
+    if refine_extrinsics && mapping.rig_calibration.is_none() {
+        return Err(Failure::Usage(
+            "--refine extrinsics refines those of --rig-calibration: give both".to_owned(),
+        ));
+    }
+    Ok(MapOptions {
         mapper: MapperOptions {
             rig: mapping.rig,
             readout: mapping.rolling_shutter,
             seed: seed.seed,
             ..MapperOptions::default()
         },
-        refine: mapping.refine,
+        refine: mapping.refine.map(|refine| refine.intrinsics),
         baseline_m: mapping.baseline.map(|Metres(baseline_m)| baseline_m),
         input_model: mapping
             .input_model
             .clone()
             .map(|path| InputModel { path, fix_existing_frames: mapping.fix_existing_frames }),
-    }
+        rig_calibration: mapping.rig_calibration.clone(),
+        refine_extrinsics,
+    })
 }

@@ -18,6 +18,7 @@ mod own_files;
 mod photos;
 mod records;
 mod results;
+mod rig_calibration;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;
 mod video;

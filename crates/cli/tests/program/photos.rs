@@ -31,7 +31,12 @@ pub(crate) fn cam_from_world(index: usize) -> Rigid3 {
 
 /// The image of camera `index`; `room` is the seed of the texture.
 pub(crate) fn photo(index: usize, room: u64) -> GrayImage {
-    let world_from_cam = cam_from_world(index).inverse();
+    photo_from(&cam_from_world(index), room)
+}
+
+/// The image of a camera with this pose.
+pub(crate) fn photo_from(cam_from_world: &Rigid3, room: u64) -> GrayImage {
+    let world_from_cam = cam_from_world.inverse();
     GrayImage::from_fn(WIDTH, HEIGHT, |x, y| {
         let pixel = [
             f64::from(x) + 0.5 - f64::from(WIDTH) / 2.0,

@@ -25,6 +25,7 @@ impl CameraModel for SimpleFisheye {
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy"];
     const FOCAL: &'static [usize] = &[0];
     const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
+    const IS_FISHEYE: bool = true;
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         Fisheye::project(&as_fisheye(params), point_in_cam)
@@ -52,6 +53,7 @@ impl CameraModel for Fisheye {
     const PARAM_NAMES: &'static [&'static str] = &["fx", "fy", "cx", "cy"];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: &'static [usize] = &[2, 3];
+    const IS_FISHEYE: bool = true;
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         let w = point_in_cam.xy() * angle_over_radius(point_in_cam)?;

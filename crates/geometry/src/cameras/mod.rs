@@ -82,6 +82,10 @@ macro_rules! camera_models {
             pub fn metadata_indices(self) -> &'static [usize] {
                 match self { $(Self::$model => <$model as CameraModel>::METADATA),* }
             }
+            /// Whether the model is a fisheye: see [`CameraModel::IS_FISHEYE`].
+            pub fn is_fisheye(self) -> bool {
+                match self { $(Self::$model => <$model as CameraModel>::IS_FISHEYE),* }
+            }
             /// Initial distortion where it is not zero: see [`CameraModel::INITIAL_DISTORTION`].
             pub fn initial_distortion(self) -> &'static [(usize, f64)] {
                 match self { $(Self::$model => <$model as CameraModel>::INITIAL_DISTORTION),* }

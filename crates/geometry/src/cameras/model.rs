@@ -36,6 +36,9 @@ pub trait CameraModel: Copy + std::fmt::Debug + Default + Send + Sync + Sized + 
     /// Indices of the parameters that describe the image rather than the lens, such as its width.
     /// They are positive, and bundle adjustment does not refine them.
     const METADATA: &'static [usize] = &[];
+    /// Whether the distance of a pixel from the principal point is proportional to the angle to the
+    /// optical axis in first order, rather than to its tangent.
+    const IS_FISHEYE: bool = false;
     /// Indices and values of the distortion parameters that an uncalibrated camera starts from,
     /// where they are not zero.
     const INITIAL_DISTORTION: &'static [(usize, f64)] = &[];

@@ -53,6 +53,7 @@ impl CameraModel for OpencvFisheye {
     const PARAM_NAMES: &'static [&'static str] = &["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: &'static [usize] = &[2, 3];
+    const IS_FISHEYE: bool = true;
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         let (w, _) = equidistant(params, point_in_cam)?;

@@ -83,6 +83,7 @@ impl CameraModel for RadTanThinPrismFisheye {
     ];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: &'static [usize] = &[2, 3];
+    const IS_FISHEYE: bool = true;
     const ROTATION_DEGENERATE: &'static [usize] = &[12, 14];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {

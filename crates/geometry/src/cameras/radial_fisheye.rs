@@ -30,6 +30,7 @@ impl CameraModel for SimpleRadialFisheye {
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy", "k"];
     const FOCAL: &'static [usize] = &[0];
     const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
+    const IS_FISHEYE: bool = true;
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         RadialFisheye::project(&as_radial(params), point_in_cam)
@@ -57,6 +58,7 @@ impl CameraModel for RadialFisheye {
     const PARAM_NAMES: &'static [&'static str] = &["f", "cx", "cy", "k1", "k2"];
     const FOCAL: &'static [usize] = &[0];
     const PRINCIPAL_POINT: &'static [usize] = &[1, 2];
+    const IS_FISHEYE: bool = true;
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {
         OpencvFisheye::project(&as_opencv(params), point_in_cam)

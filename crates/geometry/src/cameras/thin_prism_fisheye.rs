@@ -74,6 +74,7 @@ impl CameraModel for ThinPrismFisheye {
         &["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"];
     const FOCAL: &'static [usize] = &[0, 1];
     const PRINCIPAL_POINT: &'static [usize] = &[2, 3];
+    const IS_FISHEYE: bool = true;
     const ROTATION_DEGENERATE: &'static [usize] = &[10, 11];
 
     fn project(params: &Self::Params, point_in_cam: &Vector3<f64>) -> Option<Vector2<f64>> {

@@ -4,6 +4,7 @@
 mod absolute_pose;
 mod absolute_pose_focal;
 mod fundamental;
+mod generalized_absolute_pose;
 mod homography;
 mod relative_pose;
 mod robust_weights;
@@ -14,6 +15,7 @@ mod triangulation;
 pub use absolute_pose::{absolute_pose, refine_absolute_pose};
 pub use absolute_pose_focal::absolute_pose_focal;
 pub use fundamental::fundamental;
+pub use generalized_absolute_pose::{RigCamera, RigObservation, generalized_absolute_pose};
 pub use homography::homography;
 pub use relative_pose::{essential, relative_pose};
 pub use similarity::similarity;

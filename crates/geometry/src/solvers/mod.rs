@@ -4,6 +4,7 @@
 
 mod essential_5pt;
 mod fundamental_7pt;
+mod gp3p;
 mod homography_4pt;
 mod null_space;
 mod p3p;
@@ -14,6 +15,7 @@ mod umeyama;
 pub use essential_5pt::essential_5pt;
 pub(crate) use fundamental_7pt::normalisation;
 pub use fundamental_7pt::{fundamental_7pt, fundamental_8pt};
+pub use gp3p::gp3p;
 pub use homography_4pt::{homography_4pt, homography_dlt};
 pub use p3p::p3p;
 pub use umeyama::umeyama;
@@ -42,6 +44,13 @@ pub const TABLE: &[SolverInfo] = &[
         sample_size: 3,
         max_solutions: 4,
         paper: "Ding et al. 2023",
+    },
+    SolverInfo {
+        name: "gp3p",
+        finds: "pose of a generalised camera from rays and points",
+        sample_size: 3,
+        max_solutions: 8,
+        paper: "Nistér & Stewénius 2007",
     },
     SolverInfo {
         name: "essential_5pt",

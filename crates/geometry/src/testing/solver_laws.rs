@@ -159,6 +159,25 @@ pub fn solver_problem(info: &SolverInfo, rng: &mut Rng) -> Option<SolverProblem>
             };
             SolverProblem::new(move || solvers::p3p(&rays, &points), residual, distance)
         }
+        "gp3p" => {
+            let views = TwoViews::random(3, rng);
+            let (truth, points) = (views.cam2_from_cam1, views.points);
+            let points = [points[0], points[1], points[2]];
+            // Each ray is of a camera of its own, at a distance of up to 1 from the origin.
+            let origins = points.map(|_| direction(rng) * rng.uniform());
+            let ray = |i: usize| (truth * points[i] - origins[i]).normalize();
+            let rays = [ray(0), ray(1), ray(2)];
+            let residual = move |pose: &Rigid3| {
+                let error = |i: usize| (*pose * points[i] - origins[i]).normalize() - rays[i];
+                (0..3).map(|i| error(i).norm()).fold(0.0, f64::max)
+            };
+            let distance = move |pose: &Rigid3| {
+                pose.rotation.angle_to(&truth.rotation)
+                    + (pose.translation - truth.translation).norm()
+            };
+            let solve = move || solvers::gp3p(&origins, &rays, &points);
+            SolverProblem::new(solve, residual, distance)
+        }
         "essential_5pt" => {
             let views = TwoViews::random(5, rng);
             let [rays1, rays2] = views.rays::<5>();

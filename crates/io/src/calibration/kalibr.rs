@@ -9,18 +9,18 @@ use crate::yaml::Node;
 use crate::{Error, Result};
 
 /// Whether a name is that of a camera of a camchain.
-fn is_camera(name: &str) -> bool {
+pub(crate) fn is_camera(name: &str) -> bool {
     let number = name.strip_prefix("cam").unwrap_or("");
     !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 /// Whether a document is a camchain.
-pub(super) fn is_camchain(root: &Node) -> bool {
+pub(crate) fn is_camchain(root: &Node) -> bool {
     root.entries().iter().any(|(name, node)| is_camera(name) && node.get("intrinsics").is_some())
 }
 
 /// The cameras of a camchain.
-pub(super) fn cameras(path: &Path, root: &Node) -> Result<Vec<CameraCalibration>> {
+pub(crate) fn cameras(path: &Path, root: &Node) -> Result<Vec<CameraCalibration>> {
     let cameras = root.entries().iter().filter(|(name, _)| is_camera(name));
     cameras.map(|(name, node)| camera(path, name, node)).collect()
 }

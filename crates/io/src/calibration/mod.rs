@@ -3,7 +3,7 @@
 //! which have it at (0, 0), get half a pixel added to their principal points.
 
 mod camera;
-mod kalibr;
+pub(crate) mod kalibr;
 mod opencv;
 
 use std::fs::File;
@@ -63,7 +63,7 @@ fn is_comment(line: &str) -> bool {
     line.starts_with('#')
 }
 
-fn read_text(path: &Path) -> Result<String> {
+pub(crate) fn read_text(path: &Path) -> Result<String> {
     require_regular_file(path)?;
     let file = File::open(path).map_err(Error::io(path))?;
     let mut bytes = Vec::new();

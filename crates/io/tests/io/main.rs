@@ -17,5 +17,6 @@ mod hostile_numbers;
 mod images;
 mod las;
 mod las_claims;
+mod rig_calibration;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;

@@ -66,6 +66,8 @@ pub struct AdjustOptions<'a> {
     pub gauge: Option<ImagePair>,
     /// Images whose poses are constant, in every scope.
     pub constant_poses: Option<&'a BTreeSet<ImageId>>,
+    /// Whether the extrinsics of the model's rigs are constant. Then they determine the scale.
+    pub has_constant_rigs: bool,
     /// Maximum number of iterations.
     pub max_iterations: usize,
     /// Relative decrease of the cost below which the adjustment ends.
@@ -84,6 +86,7 @@ impl Default for AdjustOptions<'_> {
             focal_priors: &[],
             gauge: None,
             constant_poses: None,
+            has_constant_rigs: false,
             max_iterations: 50,
             function_tolerance: 1e-6,
         }

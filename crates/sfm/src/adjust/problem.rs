@@ -123,6 +123,15 @@ fn fix_problem_gauge(
     let (keys, fixed): (Vec<Key<Rigid3>>, Vec<bool>) =
         of_images.chain(variables.rig_poses.iter().copied()).unzip();
     let index_of = |wanted| variables.poses.iter().position(|(image, _)| *image == wanted);
+    if options.has_constant_rigs && variables.have_baseline() {
+        // The rigs determine the scale.
+        if !fixed.contains(&true)
+            && let Some(first) = keys.first()
+        {
+            variables.problem_mut().fix(*first);
+        }
+        return Ok(());
+    }
     let pair = options.gauge.and_then(|pair| Some([index_of(pair.a)?, index_of(pair.b)?]));
     fix_gauge(variables.problem_mut(), &keys, &fixed, pair)?;
     if let (1, Some((_, composed))) = (keys.len(), variables.composed.first()) {

@@ -26,11 +26,13 @@ pub(super) struct RigidFrames {
     /// Images with composed poses, and their positions in the order of the poses.
     composed: BTreeMap<ImageId, u32>,
     cam_from_rig: BTreeMap<(usize, usize), Key<Rigid3>>,
+    /// Whether all `cam_from_rig` are constant.
+    has_constant_rigs: bool,
     rig_from_world: Vec<Option<Key<Rigid3>>>,
 }
 
 impl RigidFrames {
-    pub(super) fn new(model: &Reconstruction) -> Self {
+    pub(super) fn new(model: &Reconstruction, has_constant_rigs: bool) -> Self {
         let images = model.frames.iter().flat_map(|frame| &frame.images);
         Self {
             rigs: model.rigs.clone(),
@@ -38,6 +40,7 @@ impl RigidFrames {
             cameras: images.map(|image| (*image, model.image(*image).camera)).collect(),
             composed: BTreeMap::new(),
             cam_from_rig: BTreeMap::new(),
+            has_constant_rigs,
             rig_from_world: vec![None; model.frames.len()],
         }
     }
@@ -122,7 +125,7 @@ impl Term for RigidFrames {
     /// Adds `rig_from_world` of each frame without an observed reference image, and `cam_from_rig`
     /// of each other sensor, and composes the poses of the images.
     fn add(&mut self, context: &TermContext, variables: &mut Variables) -> Result<(), Error> {
-        let is_local = matches!(context.scope, Scope::Local(_));
+        let is_constant = self.has_constant_rigs || matches!(context.scope, Scope::Local(_));
         let pose_keys: BTreeMap<ImageId, Key<Rigid3>> = variables.poses().iter().copied().collect();
         let undetermined = self.undetermined(|image| {
             pose_keys.contains_key(&image) || self.composed.contains_key(&image)
@@ -156,7 +159,7 @@ impl Term for RigidFrames {
                 let key =
                     *self.cam_from_rig.entry((frame.rig.index(), sensor)).or_insert_with(|| {
                         let key = variables.problem_mut().add_parameter(pose, Order::Shared);
-                        if is_local || undetermined.contains(&(frame.rig.index(), sensor)) {
+                        if is_constant || undetermined.contains(&(frame.rig.index(), sensor)) {
                             variables.problem_mut().fix(key);
                         }
                         key

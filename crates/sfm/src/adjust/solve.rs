@@ -31,7 +31,8 @@ pub fn adjust(
     terms: &mut [&mut dyn Term],
     watch: &mut dyn FnMut(&IterationRecord) -> ControlFlow<()>,
 ) -> Result<Summary, Error> {
-    let mut frames = (!model.frames.is_empty()).then(|| RigidFrames::new(model));
+    let mut frames =
+        (!model.frames.is_empty()).then(|| RigidFrames::new(model, options.has_constant_rigs));
     let frames_term = frames.as_mut().map(|frames| frames as &mut dyn Term);
     let mut terms: Vec<&mut dyn Term> =
         terms.iter_mut().map(|term| &mut **term as &mut dyn Term).collect();

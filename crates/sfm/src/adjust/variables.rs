@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use tiepoint_ba::{Key, Problem};
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
@@ -61,6 +63,18 @@ impl Variables {
         rig_from_world: Key<Rigid3>,
     ) {
         self.composed.push((image, Composed { cam_from_rig, rig_from_world }));
+    }
+
+    /// Whether a frame has images of cameras with different centres on the rig, so that constant
+    /// extrinsics determine the scale.
+    pub(super) fn have_baseline(&self) -> bool {
+        let mut centres: BTreeMap<Key<Rigid3>, Vector3<f64>> =
+            self.poses.iter().map(|(_, key)| (*key, Vector3::zeros())).collect();
+        self.composed.iter().any(|(_, Composed { cam_from_rig, rig_from_world })| {
+            let centre = self.problem.get(*cam_from_rig).origin_in_a();
+            let other = *centres.entry(*rig_from_world).or_insert(centre);
+            (centre - other).norm() > f64::EPSILON * centre.norm()
+        })
     }
 
     /// Copies the solution to the model.

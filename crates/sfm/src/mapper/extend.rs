@@ -51,12 +51,12 @@ pub fn extend(
     let poses: Vec<(ImageId, Rigid3)> =
         start.registered().map(|(id, _, pose)| (id, *pose)).collect();
     let registered: BTreeSet<ImageId> = poses.iter().map(|(id, _)| *id).collect();
-    let (blank, focal_priors) = prepared(graph, &start, options);
-    for (id, camera) in blank.cameras() {
+    let input = prepared(graph, &start, options);
+    for (id, camera) in input.scene.cameras() {
         *start.camera_mut(id) = *camera;
     }
     let mut mapper = Mapper::new(graph, &start, options);
-    mapper.focal_priors = &focal_priors;
+    mapper.focal_priors = &input.focal_priors;
     mapper.constant_poses = existing.has_constant_poses.then_some(&registered);
     mapper.existing_poses = &poses;
     update_tracks(graph, &mut mapper.solution.model, &options.tracks);
@@ -66,7 +66,7 @@ pub fn extend(
     }
     mapper.grow(watch)?;
     let extended = mapper.run_stages(None, descriptors, watch)?;
-    map_rest(graph, &blank, &focal_priors, vec![extended], descriptors, options, watch)
+    map_rest(graph, &input, vec![extended], descriptors, options, watch)
 }
 
 impl Mapper<'_> {

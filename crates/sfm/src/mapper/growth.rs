@@ -14,6 +14,7 @@ use super::solution::Solution;
 use crate::Error;
 use crate::adjust::{AdjustOptions, RefineIntrinsics, Scope, Term, adjust, keep_going};
 use crate::event::{Event, Watch, notify};
+use crate::known_rigs::{KnownFrames, KnownRigs};
 use crate::noise::relative_noise;
 use crate::options::{MapperOptions, RigTerm};
 use crate::register::NextBestView;
@@ -40,6 +41,8 @@ pub(super) struct Mapper<'a> {
     pub(super) focal_priors: &'a [FocalPrior],
     /// Camera pairs of the paper's rig term.
     pub(super) rig_pairs: &'a [RigPairs],
+    /// Rigs with known extrinsics.
+    pub(super) known_rigs: Option<&'a KnownRigs>,
     /// Images of earlier models.
     pub(super) mapped_images: BTreeSet<ImageId>,
     /// Number of images at which growth stops, in a trial of an initial pair or of focal lengths;
@@ -66,14 +69,23 @@ impl<'a> Mapper<'a> {
             options,
             focal_priors: &[],
             rig_pairs: &[],
+            known_rigs: None,
             mapped_images: BTreeSet::new(),
             max_images: None,
             constant_poses: None,
             existing_poses: &[],
-            next_best_view: NextBestView::new(scene, options.seed),
+            next_best_view: NextBestView::new(scene, KnownFrames::default(), options.seed),
             initial: None,
             solution: Solution::new(scene.clone()),
         }
+    }
+
+    /// Registers frames of these rigs as a whole, without the images of earlier models.
+    pub(super) fn use_rigs(&mut self, rigs: &'a KnownRigs) {
+        let scene = &self.solution.model;
+        let frames = KnownFrames::new(rigs, scene, &self.mapped_images);
+        self.next_best_view = NextBestView::new(scene, frames, self.options.seed);
+        self.known_rigs = Some(rigs);
     }
 
     /// Estimates the noise scale of the keypoints, which later adjustments use.
@@ -83,6 +95,7 @@ impl<'a> Mapper<'a> {
 
     /// Registers all images that can be registered, with local and global adjustments.
     pub(super) fn grow(&mut self, watch: &mut Watch) -> Result<(), Error> {
+        self.start_frames(watch)?;
         let mut images_at_global = self.solution.model.num_registered();
         let mut points_at_global = self.solution.model.num_tracks();
         loop {
@@ -108,25 +121,33 @@ impl<'a> Mapper<'a> {
         }
     }
 
-    /// Triangulates the points of a new image, adjusts it with its neighbours, and reports it.
+    /// Triangulates the points of a new image and of its frame, adjusts it with its neighbours, and
+    /// reports it.
     fn add_image(&mut self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
-        triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
-        self.adjust_locally(image)?;
-        self.report(image, watch)
+        let images = self.next_best_view.frames().registered_with(&self.solution.model, image);
+        for &image in &images {
+            triangulate_image(self.graph, &mut self.solution.model, image, &self.options.tracks);
+        }
+        self.adjust_locally(&images)?;
+        images.iter().try_for_each(|&image| self.report(image, watch))?;
+        self.start_frames(watch)
     }
 
-    /// Returns the unregistered images with a verified pair to a registered image.
+    /// Returns the unregistered images with a verified pair to a registered image; of a frame its
+    /// first image.
     fn frontier(&self) -> Vec<ImageId> {
         let has_pose = |id: &ImageId| self.solution.model.image(*id).cam_from_world().is_some();
         let is_unregistered = |id: &ImageId| !self.mapped_images.contains(id) && !has_pose(id);
         let is_next = |id: &ImageId| self.graph.neighbours(*id).iter().any(has_pose);
-        self.solution
-            .model
-            .images()
-            .map(|(id, _)| id)
-            .filter(is_unregistered)
-            .filter(is_next)
-            .collect()
+        let images = self.solution.model.images().map(|(id, _)| id);
+        let mut images: Vec<ImageId> = images.filter(is_unregistered).filter(is_next).collect();
+        if !self.solution.model.rigs.is_empty() {
+            let frames = self.next_best_view.frames();
+            let first_of = |image: &ImageId| frames.first_of(&self.solution.model, *image);
+            let firsts: BTreeSet<ImageId> = images.iter().map(first_of).collect();
+            images = firsts.into_iter().filter(is_unregistered).collect();
+        }
+        images
     }
 
     /// Registers the next image; `None` if no image can be registered.
@@ -143,27 +164,27 @@ impl<'a> Mapper<'a> {
         )
     }
 
-    /// Adjusts a new image with the images that share most points with it.
-    fn adjust_locally(&mut self, image: ImageId) -> Result<(), Error> {
+    /// Adjusts the new images with the images that share most points with them, and their frames.
+    fn adjust_locally(&mut self, images: &[ImageId]) -> Result<(), Error> {
+        let model = &self.solution.model;
         let mut shared: BTreeMap<ImageId, usize> = BTreeMap::new();
-        for track in self
-            .solution
-            .model
-            .image(image)
-            .points()
-            .iter()
-            .flatten()
-            .filter_map(|p| self.solution.model.track(*p))
-        {
-            for observation in track.observations.iter().filter(|o| o.image != image) {
+        let points = images.iter().flat_map(|image| model.image(*image).points().iter().flatten());
+        for track in points.filter_map(|point| model.track(*point)) {
+            for observation in track.observations.iter().filter(|o| !images.contains(&o.image)) {
                 *shared.entry(observation.image).or_insert(0) += 1;
             }
         }
         let mut neighbours: Vec<(usize, ImageId)> =
             shared.into_iter().map(|(id, count)| (count, id)).collect();
         neighbours.sort_by_key(|(count, id)| (std::cmp::Reverse(*count), *id));
-        let local_images: BTreeSet<ImageId> = std::iter::once(image)
-            .chain(neighbours.into_iter().map(|(_, id)| id).take(self.options.local_images - 1))
+        let neighbours = neighbours.into_iter().map(|(_, id)| id);
+        let frames = self.next_best_view.frames();
+        let local_images: BTreeSet<ImageId> = images
+            .iter()
+            .copied()
+            .chain(neighbours.take(self.options.local_images - 1))
+            .flat_map(|image| frames.registered_with(model, image))
+            .filter(|image| model.image(*image).cam_from_world().is_some())
             .collect();
         let links = growing_links(&self.solution.model, self.rig_pairs);
         let options = self.adjust_options(&RefinementSchedule::LOCAL);
@@ -256,6 +277,7 @@ impl<'a> Mapper<'a> {
             focal_priors: self.focal_priors,
             constant_poses: self.constant_poses,
             gauge: self.initial.filter(|_| self.options.rig == RigTerm::Paper),
+            has_constant_rigs: self.known_rigs.is_some_and(|known| !known.are_refined),
             max_iterations: schedule.max_iterations,
             function_tolerance: schedule.tolerance,
             ..AdjustOptions::default()
@@ -284,7 +306,7 @@ impl<'a> Mapper<'a> {
         Rng::stream(self.options.seed, key).next_u64()
     }
 
-    fn report(&self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
+    pub(super) fn report(&self, image: ImageId, watch: &mut Watch) -> Result<(), Error> {
         let event = Event::Registered {
             image,
             num_registered: self.solution.model.num_registered(),

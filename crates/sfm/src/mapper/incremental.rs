@@ -11,6 +11,7 @@ use super::growth::Mapper;
 use super::solution::Solution;
 use crate::Error;
 use crate::event::{Event, OptionalStage, Watch, notify};
+use crate::known_rigs::KnownRigs;
 use crate::mapped_model::MappedModel;
 use crate::options::{MapperOptions, RigTerm};
 use crate::rigs::{CalibratedRig, Descriptors, merge_by_motion, rig_pairs};
@@ -32,25 +33,63 @@ pub fn map(
     options: &MapperOptions,
     watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
 ) -> Result<Vec<MappedModel>, Error> {
+    map_all(graph, scene, None, descriptors, options, watch)
+}
+
+/// Maps all images as [`map`] does, with rigs whose extrinsics are known, and registers their
+/// frames as a whole. The models have the unit of length of the rigs; [`MapperOptions::rig`] has no
+/// effect. If no frame of a model has two images that agree with the extrinsics, its images are
+/// registered one by one, and [`MappedModel::failures`] says so.
+///
+/// # Errors
+///
+/// As [`map`].
+pub fn map_with_rigs(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    rigs: &KnownRigs,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<Vec<MappedModel>, Error> {
+    let options = &MapperOptions { rig: RigTerm::Off, ..*options };
+    map_all(graph, scene, Some(rigs), descriptors, options, watch)
+}
+
+fn map_all(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    rigs: Option<&KnownRigs>,
+    descriptors: &mut Descriptors,
+    options: &MapperOptions,
+    watch: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+) -> Result<Vec<MappedModel>, Error> {
     let mut options = *options;
     options.tracks.two_view |= graph.num_images() == 2;
     let options = &options;
-    let (scene, focal_priors) = prepared(graph, scene, options);
-    let mut models =
-        map_rest(graph, &scene, &focal_priors, Vec::new(), descriptors, options, watch)?;
+    let input = Prepared { known_rigs: rigs, ..prepared(graph, scene, options) };
+    let mut models = map_rest(graph, &input, Vec::new(), descriptors, options, watch)?;
     models.sort_by_key(|model| std::cmp::Reverse(model.reconstruction.num_registered()));
     if matches!(options.rig, RigTerm::Soft | RigTerm::Hard | RigTerm::Auto) {
-        merge_rig_models(graph, &focal_priors, options, &mut models, descriptors, watch)?;
+        merge_rig_models(graph, &input.focal_priors, options, &mut models, descriptors, watch)?;
     }
     Ok(models)
 }
 
-/// The scene without poses and points, with initial focal lengths, and their priors.
-pub(super) fn prepared(
+/// What the mapper starts from.
+pub(super) struct Prepared<'a> {
+    /// The scene without poses and points, with initial focal lengths.
+    pub(super) scene: Reconstruction,
+    pub(super) focal_priors: Vec<FocalPrior>,
+    pub(super) known_rigs: Option<&'a KnownRigs>,
+}
+
+/// The scene without poses and points, with initial focal lengths and their priors, without rigs.
+pub(super) fn prepared<'a>(
     graph: &CorrespondenceGraph,
     scene: &Reconstruction,
     options: &MapperOptions,
-) -> (Reconstruction, Vec<FocalPrior>) {
+) -> Prepared<'a> {
     let mut scene = scene.clone();
     (scene.rigs, scene.frames) = (Vec::new(), Vec::new());
     let posed: Vec<ImageId> = scene.registered().map(|(id, ..)| id).collect();
@@ -61,21 +100,20 @@ pub(super) fn prepared(
         choose_focal_lengths(graph, &mut scene, options, &found);
     }
     let focal_priors = focal_priors(&scene, &found);
-    (scene, focal_priors)
+    Prepared { scene, focal_priors, known_rigs: None }
 }
 
 /// Maps the images that are in none of `models`, and returns all models, those first.
 pub(super) fn map_rest(
     graph: &CorrespondenceGraph,
-    scene: &Reconstruction,
-    focal_priors: &[FocalPrior],
+    input: &Prepared,
     mut models: Vec<MappedModel>,
     descriptors: &mut Descriptors,
     options: &MapperOptions,
     watch: &mut Watch,
 ) -> Result<Vec<MappedModel>, Error> {
     let pairs_of_rig = match options.rig {
-        RigTerm::Paper => rig_pairs(scene),
+        RigTerm::Paper => rig_pairs(&input.scene),
         _ => Vec::new(),
     };
     let registered = |model: &MappedModel| -> Vec<ImageId> {
@@ -83,10 +121,13 @@ pub(super) fn map_rest(
     };
     let mut mapped_images: BTreeSet<ImageId> = models.iter().flat_map(registered).collect();
     loop {
-        let mut mapper = Mapper::new(graph, scene, options);
-        mapper.focal_priors = focal_priors;
+        let mut mapper = Mapper::new(graph, &input.scene, options);
+        mapper.focal_priors = &input.focal_priors;
         mapper.rig_pairs = &pairs_of_rig;
         mapper.mapped_images = mapped_images.clone();
+        if let Some(rigs) = input.known_rigs {
+            mapper.use_rigs(rigs);
+        }
         let mapped = match mapper.run(descriptors, watch) {
             Ok(mapped) => mapped,
             Err(error) if models.is_empty() || matches!(error, Error::Cancelled) => {

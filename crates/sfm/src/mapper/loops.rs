@@ -69,7 +69,10 @@ impl Mapper<'_> {
         loop_constraints: &[LoopConstraint],
         watch: &mut Watch,
     ) -> Result<(), Error> {
+        // The images are moved one by one.
+        let frames = std::mem::take(&mut self.solution.model.frames);
         distribute_drift(&mut self.solution.model, covisibility, loop_constraints)?;
+        self.restore_frames(frames);
         merge_matched_points(
             self.graph,
             &mut self.solution.model,

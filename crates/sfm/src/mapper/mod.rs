@@ -4,6 +4,7 @@ mod extend;
 mod focal_trials;
 mod growth;
 mod incremental;
+mod known_rigs;
 mod loops;
 mod refinement_schedule;
 mod solution;
@@ -15,4 +16,4 @@ mod test_scene;
 mod transaction;
 
 pub use extend::{Existing, extend};
-pub use incremental::map;
+pub use incremental::{map, map_with_rigs};

@@ -140,6 +140,7 @@ impl Mapper<'_> {
                 Ok(())
             }
             Stage::Rig => match self.options.rig {
+                _ if self.known_rigs.is_some() => self.finish_known_rigs(),
                 RigTerm::Off => Ok(()),
                 RigTerm::Paper => {
                     let links = final_links(&self.solution.model, self.rig_pairs);

@@ -7,9 +7,14 @@
 
 use std::collections::BTreeSet;
 
+use tiepoint_geometry::estimate::{RigCamera, RigObservation};
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{RansacOptions, Rigid3, estimate};
-use tiepoint_scene::{Camera, CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
+use tiepoint_geometry::{RansacOptions, Report, Rigid3, estimate};
+use tiepoint_scene::{
+    Camera, CorrespondenceGraph, Frame, ImageId, Observation, PointId, Reconstruction,
+};
+
+use crate::known_rigs::KnownFrame;
 
 /// A second pose is considered if it has at least this fraction of the first pose's inliers. It is
 /// selected if its recall is larger by the factor `MIN_ADVANTAGE`, or larger at all if only the
@@ -48,17 +53,98 @@ pub fn register_image(
     options: &RegisterOptions,
     seed: u64,
 ) -> Option<usize> {
-    let placement = estimate_placement(graph, model, image, options, seed, &|_| true)?;
+    let placement =
+        estimate_placement(graph, model, &View::Image(image), options, seed, &|_| true)?;
     placement.apply(model);
     Some(placement.inliers.len())
 }
 
-/// An estimated pose of an image.
+/// What is registered at once.
+pub(crate) enum View<'a> {
+    /// An image.
+    Image(ImageId),
+    /// The images of a frame of a rig of the model.
+    Frame(&'a KnownFrame),
+}
+
+impl View<'_> {
+    /// The images.
+    fn images(&self) -> &[ImageId] {
+        match self {
+            Self::Image(image) => std::slice::from_ref(image),
+            Self::Frame(frame) => &frame.images,
+        }
+    }
+
+    /// The pose of an image: `cam_from_world`, from that of the image or that of the rig.
+    fn cam_from_world(
+        &self,
+        model: &Reconstruction,
+        image: ImageId,
+        pose: &Rigid3,
+    ) -> Option<Rigid3> {
+        match self {
+            Self::Image(_) => Some(*pose),
+            Self::Frame(frame) => {
+                let rig = model.rigs.get(frame.rig.index())?;
+                Some(rig.cam_from_rig(model.image(image).camera)? * *pose)
+            }
+        }
+    }
+
+    /// Estimates the pose from keypoints and their points.
+    fn estimate(
+        &self,
+        model: &Reconstruction,
+        candidates: &[(Observation, PointId)],
+        ransac: &RansacOptions,
+    ) -> Option<Report<Rigid3>> {
+        let pixel = |observation: &Observation| {
+            model.image(observation.image).keypoints[observation.keypoint as usize].pixel
+        };
+        let xyz = |point: PointId| model.track(point).map(|track| track.xyz);
+        match self {
+            Self::Image(image) => {
+                let pixels: Vec<Vector2<f64>> =
+                    candidates.iter().map(|(observation, _)| pixel(observation)).collect();
+                let points: Vec<Vector3<f64>> =
+                    candidates.iter().filter_map(|(_, point)| xyz(*point)).collect();
+                let camera = model.camera_of(*image);
+                estimate::absolute_pose(&pixels, &points, &camera.intrinsics, ransac)
+            }
+            Self::Frame(frame) => {
+                let rig = model.rigs.get(frame.rig.index())?;
+                let of_image = |image: &ImageId| {
+                    let camera = model.image(*image).camera;
+                    Some(RigCamera {
+                        intrinsics: model.camera(camera).intrinsics,
+                        cam_from_rig: rig.cam_from_rig(camera)?,
+                    })
+                };
+                let cameras: Option<Vec<RigCamera>> = frame.images.iter().map(of_image).collect();
+                let observation = |(observation, point): &(Observation, PointId)| {
+                    Some(RigObservation {
+                        camera: frame.images.iter().position(|i| *i == observation.image)?,
+                        pixel: pixel(observation),
+                        point_in_world: xyz(*point)?,
+                    })
+                };
+                let observations: Option<Vec<RigObservation>> =
+                    candidates.iter().map(observation).collect();
+                estimate::generalized_absolute_pose(&cameras?, &observations?, ransac)
+            }
+        }
+    }
+}
+
+/// An estimated pose of an image, or of the images of a frame.
 pub(crate) struct Placement {
-    pub(crate) image: ImageId,
-    pub(super) cam_from_world: Rigid3,
+    /// The images with their poses; the first stands for all in the selection.
+    pub(super) poses: Vec<(ImageId, Rigid3)>,
+    /// The frame that the model gets.
+    frame: Option<Frame>,
     /// Inliers: keypoints and their points.
-    pub(super) inliers: Vec<(u32, PointId)>,
+    pub(super) inliers: Vec<(Observation, PointId)>,
     /// Number of expected points that the inliers contain.
     num_found: usize,
     /// Visible-point recall: `num_found` relative to the number of expected points.
@@ -68,64 +154,78 @@ pub(crate) struct Placement {
 }
 
 impl Placement {
+    /// The image that stands for all in the selection.
+    pub(crate) fn image(&self) -> ImageId {
+        self.poses[0].0
+    }
+
     pub(crate) fn apply(&self, model: &mut Reconstruction) {
-        model.register(self.image, self.cam_from_world);
-        for &(keypoint, point) in &self.inliers {
-            model.add_observation(point, Observation { image: self.image, keypoint });
+        for &(image, cam_from_world) in &self.poses {
+            model.register(image, cam_from_world);
+        }
+        model.frames.extend(self.frame.clone());
+        for &(observation, point) in &self.inliers {
+            model.add_observation(point, observation);
         }
     }
 }
 
-/// Estimates the pose of an image; `None` with too few inliers. A pose that `is_plausible` rejects
-/// is returned only if no other is found.
+/// Estimates the pose of an image or of a frame; `None` with too few inliers. A pose whose first
+/// image `is_plausible` rejects is returned only if no other is found.
 pub(crate) fn estimate_placement(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
-    image: ImageId,
+    view: &View,
     options: &RegisterOptions,
     seed: u64,
     is_plausible: &dyn Fn(&Rigid3) -> bool,
 ) -> Option<Placement> {
-    let candidates = candidates(graph, model, image);
-    let neighbours = graph.neighbours(image).iter();
-    let mut visible_to_neighbours: Vec<PointId> =
-        neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
-    visible_to_neighbours.sort_unstable();
-    visible_to_neighbours.dedup();
+    let images = view.images();
+    let candidates: Vec<(Observation, PointId)> =
+        images.iter().flat_map(|image| candidates(graph, model, *image)).collect();
+    let visible_to_neighbours: Vec<Vec<PointId>> =
+        images.iter().map(|image| visible_to_neighbours(graph, model, *image)).collect();
     let ransac =
         RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
-    let camera = model.camera_of(image);
-    let estimate_from = |candidates: &[(u32, PointId)], min_inliers: usize| {
+    let estimate_from = |candidates: &[(Observation, PointId)], min_inliers: usize| {
         if candidates.len() < min_inliers {
             return None;
         }
-        let pixels: Vec<Vector2<f64>> = candidates
+        let report = view.estimate(model, candidates, &ransac)?;
+        let poses: Option<Vec<(ImageId, Rigid3)>> = images
             .iter()
-            .map(|(keypoint, _)| model.image(image).keypoints[*keypoint as usize].pixel)
+            .map(|image| Some((*image, view.cam_from_world(model, *image, &report.model)?)))
             .collect();
-        let points: Vec<Vector3<f64>> = candidates
-            .iter()
-            .filter_map(|(_, point)| model.track(*point))
-            .map(|track| track.xyz)
-            .collect();
-        let report = estimate::absolute_pose(&pixels, &points, &camera.intrinsics, &ransac)?;
+        let poses = poses?;
         let inliers = candidates.iter().zip(&report.inliers).filter(|(_, inlier)| **inlier);
-        let inliers: Vec<(u32, PointId)> = inliers.map(|(candidate, _)| *candidate).collect();
-        let found_points: BTreeSet<PointId> = inliers.iter().map(|(_, point)| *point).collect();
-        let expected: Vec<&PointId> = visible_to_neighbours
-            .iter()
-            .filter(|point| is_expected(model, camera, &report.model, **point))
-            .collect();
-        let num_found = expected.iter().filter(|point| found_points.contains(point)).count();
+        let inliers: Vec<(Observation, PointId)> = inliers.map(|(one, _)| *one).collect();
+        let found_points: BTreeSet<(ImageId, PointId)> =
+            inliers.iter().map(|(observation, point)| (observation.image, *point)).collect();
+        let (mut num_expected, mut num_found) = (0, 0);
+        for ((image, pose), visible) in poses.iter().zip(&visible_to_neighbours) {
+            let camera = model.camera_of(*image);
+            for point in visible.iter().filter(|point| is_expected(model, camera, pose, **point)) {
+                num_expected += 1;
+                num_found += usize::from(found_points.contains(&(*image, *point)));
+            }
+        }
         // With few expected points the recall is not informative.
-        let is_informative = expected.len() >= options.min_num_inliers.max(1);
+        let is_informative = num_expected >= options.min_num_inliers.max(1);
+        let is_plausible = poses.first().is_some_and(|(_, pose)| is_plausible(pose));
         let placement = Placement {
-            image,
-            cam_from_world: report.model,
+            poses,
+            frame: match view {
+                View::Image(_) => None,
+                View::Frame(frame) => Some(Frame {
+                    rig: frame.rig,
+                    rig_from_world: report.model,
+                    images: frame.images.clone(),
+                }),
+            },
             inliers,
             num_found,
-            recall: if is_informative { num_found as f64 / expected.len() as f64 } else { 1.0 },
-            is_plausible: is_plausible(&report.model),
+            recall: if is_informative { num_found as f64 / num_expected as f64 } else { 1.0 },
+            is_plausible,
         };
         (placement.inliers.len() >= min_inliers).then_some(placement)
     };
@@ -134,8 +234,8 @@ pub(crate) fn estimate_placement(
         return None;
     }
     // The outliers of the best pose may support another pose.
-    let is_seen: BTreeSet<&(u32, PointId)> = best.inliers.iter().collect();
-    let others: Vec<(u32, PointId)> =
+    let is_seen: BTreeSet<&(Observation, PointId)> = best.inliers.iter().collect();
+    let others: Vec<(Observation, PointId)> =
         candidates.iter().filter(|candidate| !is_seen.contains(candidate)).copied().collect();
     // Against an implausible pose, the second pose only needs the usual fraction of inliers.
     let min_inliers = if best.is_plausible {
@@ -179,21 +279,36 @@ fn is_expected(
     is_inside && track.observations.iter().any(is_similar_view)
 }
 
+/// The points that the neighbours of an image in the graph observe, in order of their ids.
+fn visible_to_neighbours(
+    graph: &CorrespondenceGraph,
+    model: &Reconstruction,
+    image: ImageId,
+) -> Vec<PointId> {
+    let neighbours = graph.neighbours(image).iter();
+    let mut points: Vec<PointId> =
+        neighbours.flat_map(|&other| model.image(other).points()).flatten().copied().collect();
+    points.sort_unstable();
+    points.dedup();
+    points
+}
+
 /// Returns keypoints with the points of their correspondences. A keypoint may have several points.
 pub(super) fn candidates(
     graph: &CorrespondenceGraph,
     model: &Reconstruction,
     image: ImageId,
-) -> Vec<(u32, PointId)> {
+) -> Vec<(Observation, PointId)> {
     let mut candidates = Vec::new();
     for keypoint in 0..model.image(image).keypoints.len() as u32 {
+        let observation = Observation { image, keypoint };
         let points: BTreeSet<PointId> = graph
-            .correspondences(Observation { image, keypoint })
+            .correspondences(observation)
             .iter()
             .filter_map(|t| model.image(t.image).point_of(t.keypoint))
             .filter(|point| model.track(*point).is_some())
             .collect();
-        candidates.extend(points.into_iter().map(|point| (keypoint, point)));
+        candidates.extend(points.into_iter().map(|point| (observation, point)));
     }
     candidates
 }

@@ -2,9 +2,9 @@
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_geometry::{Intrinsics, Loss, RansacOptions, Rigid3, estimate};
-use tiepoint_scene::{CorrespondenceGraph, ImageId, PointId, Reconstruction};
+use tiepoint_scene::{CorrespondenceGraph, ImageId, Observation, PointId, Reconstruction};
 
-use super::absolute_pose::{RegisterOptions, candidates, estimate_placement};
+use super::absolute_pose::{RegisterOptions, View, candidates, estimate_placement};
 
 /// Scale of the Cauchy loss of the refinement, in pixels: 95 % efficiency for keypoints with a
 /// standard deviation of a pixel (Holland and Welsch 1977).
@@ -57,11 +57,12 @@ pub fn localize_image(
         let intrinsics = if camera.is_focal_known {
             Some(camera.intrinsics)
         } else {
-            with_estimated_focal(model, image, &found, &camera.intrinsics, options, seed)
+            with_estimated_focal(model, &found, &camera.intrinsics, options, seed)
         };
         let Some(intrinsics) = intrinsics else { continue };
         model.camera_mut(own).intrinsics = intrinsics;
-        let placement = estimate_placement(graph, model, image, options, seed, &|_| true);
+        let placement =
+            estimate_placement(graph, model, &View::Image(image), options, seed, &|_| true);
         let Some(placement) = placement else { continue };
         let count = placement.inliers.len();
         if best.is_none_or(|(most, _)| count > most) {
@@ -71,12 +72,12 @@ pub fn localize_image(
     }
     let (camera, intrinsics, placement) = placements.swap_remove(best?.1);
     model.camera_mut(own).intrinsics = intrinsics;
-    let (pixels, points) = pixels_and_points(model, image, &placement.inliers);
+    let (pixels, points) = pixels_and_points(model, &placement.inliers);
     let cam_from_world = estimate::refine_absolute_pose(
         &pixels,
         &points,
         &intrinsics,
-        &placement.cam_from_world,
+        &placement.poses[0].1,
         Loss::Cauchy(LOSS_SCALE_PX),
     );
     let error_px2 = |index: usize| {
@@ -90,7 +91,7 @@ pub fn localize_image(
     let mut seen = std::collections::BTreeSet::new();
     let mut used = std::collections::BTreeSet::new();
     for index in order {
-        let (keypoint, point) = placement.inliers[index];
+        let (Observation { keypoint, .. }, point) = placement.inliers[index];
         let fits = error_px2(index) <= max_error_px * max_error_px;
         if fits && !used.contains(&keypoint) && seen.insert(point) {
             used.insert(keypoint);
@@ -105,8 +106,7 @@ pub fn localize_image(
 /// The intrinsics with the focal length that fits the points best.
 fn with_estimated_focal(
     model: &Reconstruction,
-    image: ImageId,
-    candidates: &[(u32, PointId)],
+    candidates: &[(Observation, PointId)],
     intrinsics: &Intrinsics,
     options: &RegisterOptions,
     seed: u64,
@@ -114,7 +114,7 @@ fn with_estimated_focal(
     if candidates.len() < options.min_num_inliers {
         return None;
     }
-    let (pixels, points) = pixels_and_points(model, image, candidates);
+    let (pixels, points) = pixels_and_points(model, candidates);
     let ransac =
         RansacOptions { max_error: options.max_error_px, seed, ..RansacOptions::default() };
     let report = estimate::absolute_pose_focal(&pixels, &points, intrinsics, &ransac)?;
@@ -124,12 +124,10 @@ fn with_estimated_focal(
 /// The pixels of keypoints and the positions of their points.
 fn pixels_and_points(
     model: &Reconstruction,
-    image: ImageId,
-    observations: &[(u32, PointId)],
+    observations: &[(Observation, PointId)],
 ) -> (Vec<Vector2<f64>>, Vec<Vector3<f64>>) {
-    let keypoints = &model.image(image).keypoints;
-    let found = observations.iter().filter_map(|&(keypoint, point)| {
-        Some((keypoints[keypoint as usize].pixel, model.track(point)?.xyz))
+    let found = observations.iter().filter_map(|&(Observation { image, keypoint }, point)| {
+        Some((model.image(image).keypoints[keypoint as usize].pixel, model.track(point)?.xyz))
     });
     found.unzip()
 }

@@ -13,9 +13,10 @@ use tiepoint_geometry::numeric::median;
 use tiepoint_geometry::{Rigid3, Rng};
 use tiepoint_scene::{CorrespondenceGraph, ImageId, Reconstruction};
 
-use super::absolute_pose::{Placement, RegisterOptions, estimate_placement};
+use super::absolute_pose::{Placement, RegisterOptions, View, estimate_placement};
 use super::continuity::Timelines;
 use super::visibility::{Visibility, visibility};
+use crate::known_rigs::KnownFrames;
 
 /// Maximum number of failed registrations of an image between resets, and of registrations of an
 /// image that filtering removed again.
@@ -30,6 +31,9 @@ const MIN_RELATIVE_RECALL: f64 = 0.75;
 pub(crate) struct NextBestView {
     seed: u64,
     timelines: Timelines,
+    /// Frames that are registered as a whole. In all tables the first image of a frame stands for
+    /// it.
+    frames: KnownFrames,
     /// Failed registrations of each image.
     trials: BTreeMap<ImageId, usize>,
     /// Registrations of each image. The limit prevents endless registration and filtering.
@@ -51,10 +55,11 @@ struct DeferredImage {
 }
 
 impl NextBestView {
-    pub(crate) fn new(scene: &Reconstruction, seed: u64) -> Self {
+    pub(crate) fn new(scene: &Reconstruction, frames: KnownFrames, seed: u64) -> Self {
         Self {
             seed,
             timelines: Timelines::new(scene),
+            frames,
             trials: BTreeMap::new(),
             registrations: BTreeMap::new(),
             recalls: BTreeMap::new(),
@@ -67,7 +72,13 @@ impl NextBestView {
         self.trials.clear();
     }
 
-    /// Registers the next of `images`; `None` if none can be registered.
+    /// The frames that are registered as a whole.
+    pub(crate) fn frames(&self) -> &KnownFrames {
+        &self.frames
+    }
+
+    /// Registers the next of `images`, with its frame; `None` if none can be registered. A frame is
+    /// among them by its first image, which is returned.
     pub(crate) fn register_next(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -82,7 +93,7 @@ impl NextBestView {
         let mut candidates: Vec<(Visibility, ImageId)> = images
             .into_par_iter()
             .filter(may_try)
-            .map(|image| (visibility(graph, model, image), image))
+            .map(|image| (self.visibility(graph, model, image), image))
             .filter(|(seen, _)| seen.num_points >= options.min_num_inliers)
             .collect();
         candidates.sort_by_key(|(seen, image)| (std::cmp::Reverse(seen.score), *image));
@@ -98,11 +109,25 @@ impl NextBestView {
                 }
             };
             placement.apply(model);
-            *self.registrations.entry(placement.image).or_insert(0) += 1;
-            self.recalls.insert(placement.image, placement.recall);
-            self.deferred.remove(&placement.image);
-            return Some(placement.image);
+            let image = placement.image();
+            *self.registrations.entry(image).or_insert(0) += 1;
+            self.recalls.insert(image, placement.recall);
+            self.deferred.remove(&image);
+            return Some(image);
         }
+    }
+
+    /// The visibility of an image, or the sum over its frame.
+    fn visibility(
+        &self,
+        graph: &CorrespondenceGraph,
+        model: &Reconstruction,
+        image: ImageId,
+    ) -> Visibility {
+        let images = self.frames.registered_with(model, image).into_iter();
+        images.map(|image| visibility(graph, model, image)).fold(Visibility::default(), |a, b| {
+            Visibility { num_points: a.num_points + b.num_points, score: a.score + b.score }
+        })
     }
 
     /// Returns the placement of the first candidate that is not deferred. If there is none: an
@@ -160,7 +185,7 @@ impl NextBestView {
         Err(failed)
     }
 
-    /// Estimates the pose of an image. A failure counts as a trial.
+    /// Estimates the pose of an image, or of its frame. A failure counts as a trial.
     fn estimate_pose(
         &mut self,
         graph: &CorrespondenceGraph,
@@ -174,7 +199,8 @@ impl NextBestView {
         let is_plausible = |pose: &Rigid3| {
             speed.is_none_or(|speed| !self.timelines.contradicts_motion(model, image, pose, speed))
         };
-        let placement = estimate_placement(graph, model, image, options, seed, &is_plausible);
+        let view = self.frames.frame_of(model, image).map_or(View::Image(image), View::Frame);
+        let placement = estimate_placement(graph, model, &view, options, seed, &is_plausible);
         if placement.is_none() {
             *self.trials.entry(image).or_insert(0) += 1;
         }
@@ -188,10 +214,11 @@ impl NextBestView {
         model: &Reconstruction,
         image: ImageId,
     ) -> f64 {
-        let has_pose = |other: &&ImageId| model.image(**other).cam_from_world().is_some();
-        let neighbours = graph.neighbours(image).iter().filter(has_pose);
-        let mut recalls: Vec<f64> =
-            neighbours.filter_map(|other| self.recalls.get(other)).copied().collect();
+        let images = self.frames.registered_with(model, image);
+        let neighbours = images.iter().flat_map(|image| graph.neighbours(*image));
+        let neighbours = neighbours.filter(|other| model.image(**other).cam_from_world().is_some());
+        let of_frame = |other: &ImageId| self.recalls.get(&self.frames.first_of(model, *other));
+        let mut recalls: Vec<f64> = neighbours.filter_map(of_frame).copied().collect();
         median(&mut recalls).unwrap_or(0.0)
     }
 }

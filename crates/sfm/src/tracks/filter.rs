@@ -1,11 +1,11 @@
 //! Filters: observations with large reprojection errors, points with small triangulation angles,
 //! and images with few points.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_geometry::numeric::median;
-use tiepoint_scene::{ImageId, Observation, PointId, Reconstruction};
+use tiepoint_scene::{Image, ImageId, Observation, PointId, Reconstruction};
 
 /// Thresholds of the filter.
 #[derive(Clone, Copy, Debug)]
@@ -108,7 +108,8 @@ fn has_angle(
         .any(|(n, a)| directions[..n].iter().any(|b| a.dot(b) <= max_cosine))
 }
 
-/// Deregisters images that observe fewer than `min_points` points. Returns them.
+/// Deregisters images that observe fewer than `min_points` points, and frames whose images do so
+/// together. Returns the images.
 pub fn filter_images(model: &mut Reconstruction, min_points: usize) -> Vec<ImageId> {
     filter_images_except(model, min_points, &|_| false)
 }
@@ -119,9 +120,17 @@ pub(crate) fn filter_images_except(
     min_points: usize,
     is_kept: &dyn Fn(ImageId) -> bool,
 ) -> Vec<ImageId> {
+    let mut num_points_of_frame: BTreeMap<ImageId, usize> = BTreeMap::new();
+    for frame in &model.frames {
+        let num_points = frame.images.iter().map(|image| model.image(*image).num_points()).sum();
+        num_points_of_frame.extend(frame.images.iter().map(|image| (*image, num_points)));
+    }
+    let num_points = |id: ImageId, image: &Image| {
+        num_points_of_frame.get(&id).copied().unwrap_or_else(|| image.num_points())
+    };
     let removed: Vec<ImageId> = model
         .registered()
-        .filter(|(id, image, _)| image.num_points() < min_points && !is_kept(*id))
+        .filter(|(id, image, _)| num_points(*id, image) < min_points && !is_kept(*id))
         .map(|(id, ..)| id)
         .collect();
     removed.iter().for_each(|&image| model.deregister(image));
@@ -132,7 +141,7 @@ pub(crate) fn filter_images_except(
 mod tests {
     use tiepoint_geometry::nalgebra::Vector2;
     use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
-    use tiepoint_scene::{Camera, Image, Keypoint, Track};
+    use tiepoint_scene::{Camera, Keypoint, Track};
 
     use super::*;
 

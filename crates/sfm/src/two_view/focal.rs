@@ -20,6 +20,8 @@ use tiepoint_scene::{
 
 /// Range of focal lengths relative to the larger side of the image: fields of view of 130° to 10°.
 const RANGE: (f64, f64) = (0.25, 6.0);
+/// The same for fisheye models: equidistant views of 380° to 38°. The steps are finer, 10 %.
+const FISHEYE_RANGE: (f64, f64) = (0.15, 1.5);
 /// Grid points, 14 % apart.
 const NUM_STEPS: usize = 25;
 /// Iterations of the golden-section search within the best grid cell. An interval of 2 % remains.
@@ -224,9 +226,11 @@ fn best_focal_px(model: &Reconstruction, cameras: &[CameraId], pairs: &[Pair]) -
             .collect();
         costs.into_iter().sum()
     };
-    let ratio = (RANGE.1 / RANGE.0).powf(1.0 / (NUM_STEPS - 1) as f64);
+    let kind = first.intrinsics.kind();
+    let range = if kind.is_fisheye() { FISHEYE_RANGE } else { RANGE };
+    let ratio = (range.1 / range.0).powf(1.0 / (NUM_STEPS - 1) as f64);
     let grid: Vec<(f64, f64)> = (0..NUM_STEPS)
-        .map(|step| RANGE.0 * side_px * ratio.powi(step as i32))
+        .map(|step| range.0 * side_px * ratio.powi(step as i32))
         .map(|focal_px| (cost(focal_px), focal_px))
         .collect();
     let (least, focal_px) = grid.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0))?;

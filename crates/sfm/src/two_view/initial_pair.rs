@@ -62,10 +62,14 @@ pub(crate) fn relative_pose(
     }
     let (rays1, rays2) =
         rays(model, pair, two_view, two_view.matches.len().div_ceil(MAX_SCORED_MATCHES));
+    let Some(fundamental) = two_view.fundamental else {
+        // Pairs of fisheye images without focal lengths have no fundamental matrix.
+        return estimate_pose(model, pair, two_view, 0);
+    };
     let calibration1 = model.camera_of(pair.a).intrinsics.calibration_matrix();
     let calibration2 = model.camera_of(pair.b).intrinsics.calibration_matrix();
     let essential =
-        epipolar::essential_from_fundamental(&two_view.fundamental?, &calibration1, &calibration2);
+        epipolar::essential_from_fundamental(&fundamental, &calibration1, &calibration2);
     epipolar::pose_from_essential(&essential, &rays1, &rays2).map(|(pose, _)| pose)
 }
 
@@ -76,7 +80,16 @@ pub(crate) fn estimate_relative_pose(
     pair: ImagePair,
     seed: u64,
 ) -> Option<Rigid3> {
-    let two_view = graph.pairs().get(&pair)?;
+    estimate_pose(model, &pair, graph.pairs().get(&pair)?, seed)
+}
+
+/// Estimates the relative pose of a pair from its matches with the current intrinsics.
+fn estimate_pose(
+    model: &Reconstruction,
+    pair: &ImagePair,
+    two_view: &TwoView,
+    seed: u64,
+) -> Option<Rigid3> {
     let pixels = |image, keypoint: u32| model.image(image).keypoints[keypoint as usize].pixel;
     let (points1, points2): (Vec<_>, Vec<_>) =
         two_view.matches.iter().map(|m| (pixels(pair.a, m.a), pixels(pair.b, m.b))).unzip();

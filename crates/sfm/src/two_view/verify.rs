@@ -2,12 +2,16 @@
 //!
 //! After Schönberger & Frahm 2016, section 4.1: an essential matrix if both cameras are calibrated,
 //! a fundamental matrix otherwise, and a homography to detect planes and pure rotations. Pairs with
-//! a spherical camera have an essential matrix alone, since its image is no plane.
+//! a spherical camera have an essential matrix alone, since its image is no plane. Neither is that
+//! of a fisheye: without a focal length, relative poses are estimated at several focal lengths, and
+//! the one with the most inliers selects the matches.
 
 use tiepoint_geometry::estimate;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{RansacOptions, epipolar};
 use tiepoint_scene::{Camera, Keypoint, Match, TwoView, TwoViewKind};
+
+use super::focal::with_focal;
 
 /// Thresholds of the verification.
 #[derive(Clone, Copy, Debug)]
@@ -77,6 +81,14 @@ pub fn verify_pair(
     // The fundamental matrix cannot have more inliers than there are matches. If the essential
     // matrix has nearly all of them, the test of the calibration needs no fundamental matrix.
     let enough = options.min_essential_share * matches.len() as f64;
+    if essential.is_none() && [view1, view2].iter().any(is_unknown_fisheye) {
+        let matches = unknown_fisheye_matches(view1, view2, &points1, &points2, matches, &ransac);
+        return if matches.len() < options.min_num_inliers {
+            degenerate
+        } else {
+            TwoView { kind: TwoViewKind::Uncalibrated, matches, ..TwoView::default() }
+        };
+    }
     let have_image_plane =
         [view1, view2].iter().all(|view| !view.camera.intrinsics.kind().focal_indices().is_empty());
     let fundamental = match &essential {
@@ -130,6 +142,43 @@ pub fn verify_pair(
         two_view.homography = Some(homography.model);
     }
     two_view
+}
+
+/// Trial focal lengths of a fisheye relative to the larger side of its image: equidistant views of
+/// 318° to 48°, 37 % apart. They only select matches; the focal length is estimated from all pairs.
+const FISHEYE_TRIALS: [f64; 7] = [0.18, 0.25, 0.34, 0.46, 0.63, 0.87, 1.2];
+
+/// Whether a view is a fisheye without a known focal length.
+fn is_unknown_fisheye(view: &View) -> bool {
+    !view.camera.is_calibrated() && view.camera.intrinsics.kind().is_fisheye()
+}
+
+/// The matches that a relative pose explains at the best of several focal lengths. All cameras
+/// without a focal length get the same one relative to their images.
+fn unknown_fisheye_matches(
+    view1: View,
+    view2: View,
+    points1: &[Vector2<f64>],
+    points2: &[Vector2<f64>],
+    matches: &[Match],
+    ransac: &RansacOptions,
+) -> Vec<Match> {
+    let trial = |view: &View, relative: f64| {
+        let Camera { intrinsics, width, height, .. } = *view.camera;
+        if view.camera.is_calibrated() {
+            return intrinsics;
+        }
+        with_focal(&intrinsics, relative * f64::from(width.max(height)))
+    };
+    let mut best: (usize, Vec<Match>) = (0, Vec::new());
+    for relative in FISHEYE_TRIALS {
+        let (one, other) = (trial(&view1, relative), trial(&view2, relative));
+        let report = estimate::relative_pose(points1, points2, &one, &other, ransac);
+        if let Some(report) = report.filter(|report| report.num_inliers > best.0) {
+            best = (report.num_inliers, select(matches, &report.inliers));
+        }
+    }
+    best.1
 }
 
 fn select(matches: &[Match], mask: &[bool]) -> Vec<Match> {

@@ -76,10 +76,9 @@ fn scene(camera: Camera, lens: &Intrinsics) -> (Reconstruction, CorrespondenceGr
 }
 
 /// Maps the scene, and asserts that all images have their true poses up to a similarity.
-fn assert_mapped(kind: CameraModelKind, width: u32, height: u32, focal_px: f64, has_prior: bool) {
-    let intrinsics = Intrinsics::centred(kind, focal_px, width, height);
-    let camera = Camera { intrinsics, width, height, has_focal_prior: has_prior };
-    let (blank, graph, poses) = scene(camera, &intrinsics);
+fn assert_mapped(camera: Camera, lens: &Intrinsics) {
+    let kind = lens.kind();
+    let (blank, graph, poses) = scene(camera, lens);
     let watch = &mut |_: &_| ControlFlow::Continue(());
     let models = map(&graph, &blank, &mut |_| Vec::new(), &MapperOptions::default(), watch)
         .expect("a model");
@@ -108,10 +107,31 @@ fn assert_mapped(kind: CameraModelKind, width: u32, height: u32, focal_px: f64, 
 
 #[test]
 fn a_panorama_is_mapped_with_the_points_behind_it_and_across_its_seam() {
-    assert_mapped(CameraModelKind::Equirectangular, 2000, 1000, 1.0, false);
+    let (width, height) = (2000, 1000);
+    let intrinsics = Intrinsics::centred(CameraModelKind::Equirectangular, 1.0, width, height);
+    assert_mapped(Camera { intrinsics, width, height, has_focal_prior: false }, &intrinsics);
+}
+
+/// A view of 200 degrees across the image of 1000 pixels.
+const FISHEYE_PX: f64 = 286.0;
+const SIDE_PX: u32 = 1000;
+
+fn fisheye(focal_px: f64) -> Intrinsics {
+    Intrinsics::centred(CameraModelKind::OpencvFisheye, focal_px, SIDE_PX, SIDE_PX)
 }
 
 #[test]
 fn a_fisheye_is_mapped_with_the_points_behind_its_image_plane() {
-    assert_mapped(CameraModelKind::OpencvFisheye, 1000, 1000, 286.0, true);
+    let (width, height) = (SIDE_PX, SIDE_PX);
+    let intrinsics = fisheye(FISHEYE_PX);
+    assert_mapped(Camera { intrinsics, width, height, has_focal_prior: true }, &intrinsics);
+}
+
+#[test]
+fn a_fisheye_starts_from_an_unknown_focal_length() {
+    let (width, height) = (SIDE_PX, SIDE_PX);
+    // The guess is wrong by 40 %.
+    let intrinsics = fisheye(1.4 * FISHEYE_PX);
+    let camera = Camera { intrinsics, width, height, has_focal_prior: false };
+    assert_mapped(camera, &fisheye(FISHEYE_PX));
 }

@@ -5,6 +5,7 @@
 mod all_around;
 mod clocks;
 mod common;
+mod known_rigs;
 mod lens;
 mod loop_closure;
 mod mapper;

@@ -22,24 +22,30 @@ const NOISE_PX: f64 = 0.3;
 /// True focal length in pixels, for images of 640 × 480.
 const FOCAL_PX: f64 = 400.0;
 /// Baseline, in metres.
-const BASELINE_M: f64 = 0.5;
+pub(crate) const BASELINE_M: f64 = 0.5;
 const STEP_M: f64 = 0.8;
-const NUM_FRAMES: usize = 10;
+pub(crate) const NUM_FRAMES: usize = 10;
 const NUM_POINTS: usize = 2500;
 /// Standard deviation of heading, pitch and roll between frames.
 const ROTATION_NOISE_RAD: f64 = 0.02;
 /// Maximum distance of matched frames.
 const MATCH_WINDOW: usize = 3;
 
-struct Truth {
-    scene: Reconstruction,
-    graph: CorrespondenceGraph,
+pub(crate) struct Truth {
+    pub(crate) scene: Reconstruction,
+    pub(crate) graph: CorrespondenceGraph,
     /// Poses of the images.
-    poses: Vec<Rigid3>,
+    pub(crate) poses: Vec<Rigid3>,
 }
 
-/// A drive that rotates by `turn_rad` between frames, with noise.
-fn drive(seed: u64, turn_rad: f64, guessed_focal_px: f64, has_focal_prior: bool) -> Truth {
+/// A drive that rotates by `turn_rad` between frames, with noise. The images of the left camera
+/// come first.
+pub(crate) fn drive(
+    seed: u64,
+    turn_rad: f64,
+    guessed_focal_px: f64,
+    has_focal_prior: bool,
+) -> Truth {
     drive_with(seed, turn_rad, guessed_focal_px, has_focal_prior, &|_| BASELINE_M)
 }
 
