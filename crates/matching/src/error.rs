@@ -5,7 +5,7 @@
 pub enum Error {
     /// The text is not a pair selection.
     #[error(
-        "unknown pair selection \"{0}\": use exhaustive, sequential:N, sequential:N+ends, \
+        "unknown pair selection \"{0}\": use auto, exhaustive, sequential:N, sequential:N+ends, \
         sequential:N+loops:K or similar:K, for \
          example sequential:20+loops:10"
     )]

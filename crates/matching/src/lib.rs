@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod accept;
+mod auto_pairs;
 mod brute;
 mod compressed;
 mod distance;
@@ -17,6 +18,9 @@ mod pruned;
 mod random;
 mod retrieval;
 
+pub use auto_pairs::{
+    AutoPairs, CameraImages, LOOPS, MAX_EXHAUSTIVE, Order, REACH, SIMILAR, auto_pairs, num_similar,
+};
 pub use brute::{Isa, NearestBothWays, nearest, nearest_on};
 pub use error::Error;
 pub use forest::{Checks, Forest, ForestOptions};
@@ -26,5 +30,8 @@ pub use matches::{Match, Nearest};
 pub use options::{Method, Options, PreemptiveMatching};
 pub use pairs::{Ends, Pair, PairSelection, Sequence, listed_pairs};
 pub use prepared::Prepared;
-pub use retrieval::{GlobalDescriptor, RetrievalIndex, Similar, Vocabulary, VocabularyOptions};
+pub use retrieval::{
+    GlobalDescriptor, ImageWords, InvertedIndex, RetrievalIndex, Similar, Vocabulary,
+    VocabularyOptions, VocabularyTree,
+};
 pub use tiepoint_features as features;

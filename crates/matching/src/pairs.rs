@@ -11,10 +11,14 @@ use crate::error::Error;
 /// Two images to match, the lower index first.
 pub type Pair = (u32, u32);
 
-/// The rule of the pair selection. Its text forms are `exhaustive`, `sequential:20`,
+/// The rule of the pair selection. Its text forms are `auto`, `exhaustive`, `sequential:20`,
 /// `sequential:20+ends`, `sequential:20+loops:10` and `similar:30`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairSelection {
+    /// All pairs of few images. Of more, the neighbours in sequences and the images that
+    /// [`InvertedIndex`](crate::InvertedIndex) finds similar: see
+    /// [`auto_pairs`](crate::auto_pairs()).
+    Auto,
     /// All pairs of images.
     Exhaustive,
     /// Each image with its neighbours in time, of its own camera and of all other cameras.
@@ -54,8 +58,10 @@ impl FromStr for PairSelection {
             Ok(count) if count > 0 && digits.bytes().all(|c| c.is_ascii_digit()) => Ok(count),
             _ => Err(unknown()),
         };
-        if text == "exhaustive" {
-            return Ok(PairSelection::Exhaustive);
+        match text {
+            "auto" => return Ok(PairSelection::Auto),
+            "exhaustive" => return Ok(PairSelection::Exhaustive),
+            _ => {}
         }
         if let Some(digits) = text.strip_prefix("similar:") {
             return Ok(PairSelection::Similar { count: count(digits)? });
@@ -76,6 +82,7 @@ impl FromStr for PairSelection {
 impl fmt::Display for PairSelection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            PairSelection::Auto => f.write_str("auto"),
             PairSelection::Exhaustive => f.write_str("exhaustive"),
             PairSelection::Sequential { reach, ends, loops } => {
                 write!(f, "sequential:{reach}")?;
@@ -93,18 +100,18 @@ impl fmt::Display for PairSelection {
 }
 
 impl PairSelection {
-    /// Number of similar images with which each image is matched, in addition to
-    /// [`pairs`](Self::pairs).
+    /// Number of similar images by [`RetrievalIndex`](crate::RetrievalIndex) with which each image
+    /// is matched, in addition to [`pairs`](Self::pairs).
     pub fn similar(self) -> u32 {
         match self {
-            PairSelection::Exhaustive => 0,
+            PairSelection::Auto | PairSelection::Exhaustive => 0,
             PairSelection::Sequential { loops, .. } => loops,
             PairSelection::Similar { count } => count,
         }
     }
 
     /// The pairs that follow from the order and times of the images. Pairs of similar images are
-    /// not included.
+    /// not included; [`Auto`](Self::Auto) has none, because all its pairs depend on similarity.
     pub fn pairs(self, cameras: &[Sequence]) -> Vec<Pair> {
         let mut pairs = Vec::new();
         match self {
@@ -115,7 +122,7 @@ impl PairSelection {
                     pairs.extend(images[k + 1..].iter().map(|&j| (i, j)));
                 }
             }
-            PairSelection::Similar { .. } => {}
+            PairSelection::Auto | PairSelection::Similar { .. } => {}
             PairSelection::Sequential { reach, ends, .. } => {
                 let reach = reach as usize;
                 for (from, to) in
@@ -166,8 +173,39 @@ impl Sequence {
         Ok(Sequence { images, times_s })
     }
 
+    /// Number of images.
+    pub fn len(&self) -> usize {
+        self.images.len()
+    }
+
+    /// Whether there are no images.
+    pub fn is_empty(&self) -> bool {
+        self.images.is_empty()
+    }
+
+    /// The images.
+    pub(crate) fn images(&self) -> &[u32] {
+        &self.images
+    }
+
+    /// The times of the images; empty if unknown.
+    pub(crate) fn times_s(&self) -> &[f64] {
+        &self.times_s
+    }
+
+    /// The median of the intervals of consecutive images, 0 for fewer than two times.
+    pub(crate) fn median_interval_s(&self) -> f64 {
+        let mut intervals: Vec<f64> =
+            self.times_s.windows(2).map(|times_s| times_s[1] - times_s[0]).collect();
+        let middle = intervals.len() / 2;
+        match intervals.is_empty() {
+            true => 0.0,
+            false => *intervals.select_nth_unstable_by(middle, f64::total_cmp).1,
+        }
+    }
+
     /// Position of the image nearest in time, the earlier one of two equally near images.
-    fn position_at(&self, time_s: f64) -> usize {
+    pub(crate) fn position_at(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&t| t < time_s);
         match (after.checked_sub(1), self.times_s.get(after)) {
             (Some(before), Some(&t)) if time_s - self.times_s[before] > t - time_s => after,

@@ -185,7 +185,7 @@ fn best(similarities: &[f32], count: usize, is_candidate: impl Fn(u32) -> bool) 
 
 /// The first `count` images in descending order of similarity, then in ascending order of image
 /// number.
-fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar> {
+pub(super) fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar> {
     let order = |a: &Similar, b: &Similar| {
         b.similarity.total_cmp(&a.similarity).then(a.image.cmp(&b.image))
     };

@@ -1,4 +1,6 @@
-//! Image retrieval by global descriptors, for loop closures and unordered photos.
+//! Image retrieval for loop closures and unordered photos: by an inverted index of visual words
+//! (`tree`, `inverted`), whose time is proportional to the number of images, and by global
+//! descriptors, which are compared all with all.
 //!
 //! The global descriptor is VLAD (Jégou et al., "Aggregating local descriptors into a compact image
 //! representation", CVPR 2010), normalised as in Arandjelović and Zisserman ("All about VLAD", CVPR
@@ -13,11 +15,15 @@
 
 mod diffusion;
 mod index;
+mod inverted;
 mod similar;
+mod tree;
 mod vocabulary;
 
 pub use index::RetrievalIndex;
+pub use inverted::{ImageWords, InvertedIndex};
 pub use similar::Similar;
+pub use tree::VocabularyTree;
 pub use vocabulary::{GlobalDescriptor, Vocabulary, VocabularyOptions};
 
 #[cfg(test)]

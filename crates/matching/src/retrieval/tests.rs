@@ -155,6 +155,133 @@ fn small_and_empty_samples() {
     assert_eq!(RetrievalIndex::default().pairs(3, &[]), []);
 }
 
+fn inverted_index(images: &[Vec<Descriptor>]) -> (Vec<ImageWords>, InvertedIndex) {
+    let sample = images.concat();
+    let vocabulary = VocabularyTree::learn(&sample, sample.len() / 16, 0);
+    let described: Vec<ImageWords> =
+        images.iter().map(|image| vocabulary.describe(image)).collect();
+    let index = InvertedIndex::new(&vocabulary, &described);
+    (described, index)
+}
+
+/// The slow twin: a dense matrix of ±1 for every image, with a row for each word, and the sum over
+/// all words for every pair of images.
+#[test]
+fn inverted_index_matches_dense_products() {
+    // Images in the middle share features with many others; the last two have none.
+    let mut images = wall_sequence(70);
+    images.extend([Vec::new(), Vec::new(), noise(40, 77)]);
+    let (described, index) = inverted_index(&images);
+    let num_words = 1 + described.iter().filter_map(|image| image.words().last()).max().unwrap();
+    let dense: Vec<Vec<Option<[i32; 128]>>> = described
+        .iter()
+        .map(|image| {
+            let mut rows = vec![None; num_words as usize];
+            for (&word, signature) in image.words().iter().zip(image.signatures()) {
+                let sign = |k: usize| if signature[k / 64] >> (k % 64) & 1 == 1 { 1 } else { -1 };
+                rows[word as usize] = Some(std::array::from_fn(sign));
+            }
+            rows
+        })
+        .collect();
+    let num_images = |word: usize| dense.iter().filter(|rows| rows[word].is_some()).count();
+    let idf: Vec<f64> = (0..num_words as usize)
+        .map(|word| (images.len() as f64 / num_images(word).max(1) as f64).ln())
+        .collect();
+    let product = |a: usize, b: usize| -> f64 {
+        let of_word = |word: usize| {
+            let (x, y) = (dense[a][word]?, dense[b][word]?);
+            let cosine = f64::from(x.iter().zip(&y).map(|(x, y)| x * y).sum::<i32>()) / 128.0;
+            Some(idf[word] * cosine.max(0.0).powi(3))
+        };
+        (0..num_words as usize).filter_map(of_word).sum()
+    };
+    let norm = |a: usize| product(a, a).sqrt();
+    let found = index.most_similar(images.len());
+    for (a, found) in found.iter().enumerate() {
+        for b in (0..images.len()).filter(|&b| b != a) {
+            let expected = product(a, b) / (norm(a) * norm(b));
+            let similarity = found.iter().find(|similar| similar.image as usize == b);
+            // Weights have 16 bits after the point, and similarities 24.
+            let similarity = f64::from(similarity.map_or(0.0, |similar| similar.similarity));
+            let expected = if expected.is_nan() { 0.0 } else { expected };
+            assert!((similarity - expected).abs() < 1e-5, "{a} {b}: {similarity} {expected}");
+        }
+        let order = |two: &[Similar]| {
+            two[0].similarity > two[1].similarity
+                || two[0].similarity == two[1].similarity && two[0].image < two[1].image
+        };
+        assert!(found.windows(2).all(order));
+    }
+    assert!(found[70].is_empty() && found[71].is_empty());
+    let few = index.most_similar(5);
+    assert!(few.iter().zip(&found).all(|(few, all)| few[..] == all[..few.len().min(5)]));
+}
+
+#[test]
+fn inverted_index_finds_overlapping_images() {
+    let images = wall_sequence(60);
+    let (described, index) = inverted_index(&images);
+    let found = index.most_similar(4);
+    let near = |(a, others): (u32, &Vec<Similar>)| {
+        // Images up to three positions apart share at least half of their features.
+        others.iter().filter(|other| other.image.abs_diff(a) <= 3).count()
+    };
+    let right: usize = (0..).zip(&found).map(near).sum();
+    assert!(right >= 60 * 4 * 9 / 10, "{right}");
+    for threads in [1, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (again, index) = pool.install(|| inverted_index(&images));
+        assert_eq!(again, described);
+        assert_eq!(pool.install(|| index.most_similar(4)), found);
+    }
+}
+
+#[test]
+fn repeated_features_of_an_image_count_once() {
+    let mut images = wall_sequence(30);
+    let before = inverted_index(&images).1.most_similar(3);
+    let window = images[0][0];
+    images[3].extend([window; 40]);
+    images[20].extend([window; 40]);
+    let after = inverted_index(&images).1.most_similar(3);
+    let others = |found: &[Similar]| found.iter().map(|s| s.image).collect::<Vec<_>>();
+    assert!(!others(&after[3]).contains(&20) && !others(&after[20]).contains(&3));
+    assert_eq!(others(&before[3]).len(), 3);
+}
+
+#[test]
+fn vocabulary_tree_of_few_descriptors() {
+    let nothing = VocabularyTree::learn(&[], 100, 0);
+    assert!(nothing.is_empty());
+    let described = [nothing.describe(&noise(9, 1)), nothing.describe(&[])];
+    let index = InvertedIndex::new(&nothing, &described);
+    assert_eq!((index.len(), index.is_empty()), (2, false));
+    assert_eq!(index.most_similar(3), [vec![], vec![]]);
+    let sample = noise(5, 3);
+    let vocabulary = VocabularyTree::learn(&sample, 100, 0);
+    assert!((1..=100).contains(&vocabulary.len()));
+    assert_eq!(vocabulary.describe(&sample).words().len().min(1), 1);
+}
+
+/// The tree finds the nearest word of all for most descriptors, and always that of the node.
+#[test]
+fn words_are_mostly_the_nearest_of_all() {
+    let sample = noise(2000, 12);
+    let vocabulary = VocabularyTree::learn(&sample, 250, 0);
+    let distance = |descriptor: &Descriptor, word: u32| {
+        crate::distance::squared_distance(descriptor, vocabulary.word(word))
+    };
+    let words = vocabulary.assign(&sample);
+    let is_nearest = |(descriptor, &word): (&Descriptor, &u32)| {
+        (0..vocabulary.len() as u32).all(|w| distance(descriptor, w) >= distance(descriptor, word))
+    };
+    let nearest = sample.iter().zip(&words).filter(|&pair| is_nearest(pair)).count();
+    // Directions without clusters are the hardest case; one in 250 words would be luck.
+    assert!(nearest > sample.len() / 4, "{nearest}");
+    assert_eq!(vocabulary.assign(&sample[7..9]), words[7..9]);
+}
+
 proptest! {
     #[test]
     fn dot_products_are_exact_on_every_instruction_set(

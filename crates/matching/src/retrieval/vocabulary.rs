@@ -93,8 +93,18 @@ impl Vocabulary {
         Vocabulary::from_words(self.words.iter().zip(sums).zip(&counts).map(mean).collect())
     }
 
+    /// The centres of the words.
+    pub(super) fn words(&self) -> &[Descriptor] {
+        &self.words
+    }
+
+    /// The centres of the words alone.
+    pub(super) fn into_words(self) -> Vec<Descriptor> {
+        self.words
+    }
+
     /// The nearest word of every descriptor, the first of equally near ones.
-    fn assign(&self, descriptors: &Prepared) -> Vec<u32> {
+    pub(super) fn assign(&self, descriptors: &Prepared) -> Vec<u32> {
         nearest(descriptors, &self.packed).of_a.iter().map(|nearest| nearest.index).collect()
     }
 

@@ -1,0 +1,147 @@
+//! Pairs without a given selection: which images are sequences, and which pairs follow.
+
+use crate::pairs::{Pair, Sequence, normalise};
+use crate::retrieval::Similar;
+
+/// Most images in all of which all pairs are matched: 19,900 pairs, minutes on a few cores. 100
+/// images would have a quarter of these pairs, 400 four times as many.
+pub const MAX_EXHAUSTIVE: usize = 200;
+/// Neighbours before and after an image of a sequence: the default overlap of COLMAP's sequential
+/// matcher. The time of matching is proportional to it; gaps are closed by similar images.
+pub const REACH: u32 = 10;
+/// Similar images of an image of a sequence beside its neighbours, for loops. If the camera comes
+/// back once, as many images see a place again as there are neighbours.
+pub const LOOPS: usize = 2 * REACH as usize;
+/// Similar images of an image of no sequence: the default of COLMAP's vocabulary tree matcher. Of
+/// 1,000 rendered photos with 90 true pairs each (`docs/benchmarks/matching.md`), half as many hold
+/// 0.53 of the true pairs with half the time of matching, and twice as many 0.83.
+pub const SIMILAR: usize = 100;
+/// Most cameras in parallel whose neighbours [`num_similar`] allows for. An image of a larger rig
+/// may have fewer loops.
+const MAX_PARALLEL: usize = 8;
+/// An order is that of a sequence if in this share of the images the next image is among the most
+/// similar ones. It is nearly 1 in a sequence, and at most `2 * REACH / MAX_EXHAUSTIVE` = 0.1 in a
+/// random order.
+const MIN_ORDERED: f64 = 0.5;
+
+/// What orders the images of a camera. Positions of different kinds are not comparable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Order {
+    /// Nothing: the images are no sequence.
+    Unknown,
+    /// Their times.
+    Times,
+    /// The numbers in their names.
+    Numbers,
+}
+
+/// The images of a camera, in their order if they have one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraImages {
+    /// The images, with their times or numbers in ascending order if there is an order.
+    pub sequence: Sequence,
+    /// What the order is from.
+    pub order: Order,
+}
+
+/// The pairs that [`PairSelection::Auto`](crate::PairSelection::Auto) selects.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct AutoPairs {
+    /// The pairs, sorted.
+    pub pairs: Vec<Pair>,
+    /// Of each camera: whether its images are a sequence.
+    pub is_sequence: Vec<bool>,
+}
+
+/// Number of similar images of each image that [`auto_pairs`] needs: the neighbours of a sequence
+/// in all cameras are among them.
+pub fn num_similar(cameras: &[CameraImages]) -> usize {
+    let ordered = cameras.iter().filter(|camera| camera.order != Order::Unknown).count();
+    SIMILAR.max(LOOPS + ordered.min(MAX_PARALLEL) * (2 * REACH as usize + 1))
+}
+
+/// The pairs of images of which `similar` has the [`num_similar`] most similar images each, the
+/// most similar first.
+///
+/// Images of a sequence have their [`REACH`] neighbours before and after, and the [`LOOPS`] most
+/// similar other images. All other images have their [`SIMILAR`] most similar images. The images
+/// of a camera with an order are a sequence if consecutive images are similar. Sequences of two
+/// cameras run in parallel if simultaneous images are similar; then each image has the
+/// simultaneous image of the other camera and its neighbours, too.
+pub fn auto_pairs(cameras: &[CameraImages], similar: &[Vec<Similar>]) -> AutoPairs {
+    let is_sequence: Vec<bool> =
+        cameras.iter().map(|camera| follows(camera, camera, similar)).collect();
+    let sequences: Vec<&CameraImages> =
+        cameras.iter().zip(&is_sequence).filter(|(_, is)| **is).map(|(camera, _)| camera).collect();
+    let mut pairs = Vec::new();
+    for (k, &from) in sequences.iter().enumerate() {
+        push_neighbours(&mut pairs, from, from);
+        for &to in &sequences[k + 1..] {
+            if from.order == to.order && follows(from, to, similar) {
+                push_neighbours(&mut pairs, from, to);
+                push_neighbours(&mut pairs, to, from);
+            }
+        }
+    }
+    let neighbours = normalise(pairs.clone());
+    for (camera, is_sequence) in cameras.iter().zip(&is_sequence) {
+        let count = if *is_sequence { LOOPS } else { SIMILAR };
+        for &a in camera.sequence.images() {
+            let others = similar[a as usize].iter().map(|other| (a, other.image));
+            let is_new = |&(a, b): &Pair| neighbours.binary_search(&(a.min(b), a.max(b))).is_err();
+            pairs.extend(others.filter(is_new).take(count));
+        }
+    }
+    AutoPairs { pairs: normalise(pairs), is_sequence }
+}
+
+/// Whether the images of `to` are in the order of those of `from`: an image of `from` and its
+/// simultaneous image of `to`, or the next image if it is the same camera, are similar.
+fn follows(from: &CameraImages, to: &CameraImages, similar: &[Vec<Similar>]) -> bool {
+    if from.order == Order::Unknown || from.order != to.order {
+        return false;
+    }
+    let mut is_of_other = vec![false; similar.len()];
+    to.sequence.images().iter().for_each(|&image| is_of_other[image as usize] = true);
+    let reach = 2 * REACH as usize;
+    let next = usize::from(std::ptr::eq(from, to));
+    let [mut ordered, mut all] = [0u32; 2];
+    for (&image, position) in from.sequence.images().iter().zip(positions(from, to)) {
+        let other = position.and_then(|position| to.sequence.images().get(position + next));
+        let Some(&other) = other else { continue };
+        let mut of_other = similar[image as usize].iter().filter(|s| is_of_other[s.image as usize]);
+        all += 1;
+        ordered += u32::from(of_other.by_ref().take(reach).any(|s| s.image == other));
+    }
+    // More than none: cameras that were never on at the same time have no simultaneous images.
+    ordered > 0 && f64::from(ordered) >= MIN_ORDERED * f64::from(all)
+}
+
+/// Pairs each image with the neighbours of its simultaneous image, if there is one.
+fn push_neighbours(pairs: &mut Vec<Pair>, from: &CameraImages, to: &CameraImages) {
+    let reach = REACH as usize;
+    let others = to.sequence.images();
+    for (&image, position) in from.sequence.images().iter().zip(positions(from, to)) {
+        let Some(centre) = position else { continue };
+        let end = (centre + reach + 1).min(others.len());
+        pairs.extend(others[centre.saturating_sub(reach)..end].iter().map(|&other| (image, other)));
+    }
+}
+
+/// For each image of `from`, the position of its simultaneous image in `to`: itself if it is the
+/// same camera; none if `to` has no image within its usual interval.
+fn positions(from: &CameraImages, to: &CameraImages) -> Vec<Option<usize>> {
+    if std::ptr::eq(from, to) {
+        return (0..from.sequence.images().len()).map(Some).collect();
+    }
+    let interval_s = to.sequence.median_interval_s();
+    let position = |&time_s: &f64| {
+        let position = to.sequence.position_at(time_s);
+        let nearest_s = to.sequence.times_s().get(position)?;
+        ((nearest_s - time_s).abs() <= interval_s).then_some(position)
+    };
+    from.sequence.times_s().iter().map(position).collect()
+}
+
+#[cfg(test)]
+mod tests;
