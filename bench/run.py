@@ -163,6 +163,36 @@ def table_doors(runs):
     return rows
 
 
+# ---- pairs: photos in no order, beside COLMAP's vocabulary tree ---------------------------------
+
+
+def measure_pairs():
+    return script("pairs.py")
+
+
+def table_pairs(runs):
+    head = (
+        "1,000 photos in no order | pairs | true pairs found | share of true ones among the chosen"
+        " | time (s) | peak memory (MiB)"
+    )
+    rows = [head.split(" | ")]
+    for run in runs:
+        selection = run["method"]
+        if run["selection"] not in selection:
+            selection += f" ({run['selection']})"
+        rows.append(
+            [
+                selection,
+                grouped(run["pairs"]),
+                f"{run['recall']:.3f}",
+                f"{run['precision']:.3f}",
+                f"{run['seconds']:.1f}",
+                f"{run['peak_mib']:.0f}",
+            ]
+        )
+    return rows
+
+
 # ---- kitti: the modes of --rig on clips of 51 frames --------------------------------------------
 
 KITTI_MODES = ["off", "paper", "soft", "auto", "hard"]
@@ -343,11 +373,13 @@ def table_ba_ceres(problems):
 SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
 LEAST = "the least of five runs"
 DEMO = f"medians of seeds {DEMO_SEEDS[0]} to {DEMO_SEEDS[-1]}"
+ONE = "one run"
 # Of each: its page, the crates that it measures, how to measure and how to show it, which run
 # counts.
 TABLES = {
     "photos": ("photos.md", LIBRARIES, measure_photos, table_photos, SEEDED),
     "doors": ("photos.md", LIBRARIES, measure_doors, table_doors, SEEDED),
+    "pairs": ("matching.md", ["matching", "pipeline", "synth"], measure_pairs, table_pairs, ONE),
     "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
     "known-rig": ("drives.md", LIBRARIES, measure_known_rig, table_known_rig, SEEDED),
     "demo": ("experiments.md", [*LIBRARIES, "synth"], measure_demo, table_demo, DEMO),

@@ -273,12 +273,13 @@ pub(crate) struct Cameras {
 
 #[derive(Debug, Args)]
 pub(crate) struct Pairs {
-    /// Image pairs to match: exhaustive (all), sequential:N (each image with its N neighbours
-    /// before and after, within a camera and across cameras), sequential:N+ends (also the first N
-    /// with the last N), sequential:N+loops:K (also each image with its K most similar images, to
-    /// find loops), similar:K (each image with its K most similar images only, for unordered
-    /// photos).
-    #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Exhaustive)]
+    /// Image pairs to match: auto (all of up to 200 images; of more, neighbours and loops where
+    /// times or numbers show a sequence, else the most similar images), exhaustive (all),
+    /// sequential:N (each image with its N neighbours before and after, within a camera and across
+    /// cameras), sequential:N+ends (also the first N with the last N), sequential:N+loops:K (also
+    /// each image with its K most similar images, to find loops), similar:K (each image with its K
+    /// most similar images only, for unordered photos).
+    #[arg(long, value_name = "SELECTION", default_value_t = PairSelection::Auto)]
     pub(crate) pairs: PairSelection,
 }
 

@@ -102,6 +102,10 @@ impl Progress {
                 self.show(&format!("{image}: {keypoints} keypoints"));
                 self.bar.inc(1);
             }
+            Event::PairsChosen { selection, pairs, expected_s } => self.print_line(&format!(
+                "matching {pairs} pairs ({selection}), about {}",
+                duration(expected_s)
+            )),
             Event::PairDone { image1, image2, inliers, .. } => {
                 self.show(&format!("{image1}, {image2}: {inliers} matches"));
                 self.bar.inc(1);
@@ -161,6 +165,17 @@ impl Progress {
     /// Prints a line above the bar, where it stays.
     fn print_line(&self, line: &str) {
         self.bar.suspend(|| line_to_stderr(&printable(line)));
+    }
+}
+
+/// A duration in its largest unit, with two digits.
+fn duration(seconds: f64) -> String {
+    let units = [(86_400.0, "d"), (3600.0, "h"), (60.0, "min")];
+    let (unit_s, unit) =
+        units.into_iter().find(|(unit_s, _)| seconds >= *unit_s).unwrap_or((1.0, "s"));
+    match seconds / unit_s {
+        value if value < 10.0 => format!("{value:.1} {unit}"),
+        value => format!("{value:.0} {unit}"),
     }
 }
 

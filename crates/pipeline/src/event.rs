@@ -65,6 +65,15 @@ pub enum Event<'a> {
         /// Number of keypoints.
         keypoints: usize,
     },
+    /// The pairs to match were chosen.
+    PairsChosen {
+        /// The selection in the words of the command line; for `auto` what it chose.
+        selection: &'a str,
+        /// Number of pairs that are matched in this run.
+        pairs: usize,
+        /// Expected time of matching them, in seconds, from a sample of them.
+        expected_s: f64,
+    },
     /// A pair is matched and verified.
     PairDone {
         /// The first image.

@@ -32,6 +32,7 @@ mod option_keys;
 mod ordered;
 mod output_file;
 mod output_folder;
+mod pair_choice;
 mod photos;
 mod reconstruct;
 mod records;
@@ -42,6 +43,7 @@ mod rig_file;
 mod rig_report;
 mod rigid;
 mod scale;
+mod sequences;
 mod stage;
 mod surface;
 mod table;
@@ -77,6 +79,7 @@ pub use model_tools::{
     align_model, crop_model, merge_models, model_info, transform_model,
 };
 pub use output_file::{refuse_foreign_page, write_page};
+pub use pair_choice::{PairChoice, choose_pairs};
 pub use photos::Photos;
 pub use reconstruct::{Options, reconstruct};
 pub use report::{

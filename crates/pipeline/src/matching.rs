@@ -8,18 +8,16 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use tiepoint_io::database::Database;
-use tiepoint_io::timestamps;
 use tiepoint_sfm::geometry::Rng;
-use tiepoint_sfm::matching::{
-    self, GlobalDescriptor, PairSelection, Prepared, RetrievalIndex, Sequence, Vocabulary,
-    VocabularyOptions, match_prepared,
-};
+use tiepoint_sfm::matching::{self, PairSelection, Prepared, match_prepared};
 use tiepoint_sfm::scene::{Camera, Image, ImageId, ImagePair, Keypoint, Match, TwoView};
 use tiepoint_sfm::{VerifyOptions, View, verify_pair};
 
 use crate::foreign_database::{has_imported_pairs, require_sift, verify_imported_pairs};
 use crate::keypoints::keypoint;
+use crate::option_keys::PAIRS;
 use crate::ordered::for_each_in_order;
+use crate::pair_choice::{self, IMAGES_READ_AT_ONCE, PairChoice};
 use crate::records::{Progress, Recipe};
 use crate::{Error, Event, MatchReport, Stage, Watch, Workspace, emit, option_keys};
 
@@ -29,12 +27,11 @@ const TILE: u32 = 128;
 /// Pairs per transaction: an interruption loses at most these.
 const PAIRS_PER_TRANSACTION: usize = 64;
 
-/// Size of the sample that the visual vocabulary is learnt from: number of images, and descriptors
-/// per image. It gives about 400 descriptors per word.
-const SAMPLE_IMAGES: usize = 256;
-const SAMPLE_DESCRIPTORS: usize = 200;
-/// Images that are read from the database at a time.
-const IMAGES_READ_AT_ONCE: usize = 16;
+/// One of this number of pairs is matched first, for the estimate of the time of all.
+const PAIRS_PER_TIMED_PAIR: usize = 100;
+/// Most pairs that are matched first. Their images are half a tile at most, and the standard error
+/// of their mean time is an eighth of the spread of the times.
+const MAX_TIMED_PAIRS: usize = 64;
 
 /// Options of matching.
 #[derive(Clone, Debug)]
@@ -52,7 +49,7 @@ pub struct MatchOptions {
 impl Default for MatchOptions {
     fn default() -> Self {
         Self {
-            pairs: PairSelection::Exhaustive,
+            pairs: PairSelection::Auto,
             descriptors: matching::Options::default(),
             verify: VerifyOptions::default(),
             seed: 0,
@@ -66,6 +63,25 @@ impl MatchOptions {
         let Self { pairs, descriptors, verify, seed } = self;
         Recipe::new(input, option_keys::of_matching(pairs, descriptors, verify, *seed))
     }
+}
+
+/// The selection of this run: that of the record if `auto` agrees with it, as
+/// [`pair_choice::resolved`] says. The database is only needed if there is no such record.
+fn resolved(
+    pairs: PairSelection,
+    workspace: &Workspace,
+    redo: Option<Stage>,
+) -> Result<PairSelection, Error> {
+    let recorded = workspace.records.option(Stage::Match, PAIRS);
+    let recorded = recorded.filter(|_| redo != Some(Stage::Match));
+    let by_record = pair_choice::resolved(pairs, usize::MAX, recorded);
+    if by_record != PairSelection::Auto || recorded == Some(&*by_record.to_string()) {
+        return Ok(by_record);
+    }
+    let database = Database::open(&workspace.database())?;
+    let images = database.num_images();
+    database.close()?;
+    Ok(pair_choice::resolved(pairs, images, None))
 }
 
 /// Features of an image in memory.
@@ -91,7 +107,10 @@ pub fn match_images(
     if has_imported_pairs(workspace, redo) {
         return verify_imported_pairs(workspace, &options.verify, options.seed, redo, watch);
     }
-    let recipe = options.recipe(workspace.fingerprint(Stage::Features)?);
+    let input = workspace.fingerprint(Stage::Features)?;
+    let options =
+        &MatchOptions { pairs: resolved(options.pairs, workspace, redo)?, ..options.clone() };
+    let recipe = options.recipe(input);
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return emit(watch, &Event::StageKept { stage: STAGE });
@@ -104,16 +123,28 @@ pub fn match_images(
         workspace.note(|_| {})?;
     }
     let (cameras, images) = (database.read_cameras()?, database.read_images()?);
-    let all = select_pairs(workspace, &database, &images, options)?;
+    let MatchOptions { pairs, seed, .. } = *options;
+    let PairChoice { selection, pairs: all } =
+        pair_choice::of_images(workspace, &database, &images, pairs, seed)?;
     let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
-    let tiles = tiles(all.iter().copied().filter(|pair| !done.contains(pair)));
+    let pending: Vec<ImagePair> = all.iter().copied().filter(|pair| !done.contains(pair)).collect();
+    let tiles = tiles(pending.iter().copied());
     let mut report = report_so_far(&database)?;
+    let match_pair = |pair: ImagePair, loaded: &BTreeMap<ImageId, Loaded>| {
+        match_pair(pair, loaded, &cameras, &images, options)
+    };
+    let first = first_pairs(&database, &pending, seed, match_pair)?;
+    let expected_s = first.expected_s(&tiles);
+    emit(watch, &Event::PairsChosen { selection: &selection, pairs: pending.len(), expected_s })?;
     emit(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
 
     let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
     for pairs in &tiles {
         load(&database, pairs, &mut loaded)?;
-        let work = |pair: &ImagePair| match_pair(*pair, &loaded, &cameras, &images, options);
+        let work = |pair: &ImagePair| match first.found.get(pair) {
+            Some(found) => found.clone(),
+            None => match_pair(*pair, &loaded),
+        };
         let mut batch = Vec::new();
         let taken = for_each_in_order(pairs, work, |pair, (matches, two_view)| {
             let (image1, image2) = (&images[pair.a.index()].name, &images[pair.b.index()].name);
@@ -132,6 +163,8 @@ pub fn match_images(
     }
     let seconds = start.elapsed().as_secs_f64();
     report.seconds = seconds;
+    report.selection = selection;
+    report.expected_seconds = expected_s;
     // The report is written first, because the database marks the stage as complete.
     workspace.complete(STAGE);
     workspace.note(|all| all.stages.matches = Some(report))?;
@@ -140,70 +173,60 @@ pub fn match_images(
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// The pairs to match. The images of a folder are a sequence, whatever settings its camera had;
-/// they are ordered by time if all times are known, else by name. Similar images are found by the
-/// visual vocabulary.
-fn select_pairs(
-    workspace: &Workspace,
-    database: &Database,
-    images: &[Image],
-    options: &MatchOptions,
-) -> Result<Vec<ImagePair>, Error> {
-    let times = workspace.timestamps_as_left()?;
-    let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
-    // Of each camera: the first camera in its folder, that of its first image.
-    let mut firsts: BTreeMap<u32, u32> = BTreeMap::new();
-    let mut first_in_folder: BTreeMap<&str, u32> = BTreeMap::new();
-    for image in images {
-        firsts
-            .entry(image.camera.0)
-            .or_insert_with(|| *first_in_folder.entry(image.folder()).or_insert(image.camera.0));
-    }
-    let mut folders: BTreeMap<u32, Vec<(f64, u32)>> = BTreeMap::new();
-    let are_timed = images.iter().all(|image| times.contains_key(&image.name));
-    for (id, image) in (0..).zip(images) {
-        let time_s = times.get(&image.name).copied().unwrap_or_default();
-        folders.entry(firsts[&image.camera.0]).or_default().push((time_s, id));
-    }
-    let sequences = folders.into_values().map(|mut images| {
-        if !are_timed {
-            return Ok(Sequence::new(images.into_iter().map(|(_, id)| id).collect()));
-        }
-        images.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let (times_s, ids) = images.into_iter().unzip();
-        Sequence::with_times(ids, times_s)
-    });
-    let sequences: Vec<Sequence> = sequences.collect::<Result<_, _>>()?;
-    let mut pairs = options.pairs.pairs(&sequences);
-    if options.pairs.similar() > 0 {
-        let index = retrieval_index(database, images.len(), options.seed)?;
-        let similar = index.pairs(options.pairs.similar() as usize, &pairs);
-        pairs.extend(similar);
-        pairs.sort_unstable();
-    }
-    Ok(pairs.into_iter().filter_map(|(a, b)| ImagePair::new(ImageId(a), ImageId(b))).collect())
+/// The result of a pair: its matches and its two-view geometry.
+type Found = (Vec<Match>, TwoView);
+
+/// The pairs that are matched before all others, to estimate the time.
+struct FirstPairs {
+    found: BTreeMap<ImagePair, Found>,
+    /// Mean time of a thread for a pair.
+    pair_s: f64,
+    /// Mean time to load an image, on all threads.
+    load_s: f64,
 }
 
-/// Global descriptors of all images, from a visual vocabulary that is learnt from a sample of them.
-fn retrieval_index(database: &Database, images: usize, seed: u64) -> Result<RetrievalIndex, Error> {
-    let mut sample = Vec::new();
-    for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
-        let features = database.read_features(ImageId::from_index(image))?;
-        sample.extend(Vocabulary::sample(&features.descriptors, SAMPLE_DESCRIPTORS).copied());
+/// Matches a random sample of the pairs. The results are the same as if the pairs were matched in
+/// their turn.
+fn first_pairs(
+    database: &Database,
+    pending: &[ImagePair],
+    seed: u64,
+    match_pair: impl Fn(ImagePair, &BTreeMap<ImageId, Loaded>) -> Found + Sync,
+) -> Result<FirstPairs, Error> {
+    let mut random = Rng::stream(seed, &[]);
+    let count = pending.len().div_ceil(PAIRS_PER_TIMED_PAIR).min(MAX_TIMED_PAIRS);
+    let sample: BTreeSet<ImagePair> =
+        (0..count).map(|_| pending[random.below(pending.len())]).collect();
+    let sample: Vec<ImagePair> = sample.into_iter().collect();
+    let mut loaded = BTreeMap::new();
+    let start = Instant::now();
+    load(database, &sample, &mut loaded)?;
+    let load_s = start.elapsed().as_secs_f64() / loaded.len().max(1) as f64;
+    let timed = |&pair: &ImagePair| {
+        let start = Instant::now();
+        let found = match_pair(pair, &loaded);
+        ((pair, found), start.elapsed().as_secs_f64())
+    };
+    let timed: Vec<((ImagePair, Found), f64)> = sample.par_iter().map(timed).collect();
+    let pair_s = timed.iter().map(|(_, seconds)| seconds).sum::<f64>() / timed.len().max(1) as f64;
+    Ok(FirstPairs { found: timed.into_iter().map(|(found, _)| found).collect(), pair_s, load_s })
+}
+
+impl FirstPairs {
+    /// The expected time of tiles of pairs, in seconds.
+    fn expected_s(&self, tiles: &[Vec<ImagePair>]) -> f64 {
+        let mut loads = 0;
+        let mut loaded = BTreeSet::new();
+        for pairs in tiles {
+            let needed: BTreeSet<ImageId> =
+                pairs.iter().flat_map(|pair| [pair.a, pair.b]).collect();
+            loads += needed.difference(&loaded).count();
+            loaded = needed;
+        }
+        let pairs = tiles.iter().map(Vec::len).sum::<usize>();
+        let threads = rayon::current_num_threads();
+        self.pair_s * pairs as f64 / threads as f64 + self.load_s * loads as f64
     }
-    let vocabulary = Vocabulary::learn(&sample, &VocabularyOptions { seed, ..Default::default() });
-    let mut index = RetrievalIndex::default();
-    let ids: Vec<ImageId> = (0..images).map(ImageId::from_index).collect();
-    for batch in ids.chunks(IMAGES_READ_AT_ONCE) {
-        let features = batch.iter().map(|&image| database.read_features(image));
-        let features = features.collect::<Result<Vec<_>, _>>()?;
-        let described: Vec<GlobalDescriptor> = features
-            .par_iter()
-            .map(|features| vocabulary.describe(&features.descriptors))
-            .collect();
-        described.iter().for_each(|image| index.push(image));
-    }
-    Ok(index)
 }
 
 /// Groups pairs by tile.
@@ -294,43 +317,7 @@ fn count(report: &mut MatchReport, matches: usize, inliers: Option<usize>) {
 
 #[cfg(test)]
 mod tests {
-    use tiepoint_io::features::{Descriptor, Features, Keypoint as Feature};
-    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
-    use tiepoint_sfm::scene::CameraId;
-
     use super::*;
-
-    #[test]
-    fn similar_images_are_paired() {
-        /// More than are read at a time; two images per place.
-        const PLACES: usize = 50;
-        const FEATURES: usize = 40;
-        let folder = tempfile::tempdir().unwrap();
-        let mut database = Database::create(&folder.path().join("database.db")).unwrap();
-        let intrinsics = Intrinsics::new(CameraModelKind::Pinhole, &[9.0, 9.0, 5.0, 5.0]).unwrap();
-        let camera = Camera { intrinsics, width: 10, height: 10, has_focal_prior: false };
-        database.write_cameras(&[camera]).unwrap();
-        let image = |k: usize| Image::new(format!("{k}.jpg"), CameraId(0), Vec::new());
-        database.write_images(&(0..2 * PLACES).map(image).collect::<Vec<_>>()).unwrap();
-        let seen = |image: usize| {
-            let mut place = Rng::stream(7, &[(image % PLACES) as u64]);
-            let mut noise = Rng::stream(8, &[image as u64]);
-            let mut descriptor = || -> Descriptor {
-                std::array::from_fn(|_| (place.below(80) + noise.below(8)) as u8)
-            };
-            Features {
-                keypoints: vec![Feature { x: 1.0, y: 2.0, scale: 1.0, orientation: 0.0 }; FEATURES],
-                descriptors: (0..FEATURES).map(|_| descriptor()).collect(),
-            }
-        };
-        for k in 0..2 * PLACES {
-            database.write_features([(ImageId::from_index(k), &seen(k))]).unwrap();
-        }
-        let pairs = retrieval_index(&database, 2 * PLACES, 0).unwrap().pairs(1, &[]);
-        let expected: Vec<(u32, u32)> =
-            (0..PLACES as u32).map(|k| (k, k + PLACES as u32)).collect();
-        assert_eq!(pairs, expected);
-    }
 
     #[test]
     fn tiles_have_every_pair_once_and_few_images() {

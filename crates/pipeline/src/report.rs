@@ -66,6 +66,12 @@ pub struct SkippedImage {
 pub struct MatchReport {
     /// Wall time of the run that completed the stage.
     pub seconds: f64,
+    /// The time that this run expected before it began.
+    #[serde(default)]
+    pub expected_seconds: f64,
+    /// The selection of pairs in the words of the command line; for `auto` what it chose.
+    #[serde(default)]
+    pub selection: String,
     /// Number of image pairs that were matched.
     pub pairs: usize,
     /// Number of pairs with a verified two-view geometry.

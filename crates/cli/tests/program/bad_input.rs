@@ -56,7 +56,8 @@ fn truncated_photos_and_other_files_are_skipped() {
 
     let run = reconstruct(dir.path()).done();
     let said = run.stderr();
-    assert_eq!(said.lines().count(), 2, "{said}");
+    assert_eq!(said.lines().count(), 3, "{said}");
+    assert!(said.contains("matching 6 pairs (exhaustive), about "), "{said}");
     let line = |name: &str| {
         said.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{said}"))
     };
@@ -145,6 +146,21 @@ fn wrong_command_lines() {
         "reconstruct {} -o {}/ws --pairs sequential",
         &["sequential", "exhaustive", "sequential:20"],
     );
+    for value in [
+        "auto:20",
+        "Auto",
+        "all",
+        "similar",
+        "similar:0",
+        "similar:-3",
+        "similar:9999999999",
+        "sequential:10+loops",
+        "sequential:10+loops:0",
+        "sequential:10+loops:2+ends",
+    ] {
+        let line = format!("match {{}}/ws --pairs {value}");
+        wrong(&line, &[&format!("\"{value}\""), "use auto, exhaustive, sequential:N"]);
+    }
     wrong("reconstruct {} -o {}/ws --rig tight", &["tight", "hard or auto"]);
     wrong("reconstruct {} -o {}/ws --redo all", &["no stage all", "features, match, map"]);
     wrong(

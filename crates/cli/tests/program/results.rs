@@ -54,6 +54,17 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
     assert_eq!(count(&events, "stage_done"), 3);
     assert_eq!(count(&events, "image_done"), COUNT);
     assert_eq!(count(&events, "pair_done"), COUNT * (COUNT - 1) / 2);
+    let place = |kind: &str| events.iter().position(|event| event["event"] == kind).unwrap();
+    let chosen = &events[place("pairs_chosen")];
+    assert!(place("pairs_chosen") < place("pair_done"), "{events:?}");
+    assert_eq!(
+        (&chosen["selection"], &chosen["pairs"]),
+        (&"exhaustive".into(), &(COUNT * (COUNT - 1) / 2).into())
+    );
+    assert!(chosen["expected_s"].as_f64().unwrap() > 0.0, "{chosen}");
+    let matches = &report["stages"]["matches"];
+    assert_eq!(matches["selection"], "exhaustive");
+    assert_eq!(matches["expected_seconds"], chosen["expected_s"]);
     assert_eq!(
         fs::read(dir.join("ws/report.json"))
             .map(|b| serde_json::from_slice::<Value>(&b).unwrap())

@@ -8,8 +8,8 @@
 //! words, with similar vectors.
 //!
 //! An image is compared only with those that share a word with it. If the number of words grows
-//! with the number of images, a word has the same number of images in any collection, and the time
-//! of a query does not depend on the number of images.
+//! with the number of images, a word has the same number of images on average in any collection,
+//! so that a query compares the same number of binary vectors.
 //!
 //! Weights are integers, so that sums are exact in any order.
 

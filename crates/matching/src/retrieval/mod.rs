@@ -1,6 +1,6 @@
 //! Image retrieval for loop closures and unordered photos: by an inverted index of visual words
-//! (`tree`, `inverted`), whose time is proportional to the number of images, and by global
-//! descriptors, which are compared all with all.
+//! (`tree`, `inverted`), which compares images that share words, and by global descriptors, which
+//! are compared all with all.
 //!
 //! The global descriptor is VLAD (Jégou et al., "Aggregating local descriptors into a compact image
 //! representation", CVPR 2010), normalised as in Arandjelović and Zisserman ("All about VLAD", CVPR
