@@ -112,7 +112,7 @@ fn damaged_files_have_one_sentence() {
         (json("[500, 320, 240]", "[500, 320]"), "wrong intrinsics"),
         (json("\"cameras\"", "\"camera\""), "missing field `cameras`"),
         (yaml("[0, -1, 0, 1]", "[0, 0, 0, 1]"), "line 8: T_cn_cnm1 of cam1 is no pose"),
-        (yaml("[0, -1, 0, 1]", "[0, 1, 0, 1]"), "is no rotation"),
+        (yaml("[0, -1, 0, 1]", "[0, 1, 0, 1]"), "are no rotation"),
         (yaml("[0, -1, 0, 1]", "[0, .nan, 0, 1]"), "not a finite number"),
         (yaml("[0, -1, 0, 1]", "[0, -1, 0]"), "15 numbers in place of 16"),
         (yaml("T_cn_cnm1", "T"), "cam1 has no T_cn_cnm1"),
