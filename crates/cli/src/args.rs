@@ -161,7 +161,7 @@ pub(crate) struct Localize {
     )]
     pub(crate) intrinsics: Option<NumberList>,
     /// Known intrinsics of single photos, as in `features`.
-    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA]", conflicts_with = "intrinsics")]
+    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA][@WxH]", conflicts_with = "intrinsics")]
     pub(crate) calibration: Vec<CalibrationSource>,
     /// Initial focal length of all photos, in pixels; it is estimated with the pose.
     #[arg(long, value_name = "PX")]
@@ -239,14 +239,15 @@ pub(crate) const MEGA: u64 = 1_000_000;
 
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
-    /// Photos that share a camera: auto (photos of one folder with the same size, body, lens and
-    /// focal length), folder (each folder has one), image (each photo has its own), single (all
+    /// Photos that share a camera: auto (photos of one folder with the same size, EXIF orientation,
+    /// body, lens and focal length), folder (each folder has one), image (each photo has its own), single (all
     /// have one).
     #[arg(long, value_name = "GROUPS", default_value_t = CameraGrouping::Auto)]
     pub(crate) cameras: CameraGrouping,
     /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel
     /// is (0.5, 0.5) as in COLMAP; for intrinsics of OpenCV or KITTI, which have it at (0, 0), add
-    /// 0.5 to cx and cy. Four numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
+    /// 0.5 to cx and cy. They are those of the stored photo and are turned as EXIF says. Four
+    /// numbers are a PINHOLE camera, more are an OPENCV one (k1,k2,p1,p2).
     #[arg(
         long,
         value_name = "fx,fy,cx,cy[,k..]",
@@ -255,14 +256,19 @@ pub(crate) struct Cameras {
     )]
     pub(crate) intrinsics: Option<NumberList>,
     /// Known intrinsics of single cameras; they stay fixed. FILE is COLMAP's cameras.txt, OpenCV's
-    /// YAML, Kalibr's camchain or KITTI's calib.txt, each with its own pixel centre. With a PATTERN
-    /// it is for the folders or photos that match (`*` any characters, `?` one); #CAMERA is the
-    /// name of the camera in the file, as `left=calib.txt#P2`. Without a pattern the cameras of the
-    /// file are those of the folders, by name or in their order. May be given several times.
-    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA]", conflicts_with = "intrinsics")]
+    /// or ROS's YAML, Kalibr's camchain, KITTI's calib.txt or calib_cam_to_cam.txt, each with its
+    /// own pixel centre. With a PATTERN it is for the folders or photos that match (`*` any
+    /// characters, `?` one), so that `*=FILE` is for all; #CAMERA is the name of the camera in the
+    /// file, as `left=calib.txt#P2`. Without a pattern the cameras of the file are those of the
+    /// folders, by name (also camera_name, topic, and the name of a file of one camera) or in their
+    /// order. `@WxH` behind `#` or `#CAMERA` states the image size of a file that has none. A
+    /// calibration of the size of the stored photo is turned as EXIF says. May be given several
+    /// times; the first that is for a photo counts.
+    #[arg(long, value_name = "[PATTERN=]FILE[#CAMERA][@WxH]", conflicts_with = "intrinsics")]
     pub(crate) calibration: Vec<CalibrationSource>,
-    /// Initial focal length of all cameras, in pixels; it is refined. By default from EXIF, else
-    /// 1.2 times the larger image side.
+    /// Initial focal length of all cameras, in pixels; it is refined. Smaller photos of a lens that
+    /// EXIF names begin with it scaled to their size. By default from EXIF, else 1.2 times the
+    /// larger image side.
     #[arg(long, value_name = "PX")]
     pub(crate) focal_prior: Option<PositivePixels>,
     /// COLMAP's name of the camera model; THIN_PRISM_FISHEYE suits action cameras. In models with

@@ -91,6 +91,9 @@ impl Progress {
                 self.print_line(&format!("skipped {why}"));
                 self.bar.inc(1);
             }
+            Event::CameraCalibrated { image, calibration } => {
+                self.print_line(&format!("the camera of {image} is calibrated by {calibration}"));
+            }
             Event::FocalIgnored { image, focal_px } => self.print_line(&format!(
                 "{image}: its EXIF focal length of {focal_px:.3e} pixels is impossible and is \
                 ignored: give --focal-prior PX if you know it"

@@ -145,7 +145,10 @@ impl Exif {
     /// resolution of the focal plane.
     pub fn focal_px(&self, width: u32, height: u32, sensor_width_mm: Option<f64>) -> Option<f64> {
         let candidates = self.focal_candidates_px(width, height, sensor_width_mm);
-        candidates.into_iter().flatten().find(|focal_px| is_plausible(*focal_px, width, height))
+        candidates
+            .into_iter()
+            .flatten()
+            .find(|focal_px| is_plausible_focal(*focal_px, width, height))
     }
 
     /// The first focal length in pixels that the EXIF data give, if none of them is plausible.
@@ -176,7 +179,9 @@ impl Exif {
     }
 }
 
-fn is_plausible(focal_px: f64, width: u32, height: u32) -> bool {
+/// Whether a lens may have this focal length, in pixels of a `width` × `height` image: between 0.1
+/// and 150 times the longer side.
+pub fn is_plausible_focal(focal_px: f64, width: u32, height: u32) -> bool {
     FOCAL_RANGE.contains(&(focal_px / f64::from(width.max(height))))
 }
 

@@ -42,7 +42,7 @@ mod yaml;
 pub use atomic::AtomicFile;
 pub use dense_map::DenseMap;
 pub use error::{Error, Result};
-pub use exif::{Device, Exif};
+pub use exif::{Device, Exif, is_plausible_focal};
 pub use fused_ply::FusedPly;
 pub use fused_visibility::FusedVisibility;
 pub use images::{ImageFolder, ImageInfo, ImageSource, SkippedFile, SourceImage, is_image};

@@ -21,8 +21,8 @@ use crate::{AtomicFile, Error, Result};
 ///
 /// # Errors
 ///
-/// If the model is not valid, if nerfstudio lacks a camera model or the models are of both kinds,
-/// and if the file cannot be written.
+/// If the model is not valid, if nerfstudio lacks a camera model (it has FULL_OPENCV without k4, k5
+/// and k6) or the models are of both kinds, and if the file cannot be written.
 pub fn write(
     path: &Path,
     model: &Reconstruction,
@@ -37,6 +37,8 @@ pub fn write(
         let name = match camera.intrinsics.kind().name() {
             "OPENCV_FISHEYE" => "OPENCV_FISHEYE",
             "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" => "OPENCV",
+            // nerfstudio has k3, and no denominator.
+            "FULL_OPENCV" if camera.intrinsics.params()[9..] == [0.0; 3] => "OPENCV",
             other => {
                 let what = format!(
                     "nerfstudio knows no camera model {other}, which {} was taken with",

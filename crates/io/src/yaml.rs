@@ -2,6 +2,7 @@
 //! `!!opencv-matrix`, are ignored. Anchors and aliases are refused: a few lines of them expand to
 //! any size.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use saphyr_parser::{Event, Parser};
@@ -27,12 +28,20 @@ pub(crate) enum Value {
 /// A list or map that is not complete yet.
 enum Open {
     List(usize, Vec<Node>),
-    /// With the key whose value comes next.
-    Map(usize, Vec<(String, Node)>, Option<String>),
+    Map(usize, Entries),
+}
+
+/// The entries of a map that is not complete yet.
+#[derive(Default)]
+struct Entries {
+    complete: Vec<(String, Node)>,
+    keys: BTreeSet<String>,
+    /// The key whose value comes next.
+    key: Option<String>,
 }
 
 /// Parses a text with one document. OpenCV's directive `%YAML:1.0`, which YAML does not know, is
-/// ignored.
+/// ignored, and so is an empty document at the end: `ros2 topic echo` ends each message with `---`.
 ///
 /// # Errors
 ///
@@ -59,30 +68,40 @@ pub(crate) fn parse(path: &Path, text: &str) -> Result<Node> {
                 continue;
             }
             Event::MappingStart(..) => {
-                open.push(Open::Map(line, Vec::new(), None));
+                open.push(Open::Map(line, Entries::default()));
                 continue;
             }
             Event::Alias(_) => return Err(error(line, "has an alias, give its value".to_owned())),
             Event::Scalar(text, ..) => Node { line, value: Value::Scalar(text.into_owned()) },
             Event::SequenceEnd | Event::MappingEnd => match open.pop() {
                 Some(Open::List(line, nodes)) => Node { line, value: Value::List(nodes) },
-                Some(Open::Map(line, entries, _)) => Node { line, value: Value::Map(entries) },
+                Some(Open::Map(line, entries)) => {
+                    Node { line, value: Value::Map(entries.complete) }
+                }
                 None => continue,
             },
             _ => continue,
         };
         match open.last_mut() {
             None if root.is_some() => {
-                return Err(error(line, "a second document begins, one is expected".to_owned()));
+                // The value of an empty document.
+                if node.value != Value::Scalar("~".to_owned()) {
+                    let what = "a second document begins, one is expected";
+                    return Err(error(line, what.to_owned()));
+                }
             }
             None => root = Some(node),
             Some(Open::List(_, nodes)) => nodes.push(node),
-            Some(Open::Map(_, entries, key)) => match (key.take(), node.value) {
-                (Some(name), value) => entries.push((name, Node { line: node.line, value })),
-                (None, Value::Scalar(name)) if entries.iter().any(|(known, _)| *known == name) => {
-                    return Err(error(line, format!("has the key {} twice", Excerpt(&name))));
+            Some(Open::Map(_, entries)) => match (entries.key.take(), node.value) {
+                (Some(name), value) => {
+                    entries.complete.push((name, Node { line: node.line, value }));
                 }
-                (None, Value::Scalar(name)) => *key = Some(name),
+                (None, Value::Scalar(name)) => {
+                    if !entries.keys.insert(name.clone()) {
+                        return Err(error(line, format!("has the key {} twice", Excerpt(&name))));
+                    }
+                    entries.key = Some(name);
+                }
                 (None, _) => return Err(error(line, "a key is a list or a map".to_owned())),
             },
         }
@@ -166,6 +185,12 @@ mod tests {
     }
 
     #[test]
+    fn an_empty_document_at_the_end_is_ignored() {
+        let one = parse(Path::new("a.yaml"), "a: 1\n").unwrap();
+        assert_eq!(parse(Path::new("a.yaml"), "a: 1\n---\n").unwrap(), one);
+    }
+
+    #[test]
     fn errors_name_the_line() {
         for (text, says) in [
             ("", "is empty"),
@@ -174,6 +199,7 @@ mod tests {
             ("a: 1\na: 2\n", "line 2: has the key a twice"),
             ("[1]: 2\n", "a key is a list"),
             ("a: 1\n---\nb: 2\n", "a second document"),
+            ("a: 1\n---\n~x\n", "a second document"),
             (&"[".repeat(100_000), "recursion limit"),
         ] {
             assert!(failure(text).contains(says), "{}", failure(text));

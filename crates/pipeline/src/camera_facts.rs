@@ -14,7 +14,8 @@ const TURNED: &str = "found.turned";
 pub(crate) struct CameraFacts {
     /// Cameras with known intrinsics.
     pub(crate) calibrated: BTreeSet<CameraId>,
-    /// Cameras of one lens whose images are turned by 90° against each other.
+    /// Cameras of one lens whose images are turned against each other. A pair has equal radial
+    /// distortion, and the fx of the one is the fy of the other.
     pub(crate) turned: Vec<[CameraId; 2]>,
 }
 

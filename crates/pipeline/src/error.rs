@@ -266,10 +266,29 @@ pub enum Error {
         first: String,
         /// Its size in pixels.
         first_size: Size,
-        /// A photo of another size in the same folder.
+        /// A photo of another size.
         other: String,
         /// Its size in pixels.
         other_size: Size,
+    },
+    /// Known intrinsics of all cameras do not fit the photos.
+    #[error("--intrinsics: {what}")]
+    Intrinsics {
+        /// The contradiction.
+        what: String,
+    },
+    /// No lens has the given focal length.
+    #[error(
+        "--focal-prior: no lens has a focal length of {focal_px:.3e} pixels at {image}, which has \
+        {size}: give between 0.1 and 150 times the longer side, or leave the option out"
+    )]
+    FocalPrior {
+        /// The focal length, in pixels of the photo.
+        focal_px: f64,
+        /// A photo.
+        image: String,
+        /// Its size in pixels.
+        size: Size,
     },
     /// A calibration does not fit the photos.
     #[error("{path}: {what}")]

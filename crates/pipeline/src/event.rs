@@ -51,6 +51,13 @@ pub enum Event<'a> {
         /// The reason, as a sentence.
         why: &'a str,
     },
+    /// The intrinsics of a camera are known from a file.
+    CameraCalibrated {
+        /// The first photo of the camera.
+        image: &'a str,
+        /// The file, and the name of the camera in it, as `FILE#CAMERA`.
+        calibration: &'a str,
+    },
     /// The EXIF focal length of a camera is impossible and is ignored.
     FocalIgnored {
         /// The first photo of the camera.

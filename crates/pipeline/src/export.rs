@@ -260,7 +260,15 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
         disk::copy_new(path, &target).map_err(output(&to.join(image_name(image))))
     })?;
     ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
-    nerfstudio::write(&folder.stage(TRANSFORMS)?, model, IMAGES, Some(CLOUD))?;
+    nerfstudio::write(&folder.stage(TRANSFORMS)?, model, IMAGES, Some(CLOUD)).map_err(|error| {
+        match error {
+            // The file for which the user asked, not the one that becomes it.
+            tiepoint_io::Error::Content { what, .. } => {
+                tiepoint_io::Error::Content { path: to.join(TRANSFORMS), what }
+            }
+            other => other,
+        }
+    })?;
     folder.publish(&names, &[])?;
     Ok(photos.len() - copied.len())
 }

@@ -138,6 +138,12 @@ pub fn extract_features(
     for SkippedImage { image, why } in &skipped {
         emit(watch, &Event::ImageSkipped { image, why })?;
     }
+    for photo in firsts(&usable) {
+        if let Some(calibration) = photo.calibration.map(|index| calibrations.shown(index)) {
+            let image = photos.name(photo);
+            emit(watch, &Event::CameraCalibrated { image, calibration: &calibration })?;
+        }
+    }
     if matches!(options.calibration, Calibration::Unknown { focal_px: None, .. }) {
         for photo in firsts(&usable).filter(|photo| photo.calibration.is_none()) {
             let ImageInfo { width, height, ref exif, .. } = photo.info;

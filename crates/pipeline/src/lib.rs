@@ -21,6 +21,7 @@ mod image_names;
 mod input_model;
 mod kalibr;
 mod keypoints;
+mod known_intrinsics;
 mod legacy_options;
 mod localize;
 mod mapping;

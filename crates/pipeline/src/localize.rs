@@ -397,8 +397,9 @@ impl Map {
             let camera = calibrations.camera(calibration, name, info)?;
             return Ok(vec![known(camera.intrinsics, CameraSource::Calibration)]);
         }
-        if let Calibration::Known(intrinsics) = options.calibration {
-            return Ok(vec![known(intrinsics, CameraSource::Calibration)]);
+        if let Calibration::Known(_) = options.calibration {
+            let camera = options.calibration.of_photo(name, info)?;
+            return Ok(vec![known(camera.intrinsics, CameraSource::Calibration)]);
         }
         let facts = CameraFacts::new(&info.exif);
         let is_same = |(camera, known): &&(CameraId, Option<CameraFacts>)| {
@@ -419,7 +420,7 @@ impl Map {
                 return Ok(same);
             }
         }
-        let intrinsics = options.calibration.of_photo(info).intrinsics;
+        let intrinsics = options.calibration.of_photo(name, info)?.intrinsics;
         Ok(vec![(QueryCamera { intrinsics, is_focal_known: false }, CameraSource::Estimated)])
     }
 

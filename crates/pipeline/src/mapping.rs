@@ -9,7 +9,7 @@ use std::time::Instant;
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::Database;
 use tiepoint_io::{ply, timestamps};
-use tiepoint_sfm::scene::{CorrespondenceGraph, Image, ImageId, Reconstruction};
+use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
     RigTerm, VerifyOptions, rig_candidates, rig_pairs,
@@ -269,7 +269,14 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
     let is_given = |option: &&str| workspace.records.option(Stage::Features, option).is_some();
     let given = [option_keys::INTRINSICS, option_keys::FOCAL_PRIOR];
     let cameras = if given.iter().any(is_given) { vec![] } else { database.read_cameras()? };
-    let camera = cameras.iter().find(|camera| camera.has_focal_prior);
+    let value = |key: &str| workspace.records.option(Stage::Features, key);
+    let calibrated = CameraFacts::read(value).calibrated;
+    let is_from_exif = |(index, camera): &(usize, &Camera)| {
+        camera.has_focal_prior
+            && !camera.intrinsics.kind().focal_indices().is_empty()
+            && !calibrated.contains(&CameraId::from_index(*index))
+    };
+    let camera = cameras.iter().enumerate().find(is_from_exif).map(|(_, camera)| camera);
     let from_exif =
         camera.map(|camera| (camera.intrinsics.mean_focal_px(), Size(camera.width, camera.height)));
     let path = workspace.root().to_owned();

@@ -78,11 +78,6 @@ impl Photos {
         &self.folder.images()[photo.index].name
     }
 
-    /// Number of the folder of a photo.
-    pub(crate) fn folder_of(&self, photo: &Photo) -> usize {
-        self.folder.images()[photo.index].camera.index()
-    }
-
     /// Fingerprint of all photos and masks.
     ///
     /// # Errors
@@ -113,7 +108,11 @@ impl Photos {
         let mut skipped: Vec<SkippedImage> = files
             .map(|file| SkippedImage { image: file.name.clone(), why: file.why.clone() })
             .collect();
-        let mut cameras = CameraNumbers::new(grouping);
+        let folders = images.iter().map(|image| image.camera.index());
+        let readable = folders
+            .zip(&infos)
+            .filter_map(|(folder, info)| info.as_ref().ok().map(|info| (folder, info)));
+        let mut cameras = CameraNumbers::new(grouping, readable);
         // The first photo of each camera.
         let mut firsts: Vec<usize> = Vec::new();
         for (index, (image, info)) in images.iter().zip(infos).enumerate() {

@@ -307,10 +307,17 @@ fn calibrations_that_do_not_fit() {
         "c.txt",
         &colmap.replace("320 240", "640 480"),
         "{}/c.txt",
-        &["c.txt", "640 x 480", "left/0.png", "320 x 240", "calibrate at the size"],
+        &["c.txt", "camera 1", "640 x 480", "left/0.png", "320 x 240", "calibrate at the size"],
     );
+    wrong("k.txt", kitti, "{}/k.txt#P0", &["left, right", "k.txt#P0, or *=", "k.txt#P0 for all"]);
     let outside = kitti.replace("160 0", "500 0");
-    wrong("k.txt", &outside, "{}/k.txt#P0", &["principal point", "(500.5, 120.5)", "left/0.png"]);
+    wrong("k.txt", &outside, "*={}/k.txt#P0", &["principal point", "(500.5, 120.5)", "left/0.png"]);
+    let half = kitti.replace("160 0", "80 0");
+    wrong("k.txt", &half, "*={}/k.txt#P0", &["far from the centre", "FILE#P0@320x240"]);
+    wrong("k.txt", kitti, "*={}/k.txt#P0@640x480", &["640 x 480", "left/0.png has 320 x 240"]);
+    wrong("k.txt", &kitti.replace("P0: 330", "P0: 1e308"), "*={}/k.txt#P0", &["P0: no lens"]);
+    wrong("c.txt", colmap, "*={}/c.txt#1@640x480", &["images of 320 x 240, and not 640 x 480"]);
+    wrong("c.txt", colmap, "left={}/d#1", &["No such file", "pattern left", "camera 1"]);
     wrong("k.txt", &kitti.replace("P0: 330", "P0: NaN"), "{}/k.txt#P1", &["line 1", "NaN"]);
     wrong("k.txt", &kitti.replace("P0: 330", "P0: -330"), "{}/k.txt#P1", &["line 1", "fx"]);
     wrong("a.yaml", &kalibr[..60], "{}/a.yaml", &["a.yaml", "no YAML"]);
@@ -326,12 +333,53 @@ fn calibrations_that_do_not_fit() {
 #[test]
 fn one_calibration_for_photos_of_two_sizes() {
     let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path().join("photos");
-    photos::write(&folder, 2, 0);
-    imageops::rotate90(&photos::photo(2, 0)).save(folder.join("2.png")).unwrap();
-    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --intrinsics 330,330,160,120")
-        .failed(1, &["--intrinsics", "0.png is 320 x 240", "2.png is 240 x 320", "--calibration"]);
+    let write = |folder: &str| {
+        let folder = dir.path().join(folder);
+        photos::write(&folder, 2, 0);
+        fs::remove_file(folder.join("1.png")).unwrap();
+        folder
+    };
+    let turned = |name: &str, folder: std::path::PathBuf| {
+        imageops::rotate90(&photos::photo(2, 0)).save(folder.join(name)).unwrap();
+    };
+    turned("2.png", write("photos"));
+    // One size in a folder, and another one in the next.
+    write("folders/a");
+    let b = write("folders/b");
+    turned("0.png", b);
     fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 330 330 160 120\n").unwrap();
-    tiepoint_in(dir.path(), "features {}/photos -o {}/ws --calibration {}/c.txt")
-        .failed(1, &["c.txt", "320 x 240", "2.png", "240 x 320", "PATTERN=FILE"]);
+    let kitti = "P0: 330 0 140 0 0 330 140 0 0 0 1 0\n";
+    fs::write(dir.path().join("k.txt"), kitti).unwrap();
+    for (inputs, [one, other]) in
+        [("photos", ["0.png", "2.png"]), ("folders", ["a/0.png", "b/0.png"])]
+    {
+        let wrong = |option: &str, parts: &[&str]| {
+            let line = format!("features {{}}/{inputs} -o {{}}/ws {option}");
+            tiepoint_in(dir.path(), &line).failed(1, parts);
+        };
+        let sizes = [format!("{one} is 320 x 240"), format!("{other} is 240 x 320")];
+        let sizes = sizes.each_ref().map(String::as_str);
+        wrong(
+            "--intrinsics 330,330,140,140",
+            &["--intrinsics", sizes[0], sizes[1], "--calibration"],
+        );
+        wrong("--calibration *={}/c.txt", &["c.txt", "320 x 240", other, "240 x 320", "PATTERN"]);
+        let sizes = [format!("{one} is 320 x 240"), format!("{other} 240 x 320")];
+        let sizes = sizes.each_ref().map(String::as_str);
+        wrong("--calibration *={}/k.txt", &["no image size", sizes[0], sizes[1]]);
+    }
+}
+
+#[test]
+fn focal_lengths_that_no_lens_has() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 2, 0);
+    let wrong = |option: &str, parts: &[&str]| {
+        let line = format!("features {{}}/photos -o {{}}/ws {option}");
+        tiepoint_in(dir.path(), &line).failed(1, parts);
+    };
+    wrong("--focal-prior 1e306", &["--focal-prior", "0.png", "320 x 240"]);
+    wrong("--intrinsics 500,500,5000,5000", &["--intrinsics", "(5000, 5000)", "outside of 0.png"]);
+    wrong("--intrinsics 1e308,1e308,160,120", &["--intrinsics", "no lens", "0.png"]);
+    wrong("--intrinsics 330,330,160,120,1e300,0,0,0", &["--intrinsics", "no lens", "0.png"]);
 }

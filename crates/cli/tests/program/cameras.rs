@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::imageops;
 use serde_json::Value;
 
@@ -129,4 +130,47 @@ fn known_calibrations_of_single_cameras_stay_fixed() {
     assert_eq!(refined[0].1[2..], left[2..]);
     fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 331 331 160 120\n").unwrap();
     tiepoint_in(dir.path(), line).failed(1, &["another --calibration", "--redo features"]);
+}
+
+/// Photo `index` as a JPEG file that stores it turned by 180°, or as it is, with the EXIF
+/// orientation that says so.
+fn jpeg(index: usize, is_turned: bool) -> Vec<u8> {
+    let photo = photos::photo(index, 0);
+    let (photo, orientation) =
+        if is_turned { (imageops::rotate180(&photo), 3) } else { (photo, 1) };
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, 98).encode_image(&photo).unwrap();
+    let tiff = [
+        b"MM\0*\0\0\0\x08".as_slice(),
+        // One field, a short.
+        &[0, 1, 0x01, 0x12, 0, 3, 0, 0, 0, 1, 0, orientation, 0, 0, 0, 0, 0, 0],
+    ]
+    .concat();
+    let length = (2 + 6 + tiff.len() as u16).to_be_bytes();
+    [&jpeg[..2], &[0xFF, 0xE1], &length, b"Exif\0\0", &tiff, &jpeg[2..]].concat()
+}
+
+#[test]
+fn photos_held_upside_down_are_another_camera_with_the_calibration_turned() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir(dir.path().join("photos")).unwrap();
+    for index in 0..4 {
+        let path = dir.path().join(format!("photos/{index}.jpg"));
+        fs::write(path, jpeg(index, index % 2 == 1)).unwrap();
+    }
+    fs::write(dir.path().join("c.txt"), "1 PINHOLE 320 240 330 330 165 118\n").unwrap();
+    for options in ["", "--calibration {}/c.txt", "--intrinsics 330,330,165,118"] {
+        let line = format!("features {{}}/photos -o {{}}/ws --redo features {options}");
+        let run = tiepoint_in(dir.path(), &line).done();
+        assert_eq!(cameras_and_images(dir.path()).1, [0, 1, 0, 1], "{options}");
+        let said = run.stderr().contains("the camera of 1.jpg is calibrated by ");
+        assert_eq!(said, options.contains("calibration"), "{}", run.stderr());
+        if !options.is_empty() {
+            let report = fs::read(dir.path().join("ws/report.json")).unwrap();
+            let report: Value = serde_json::from_slice(&report).unwrap();
+            let cameras = &report["stages"]["features"]["cameras"];
+            assert_eq!(cameras[0]["params"], serde_json::json!([330.0, 330.0, 165.0, 118.0]));
+            assert_eq!(cameras[1]["params"], serde_json::json!([330.0, 330.0, 155.0, 122.0]));
+        }
+    }
 }

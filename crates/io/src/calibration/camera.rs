@@ -8,10 +8,11 @@ const PIXEL_CENTRE_OFFSET_PX: f64 = 0.5;
 /// The calibration of one camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraCalibration {
-    /// Its name in the file: the id in COLMAP's, `cam0` in Kalibr's, `P0` in KITTI's; `M1` and `M2`
-    /// in OpenCV's of a stereo pair, else `camera`.
+    /// Its name in the file: the id in COLMAP's, `cam0` in Kalibr's, `P0` in KITTI's, `P_rect_00`
+    /// in KITTI's raw recordings; `M1` and `M2` in OpenCV's of a stereo pair, else `camera`.
     pub name: String,
-    /// Kalibr's name of the recording, such as `/left/image_raw`.
+    /// Kalibr's name of the recording, such as `/left/image_raw`; `camera_name` of ROS; the folder
+    /// of the images of KITTI's raw recordings, such as `image_00`.
     pub topic: Option<String>,
     /// Width and height of its images in pixels, if the file has them.
     pub size: Option<[u32; 2]>,

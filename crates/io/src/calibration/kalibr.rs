@@ -33,9 +33,9 @@ fn camera(path: &Path, name: &str, node: &Node) -> Result<CameraCalibration> {
         found.text().ok_or_else(|| found.error(path, format!("{key} of {name} is no name")))
     };
     let projection = word("camera_model")?;
-    if projection != "pinhole" {
+    if !["pinhole", "eucm"].contains(&projection) {
         let what = format!(
-            "{name} has the camera model {}: only pinhole can be used",
+            "{name} has the camera model {}: only pinhole and eucm can be used",
             Excerpt(projection)
         );
         return Err(find("camera_model")?.error(path, what));
@@ -49,10 +49,22 @@ fn camera(path: &Path, name: &str, node: &Node) -> Result<CameraCalibration> {
         let what = format!("{key} of {name} has {} numbers in place of {count}", numbers.len());
         Err(found.error(path, what))
     };
-    let pinhole = numbers("intrinsics", 4)?;
     let distortion =
         if node.get("distortion_model").is_some() { word("distortion_model")? } else { "none" };
+    // α and β stand before the numbers of the image plane.
+    let (plane, shape) = match projection {
+        "eucm" => {
+            let numbers = numbers("intrinsics", 6)?;
+            (numbers[2..].to_vec(), numbers[..2].to_vec())
+        }
+        _ => (numbers("intrinsics", 4)?, Vec::new()),
+    };
     let (model, further) = match distortion {
+        "none" if projection == "eucm" => ("EUCM", shape),
+        _ if projection == "eucm" => {
+            let what = format!("{name} has eucm with a distortion model: none is expected");
+            return Err(find("distortion_model")?.error(path, what));
+        }
         "none" => ("PINHOLE", Vec::new()),
         "radtan" => ("OPENCV", numbers("distortion_coeffs", 4)?),
         "equidistant" => ("OPENCV_FISHEYE", numbers("distortion_coeffs", 4)?),
@@ -66,7 +78,7 @@ fn camera(path: &Path, name: &str, node: &Node) -> Result<CameraCalibration> {
         }
     };
     let at = find("intrinsics")?;
-    let four = [pinhole[0], pinhole[1], pinhole[2], pinhole[3]];
+    let four = [plane[0], plane[1], plane[2], plane[3]];
     let intrinsics = intrinsics(model, four, &further)
         .map_err(|what| -> Error { at.error(path, format!("{name}: {what}")) })?;
     let size = match node.get("resolution") {

@@ -4,8 +4,10 @@
 
 mod camera;
 pub(crate) mod kalibr;
+mod kitti_raw;
 mod opencv;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -20,7 +22,8 @@ use crate::{Error, Result, colmap, kitti, require_regular_file, yaml};
 const MAX_BYTES: u64 = 4 << 20;
 
 /// Reads COLMAP's `cameras.txt`, OpenCV's YAML of `FileStorage` (also of ROS), Kalibr's camchain or
-/// KITTI's `calib.txt`; the content decides which it is. Returns at least one camera, in the order
+/// KITTI's `calib.txt` (also `calib_cam_to_cam.txt` of its raw recordings, of which the rectified
+/// cameras are read); the content decides which it is. Returns at least one camera, in the order
 /// of the file, with unique names.
 ///
 /// # Errors
@@ -40,6 +43,8 @@ pub fn read(path: &Path) -> Result<Vec<CameraCalibration>> {
         of_yaml(path, &text)?
     } else if !first_word.is_empty() && first_word.bytes().all(|byte| byte.is_ascii_digit()) {
         of_colmap(path)?
+    } else if kitti_raw::is_raw(&text) {
+        kitti_raw::cameras(path)?
     } else if is_matrix_name(first_word) {
         of_kitti(path)?
     } else if first_word.ends_with(':') {
@@ -51,8 +56,9 @@ pub fn read(path: &Path) -> Result<Vec<CameraCalibration>> {
             KITTI's calib.txt",
         ));
     };
-    for (index, camera) in cameras.iter().enumerate() {
-        if cameras[..index].iter().any(|other| other.name == camera.name) {
+    let mut names = BTreeSet::new();
+    for camera in &cameras {
+        if !names.insert(camera.name.as_str()) {
             return Err(Error::content(path, format!("has the camera {} twice", camera.name)));
         }
     }

@@ -175,6 +175,11 @@ fn nerfstudio_cameras_project_points_to_the_same_pixels() {
         ),
         (CameraModelKind::SimpleRadial, &[500.0, 320.5, 239.5, -0.1], "OPENCV"),
         (
+            CameraModelKind::FullOpencv,
+            &[500.0, 510.0, 320.5, 239.5, -0.1, 0.02, 0.003, -0.004, 0.05, 0.0, 0.0, 0.0],
+            "OPENCV",
+        ),
+        (
             CameraModelKind::OpencvFisheye,
             &[300.0, 301.0, 320.5, 239.5, 0.1, -0.02, 0.003, 0.004],
             "OPENCV_FISHEYE",
@@ -207,7 +212,7 @@ fn nerfstudio_cameras_project_points_to_the_same_pixels() {
             let (p1, p2) = (number("p1"), number("p2"));
             let r2 = x * x + y * y;
             let distorted = if name == "OPENCV" {
-                let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
                 Vector2::new(
                     x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
                     y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
@@ -227,6 +232,16 @@ fn nerfstudio_cameras_project_points_to_the_same_pixels() {
             assert_eq!((number("w"), number("h")), (640.0, 480.0));
         }
     }
+}
+
+#[test]
+fn nerfstudio_has_no_rational_distortion() {
+    let params = [500.0, 510.0, 320.5, 239.5, -0.1, 0.02, 0.0, 0.0, 0.05, 0.0, 0.0, 0.1];
+    let model = one_camera(CameraModelKind::FullOpencv, &params);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("transforms.json");
+    let error = nerfstudio::write(&path, &model, "images", None).unwrap_err().to_string();
+    assert!(error.contains("knows no camera model FULL_OPENCV"), "{error}");
 }
 
 #[test]

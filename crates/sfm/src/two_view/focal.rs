@@ -112,15 +112,21 @@ pub fn estimate_focal_lengths(
 
 /// The cameras without a focal prior. Turned cameras of one lens are together.
 fn unknown_lenses(model: &Reconstruction) -> Vec<Vec<CameraId>> {
-    let is_unknown = |camera: CameraId| !model.camera(camera).is_calibrated();
-    let turned = model.turned.iter().filter(|pair| pair.iter().all(|&camera| is_unknown(camera)));
-    let mut lenses: Vec<Vec<CameraId>> = turned.map(|pair| pair.to_vec()).collect();
-    let alone: Vec<CameraId> = model
-        .cameras()
-        .map(|(id, _)| id)
-        .filter(|&id| is_unknown(id) && !lenses.iter().any(|cameras| cameras.contains(&id)))
-        .collect();
-    lenses.extend(alone.into_iter().map(|camera| vec![camera]));
+    let ids = model.cameras().map(|(id, _)| id);
+    let unknown = ids.filter(|&id| !model.camera(id).is_calibrated());
+    let mut lenses: Vec<Vec<CameraId>> = unknown.map(|camera| vec![camera]).collect();
+    for pair in &model.turned {
+        let lens_of = |camera| lenses.iter().position(|lens| lens.contains(&camera));
+        if let [Some(one), Some(other)] = pair.map(lens_of)
+            && one != other
+        {
+            let moved = lenses.remove(one.max(other));
+            lenses[one.min(other)].extend(moved);
+        }
+    }
+    for lens in &mut lenses {
+        lens.sort();
+    }
     lenses.sort();
     lenses
 }
@@ -250,4 +256,26 @@ pub(crate) fn with_focal(intrinsics: &Intrinsics, focal_px: f64) -> Intrinsics {
         changed.params_mut()[param] = focal_px;
     }
     changed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiepoint_geometry::CameraModelKind;
+    use tiepoint_scene::Camera;
+
+    #[test]
+    fn a_lens_has_all_cameras_of_its_pairs() {
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::SimpleRadial, 500.0, 640, 480);
+        let ids: Vec<CameraId> = (0..6)
+            .map(|index| {
+                let has_focal_prior = index == 4;
+                model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior })
+            })
+            .collect();
+        model.turned = vec![[ids[0], ids[3]], [ids[1], ids[4]], [ids[2], ids[3]], [ids[0], ids[2]]];
+        let lenses = [vec![ids[0], ids[2], ids[3]], vec![ids[1]], vec![ids[5]]];
+        assert_eq!(unknown_lenses(&model), lenses);
+    }
 }
