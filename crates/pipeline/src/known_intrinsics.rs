@@ -187,7 +187,7 @@ mod tests {
 
     /// A pixel of the stored image in the upright one, as `image::DynamicImage` turns it.
     fn turn(pixel: Vector2<f64>, orientation: u8, [w, h]: [f64; 2]) -> Vector2<f64> {
-        let Vector2 { x, y, .. } = pixel;
+        let [x, y] = pixel.into();
         match orientation {
             1 => Vector2::new(x, y),
             2 => Vector2::new(w - x, y),

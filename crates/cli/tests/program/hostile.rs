@@ -66,7 +66,7 @@ fn the_limit_on_pixels_is_an_option_that_is_remembered() {
     photos::write(&dir.path().join("small"), 4, 0);
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small").done();
     tiepoint_in(dir.path(), "features {}/small -o {}/of_small --max-megapixels 289")
-        .failed(1, &["--max-megapixels none and not 289", "--redo features"]);
+        .failed(1, &["--max-megapixels 256 and not 289", "--redo features"]);
     // If no usable photo is left, the message has the reason.
     for index in 0..4 {
         fs::remove_file(dir.path().join(format!("photos/{index}.png"))).unwrap();
