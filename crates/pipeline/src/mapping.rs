@@ -58,8 +58,8 @@ pub struct MapOptions {
 /// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
 /// it; the input model cannot be read, has no image in common with the workspace, or contradicts
 /// another option; no image pair overlaps; a rig constraint or a rolling shutter is asked for and
-/// the capture times do not suffice; the mapper fails; a file cannot be read or written; `watch` returns
-/// `Break`.
+/// the capture times do not suffice; the mapper fails; a file cannot be read or written; `watch`
+/// returns `Break`.
 pub fn map(
     workspace: &mut Workspace,
     map_options: &MapOptions,
@@ -84,6 +84,10 @@ pub fn map(
             .any(|option| workspace.records.option(Stage::Features, option).is_some());
     texts.push(option_keys::of_known_intrinsics(refine.is_some() && has_known));
     if let Some(model) = &input_model {
+        if rig_calibration.is_some() {
+            let (option, with) = ("--rig-calibration", "--input-model");
+            return Err(Error::MovesPoses { option, with });
+        }
         texts.extend(model.texts());
         options = model.options(options)?;
         workspace.folder.protect(model.files());

@@ -45,7 +45,8 @@ impl Default for Options {
 ///
 /// # Errors
 ///
-/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`] and [`map`].
+/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`] and
+/// [`map`].
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,

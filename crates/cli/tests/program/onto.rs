@@ -113,6 +113,7 @@ fn new_photos_are_registered_onto_an_input_model() {
     fails("{}/ws --baseline 1m", 2, &["--baseline", "--input-model"]);
     fails("{}/ws --fix-existing-frames --rig hard", 2, &["--rig", "--fix-existing-frames"]);
     fails("{}/ws --rig paper", 2, &["--rig paper", "--input-model"]);
+    fails("{}/ws --rig-calibration []/x", 2, &["--rig-calibration", "--input-model"]);
     run(dir.path(), "map []/fixed --fix-existing-frames").failed(2, &["--input-model"]);
     photos::write(&dir.path().join("other/sub"), 2, 0);
     run(dir.path(), "reconstruct []/other -o []/ws2 --input-model {}/ws")

@@ -19,8 +19,8 @@ const WAL: [u8; 2] = [2, 2];
 const LOCKLESS: &str = if cfg!(windows) { "win32-none" } else { "unix-none" };
 
 impl Database {
-    /// Opens a database for reading. The file and its folder may be read-only; no file is changed or
-    /// created, and writing fails.
+    /// Opens a database for reading. The file and its folder may be read-only; no file is changed
+    /// or created, and writing fails.
     ///
     /// # Errors
     ///

@@ -7,8 +7,8 @@ use tiepoint_scene::{CameraId, Image, ImageId, Observation, Reconstruction, Trac
 use crate::Error;
 
 /// Largest difference of a coordinate of the same keypoint, in pixels. The correction of a rolling
-/// shutter moves keypoints by less. Of unrelated keypoints in an image of a million pixels, one in a
-/// thousand is as near.
+/// shutter moves keypoints by less. Of unrelated keypoints in an image of a million pixels, one in
+/// a thousand is as near.
 const SAME_KEYPOINT_PX: f64 = 16.0;
 
 /// A scene with the poses and points of a model.

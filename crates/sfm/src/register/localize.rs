@@ -144,7 +144,8 @@ mod tests {
     const POINTS: usize = 120;
     const WRONG: usize = 40;
 
-    /// Two images of points in a box, and a query with wrong matches. Returns the pose of the query.
+    /// Two images of points in a box, and a query with wrong matches. Returns the pose of the
+    /// query.
     fn scene(focal_px: f64) -> (CorrespondenceGraph, Reconstruction, ImageId, Rigid3) {
         let intrinsics = |focal_px| {
             Intrinsics::new(CameraModelKind::SimplePinhole, &[focal_px, 320.0, 240.0]).unwrap()
