@@ -85,7 +85,7 @@ pub(crate) fn parse(path: &Path, text: &str) -> Result<Node> {
         match open.last_mut() {
             None if root.is_some() => {
                 // The value of an empty document.
-                if node.value != Value::Scalar("~".to_owned()) {
+                if node.value != Value::Scalar(String::new()) {
                     let what = "a second document begins, one is expected";
                     return Err(error(line, what.to_owned()));
                 }
