@@ -240,8 +240,8 @@ pub(crate) const MEGA: u64 = 1_000_000;
 #[derive(Debug, Args)]
 pub(crate) struct Cameras {
     /// Photos that share a camera: auto (photos of one folder with the same size, EXIF orientation,
-    /// body, lens and focal length), folder (each folder has one), image (each photo has its own), single (all
-    /// have one).
+    /// body, lens and focal length), folder (each folder has one), image (each photo has its own),
+    /// single (all have one).
     #[arg(long, value_name = "GROUPS", default_value_t = CameraGrouping::Auto)]
     pub(crate) cameras: CameraGrouping,
     /// Known intrinsics of all cameras, in pixels; they stay fixed. The centre of the first pixel

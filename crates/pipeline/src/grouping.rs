@@ -9,8 +9,8 @@ use tiepoint_io::{Device, ImageInfo};
 /// The photos that share a camera, i.e. one set of intrinsics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CameraGrouping {
-    /// Photos of one folder that agree in size, in orientation (as EXIF says), camera body, lens and
-    /// focal length.
+    /// Photos of one folder that agree in size, EXIF orientation, camera body, lens and focal
+    /// length.
     #[default]
     Auto,
     /// The photos of a folder.

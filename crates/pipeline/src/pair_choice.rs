@@ -24,8 +24,8 @@ pub(crate) const IMAGES_READ_AT_ONCE: usize = 16;
 const SAMPLE_IMAGES: usize = 256;
 const SAMPLE_DESCRIPTORS: usize = 200;
 /// Descriptors of all images for each word of [`InvertedIndex`]. The number of words follows, so
-/// that a query compares the same number of binary vectors in any collection. Of the true pairs of 1,000
-/// rendered photos, the 100 most similar photos hold 0.722 with half as many, 0.730 with 128.
+/// that a query compares the same number of binary vectors in any collection. Of the true pairs of
+/// 1,000 rendered photos, the 100 most similar photos hold 0.722 with half as many, 0.730 with 128.
 const DESCRIPTORS_PER_WORD: usize = 128;
 /// Descriptors in the sample for each of these words.
 const SAMPLE_PER_WORD: usize = 8;

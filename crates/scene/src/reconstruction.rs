@@ -25,8 +25,9 @@ pub struct Reconstruction {
     pub frames: Vec<Frame>,
     /// Cameras with known intrinsics, which adjustments keep.
     pub calibrated: BTreeSet<CameraId>,
-    /// Pairs of cameras of one lens whose images are turned against each other: the fx of the one is
-    /// the fy of the other, and their radial distortion is equal. A camera may be in several pairs.
+    /// Pairs of cameras of one lens whose images are turned against each other: the fx of the one
+    /// is the fy of the other, and their radial distortion is equal. A camera may be in several
+    /// pairs.
     pub turned: Vec<[CameraId; 2]>,
 }
 

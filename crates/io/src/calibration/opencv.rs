@@ -1,5 +1,6 @@
 //! YAML of OpenCV's `FileStorage`: a camera matrix, distortion coefficients and the image size, as
-//! the samples of OpenCV, the calibration of ROS and `ros2 topic echo` of a `CameraInfo` write them.
+//! the samples of OpenCV, the calibration of ROS, and `ros2 topic echo` of a `CameraInfo` write
+//! them.
 //! Case and underscores of keys do not matter. A number at the end of the keys tells the cameras of
 //! a stereo pair apart (`M1`, `D1`, `M2`, `D2`).
 //!
