@@ -57,7 +57,7 @@ fn truncated_photos_and_other_files_are_skipped() {
     let run = reconstruct(dir.path()).done();
     let said = run.stderr();
     assert_eq!(said.lines().count(), 3, "{said}");
-    assert!(said.contains("matching 6 pairs (exhaustive), about "), "{said}");
+    assert!(said.contains("matching 10 pairs (exhaustive), about "), "{said}");
     let line = |name: &str| {
         said.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{said}"))
     };

@@ -62,7 +62,7 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         (&"exhaustive".into(), &(COUNT * (COUNT - 1) / 2).into())
     );
     assert!(chosen["expected_s"].as_f64().unwrap() > 0.0, "{chosen}");
-    let matches = &report["stages"]["matches"];
+    let matches = &report["stages"]["match"];
     assert_eq!(matches["selection"], "exhaustive");
     assert_eq!(matches["expected_seconds"], chosen["expected_s"]);
     assert_eq!(
