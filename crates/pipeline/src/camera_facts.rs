@@ -1,7 +1,7 @@
 //! What is known of the cameras beside their initial intrinsics. The record of the feature stage
 //! holds it for mapping: it follows from the photos and the options of the stage.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tiepoint_sfm::scene::{CameraId, Reconstruction};
 
@@ -48,17 +48,27 @@ impl CameraFacts {
         }
     }
 
-    /// Adds the facts to a model. A damaged record may name cameras that the model does not have.
-    pub(crate) fn add_to(mut self, model: &mut Reconstruction) {
-        let exists = |camera: &CameraId| camera.index() < model.num_cameras();
-        self.calibrated.retain(exists);
-        self.turned.retain(|[one, other]| exists(one) && exists(other) && one != other);
-        (model.calibrated, model.turned) = (self.calibrated, self.turned);
+    /// Adds the facts to a model of the workspace. The cameras are those of the database, whose ids
+    /// count from 1. The model may have fewer, and a damaged record may name others.
+    pub(crate) fn add_to(self, model: &mut Reconstruction) {
+        let ids: BTreeMap<u64, CameraId> = model
+            .cameras()
+            .map(|(camera, _)| (model.original_ids.camera(camera), camera))
+            .collect();
+        let there = |camera: &CameraId| ids.get(&(camera.index() as u64 + 1)).copied();
+        let turned = self.turned.iter().filter(|[one, other]| one != other);
+        let turned = turned.filter_map(|[one, other]| Some([there(one)?, there(other)?]));
+        let (calibrated, turned) =
+            (self.calibrated.iter().filter_map(there).collect(), turned.collect());
+        (model.calibrated, model.turned) = (calibrated, turned);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+    use tiepoint_sfm::scene::{Camera, OriginalIds};
+
     use super::*;
 
     #[test]
@@ -77,5 +87,23 @@ mod tests {
         let mut model = Reconstruction::default();
         facts.add_to(&mut model);
         assert_eq!(model, Reconstruction::default(), "it has no cameras");
+    }
+
+    #[test]
+    fn facts_go_to_the_cameras_with_the_same_ids() {
+        let facts = CameraFacts {
+            calibrated: [CameraId(0), CameraId(3)].into(),
+            turned: vec![[CameraId(1), CameraId(2)], [CameraId(2), CameraId(3)]],
+        };
+        // Cameras 3 and 4 of the database, which counts from 1.
+        let mut model = Reconstruction::default();
+        let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+        for _ in 0..2 {
+            model.add_camera(Camera { intrinsics, width: 640, height: 480, has_focal_prior: true });
+        }
+        model.original_ids = OriginalIds::new(vec![3, 4], vec![], vec![]);
+        facts.add_to(&mut model);
+        assert_eq!(model.calibrated, [CameraId(1)].into());
+        assert_eq!(model.turned, [[CameraId(0), CameraId(1)]]);
     }
 }

@@ -340,14 +340,27 @@ pub enum Error {
     /// A rig constraint was asked for, and no two cameras have synchronous images.
     #[error(
         "--rig needs two cameras with images of the same times, and in {path} no two of {cameras} \
-        cameras have them: put the photos of each camera into a folder of its own, give their \
-        times to `tiepoint features` with --timestamps FILE.csv, or choose --rig off"
+        cameras have them: put the photos of each camera into a folder of its own, without \
+        --cameras single, give their times to `tiepoint features` with --timestamps FILE.csv, or \
+        choose --rig off"
     )]
     NoSynchronousImages {
         /// The workspace.
         path: PathBuf,
         /// Number of cameras in it.
         cameras: usize,
+    },
+    /// The focal length is to be constant, and it is not known.
+    #[error(
+        "the focal length of {image} in {path} is not known, and --refine does not list focal: \
+        give it to `tiepoint features` with --calibration, --intrinsics or --focal-prior, or add \
+        focal to the list"
+    )]
+    UnknownFocal {
+        /// The workspace.
+        path: PathBuf,
+        /// The first image of which it is not known.
+        image: String,
     },
     /// A rolling shutter was asked for, and no camera has enough images with capture times.
     #[error(

@@ -354,7 +354,9 @@ impl Map {
         let name = photos.images()[index].name.as_str();
         let there = self.scene.images().find(|(_, image)| image.name == name);
         if there.is_some_and(|(_, image)| image.cam_from_world().is_some()) {
-            return Ok(Err("it has a pose in the model".to_owned()));
+            let why = "an image of this name has a pose in the model; if it is another photo, \
+                rename it";
+            return Ok(Err(why.to_owned()));
         }
         let there = there.map(|(id, _)| id);
         let info = match photos.info(index) {

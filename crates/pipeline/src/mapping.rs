@@ -57,9 +57,9 @@ pub struct MapOptions {
 ///
 /// The workspace has no matches; the stage was run with other options, and `redo` does not ask for
 /// it; the input model cannot be read, has no image in common with the workspace, or contradicts
-/// another option; no image pair overlaps; a rig constraint or a rolling shutter is asked for and
-/// the capture times do not suffice; the mapper fails; a file cannot be read or written; `watch`
-/// returns `Break`.
+/// another option; a focal length is to be constant and is not known; no image pair overlaps; a rig
+/// constraint or a rolling shutter is asked for and the capture times do not suffice; the mapper
+/// fails; a file cannot be read or written; `watch` returns `Break`.
 pub fn map(
     workspace: &mut Workspace,
     map_options: &MapOptions,
@@ -113,8 +113,25 @@ pub fn map(
     let known_rigs = rig_calibration
         .map(|path| known_rigs(path, &mut scene, takes_intrinsics, refine_extrinsics))
         .transpose()?;
+    // The focal lengths of an input model or a foreign database are those that it has.
+    let is_foreign = input_model.is_some()
+        || workspace.records.option(Stage::Features, option_keys::DATABASE).is_some();
+    if refine.is_some_and(|refine| !refine.focal)
+        && !is_foreign
+        && let Some(image) = image_without_focal(&scene)
+    {
+        return Err(Error::UnknownFocal {
+            path: workspace.root().to_owned(),
+            image: image.name.clone(),
+        });
+    }
     if refine.is_some() {
-        scene.calibrated.clear();
+        if !takes_intrinsics {
+            scene.calibrated = scene.cameras().map(|(id, _)| id).collect();
+        }
+        let known = std::mem::take(&mut scene.calibrated);
+        scene.expected_intrinsics =
+            known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
     }
     let total = scene.images().filter(|(_, image)| !image.keypoints.is_empty()).count();
     emit(watch, &Event::StageBegan { stage: STAGE, total, done: 0 })?;
@@ -214,6 +231,17 @@ fn describe_failure(Failure { stage, why }: &Failure) -> String {
         OptionalStage::Rig => "the estimation of rig extrinsics failed",
     };
     format!("{stage}, and the model is the one before it: {why}")
+}
+
+/// An image of a camera whose focal length is neither given nor in EXIF.
+fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
+    let is_guessed = |image: &Image| {
+        let camera = scene.camera(image.camera);
+        !camera.has_focal_prior
+            && !camera.intrinsics.kind().focal_indices().is_empty()
+            && !scene.calibrated.contains(&image.camera)
+    };
+    scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
 }
 
 /// Replaces the scene by one with the poses and points of a model.

@@ -1,14 +1,16 @@
 //! The owner of cameras, images and tracks. All changes go through methods that keep keypoints and
 //! tracks consistent with each other. [`Reconstruction::validate`] checks all invariants.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
-use tiepoint_geometry::{Rigid3, Sim3};
+use tiepoint_geometry::{Intrinsics, Rigid3, Sim3};
 
 use crate::rig::is_same_pose;
-use crate::{Camera, CameraId, Frame, Image, ImageId, Observation, PointId, Rig, Track};
+use crate::{
+    Camera, CameraId, Frame, Image, ImageId, Observation, OriginalIds, PointId, Rig, Track,
+};
 
 /// A model: cameras, images with poses, points with tracks; rigs and frames for rigidly connected
 /// images.
@@ -25,10 +27,15 @@ pub struct Reconstruction {
     pub frames: Vec<Frame>,
     /// Cameras with known intrinsics, which adjustments keep.
     pub calibrated: BTreeSet<CameraId>,
+    /// Intrinsics around which adjustments have their prior on principal point and distortion. That
+    /// of other cameras is around the image centre and no distortion.
+    pub expected_intrinsics: BTreeMap<CameraId, Intrinsics>,
     /// Pairs of cameras of one lens whose images are turned against each other: the fx of the one
     /// is the fy of the other, and their radial distortion is equal. A camera may be in several
     /// pairs.
     pub turned: Vec<[CameraId; 2]>,
+    /// Ids in the files that the model was read from.
+    pub original_ids: OriginalIds,
 }
 
 impl Reconstruction {

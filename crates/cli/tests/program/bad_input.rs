@@ -283,6 +283,19 @@ fn invalid_rolling_shutter() {
 }
 
 #[test]
+fn focal_lengths_that_are_constant_and_unknown() {
+    let dir = tempfile::tempdir().unwrap();
+    photos::write(&dir.path().join("photos"), 3, 0);
+    let with = |options: &str| {
+        tiepoint_in(dir.path(), &format!("reconstruct {{}}/photos -o {{}}/ws {options}"))
+    };
+    for refine in ["none", "distortion"] {
+        with(&format!("--refine {refine}")).failed(1, &["focal length of", "--focal-prior"]);
+    }
+    with("--refine focal").done();
+}
+
+#[test]
 fn calibrations_that_do_not_fit() {
     let dir = tempfile::tempdir().unwrap();
     for folder in ["left", "right"] {

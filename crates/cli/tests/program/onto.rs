@@ -144,7 +144,10 @@ fn photos_are_localized_in_a_model_that_does_not_change() {
     // An unknown focal length, and photos that are in the model.
     let text = run(dir.path(), "localize {}/ws {}/all -o []/all --focal-prior 500").done().stdout();
     let lines: Vec<&str> = text.lines().collect();
-    assert!(lines[0].contains("0.png no pose: it has a pose in the model"), "{text}");
+    assert!(
+        lines[0].contains("0.png no pose: an image of this name has a pose in the model"),
+        "{text}"
+    );
     assert!(lines[OLD].starts_with("5.png ") && lines[OLD].split(' ').count() == 9, "{text}");
     assert!(lines[ALL].starts_with("2 of 7 photos have a pose"), "{text}");
 

@@ -7,8 +7,9 @@ use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
+use super::file_ids::FileIds;
 use super::file_names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
-use super::rig_tables::{FrameRow, RigRow, RigTables, file_id};
+use super::rig_tables::{FrameRow, RigRow, RigTables};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::{Reader, WriteLe, pose_numbers};
@@ -33,22 +34,23 @@ const OBSERVATION_BYTES: u64 = 4 + 4;
 pub(super) fn write(
     name: &str,
     model: &Reconstruction,
+    ids: &FileIds,
     rig_tables: &RigTables,
     out: &mut impl Write,
 ) -> io::Result<()> {
     match name {
-        CAMERAS => write_cameras(model, out),
+        CAMERAS => write_cameras(model, ids, out),
         RIGS => write_rigs(rig_tables, out),
         FRAMES => write_frames(rig_tables, out),
-        IMAGES => write_images(model, out),
-        _ => write_points(model, out),
+        IMAGES => write_images(model, ids, out),
+        _ => write_points(model, ids, out),
     }
 }
 
-fn write_cameras(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_cameras(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     out.u64(model.cameras().count() as u64)?;
     for (id, camera) in model.cameras() {
-        out.u32(file_id(id.index()))?;
+        out.u32(ids.camera(id))?;
         out.i32(camera.intrinsics.kind().colmap_id())?;
         out.u64(u64::from(camera.width))?;
         out.u64(u64::from(camera.height))?;
@@ -90,12 +92,12 @@ fn write_frames(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> 
     Ok(())
 }
 
-fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_images(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     out.u64(model.num_registered() as u64)?;
     for (id, image, cam_from_world) in model.registered() {
-        out.u32(file_id(id.index()))?;
+        out.u32(ids.image(id))?;
         out.f64s(&pose_numbers(cam_from_world))?;
-        out.u32(file_id(image.camera.index()))?;
+        out.u32(ids.camera(image.camera))?;
         if image.name.contains('\0') {
             let what = format!(
                 "the name {:?} holds a zero byte, which ends names in this format",
@@ -108,22 +110,22 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
         out.u64(image.keypoints.len() as u64)?;
         for (keypoint, point) in image.keypoints.iter().zip(image.points()) {
             out.f64s(keypoint.pixel.as_slice())?;
-            out.u64(point.map_or(NO_POINT, |point| u64::from(point.0) + 1))?;
+            out.u64(point.map_or(NO_POINT, |point| ids.point(point)))?;
         }
     }
     Ok(())
 }
 
-fn write_points(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_points(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     out.u64(model.num_tracks() as u64)?;
     for (id, track) in model.tracks() {
-        out.u64(u64::from(id.0) + 1)?;
+        out.u64(ids.point(id))?;
         out.f64s(track.xyz.as_slice())?;
         out.write_all(&track.color)?;
         out.f64(model.track_error_px(track))?;
         out.u64(track.observations.len() as u64)?;
         for observation in &track.observations {
-            out.u32(file_id(observation.image.index()))?;
+            out.u32(ids.image(observation.image))?;
             out.u32(observation.keypoint)?;
         }
     }

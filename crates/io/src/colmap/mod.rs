@@ -1,8 +1,8 @@
 //! Models of COLMAP: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and
 //! frames; binary or text.
 //!
-//! Ids in the files are indices of [`tiepoint_scene`] plus one, as in `database.db`. Only
-//! registered images are written. The format does not hold keypoint scales (1 after reading), image
+//! Ids in the files are indices of [`tiepoint_scene`] plus one, as in `database.db`; a model that was
+//! read keeps the ids of its cameras, images and points. Only registered images are written. The format does not hold keypoint scales (1 after reading), image
 //! times, hold-out flags, and the origin of a focal length.
 //!
 //! COLMAP requires a frame for every image and a rig for every camera. Rigs and frames of the
@@ -13,6 +13,7 @@
 //! `src/colmap/scene/reconstruction_io*.cc` of COLMAP 4.2.
 
 mod binary;
+mod file_ids;
 mod file_names;
 mod rig_tables;
 mod tables;
@@ -26,6 +27,7 @@ use tiepoint_scene::Reconstruction;
 
 use crate::disk::{self, WrittenFile};
 use crate::{AtomicFile, Error, Result};
+use file_ids::FileIds;
 use rig_tables::RigTables;
 
 pub use file_names::MODEL_FILES;
@@ -67,16 +69,17 @@ impl Format {
 ///
 /// # Errors
 ///
-/// If the model is not valid ([`Reconstruction::validate`]); if an image in no frame has a camera
+/// If the model is not valid ([`Reconstruction::validate`]); if its ids are too large; if an image in no frame has a camera
 /// without a pose in its rig, because COLMAP requires a frame for every image; if the folder holds
 /// a model in the other format, because readers would prefer one of the two; and if the system
 /// reports an error.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
-    let rig_tables = RigTables::new(dir, model)?;
+    let ids = FileIds::new(dir, model)?;
+    let rig_tables = RigTables::new(dir, model, &ids)?;
     let write = |name: &str, mut file: &mut dyn Write| match format {
-        Format::Binary => binary::write(name, model, &rig_tables, &mut file),
-        Format::Text => text::write(name, model, &rig_tables, &mut file),
+        Format::Binary => binary::write(name, model, &ids, &rig_tables, &mut file),
+        Format::Text => text::write(name, model, &ids, &rig_tables, &mut file),
     };
     let target = disk::end_of_links(dir).map_err(Error::io(dir))?;
     let is_new = target.file_name().is_some()
@@ -151,8 +154,8 @@ fn write_into_folder(
 /// Reads a model from a folder: the binary files if cameras, images and points3D are all there,
 /// else the text files.
 ///
-/// Images, cameras and points get indices in the order of their ids in the files. The result is
-/// valid ([`Reconstruction::validate`]).
+/// Images, cameras and points get indices in the order of their ids in the files, which
+/// [`Reconstruction::original_ids`] holds. The result is valid ([`Reconstruction::validate`]).
 ///
 /// # Errors
 ///

@@ -5,6 +5,7 @@ use std::path::Path;
 use tiepoint_geometry::Rigid3;
 use tiepoint_scene::{ImageId, Reconstruction, RigId};
 
+use super::file_ids::FileIds;
 use crate::{Error, Result};
 
 /// A rig in the files; the first camera is the reference sensor and has no pose.
@@ -28,14 +29,16 @@ pub(super) struct RigTables {
     pub(super) frames: Vec<FrameRow>,
 }
 
-/// The id in the files for an index.
-pub(super) fn file_id(index: usize) -> u32 {
+/// The id in the files for an index of a rig or frame.
+fn file_id(index: usize) -> u32 {
     u32::try_from(index + 1).expect("ids of a scene are below 2³² − 1")
 }
 
 impl RigTables {
     /// The rigs and frames of a valid model.
-    pub(super) fn new(dir: &Path, model: &Reconstruction) -> Result<Self> {
+    pub(super) fn new(dir: &Path, model: &Reconstruction, ids: &FileIds) -> Result<Self> {
+        // A camera in no rig has one of its own, beyond the others.
+        let single_rig = |camera: u32| model.rigs.len() as u32 + camera;
         // Only a rig with an image in one of its frames is written.
         let mut rig_of: Vec<Option<RigId>> = vec![None; model.num_cameras()];
         let mut rigs = Vec::new();
@@ -46,13 +49,13 @@ impl RigTables {
             }
             let cameras = rig.sensors.iter().enumerate().map(|(k, sensor)| {
                 rig_of[sensor.camera.index()] = Some(id);
-                (file_id(sensor.camera.index()), if k == 0 { None } else { sensor.cam_from_rig })
+                (ids.camera(sensor.camera), if k == 0 { None } else { sensor.cam_from_rig })
             });
             rigs.push(RigRow { id: file_id(index), cameras: cameras.collect() });
         }
         for (camera, _) in model.cameras().filter(|(camera, _)| rig_of[camera.index()].is_none()) {
-            let id = file_id(model.rigs.len() + camera.index());
-            rigs.push(RigRow { id, cameras: vec![(file_id(camera.index()), None)] });
+            let id = single_rig(ids.camera(camera));
+            rigs.push(RigRow { id, cameras: vec![(ids.camera(camera), None)] });
         }
 
         let mut in_frame = vec![false; model.num_images()];
@@ -60,7 +63,7 @@ impl RigTables {
         for (index, frame) in model.frames.iter().enumerate() {
             let row = |image: &ImageId| {
                 in_frame[image.index()] = true;
-                (file_id(model.image(*image).camera.index()), file_id(image.index()))
+                (ids.camera(model.image(*image).camera), ids.image(*image))
             };
             let images: Vec<(u32, u32)> = frame.images.iter().map(row).collect();
             if !images.is_empty() {
@@ -73,8 +76,8 @@ impl RigTables {
         {
             let camera = image.camera;
             let (rig, cam_from_rig) = match rig_of[camera.index()] {
-                None => (model.rigs.len() + camera.index(), Some(Rigid3::identity())),
-                Some(rig) => (rig.index(), model.rigs[rig.index()].cam_from_rig(camera)),
+                None => (single_rig(ids.camera(camera)), Some(Rigid3::identity())),
+                Some(rig) => (file_id(rig.index()), model.rigs[rig.index()].cam_from_rig(camera)),
             };
             let cam_from_rig = cam_from_rig.ok_or_else(|| {
                 let name = &image.name;
@@ -97,10 +100,10 @@ impl RigTables {
                 ));
             }
             frames.push(FrameRow {
-                id: file_id(model.frames.len() + id.index()),
-                rig: file_id(rig),
+                id: model.frames.len() as u32 + ids.image(id),
+                rig,
                 rig_from_world,
-                images: vec![(file_id(camera.index()), file_id(id.index()))],
+                images: vec![(ids.camera(camera), ids.image(id))],
             });
         }
         Ok(Self { rigs, frames })

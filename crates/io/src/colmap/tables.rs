@@ -5,8 +5,8 @@ use std::path::Path;
 use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::Vector3;
 use tiepoint_scene::{
-    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, Reconstruction, Rig, RigId,
-    RigSensor, Track, is_same_pose,
+    Camera, CameraId, Frame, Image, ImageId, Keypoint, Observation, OriginalIds, Reconstruction,
+    Rig, RigId, RigSensor, Track, is_same_pose,
 };
 
 use super::rig_tables::{FrameRow, RigRow};
@@ -145,6 +145,8 @@ impl Tables {
                 ));
             }
         }
+        let wide = |ids: Vec<u32>| ids.into_iter().map(u64::from).collect();
+        model.original_ids = OriginalIds::new(wide(cameras), wide(images), points);
         Ok(model)
     }
 }

@@ -7,8 +7,9 @@ use tiepoint_geometry::Intrinsics;
 use tiepoint_geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
+use super::file_ids::FileIds;
 use super::file_names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
-use super::rig_tables::{FrameRow, RigRow, RigTables, file_id};
+use super::rig_tables::{FrameRow, RigRow, RigTables};
 use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::pose_numbers;
@@ -22,25 +23,26 @@ const SENSOR_CAMERA: [&str; 2] = ["CAMERA", "0"];
 pub(super) fn write(
     name: &str,
     model: &Reconstruction,
+    ids: &FileIds,
     rig_tables: &RigTables,
     out: &mut impl Write,
 ) -> io::Result<()> {
     match name {
-        CAMERAS => write_cameras(model, out),
+        CAMERAS => write_cameras(model, ids, out),
         RIGS => write_rigs(rig_tables, out),
         FRAMES => write_frames(rig_tables, out),
-        IMAGES => write_images(model, out),
-        _ => write_points(model, out),
+        IMAGES => write_images(model, ids, out),
+        _ => write_points(model, ids, out),
     }
 }
 
-fn write_cameras(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_cameras(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "# Camera list with one line of data per camera:")?;
     writeln!(out, "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]")?;
     writeln!(out, "# Number of cameras: {}", model.cameras().count())?;
     for (id, camera) in model.cameras() {
         let Camera { intrinsics, width, height, .. } = camera;
-        let (id, name) = (file_id(id.index()), intrinsics.kind().name());
+        let (id, name) = (ids.camera(id), intrinsics.kind().name());
         writeln!(out, "{id} {name} {width} {height} {}", Numbers(intrinsics.params()))?;
     }
     Ok(())
@@ -88,7 +90,7 @@ fn write_frames(rig_tables: &RigTables, out: &mut impl Write) -> io::Result<()> 
     Ok(())
 }
 
-fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_images(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     let (images, observations) = (model.num_registered(), model.num_observations());
     writeln!(out, "# Image list with two lines of data per image:")?;
     writeln!(out, "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME")?;
@@ -96,7 +98,7 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
     let mean = observations as f64 / images.max(1) as f64;
     writeln!(out, "# Number of images: {images}, mean observations per image: {mean}")?;
     for (id, image, cam_from_world) in model.registered() {
-        let (id, camera) = (file_id(id.index()), file_id(image.camera.index()));
+        let (id, camera) = (ids.image(id), ids.camera(image.camera));
         let is_line = image.name.trim() == image.name && !image.name.contains(['\n', '\r']);
         if image.name.is_empty() || !is_line {
             let what = format!("the name {:?} cannot stand in a line of text", image.name);
@@ -107,7 +109,7 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
         for (keypoint, point) in image.keypoints.iter().zip(image.points()) {
             write!(out, "{space}{} ", Numbers(keypoint.pixel.as_slice()))?;
             match point {
-                Some(point) => write!(out, "{}", u64::from(point.0) + 1)?,
+                Some(point) => write!(out, "{}", ids.point(*point))?,
                 None => write!(out, "-1")?,
             }
             space = " ";
@@ -117,21 +119,16 @@ fn write_images(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> 
     Ok(())
 }
 
-fn write_points(model: &Reconstruction, out: &mut impl Write) -> io::Result<()> {
+fn write_points(model: &Reconstruction, ids: &FileIds, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "# 3D point list with one line of data per point:")?;
     writeln!(out, "#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)")?;
     let (count, mean) = (model.num_tracks(), model.mean_track_length());
     writeln!(out, "# Number of points: {count}, mean track length: {mean}")?;
     for (id, track) in model.tracks() {
         let (xyz, [r, g, b]) = (Numbers(track.xyz.as_slice()), track.color);
-        write!(
-            out,
-            "{} {xyz} {r} {g} {b} {}",
-            u64::from(id.0) + 1,
-            Number(model.track_error_px(track))
-        )?;
+        write!(out, "{} {xyz} {r} {g} {b} {}", ids.point(id), Number(model.track_error_px(track)))?;
         for observation in &track.observations {
-            write!(out, " {} {}", file_id(observation.image.index()), observation.keypoint)?;
+            write!(out, " {} {}", ids.image(observation.image), observation.keypoint)?;
         }
         writeln!(out)?;
     }

@@ -154,6 +154,52 @@ fn only_registered_images_are_written_and_ids_stay() {
 }
 
 #[test]
+fn ids_of_a_model_that_was_read_stay() {
+    // Of a workspace of ten cameras of which COLMAP's mapper kept the seventh.
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| fs::read_to_string(dir.path().join(name)).unwrap();
+    let files = [
+        ("cameras.txt", "7 PINHOLE 640 480 500 500 320 240\n"),
+        ("images.txt", "4 1 0 0 0 0 0 0 7 a.png\n1 2 90\n9 1 0 0 0 1 0 0 7 b.png\n1 2 90\n"),
+        ("points3D.txt", "90 0 0 1 1 2 3 0.5 4 0 9 0\n"),
+    ];
+    for (name, content) in files {
+        fs::write(dir.path().join(name), content).unwrap();
+    }
+    let model = read_model(dir.path()).unwrap();
+    for format in FORMATS {
+        assert_eq!(round_trip(&model, format), model);
+    }
+    write_model(dir.path(), &model, Format::Text).unwrap();
+    for (name, content) in [
+        ("cameras.txt", "\n7 PINHOLE"),
+        ("images.txt", " 7 b.png\n1 2 90\n"),
+        ("points3D.txt", "\n90 0 0 1 1 2 3 "),
+        ("frames.txt", "\n9 7 1 0 0 0 1 0 0 1 CAMERA 7 9\n"),
+        ("rigs.txt", "\n7 1 CAMERA 7\n"),
+    ] {
+        assert!(text(name).contains(content), "{content} in {}", text(name));
+    }
+    // What is added has the ids after the largest one, as long as there are such ids.
+    let mut added = model.clone();
+    let camera = added.add_camera(camera());
+    let image = added.add_image(Image::new("c.png", camera, Vec::new()));
+    added.register(image, Rigid3::identity());
+    write_model(dir.path(), &added, Format::Text).unwrap();
+    assert!(text("images.txt").contains("\n10 1 0 0 0 0 0 0 8 c.png\n"), "{}", text("images.txt"));
+    let cameras = "4294967295 PINHOLE 640 480 500 500 320 240\n";
+    fs::write(dir.path().join("cameras.txt"), cameras).unwrap();
+    fs::write(dir.path().join("images.txt"), "").unwrap();
+    fs::write(dir.path().join("points3D.txt"), "").unwrap();
+    for name in ["rigs.txt", "frames.txt"] {
+        fs::remove_file(dir.path().join(name)).unwrap();
+    }
+    let invalid = read_model(dir.path()).unwrap();
+    let error = write_model(dir.path(), &invalid, Format::Text).unwrap_err().to_string();
+    assert!(error.contains("ids of the cameras are too large"), "{error}");
+}
+
+#[test]
 fn image_outside_the_frames_of_its_rig_gets_a_frame_of_that_rig() {
     let mut model = Reconstruction::default();
     let (left, right) = (model.add_camera(camera()), model.add_camera(camera()));

@@ -1,8 +1,8 @@
 //! Intrinsics in bundle adjustment: constant parameters and priors.
 
 use tiepoint_ba::factors::Prior;
-use tiepoint_geometry::CameraModelKind;
 use tiepoint_geometry::nalgebra::SVector;
+use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, CameraId};
 
 use super::options::{AdjustOptions, RefineIntrinsics};
@@ -31,18 +31,20 @@ pub(super) fn fixed_columns(kind: CameraModelKind, refine: RefineIntrinsics) -> 
         .collect()
 }
 
-/// Prior on the intrinsics: principal point near the image centre, small distortion, constant ratio
-/// of the focal lengths unless it is refined, and the options' prior on the first focal length.
-/// Standard deviations are divided by the noise of the keypoints.
+/// Prior on the intrinsics: principal point and distortion near the expected ones, or else near the
+/// image centre and 0, constant ratio of the focal lengths unless it is refined, and the options'
+/// prior on the first focal length. Standard deviations are divided by the noise of the keypoints.
 pub(super) fn intrinsics_prior<const N: usize>(
     params: &SVector<f64, N>,
     id: CameraId,
     camera: &Camera,
+    expected: Option<&Intrinsics>,
     refine: RefineIntrinsics,
     options: &AdjustOptions,
 ) -> Result<Prior<SVector<f64, N>, N>, tiepoint_ba::Error> {
     let kind = camera.intrinsics.kind();
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let expected = expected.filter(|expected| expected.kind() == kind).map(Intrinsics::params);
     let focal = options.focal_priors.iter().find(|prior| prior.camera == id);
     let (mut mean, mut sigmas) = (*params, [options.distortion_sigma; N]);
     for &index in kind.metadata_indices() {
@@ -53,11 +55,13 @@ pub(super) fn intrinsics_prior<const N: usize>(
             mean[index] = focal.map_or(params[index], |prior| prior.mean_px);
             sigmas[index] = focal.map_or(f64::INFINITY, |prior| prior.sigma_px);
         } else if let Some(axis) = kind.principal_point_indices().iter().position(|&p| p == index) {
-            mean[index] = [width / 2.0, height / 2.0][axis];
+            mean[index] =
+                expected.map_or([width / 2.0, height / 2.0][axis], |expected| expected[index]);
             sigmas[index] = options.principal_point_sigma * width.max(height);
         } else {
             let initial = kind.initial_distortion().iter().find(|(found, _)| *found == index);
-            mean[index] = initial.map_or(0.0, |&(_, value)| value);
+            let initial = initial.map_or(0.0, |&(_, value)| value);
+            mean[index] = expected.map_or(initial, |expected| expected[index]);
         }
     }
     let mut prior = Prior::new(mean, &sigmas.map(|sigma| sigma / options.noise))?;
@@ -69,4 +73,31 @@ pub(super) fn intrinsics_prior<const N: usize>(
         prior.sqrt_information[(y, y)] = weight;
     }
     Ok(prior)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prior_is_around_the_expected_intrinsics() {
+        let intrinsics = |params: &[f64]| Intrinsics::new(CameraModelKind::Opencv, params).unwrap();
+        let current = intrinsics(&[500.0, 505.0, 321.0, 239.0, 0.1, 0.2, 0.01, 0.02]);
+        let expected = intrinsics(&[490.0, 495.0, 300.0, 250.0, -0.1, 0.05, 0.001, 0.002]);
+        let camera = Camera { intrinsics: current, width: 640, height: 480, has_focal_prior: true };
+        let params = SVector::<f64, 8>::from_column_slice(current.params());
+        let options = AdjustOptions::default();
+        let mean = |expected| {
+            let refine = RefineIntrinsics { aspect: true, ..RefineIntrinsics::ALL };
+            intrinsics_prior(&params, CameraId(0), &camera, expected, refine, &options)
+                .unwrap()
+                .mean
+        };
+        // Without priors on focal lengths, these stay at the current ones.
+        let tail = |mean: SVector<f64, 8>| mean.as_slice()[2..].to_vec();
+        assert_eq!(tail(mean(None)), [320.0, 240.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(tail(mean(Some(&expected))), expected.params()[2..]);
+        let other = Intrinsics::centred(CameraModelKind::Pinhole, 500.0, 640, 480);
+        assert_eq!(tail(mean(Some(&other))), tail(mean(None)), "of another model");
+    }
 }

@@ -18,7 +18,7 @@ pub struct RefineIntrinsics {
     /// scaling all heights. A keypoint error of a twentieth of a pixel would change the ratio by a
     /// thousandth. Anamorphic video needs it.
     pub aspect: bool,
-    /// The principal point, with a prior at the image centre.
+    /// The principal point, with a prior at the expected one or else at the image centre.
     pub principal_point: bool,
     /// Distortion coefficients.
     pub distortion: bool,
@@ -54,7 +54,7 @@ pub struct AdjustOptions<'a> {
     pub loss: Loss,
     /// Standard deviation of the principal point's prior, relative to the larger side of the image.
     pub principal_point_sigma: f64,
-    /// Standard deviation of the prior on each distortion coefficient, around 0.
+    /// Standard deviation of the prior on each distortion coefficient.
     pub distortion_sigma: f64,
     /// Noise scale of the keypoints as a multiple of [`crate::keypoint_sigma_px`]. Standard
     /// deviations of priors are divided by it.

@@ -209,7 +209,9 @@ fn add_camera(
             problem.fix(key);
         } else {
             problem.fix_dofs(key, &columns)?;
-            let prior = intrinsics_prior(params, camera, camera_of_images, refine, options)?;
+            let expected = model.expected_intrinsics.get(&camera);
+            let prior =
+                intrinsics_prior(params, camera, camera_of_images, expected, refine, options)?;
             problem.add(key, prior, Loss::Trivial)?;
         }
         for (image, pose) in &images {

@@ -116,11 +116,15 @@ fn add_images(
             None => {
                 let camera = *cameras.entry(image.camera).or_insert_with(|| {
                     let camera: Camera = *other.camera(image.camera);
-                    model.add_camera(camera)
+                    let added = model.add_camera(camera);
+                    let id = other.original_ids.camera(image.camera);
+                    model.original_ids.set_last_camera(added, id);
+                    added
                 });
                 let mut new = Image::new(image.name.clone(), camera, image.keypoints.to_vec());
                 new.time_s = image.time_s;
                 let new = model.add_image(new);
+                model.original_ids.set_last_image(new, other.original_ids.image(id));
                 model.register(new, *pose);
                 images.insert(id, new);
             }

@@ -110,6 +110,7 @@ pub fn transfer_model(
         }
     }
     out.calibrated.clone_from(&scene.calibrated);
+    out.expected_intrinsics.clone_from(&scene.expected_intrinsics);
     out.turned.clone_from(&scene.turned);
     Ok(Transferred {
         scene: out,
