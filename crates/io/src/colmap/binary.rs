@@ -7,10 +7,10 @@ use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::{Camera, Keypoint, Reconstruction};
 
-use super::file_ids::FileIds;
+use super::file_ids::{FileIds, NO_POINT};
 use super::file_names::{CAMERAS, FRAMES, IMAGES, POINTS, RIGS};
 use super::rig_tables::{FrameRow, RigRow, RigTables};
-use super::tables::{ImageRow, NO_POINT, PointRow, Tables, UNKNOWN_SCALE_PX};
+use super::tables::{ImageRow, PointRow, Tables, UNKNOWN_SCALE_PX};
 
 use crate::binary::{Reader, WriteLe, pose_numbers};
 use crate::{Error, Result};

@@ -4,8 +4,10 @@ use std::path::Path;
 
 use tiepoint_scene::{CameraId, ImageId, OriginalIds, PointId, Reconstruction};
 
-use super::tables::NO_POINT;
 use crate::{Error, Result};
+
+/// Point id of a keypoint without a point.
+pub(super) const NO_POINT: u64 = u64::MAX;
 
 /// The ids of a model in the files.
 pub(super) struct FileIds<'a>(&'a OriginalIds);

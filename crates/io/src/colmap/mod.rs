@@ -1,9 +1,10 @@
 //! Models of COLMAP: a folder with cameras, images, points3D and, since COLMAP 3.12, rigs and
 //! frames; binary or text.
 //!
-//! Ids in the files are indices of [`tiepoint_scene`] plus one, as in `database.db`; a model that was
-//! read keeps the ids of its cameras, images and points. Only registered images are written. The format does not hold keypoint scales (1 after reading), image
-//! times, hold-out flags, and the origin of a focal length.
+//! Ids in the files are indices of [`tiepoint_scene`] plus one, as in `database.db`; a model that
+//! was read keeps the ids of its cameras, images and points. Only registered images are written.
+//! The format does not hold keypoint scales (1 after reading), image times, hold-out flags, and the
+//! origin of a focal length.
 //!
 //! COLMAP requires a frame for every image and a rig for every camera. Rigs and frames of the
 //! [`Reconstruction`] are written as they are; an image in no frame gets a frame of its own, and a
@@ -69,10 +70,10 @@ impl Format {
 ///
 /// # Errors
 ///
-/// If the model is not valid ([`Reconstruction::validate`]); if its ids are too large; if an image in no frame has a camera
-/// without a pose in its rig, because COLMAP requires a frame for every image; if the folder holds
-/// a model in the other format, because readers would prefer one of the two; and if the system
-/// reports an error.
+/// If the model is not valid ([`Reconstruction::validate`]); if its ids are too large; if an image
+/// in no frame has a camera without a pose in its rig, because COLMAP requires a frame for every
+/// image; if the folder holds a model in the other format, because readers would prefer one of the
+/// two; and if the system reports an error.
 pub fn write_model(dir: &Path, model: &Reconstruction, format: Format) -> Result<()> {
     model.validate().map_err(|cause| Error::Model { path: dir.to_owned(), cause })?;
     let ids = FileIds::new(dir, model)?;

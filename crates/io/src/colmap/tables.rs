@@ -9,14 +9,13 @@ use tiepoint_scene::{
     Rig, RigId, RigSensor, Track, is_same_pose,
 };
 
+use super::file_ids::NO_POINT;
 use super::rig_tables::{FrameRow, RigRow};
 use crate::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Scale of a keypoint, in pixels, since the files hold none: all keypoints have equal weight.
 pub(super) const UNKNOWN_SCALE_PX: f32 = 1.0;
-/// Point id of a keypoint without a point.
-pub(super) const NO_POINT: u64 = u64::MAX;
 
 pub(super) struct ImageRow {
     pub(super) id: u32,
