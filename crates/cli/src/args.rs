@@ -199,8 +199,9 @@ pub(crate) struct Input {
     #[arg(required_unless_present = "database", value_name = "INPUT")]
     pub(crate) inputs: Vec<PathBuf>,
     /// Takes the features of this COLMAP database (of COLMAP, pycolmap, hloc, of any version), and
-    /// its matches or two-view geometries if it has any. It is copied and not changed. INPUT is
-    /// then optional: the folder that the names of the images are relative to, for colours.
+    /// its matches or two-view geometries if it has any; then --pairs has no effect. It is copied
+    /// and not changed. Its rigs are not used: give them with --rig-calibration. INPUT is then
+    /// optional: the folder that the names of the images are relative to, for colours.
     #[arg(
         long,
         value_name = "FILE",
@@ -321,10 +322,10 @@ pub(crate) struct Mapping {
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
-    /// Goes on from this model (folder with a COLMAP model, or workspace): its images keep their
-    /// poses, intrinsics, points and the frame and scale of the model, and further photos are
-    /// registered onto it. Images are compared by name; those that the workspace lacks stay in the
-    /// result.
+    /// Goes on from this model (folder with a COLMAP model, or workspace): its poses, intrinsics and
+    /// points are initial values, and further photos are registered onto it. The frame and the
+    /// scale of the model stay. Its rigs are left out: all images have independent poses. Images
+    /// are compared by name; those that the workspace lacks stay in the result.
     #[arg(long, value_name = "MODEL")]
     pub(crate) input_model: Option<PathBuf>,
     /// With --input-model: the poses of the model stay as they are, and its intrinsics unless

@@ -350,6 +350,15 @@ pub enum Error {
         /// Number of cameras in it.
         cameras: usize,
     },
+    /// An image has known intrinsics, and others in the input model.
+    #[error(
+        "the intrinsics of {image} are given, and the input model has others: run the stage \
+        features without --intrinsics and without --calibration for the photos of the model"
+    )]
+    TwoCalibrations {
+        /// The first image.
+        image: String,
+    },
     /// The focal length is to be constant, and it is not known.
     #[error(
         "the focal length of {image} in {path} is not known, and --refine does not list focal: \

@@ -358,19 +358,15 @@ impl Map {
                 rename it";
             return Ok(Err(why.to_owned()));
         }
-        let there = there.map(|(id, _)| id);
         let info = match photos.info(index) {
             Ok(info) => info,
             Err(error) => return Ok(Err(error.to_string())),
         };
         let cameras = self.cameras_of(name, index, &info, calibrations, options)?;
-        let features = match there {
-            // The same photo without a pose.
-            Some(id) => self.database.read_features(id)?,
-            None => match extract(photos, index, &options.detector) {
-                Ok(features) => features,
-                Err(error) => return Ok(Err(error.to_string())),
-            },
+        // Also of a photo whose name is in the database: it may be another one.
+        let features = match extract(photos, index, &options.detector) {
+            Ok(features) => features,
+            Err(error) => return Ok(Err(error.to_string())),
         };
         let ImageInfo { width, height, .. } = info;
         let first = cameras[0].0;

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use tiepoint_io::colmap::Format;
-use tiepoint_io::database::Database;
+use tiepoint_io::database::{Database, DatabaseFrame};
 use tiepoint_io::{ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
@@ -104,12 +104,12 @@ pub fn map(
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let mut scene = load_scene(workspace)?;
-    if let Some(model) = &input_model {
-        take(&mut scene, model, watch)?;
-    }
-    let graph = load_graph(workspace, &scene)?;
     let takes_intrinsics =
         workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_none();
+    if let Some(model) = &input_model {
+        take(&mut scene, model, takes_intrinsics, watch)?;
+    }
+    let graph = load_graph(workspace, &scene)?;
     let known_rigs = rig_calibration
         .map(|path| known_rigs(path, &mut scene, takes_intrinsics, refine_extrinsics))
         .transpose()?;
@@ -184,6 +184,13 @@ pub fn map(
         return Err(error.into());
     }
     database.close()?;
+    if let Some(first) = models.first()
+        && let Err(error) = write_rigs(workspace, &first.reconstruction)
+        && !is_imported
+    {
+        // Tables of another program may have other columns; the model is valid without them.
+        return Err(error);
+    }
     // A database of another program may come without photos.
     if !workspace.records.inputs.is_empty()
         && let Err(error) = color_points(
@@ -204,12 +211,14 @@ pub fn map(
     let reports = models.iter().zip(scales).enumerate();
     let is_known = known_rigs.is_some();
     let reports = reports.map(|(index, (model, scale))| {
+        let has_failed = model.failures.iter().any(|failure| failure.stage == OptionalStage::Rig);
+        let term = if is_known { RigTerm::Off } else { options.rig };
         let metres_per_unit = scale.as_ref().and_then(|scale| scale.factor).unwrap_or(1.0);
         ModelReport {
             scale,
             loop_pairs: model.num_loop_pairs,
-            failed: model.failures.iter().map(describe_failure).collect(),
-            rig: RigReport::new(options.rig, is_known, model, metres_per_unit),
+            failed: model.failures.iter().map(|failure| describe(failure, is_known)).collect(),
+            rig: RigReport::new(term, is_known && !has_failed, model, metres_per_unit),
             ..ModelReport::new(model_path(index), &model.reconstruction, &model.shutters)
         }
     });
@@ -224,13 +233,36 @@ pub fn map(
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
 
-/// A failed optional stage, as a sentence.
-fn describe_failure(Failure { stage, why }: &Failure) -> String {
+/// A failed optional stage, as a sentence. `has_known_rigs`: rigs are not estimated.
+fn describe(Failure { stage, why }: &Failure, has_known_rigs: bool) -> String {
     let stage = match stage {
         OptionalStage::RollingShutter => "the rolling-shutter correction failed",
+        OptionalStage::Rig if has_known_rigs => {
+            return format!("the known rig was not used, and the scale is arbitrary: {why}");
+        }
         OptionalStage::Rig => "the estimation of rig extrinsics failed",
     };
     format!("{stage}, and the model is the one before it: {why}")
+}
+
+/// Writes the rigs and frames of the largest model into the database, so that COLMAP can go on from
+/// both. It compares them by their ids.
+fn write_rigs(workspace: &Workspace, model: &Reconstruction) -> Result<(), Error> {
+    let mut database = Database::open(&workspace.database())?;
+    let in_database = |image: &ImageId| image.index() < database.num_images();
+    let is_of_database = model.frames.iter().flat_map(|frame| &frame.images).all(in_database);
+    let has_rigs =
+        !model.rigs.is_empty() || database.read_rigs().is_ok_and(|(rigs, _)| !rigs.is_empty());
+    if is_of_database && has_rigs && database.has_rig_tables()? {
+        let frames: Vec<DatabaseFrame> = model
+            .frames
+            .iter()
+            .map(|frame| DatabaseFrame { rig: frame.rig, images: frame.images.clone() })
+            .collect();
+        database.write_rigs(&model.rigs, &frames)?;
+    }
+    database.close()?;
+    Ok(())
 }
 
 /// An image of a camera whose focal length is neither given nor in EXIF.
@@ -244,9 +276,23 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
     scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
 }
 
-/// Replaces the scene by one with the poses and points of a model.
-fn take(scene: &mut Reconstruction, model: &OpenedModel, watch: Watch) -> Result<(), Error> {
+/// Replaces the scene by one with the poses and points of a model. `takes_intrinsics`: whether not
+/// all intrinsics are known.
+fn take(
+    scene: &mut Reconstruction,
+    model: &OpenedModel,
+    takes_intrinsics: bool,
+    watch: Watch,
+) -> Result<(), Error> {
     let found = model.transfer(scene)?;
+    let is_replaced = |(id, image): &(ImageId, &Image)| {
+        (!takes_intrinsics || scene.calibrated.contains(&image.camera))
+            && found.existing.contains(id)
+            && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics
+    };
+    if let Some((_, image)) = scene.images().find(is_replaced) {
+        return Err(Error::TwoCalibrations { image: image.name.clone() });
+    }
     *scene = found.scene;
     if model.fix_existing_frames {
         scene.calibrated.extend(found.cameras);

@@ -37,8 +37,8 @@ pub(crate) fn known_rigs(
             let camera = only_camera(scene, photos).map_err(fails)?;
             if let Some(other) = photos_of_cameras.insert(camera, photos.what.clone()) {
                 return Err(fails(format!(
-                    "{} and {other} are photos of one camera: run the stage features with \
-                    --cameras folder",
+                    "{} and {other} are photos of one camera: put the photos of each camera into a \
+                    folder of its own, and run the stage features without --cameras single",
                     photos.what
                 )));
             }
@@ -59,6 +59,9 @@ pub(crate) fn known_rigs(
             )));
         }
         known.frames.extend(frames.into_iter().map(|images| KnownFrame { rig, images }));
+    }
+    if known.rigs.iter().all(|rig| rig.sensors.len() < 2) {
+        return Err(fails("no rig in it has two cameras: leave the option out".to_owned()));
     }
     Ok(known)
 }
@@ -154,8 +157,8 @@ fn only_camera(scene: &Reconstruction, photos: &Photos) -> Result<CameraId, Stri
     match (cameras.first(), cameras.len()) {
         (Some(camera), 1) => Ok(*camera),
         (_, count) => Err(format!(
-            "{} are of {count} cameras, and a camera of a rig is one: run the stage features with \
-            --cameras folder",
+            "{} are of {count} cameras, and a camera of a rig is one: put the photos of each camera \
+            into a folder of its own, and run the stage features with --cameras folder",
             photos.what
         )),
     }

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use image::{GrayImage, Luma};
 use serde_json::Value;
+use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::database::Database;
 use tiepoint_pipeline::sfm::geometry::Rigid3;
 use tiepoint_pipeline::sfm::geometry::nalgebra::Vector3;
 
@@ -95,6 +97,39 @@ fn a_photo_without_matches_is_registered_with_its_frame() {
 }
 
 #[test]
+fn a_rig_that_contradicts_the_photos_is_not_recorded_as_known() {
+    let dir = tempfile::tempdir().unwrap();
+    write_photos(&dir.path().join("photos"));
+    let upright = rig_config().replace(&format!("[-{BASELINE_M}, 0, 0]"), "[0, 0.3, 0]");
+    fs::write(dir.path().join("rig.json"), upright).unwrap();
+    let line = "reconstruct {}/photos -o {}/ws --rig-calibration {}/rig.json --json";
+    let report = tiepoint_in(dir.path(), line).done().json();
+    let model = &report["models"][0];
+    assert_eq!(model["rig"]["mode"], "off", "{model}");
+    assert!(model["failed"][0].as_str().unwrap().contains("known rig was not used"), "{model}");
+}
+
+#[test]
+fn the_database_has_the_rigs_of_the_model() {
+    let dir = tempfile::tempdir().unwrap();
+    write_photos(&dir.path().join("photos"));
+    fs::write(dir.path().join("rig.json"), rig_config()).unwrap();
+    let rigs = || {
+        let database = Database::open_read_only(&dir.path().join("ws/database.db")).unwrap();
+        let (rigs, frames) = database.read_rigs().unwrap();
+        (rigs, frames.into_iter().map(|frame| frame.images).collect::<Vec<_>>())
+    };
+    let line = "reconstruct {}/photos -o {}/ws --rig-calibration {}/rig.json";
+    tiepoint_in(dir.path(), line).done();
+    let model = read_model(&dir.path().join("ws/sparse/0")).unwrap();
+    let frames: Vec<_> = model.frames.iter().map(|frame| frame.images.clone()).collect();
+    assert_eq!(frames.len(), FRAMES);
+    assert_eq!(rigs(), (model.rigs, frames));
+    tiepoint_in(dir.path(), "map {}/ws --rig off --redo map").done();
+    assert_eq!(rigs(), (vec![], vec![]));
+}
+
+#[test]
 fn rigs_that_do_not_fit() {
     let dir = tempfile::tempdir().unwrap();
     write_photos(&dir.path().join("photos"));
@@ -117,7 +152,7 @@ fn rigs_that_do_not_fit() {
     wrong(
         "a.json",
         &changed(&json, "\"right/", "\"left/1"),
-        &["of one camera", "--cameras folder"],
+        &["of one camera", "a folder of its own"],
     );
     wrong("a.json", &changed(&json, ", \"ref_sensor\": true", ""), &["rig 1", "0 reference"]);
     wrong("a.json", &changed(&json, "160, 120", "500, 120"), &["principal point", "left", "320 x"]);
@@ -127,6 +162,10 @@ fn rigs_that_do_not_fit() {
         wrong("a.json", &format!("{}{numbers}{rest}", &json[..quaternion]), &[says]);
     }
     wrong("a.json", "[]", &["has no rig"]);
+    let one = format!(
+        "[{{\"cameras\": [{{\"image_prefix\": \"left/\", \"ref_sensor\": true, {LENS}}}]}}]"
+    );
+    wrong("a.json", &one, &["no rig in it has two cameras"]);
     wrong("a.json", "{", &["line 1", "rig_config.json"]);
     wrong("a.yaml", "a: 1", &["is no known rig", "camchain"]);
     wrong("a.yaml", &changed(&yaml, "320, 240", "640, 480"), &["640 x 480", "320 x 240"]);

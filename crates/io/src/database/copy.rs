@@ -97,10 +97,15 @@ impl Database {
                 {MAX_IMAGE_ID} {EXISTS}"
             ))?;
         }
-        if self.has_column("frame_data", "data_id")? {
-            self.run(&format!(
-                "DELETE FROM frame_data WHERE sensor_type = 0 AND NOT data_id {EXISTS}"
-            ))?;
+        // A prior of a deleted image would become that of another one.
+        for (table, column, condition) in [
+            ("frame_data", "data_id", "sensor_type = 0 AND"),
+            ("pose_priors", "corr_data_id", "corr_sensor_type = 0 AND"),
+            ("pose_priors", "image_id", ""),
+        ] {
+            if self.has_column(table, column)? {
+                self.run(&format!("DELETE FROM {table} WHERE {condition} NOT {column} {EXISTS}"))?;
+            }
         }
         Ok(())
     }

@@ -111,6 +111,15 @@ impl Database {
         })
     }
 
+    /// Whether the file has tables of rigs and frames, as since COLMAP 3.12.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
+    pub fn has_rig_tables(&self) -> Result<bool> {
+        Ok(!self.columns("rig_sensors")?.is_empty())
+    }
+
     /// Reads the rigs of several cameras and their frames.
     ///
     /// # Errors
@@ -118,8 +127,8 @@ impl Database {
     /// If a rig or a frame is listed twice, refers to a camera or an image that does not exist, or
     /// has an invalid pose, and if the file cannot be read.
     pub fn read_rigs(&self) -> Result<(Vec<Rig>, Vec<DatabaseFrame>)> {
-        if self.columns("rig_sensors")?.is_empty() {
-            return Ok((Vec::new(), Vec::new())); // a file older than COLMAP 3.12
+        if !self.has_rig_tables()? {
+            return Ok((Vec::new(), Vec::new()));
         }
         let camera = |file_id: i64| {
             let found = self.cameras.binary_search(&file_id).map(CameraId::from_index);

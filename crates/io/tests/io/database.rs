@@ -427,6 +427,25 @@ fn set_read_only(dir: &Path, is_read_only: bool) {
 }
 
 #[test]
+fn a_pose_of_zeros_is_none() {
+    // COLMAP 3.8 writes them for pairs whose pose it does not estimate.
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    let mut db = filled(&path);
+    let pair = ImagePair::new(ImageId(0), ImageId(1)).unwrap();
+    let view = TwoView { cam2_from_cam1: Some(Rigid3::identity()), ..TwoView::default() };
+    db.write_two_views([(pair, &view)]).unwrap();
+    assert_eq!(db.read_two_views().unwrap()[0].1.cam2_from_cam1, view.cam2_from_cam1);
+    db.close().unwrap();
+    let sql = rusqlite::Connection::open(&path).unwrap();
+    sql.execute("UPDATE two_view_geometries SET qvec = zeroblob(32), tvec = zeroblob(24)", [])
+        .unwrap();
+    drop(sql);
+    let db = Database::open(&path).unwrap();
+    assert_eq!(db.read_two_views().unwrap()[0].1.cam2_from_cam1, None);
+}
+
+#[test]
 fn copies_of_other_programs_files_have_ids_from_one_on() {
     let dir = tempfile::tempdir().unwrap();
     let (path, copy) = (dir.path().join("theirs.db"), dir.path().join("ours.db"));
@@ -450,6 +469,7 @@ fn copies_of_other_programs_files_have_ids_from_one_on() {
          UPDATE rigs SET ref_sensor_id = 5 + 2 * ref_sensor_id;
          UPDATE frame_data SET sensor_id = 5 + 2 * sensor_id;
          INSERT INTO pose_priors VALUES (1, 3, 7, 0, NULL, NULL, NULL, 1);
+         INSERT INTO pose_priors VALUES (2, 2, 7, 0, NULL, NULL, NULL, 1);
          CREATE TABLE theirs(text); INSERT INTO theirs VALUES ('stays');",
     )
     .unwrap();
@@ -492,7 +512,9 @@ fn copies_of_other_programs_files_have_ids_from_one_on() {
     assert_eq!(text("SELECT group_concat(image_id) FROM images ORDER BY image_id"), "1,2,3");
     assert_eq!(text("SELECT group_concat(camera_id) FROM cameras ORDER BY camera_id"), "1,2");
     assert_eq!(text("SELECT text FROM theirs"), "stays");
-    assert_eq!(text("SELECT corr_data_id || ',' || corr_sensor_id FROM pose_priors"), "2,1");
+    let priors =
+        text("SELECT group_concat(corr_data_id || ',' || corr_sensor_id) FROM pose_priors");
+    assert_eq!(priors, "2,1", "that of the deleted image is left out");
     assert_eq!(
         text("SELECT group_concat(frame_id || data_id || sensor_id) FROM frame_data"),
         "111,221,332"

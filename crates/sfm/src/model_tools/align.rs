@@ -28,6 +28,9 @@ const MAX_OBSERVATIONS: usize = 20_000;
 const NUM_ROUNDS: usize = 3;
 /// Minimum number of inliers, as for verified pairs.
 const MIN_INLIERS: usize = 15;
+/// Minimum share of inliers: the default of COLMAP's alignment by reprojections. Models of one scene
+/// with different calibrations had up to a fifth.
+const MIN_INLIER_RATIO: f64 = 0.3;
 
 /// How two models fit together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -237,8 +240,9 @@ pub fn align_models(
         .flat_map(|image| image.observations.iter().map(move |o| (image, o)))
         .filter(|(image, o)| image.squared_error([&similarity, &inverse], o) < max_squared)
         .count();
+    let required = (MIN_INLIER_RATIO * alignment.num_compared as f64).max(MIN_INLIERS as f64);
     alignment.reference_from_model =
-        Some(similarity).filter(|_| alignment.num_inliers >= MIN_INLIERS);
+        Some(similarity).filter(|_| alignment.num_inliers as f64 >= required);
     Ok(alignment)
 }
 
