@@ -322,8 +322,8 @@ pub(crate) struct Mapping {
     /// m, cm or mm. The model is scaled to it; by default the scale is arbitrary.
     #[arg(long, value_name = "0.62m", conflicts_with = "input_model")]
     pub(crate) baseline: Option<Metres>,
-    /// Goes on from this model (folder with a COLMAP model, or workspace): its poses, intrinsics and
-    /// points are initial values, and further photos are registered onto it. The frame and the
+    /// Goes on from this model (folder with a COLMAP model, or workspace): its poses, intrinsics
+    /// and points are initial values, and further photos are registered onto it. The frame and the
     /// scale of the model stay. Its rigs are left out: all images have independent poses. Images
     /// are compared by name; those that the workspace lacks stay in the result.
     #[arg(long, value_name = "MODEL")]

@@ -157,8 +157,8 @@ fn only_camera(scene: &Reconstruction, photos: &Photos) -> Result<CameraId, Stri
     match (cameras.first(), cameras.len()) {
         (Some(camera), 1) => Ok(*camera),
         (_, count) => Err(format!(
-            "{} are of {count} cameras, and a camera of a rig is one: put the photos of each camera \
-            into a folder of its own, and run the stage features with --cameras folder",
+            "{} are of {count} cameras, and a camera of a rig is one: put the photos of each \
+            camera into a folder of its own, and run the stage features with --cameras folder",
             photos.what
         )),
     }

@@ -28,8 +28,8 @@ const MAX_OBSERVATIONS: usize = 20_000;
 const NUM_ROUNDS: usize = 3;
 /// Minimum number of inliers, as for verified pairs.
 const MIN_INLIERS: usize = 15;
-/// Minimum share of inliers: the default of COLMAP's alignment by reprojections. Models of one scene
-/// with different calibrations had up to a fifth.
+/// Minimum share of inliers: the default of COLMAP's alignment by reprojections. Two models of one
+/// scene with different calibrations had up to a fifth.
 const MIN_INLIER_RATIO: f64 = 0.3;
 
 /// How two models fit together.
