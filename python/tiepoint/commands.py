@@ -129,6 +129,4 @@ def commands():
     return list(FUNCTIONS)
 
 
-FUNCTIONS = {
-    name_of(command): function_of(command) for command in json.loads(_tiepoint.commands())
-}
+FUNCTIONS = {name_of(command): function_of(command) for command in json.loads(_tiepoint.commands())}
