@@ -54,7 +54,8 @@ impl Camera {
         self.camera.intrinsics.kind().param_names().to_vec()
     }
 
-    /// Pixels of points in the camera's frame: (N, 3) to (N, 2). NaN for points that do not project.
+    /// Pixels of points in the camera's frame: (N, 3) to (N, 2). NaN for points that do not
+    /// project.
     fn project<'py>(
         &self,
         python: Python<'py>,

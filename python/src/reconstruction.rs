@@ -59,8 +59,8 @@ impl Reconstruction {
         python.detach(|| read_model(&folder)).map(Self::new).map_err(failed)
     }
 
-    /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those of
-    /// the files that it was read from.
+    /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those
+    /// of the files that it was read from.
     #[pyo3(signature = (path, *, text=false))]
     fn write(&self, python: Python<'_>, path: PathBuf, text: bool) -> PyResult<()> {
         let format = if text { Format::Text } else { Format::Binary };

@@ -14,17 +14,9 @@ use crate::args::Cli;
 use crate::commands;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
+use crate::message::Message;
 use crate::output::{Output, one_sentence, shortened};
 use crate::signals;
-
-/// What a command sends to its caller, as JSON.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Message {
-    /// An event, as `--json` writes it to stderr.
-    Progress(String),
-    /// The result, as `--json` writes it to stdout.
-    Result(String),
-}
 
 /// Why a command failed.
 #[derive(Clone, Debug, PartialEq, Eq)]

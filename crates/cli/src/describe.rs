@@ -12,8 +12,8 @@ pub struct CommandInfo {
     pub words: Vec<String>,
     /// What it does.
     pub help: String,
-    /// Its positional arguments in their order, then its options. Those of all commands, `--threads`
-    /// and `--json`, are left out.
+    /// Its positional arguments in their order, then its options. Those of all commands,
+    /// `--threads` and `--json`, are left out.
     pub arguments: Vec<ArgumentInfo>,
 }
 

@@ -7,6 +7,7 @@ mod commands;
 mod describe;
 mod failure;
 mod interrupt;
+mod message;
 mod output;
 mod progress;
 mod signals;
@@ -23,8 +24,9 @@ use failure::Failure;
 use interrupt::Interrupt;
 use output::Output;
 
-pub use call::{Call, Failed, Message};
+pub use call::{Call, Failed};
 pub use describe::{ArgumentInfo, CommandInfo, commands};
+pub use message::Message;
 
 /// Exit code of failed work.
 const COULD_NOT: u8 = 1;

@@ -7,9 +7,9 @@ use std::sync::mpsc::Sender;
 
 use serde::Serialize;
 
-use crate::call::Message;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
+use crate::message::Message;
 
 /// Where results and progress go, and the interruption state of the run.
 #[derive(Clone, Debug)]
