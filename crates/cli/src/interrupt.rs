@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use indicatif::ProgressBar;
-use signal_hook::consts::SIGTERM;
+use signal_hook::consts::{SIGINT, SIGTERM};
 use tiepoint_pipeline::{Event, Stage};
 
 /// Exit code of a process that signal N ended: 128 + N, as shells report it.
@@ -51,6 +51,11 @@ impl Interrupt {
     pub(crate) fn register(&self, signal: i32) -> io::Result<()> {
         signal_hook::flag::register_usize(signal, Arc::clone(&self.signal), signal as usize)?;
         Ok(())
+    }
+
+    /// Stops the run at its next event, as a signal does.
+    pub(crate) fn cancel(&self) {
+        self.signal.store(SIGINT as usize, Ordering::Relaxed);
     }
 
     /// The number of the received signal.

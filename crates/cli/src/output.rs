@@ -3,22 +3,52 @@
 use std::borrow::Cow;
 use std::io::{self, ErrorKind, Write};
 use std::sync::Arc;
+use std::sync::mpsc::Sender;
 
 use serde::Serialize;
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
+use crate::message::Message;
 
-/// Format of the output (text or JSON), and the interruption state of the run.
+/// Where results and progress go, and the interruption state of the run.
 #[derive(Clone, Debug)]
 pub(crate) struct Output {
-    pub(crate) json: bool,
+    destination: Destination,
     pub(crate) interrupt: Arc<Interrupt>,
+}
+
+#[derive(Clone, Debug)]
+enum Destination {
+    /// Results as text to stdout, progress as a bar on stderr.
+    Text,
+    /// Results as JSON to stdout, progress as JSON lines to stderr.
+    Json,
+    /// Both as JSON to a caller in the same process.
+    Caller(Sender<Message>),
 }
 
 impl Output {
     pub(crate) fn new(json: bool, interrupt: Interrupt) -> Self {
-        Self { json, interrupt: Arc::new(interrupt) }
+        let destination = if json { Destination::Json } else { Destination::Text };
+        Self { destination, interrupt: Arc::new(interrupt) }
+    }
+
+    /// Sends results and progress to a caller, who need not receive them.
+    pub(crate) fn to_caller(caller: Sender<Message>, interrupt: Arc<Interrupt>) -> Self {
+        Self { destination: Destination::Caller(caller), interrupt }
+    }
+
+    /// Writes progress as JSON; `false` if it is to be a progress bar.
+    pub(crate) fn progress(&self, event: &impl Serialize) -> bool {
+        match &self.destination {
+            Destination::Text => return false,
+            Destination::Json => line_to_stderr(&json_line(event)),
+            Destination::Caller(caller) => {
+                let _ = caller.send(Message::Progress(json_line(event)));
+            }
+        }
+        true
     }
 
     /// Writes the result to stdout: `value` as one JSON object, or `text`.
@@ -31,12 +61,7 @@ impl Output {
         value: &impl Serialize,
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
-        let text = if self.json {
-            json_line(value) + "\n"
-        } else {
-            text().split_inclusive('\n').map(printable_line).collect()
-        };
-        write_result(&text)
+        self.write(value, || text().split_inclusive('\n').map(printable_line).collect())
     }
 
     /// Writes a text that the program itself generated to stdout: `value` as one JSON object, or
@@ -50,18 +75,32 @@ impl Output {
         value: &T,
         text: impl FnOnce(&T) -> &str,
     ) -> Result<(), Failure> {
-        if self.json { write_result(&(json_line(value) + "\n")) } else { write_result(text(value)) }
+        self.write(value, || text(value).to_owned())
+    }
+
+    fn write(&self, value: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        match &self.destination {
+            Destination::Text => write_result(&text()),
+            Destination::Json => write_result(&(json_line(value) + "\n")),
+            Destination::Caller(caller) => {
+                let _ = caller.send(Message::Result(json_line(value)));
+                Ok(())
+            }
+        }
     }
 
     /// Writes an error message to stderr, on one line.
     pub(crate) fn error(&self, message: &str) {
         let message = &*shortened(message);
-        let line = if self.json {
-            json_line(&serde_json::json!({ "event": "error", "message": message }))
-        } else {
-            printable(&format!("tiepoint: {message}")).into_owned()
-        };
-        line_to_stderr(&line);
+        match &self.destination {
+            Destination::Json => line_to_stderr(&json_line(
+                &serde_json::json!({ "event": "error", "message": message }),
+            )),
+            // A caller gets the error from its call.
+            Destination::Text | Destination::Caller(_) => {
+                line_to_stderr(&printable(&format!("tiepoint: {message}")));
+            }
+        }
     }
 }
 
@@ -102,7 +141,7 @@ pub(crate) fn printable(line: &str) -> Cow<'_, str> {
 const SHOWN: usize = 1000;
 
 /// A message with its middle replaced by an ellipsis if it is long.
-fn shortened(message: &str) -> Cow<'_, str> {
+pub(crate) fn shortened(message: &str) -> Cow<'_, str> {
     if message.chars().nth(2 * SHOWN).is_none() {
         return Cow::Borrowed(message);
     }

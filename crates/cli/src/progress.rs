@@ -1,54 +1,47 @@
 //! Shows events as a progress bar on a terminal or as JSON lines.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use tiepoint_pipeline::{DenseStep, Event};
 
-use crate::interrupt::Interrupt;
-use crate::output::{Output, json_line, line_to_stderr, printable};
+use crate::output::{Output, line_to_stderr, printable};
 
 /// Progress of a run, shown on stderr.
 pub(crate) struct Progress {
-    json: bool,
+    output: Output,
     /// Hidden unless stderr is a terminal.
     bar: ProgressBar,
-    interrupt: Arc<Interrupt>,
 }
 
 impl Progress {
     pub(crate) fn new(output: &Output) -> Self {
-        let interrupt = Arc::clone(&output.interrupt);
-        Self { json: output.json, bar: ProgressBar::hidden(), interrupt }
+        Self { output: output.clone(), bar: ProgressBar::hidden() }
     }
 
     /// Shows an event. `Break` asks the run to stop.
     pub(crate) fn watch(&mut self, event: &Event) -> ControlFlow<()> {
-        if self.json {
-            line_to_stderr(&json_line(event));
-        } else {
+        if !self.output.progress(event) {
             self.draw(event);
         }
-        self.interrupt.watch(event)
+        self.output.interrupt.watch(event)
     }
 
     /// Shows that `image` is rendered next, after `done` of `total` images. `Break` asks the run to
     /// stop.
     pub(crate) fn rendering(&mut self, image: &str, done: usize, total: usize) -> ControlFlow<()> {
-        if self.json {
-            let event = serde_json::json!({
-                "event": "rendering", "image": image, "done": done, "total": total
-            });
-            line_to_stderr(&json_line(&event));
-            return self.interrupt.flow();
+        let event = serde_json::json!({
+            "event": "rendering", "image": image, "done": done, "total": total
+        });
+        if self.output.progress(&event) {
+            return self.output.interrupt.flow();
         }
         if done == 0 {
             self.start_bar("render", total, 0);
         }
         self.show(image);
         self.bar.set_position(done as u64);
-        self.interrupt.flow()
+        self.output.interrupt.flow()
     }
 
     fn start_bar(&mut self, stage: &'static str, total: usize, done: usize) {
@@ -60,7 +53,7 @@ impl Progress {
     }
 
     fn set_bar(&mut self, bar: ProgressBar) {
-        self.interrupt.set_bar(&bar);
+        self.output.interrupt.set_bar(&bar);
         self.bar = bar;
     }
 

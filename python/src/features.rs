@@ -1,0 +1,87 @@
+//! SIFT and matching.
+
+use numpy::{PyArray2, PyReadonlyArray2};
+use pyo3::prelude::*;
+use tiepoint_features::{Descriptor, GrayView, Options, Orientation, Sift};
+use tiepoint_matching::match_features;
+
+use crate::arrays::matrix;
+use crate::errors::{failed, invalid};
+
+/// Keypoints, descriptors.
+type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
+
+/// SIFT keypoints and RootSIFT descriptors of a grey image, an array of uint8 of shape (H, W).
+/// Where `mask`, of the same shape, is 0, no keypoints are detected. Returns the keypoints, float32
+/// of shape (N, 4): x, y, scale in pixels and orientation in radians; and the descriptors, uint8 of
+/// shape (N, 128). The centre of the top-left pixel is (0.5, 0.5).
+#[pyfunction]
+#[pyo3(signature = (image, *, max_features=8192, upright=false, mask=None))]
+pub(crate) fn sift<'py>(
+    python: Python<'py>,
+    image: PyReadonlyArray2<'py, u8>,
+    max_features: usize,
+    upright: bool,
+    mask: Option<PyReadonlyArray2<'py, u8>>,
+) -> PyResult<Arrays<'py>> {
+    let (height, width) = image.as_array().dim();
+    if height == 0 || width == 0 {
+        return Err(invalid("image is empty"));
+    }
+    let pixels = image.as_array().iter().copied().collect::<Vec<u8>>();
+    let mask = match &mask {
+        Some(mask) if mask.as_array().dim() == (height, width) => {
+            Some(mask.as_array().iter().copied().collect::<Vec<u8>>())
+        }
+        Some(_) => return Err(invalid("mask must have the shape of image")),
+        None => None,
+    };
+    let orientation = if upright { Orientation::Upright } else { Orientation::default() };
+    let options = Options { max_features, orientation, ..Options::default() };
+    let found = python.detach(|| {
+        let mask = mask.as_ref().map(|mask| GrayView::new(mask, width, height));
+        let view = GrayView::new(&pixels, width, height);
+        Sift::new(options).and_then(|mut sift| sift.extract_parallel(&view, mask.as_ref()))
+    });
+    let found = found.map_err(failed)?;
+    let keypoints: Vec<[f32; 4]> =
+        found.keypoints.iter().map(|k| [k.x, k.y, k.scale, k.orientation]).collect();
+    Ok((matrix(python, &keypoints), matrix(python, &found.descriptors)))
+}
+
+/// Matches of two sets of descriptors, uint8 of shape (N, 128): indices of shape (M, 2). Exact
+/// nearest neighbours with the tests of COLMAP: the ratio test and the largest angle (in radians);
+/// None leaves a test out.
+#[pyfunction]
+#[pyo3(
+    name = "match",
+    signature = (a, b, *, max_ratio=Some(0.8), max_angle=Some(0.7), cross_check=true)
+)]
+pub(crate) fn match_descriptors<'py>(
+    python: Python<'py>,
+    a: PyReadonlyArray2<'py, u8>,
+    b: PyReadonlyArray2<'py, u8>,
+    max_ratio: Option<f64>,
+    max_angle: Option<f64>,
+    cross_check: bool,
+) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    let (a, b) = (descriptors(&a, "a")?, descriptors(&b, "b")?);
+    let options = tiepoint_matching::Options {
+        max_ratio,
+        max_angle_rad: max_angle,
+        mutual: cross_check,
+        ..tiepoint_matching::Options::default()
+    };
+    options.validate().map_err(invalid)?;
+    let found = python.detach(|| match_features(&a, &b, &options));
+    let pairs: Vec<[u32; 2]> = found.iter().map(|found| [found.a, found.b]).collect();
+    Ok(matrix(python, &pairs))
+}
+
+fn descriptors(array: &PyReadonlyArray2<'_, u8>, name: &str) -> PyResult<Vec<Descriptor>> {
+    let array = array.as_array();
+    if array.ncols() != 128 {
+        return Err(invalid(format!("{name} must be an array of uint8 of shape (N, 128)")));
+    }
+    Ok(array.rows().into_iter().map(|row| std::array::from_fn(|at| row[at])).collect())
+}

@@ -1,0 +1,342 @@
+//! Models as arrays.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
+use tiepoint_geometry::{Rigid3, Sim3};
+use tiepoint_io::colmap::{Format, read_model, write_model};
+use tiepoint_scene::{CameraId, Image, ImageId, PointId};
+use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+
+use crate::arrays::{matrix, pose, poses, rows, vector};
+use crate::camera::Camera;
+use crate::errors::{failed, invalid};
+
+/// Largest difference of the entries of RᵀR from the identity for a rotation matrix.
+const ROTATION_TOLERANCE: f64 = 1e-6;
+
+/// A COLMAP model. Images are those with a pose, in the order of their ids; arrays of images have a
+/// row for each of them, and arrays of points a row for each point. Poses are cam_from_world as
+/// matrices [R | t]. The centre of the top-left pixel is (0.5, 0.5).
+#[pyclass(module = "tiepoint")]
+pub(crate) struct Reconstruction {
+    model: tiepoint_scene::Reconstruction,
+    /// The images with a pose.
+    images: Vec<ImageId>,
+    points: Vec<PointId>,
+}
+
+impl Reconstruction {
+    fn new(model: tiepoint_scene::Reconstruction) -> Self {
+        let images = model.registered().map(|(id, ..)| id).collect();
+        let points = model.tracks().map(|(id, _)| id).collect();
+        Self { model, images, points }
+    }
+
+    fn image(&self, index: usize) -> PyResult<&Image> {
+        let id = self.images.get(index).ok_or_else(|| {
+            PyIndexError::new_err(format!("image {index} of {}", self.images.len()))
+        })?;
+        Ok(self.model.image(*id))
+    }
+
+    fn row_of(&self, image: ImageId) -> usize {
+        self.images.binary_search(&image).expect("observations are those of images with a pose")
+    }
+}
+
+#[pymethods]
+impl Reconstruction {
+    /// Reads the model of a workspace or a folder with a COLMAP model, binary or text.
+    #[staticmethod]
+    fn read(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let folder = tiepoint_pipeline::model_folder(&path).map_err(failed)?;
+        python.detach(|| read_model(&folder)).map(Self::new).map_err(failed)
+    }
+
+    /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those
+    /// of the files that it was read from.
+    #[pyo3(signature = (path, *, text=false))]
+    fn write(&self, python: Python<'_>, path: PathBuf, text: bool) -> PyResult<()> {
+        let format = if text { Format::Text } else { Format::Binary };
+        python.detach(|| write_model(&path, &self.model, format)).map_err(failed)
+    }
+
+    /// The cameras, in the order of their ids.
+    #[getter]
+    fn cameras(&self) -> Vec<Camera> {
+        self.model.cameras().map(|(_, camera)| Camera { camera: *camera }).collect()
+    }
+
+    /// Ids of the cameras in the files, uint64 of shape (C,).
+    #[getter]
+    fn camera_ids<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        let ids = self.model.cameras().map(|(id, _)| self.model.original_ids.camera(id));
+        vector(python, ids.collect())
+    }
+
+    /// Replaces a camera, given by its index.
+    fn set_camera(&mut self, index: usize, camera: Camera) -> PyResult<()> {
+        if index >= self.model.num_cameras() {
+            let count = self.model.num_cameras();
+            return Err(PyIndexError::new_err(format!("camera {index} of {count}")));
+        }
+        *self.model.camera_mut(CameraId::from_index(index)) = camera.camera;
+        Ok(())
+    }
+
+    /// The names of the images.
+    #[getter]
+    fn image_names(&self) -> Vec<&str> {
+        self.images.iter().map(|id| self.model.image(*id).name.as_str()).collect()
+    }
+
+    /// Ids of the images in the files, uint64 of shape (N,).
+    #[getter]
+    fn image_ids<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        vector(python, self.images.iter().map(|id| self.model.original_ids.image(*id)).collect())
+    }
+
+    /// Index of each image's camera in `cameras`, uint32 of shape (N,).
+    #[getter]
+    fn image_cameras<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+        vector(python, self.images.iter().map(|id| self.model.image(*id).camera.0).collect())
+    }
+
+    /// cam_from_world of the images, of shape (N, 3, 4).
+    #[getter]
+    fn poses<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        let all: Vec<Rigid3> = self.model.registered().map(|(.., pose)| *pose).collect();
+        poses(python, &all)
+    }
+
+    /// Replaces the poses. Images of a frame of a rig are no longer rigidly connected.
+    #[setter]
+    fn set_poses(&mut self, value: PyReadonlyArray3<'_, f64>) -> PyResult<()> {
+        let array = value.as_array();
+        if array.dim() != (self.images.len(), 3, 4) {
+            let count = self.images.len();
+            return Err(invalid(format!("poses must be an array of shape ({count}, 3, 4)")));
+        }
+        let mut all = Vec::new();
+        for matrix in array.outer_iter() {
+            let rotation = Matrix3::from_fn(|row, column| matrix[(row, column)]);
+            let translation = Vector3::from_fn(|row, _| matrix[(row, 3)]);
+            let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+            let is_rotation = off <= ROTATION_TOLERANCE && rotation.determinant() > 0.0;
+            if !is_rotation || !translation.iter().all(|value| value.is_finite()) {
+                return Err(invalid("poses must be matrices [R | t] with rotations R"));
+            }
+            let rotation = UnitQuaternion::from_matrix(&rotation);
+            all.push(Rigid3::new(rotation, translation));
+        }
+        self.model.rigs.clear();
+        self.model.frames.clear();
+        for (id, pose) in self.images.iter().zip(all) {
+            self.model.register(*id, pose);
+        }
+        Ok(())
+    }
+
+    /// Centres of the images in the world, of shape (N, 3).
+    #[getter]
+    fn centers<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let centers: Vec<[f64; 3]> =
+            self.model.registered().map(|(.., pose)| pose.origin_in_a().into()).collect();
+        matrix(python, &centers)
+    }
+
+    /// Keypoints of an image, given by its index, of shape (K, 2), in pixels.
+    fn keypoints<'py>(
+        &self,
+        python: Python<'py>,
+        image: usize,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let pixels: Vec<[f64; 2]> =
+            self.image(image)?.keypoints.iter().map(|keypoint| keypoint.pixel.into()).collect();
+        Ok(matrix(python, &pixels))
+    }
+
+    /// Positions of the points, of shape (P, 3).
+    #[getter]
+    fn points<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let points: Vec<[f64; 3]> =
+            self.model.tracks().map(|(_, track)| track.xyz.into()).collect();
+        matrix(python, &points)
+    }
+
+    /// Replaces the positions of the points.
+    #[setter]
+    fn set_points(&mut self, value: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let points = rows::<3>(&value, "points")?;
+        if points.len() != self.points.len() {
+            let count = self.points.len();
+            return Err(invalid(format!("points must be an array of shape ({count}, 3)")));
+        }
+        for (id, xyz) in self.points.iter().zip(points) {
+            if let Some(track) = self.model.track_mut(*id) {
+                track.xyz = xyz;
+            }
+        }
+        Ok(())
+    }
+
+    /// Ids of the points in the files, uint64 of shape (P,).
+    #[getter]
+    fn point_ids<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        vector(python, self.points.iter().map(|id| self.model.original_ids.point(*id)).collect())
+    }
+
+    /// Colours of the points, uint8 of shape (P, 3).
+    #[getter]
+    fn colors<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray2<u8>> {
+        let colors: Vec<[u8; 3]> = self.model.tracks().map(|(_, track)| track.color).collect();
+        matrix(python, &colors)
+    }
+
+    /// Mean reprojection error of each point, in pixels, of shape (P,).
+    #[getter]
+    fn point_errors<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let errors = self.model.tracks().map(|(_, track)| self.model.track_error_px(track));
+        vector(python, errors.collect())
+    }
+
+    /// The observations, uint32 of shape (M, 3): index of the point, index of the image, and index
+    /// of the keypoint in the image; ordered by points.
+    #[getter]
+    fn observations<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray2<u32>> {
+        let mut all: Vec<[u32; 3]> = Vec::with_capacity(self.model.num_observations());
+        for (point, (_, track)) in (0..).zip(self.model.tracks()) {
+            let row =
+                |o: &tiepoint_scene::Observation| [point, self.row_of(o.image) as u32, o.keypoint];
+            all.extend(track.observations.iter().map(row));
+        }
+        matrix(python, &all)
+    }
+
+    /// The rigs of several cameras: a list of dictionaries with `cameras`, the indices of their
+    /// cameras, and `cam_from_rig`, an array of shape (S, 3, 4).
+    #[getter]
+    fn rigs<'py>(&self, python: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let rig = |rig: &tiepoint_scene::Rig| {
+            let all = PyDict::new(python);
+            let cameras = rig.sensors.iter().map(|sensor| sensor.camera.0);
+            let known = rig
+                .sensors
+                .iter()
+                .map(|sensor| sensor.cam_from_rig.unwrap_or_else(Rigid3::identity));
+            all.set_item("cameras", cameras.collect::<Vec<u32>>())?;
+            all.set_item("cam_from_rig", poses(python, &known.collect::<Vec<_>>()))?;
+            Ok(all)
+        };
+        self.model.rigs.iter().map(rig).collect()
+    }
+
+    /// The frames of the rigs: a list of dictionaries with `rig`, its index; `rig_from_world`, of
+    /// shape (3, 4); and `images`, the indices of the images.
+    #[getter]
+    fn frames<'py>(&self, python: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let frame = |frame: &tiepoint_scene::Frame| {
+            let all = PyDict::new(python);
+            let images: Vec<usize> = frame.images.iter().map(|id| self.row_of(*id)).collect();
+            all.set_item("rig", frame.rig.0)?;
+            all.set_item("rig_from_world", pose(python, &frame.rig_from_world))?;
+            all.set_item("images", images)?;
+            Ok(all)
+        };
+        self.model.frames.iter().map(frame).collect()
+    }
+
+    /// Applies a similarity, a 4 × 4 matrix [sR t; 0 1] or [sR | t] of shape (3, 4).
+    fn transform(&mut self, new_from_old: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let array = new_from_old.as_array();
+        if ![(3, 4), (4, 4)].contains(&array.dim()) {
+            return Err(invalid("new_from_old must be an array of shape (4, 4) or (3, 4)"));
+        }
+        let mut matrix = Matrix4::identity();
+        for ((row, column), value) in array.indexed_iter() {
+            matrix[(row, column)] = *value;
+        }
+        let linear = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+        let scale = linear.determinant().cbrt();
+        let rotation = linear / scale;
+        let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+        let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
+        let is_last_row = (0..4).all(|at| matrix[(3, at)] == f64::from(u8::from(at == 3)));
+        if !(scale > 0.0 && off <= ROTATION_TOLERANCE && is_last_row)
+            || !translation.iter().all(|value| value.is_finite())
+        {
+            return Err(invalid("new_from_old must be a similarity [sR t; 0 1] with s > 0"));
+        }
+        let rotation = UnitQuaternion::from_matrix(&rotation);
+        self.model.transform(&Sim3 { scale, rotation, translation });
+        self.model.validate().map_err(failed)
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "Reconstruction({} images, {} cameras, {} points, {} observations)",
+            self.images.len(),
+            self.model.num_cameras(),
+            self.points.len(),
+            self.model.num_observations()
+        )
+    }
+}
+
+/// Bundle adjustment of a model, in place. `refine` lists the intrinsics that are refined: focal,
+/// principal-point, distortion; none by "". Images of a frame stay rigidly connected. Returns a
+/// dictionary with `initial_cost`, `final_cost`, `iterations` and `converged`. Ctrl-C stops it at
+/// the next step and keeps what was reached.
+#[pyfunction]
+#[pyo3(signature = (reconstruction, *, refine="focal,distortion", max_iterations=100))]
+pub(crate) fn bundle_adjust<'py>(
+    python: Python<'py>,
+    reconstruction: &Bound<'py, Reconstruction>,
+    refine: &str,
+    max_iterations: usize,
+) -> PyResult<Bound<'py, PyDict>> {
+    let mut refined = RefineIntrinsics::NONE;
+    for word in refine.split(',').map(str::trim).filter(|word| !word.is_empty()) {
+        match word {
+            "focal" => refined.focal = true,
+            "principal-point" => refined.principal_point = true,
+            "distortion" => refined.distortion = true,
+            _ => {
+                return Err(invalid(format!(
+                    "refine has '{word}': it is a list of focal, principal-point and distortion"
+                )));
+            }
+        }
+    }
+    let options = AdjustOptions { refine: refined, max_iterations, ..AdjustOptions::default() };
+    let mut reconstruction = reconstruction.try_borrow_mut()?;
+    let model = &mut reconstruction.model;
+    let mut interrupted = None;
+    let summary = python.detach(|| {
+        adjust(model, &Scope::Global, &options, &mut [], &mut |_| match Python::attach(|python| {
+            python.check_signals()
+        }) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                interrupted = Some(error);
+                ControlFlow::Break(())
+            }
+        })
+    });
+    if let Some(error) = interrupted {
+        return Err(error);
+    }
+    let summary = summary.map_err(failed)?;
+    let all = PyDict::new(python);
+    all.set_item("initial_cost", summary.initial_cost)?;
+    all.set_item("final_cost", summary.final_cost)?;
+    all.set_item("iterations", summary.iterations.len())?;
+    all.set_item("converged", summary.termination.converged())?;
+    Ok(all)
+}

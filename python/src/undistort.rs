@@ -1,0 +1,40 @@
+//! Undistortion of images.
+
+use numpy::ndarray::Array3;
+use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3};
+use pyo3::prelude::*;
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_camera};
+
+use crate::camera::Camera;
+use crate::errors::{failed, invalid};
+
+/// Undistorts an image, uint8 of shape (H, W, 1) or (H, W, 3), of a camera. Returns the image and
+/// its PINHOLE camera, with the options and the sizes of COLMAP's image_undistorter. Pixels without
+/// a source are 0.
+#[pyfunction]
+#[pyo3(
+    signature = (image, camera, *, blank_pixels=0.0, min_scale=0.2, max_scale=2.0, max_size=None)
+)]
+pub(crate) fn undistort<'py>(
+    python: Python<'py>,
+    image: PyReadonlyArray3<'py, u8>,
+    camera: Camera,
+    blank_pixels: f64,
+    min_scale: f64,
+    max_scale: f64,
+    max_size: Option<u32>,
+) -> PyResult<(Bound<'py, PyArray3<u8>>, Camera)> {
+    let options = UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size: max_size };
+    let to = undistort_camera(&camera.camera, &options).map_err(invalid)?;
+    let undistortion = Undistortion::new(&camera.camera, &to);
+    let (_, _, channels) = image.as_array().dim();
+    let pixels: Vec<u8> = image.as_array().iter().copied().collect();
+    let pixels = python.detach(|| match channels {
+        1 => undistortion.image::<1>(&pixels).map_err(failed),
+        3 => undistortion.image::<3>(&pixels).map_err(failed),
+        _ => Err(invalid("image must be an array of uint8 of shape (H, W, 1) or (H, W, 3)")),
+    })?;
+    let shape = (to.height as usize, to.width as usize, channels);
+    let array = Array3::from_shape_vec(shape, pixels).map_err(failed)?;
+    Ok((array.into_pyarray(python), Camera { camera: to }))
+}

@@ -1,0 +1,18 @@
+"""A drive that the program renders, and its model."""
+
+import pytest
+import tiepoint
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive") / "drive"
+    tiepoint.synth(folder, route="open", length=40, rate=1.5, size="400x300")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def workspace(drive, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("model") / "ws"
+    tiepoint.reconstruct(drive, folder)
+    return folder

@@ -1,0 +1,156 @@
+"""Models, features and poses as arrays."""
+
+import numpy as np
+import pytest
+import tiepoint
+
+CAMERA = tiepoint.Camera("PINHOLE", 640, 480, [500.0, 500.0, 320.0, 240.0])
+
+
+def rotation(axis_angle):
+    """Rodrigues."""
+    angle = np.linalg.norm(axis_angle)
+    x, y, z = axis_angle / angle
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def scene(count=200, seed=1):
+    """Points in front of two cameras: the points, the second pose and the pixels of both."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([-2, -2, 4], [2, 2, 8], (count, 3))
+    pose = np.c_[rotation(np.array([0.05, -0.1, 0.02])), [0.6, 0.1, 0.05]]
+    pixels = [CAMERA.project(points), CAMERA.project(points @ pose[:, :3].T + pose[:, 3])]
+    return points, pose, pixels
+
+
+def test_cameras_project_and_unproject():
+    points = np.array([[0.1, -0.2, 1.0], [0.0, 0.0, 2.0], [0.0, 0.0, -1.0]])
+    pixels = CAMERA.project(points)
+    assert np.allclose(pixels[:2], [[370, 140], [320, 240]]) and np.isnan(pixels[2]).all()
+    rays = CAMERA.unproject(pixels[:2])
+    assert np.allclose(rays, points[:2] / np.linalg.norm(points[:2], axis=1, keepdims=True))
+    assert (CAMERA.model, CAMERA.width, CAMERA.param_names) == (
+        "PINHOLE",
+        640,
+        ["fx", "fy", "cx", "cy"],
+    )
+    with pytest.raises(tiepoint.UsageError, match="NO_SUCH"):
+        tiepoint.Camera("NO_SUCH", 640, 480, [1.0])
+
+
+def test_poses_of_exact_pixels_with_outliers():
+    points, pose, (one, other) = scene()
+    other = other.copy()
+    other[::4] += 50 * np.sign(other[::4] - 240)
+    found = tiepoint.relative_pose(one, other, CAMERA, CAMERA, max_error=1.0)
+    expected = np.c_[pose[:, :3], pose[:, 3] / np.linalg.norm(pose[:, 3])]
+    assert np.abs(found["cam2_from_cam1"] - expected).max() < 1e-6
+    assert found["inliers"].dtype == bool and found["inliers"].sum() == found["num_inliers"]
+    assert not found["inliers"][::4].all() and found["inliers"][1::4].all()
+    found = tiepoint.absolute_pose(other, points, CAMERA, max_error=1.0)
+    assert np.abs(found["cam_from_world"] - pose).max() < 1e-6
+    found = tiepoint.fundamental(one, other, max_error=1.0)
+    homogeneous = [np.c_[pixels, np.ones(len(pixels))] for pixels in (one, other)]
+    errors = np.sum(homogeneous[1] @ found["fundamental"] * homogeneous[0], axis=1)
+    assert np.abs(errors[found["inliers"]]).max() < 1e-4 * np.abs(errors).max()
+
+
+def test_homography_of_a_plane():
+    truth = np.array([[1.1, 0.02, 5.0], [-0.03, 0.95, -8.0], [1e-4, 2e-5, 1.0]])
+    one = np.random.default_rng(2).uniform(0, 500, (60, 2))
+    other = np.c_[one, np.ones(60)] @ truth.T
+    found = tiepoint.homography(one, other[:, :2] / other[:, 2:])
+    assert np.allclose(found["homography"] / found["homography"][2, 2], truth, atol=1e-6)
+
+
+def test_wrong_arrays_are_errors():
+    one = np.zeros((10, 2))
+    with pytest.raises(tiepoint.UsageError, match=r"shape \(N, 2\)"):
+        tiepoint.homography(one, np.zeros((10, 3)))
+    with pytest.raises(tiepoint.UsageError, match="equally many"):
+        tiepoint.homography(one, np.zeros((9, 2)))
+    with pytest.raises(tiepoint.UsageError, match="finite"):
+        tiepoint.homography(one, np.full((10, 2), np.nan))
+    assert tiepoint.homography(np.zeros((2, 2)), np.zeros((2, 2))) is None
+
+
+def test_sift_and_matches():
+    rng = np.random.default_rng(3)
+    image = np.zeros((240, 320))
+    y, x = np.mgrid[:240, :320]
+    for _ in range(120):
+        cx, cy, sigma = rng.uniform(0, 320), rng.uniform(0, 240), rng.uniform(1.5, 6)
+        image += rng.uniform(-80, 80) * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / 2 / sigma**2)
+    image = np.clip(image + 128, 0, 255).astype(np.uint8)
+    keypoints, descriptors = tiepoint.sift(image)
+    assert keypoints.shape == (len(descriptors), 4) and descriptors.shape[1] == 128
+    assert len(keypoints) > 50 and descriptors.dtype == np.uint8
+    shifted = np.roll(image, 7, axis=1)
+    other, others = tiepoint.sift(shifted)
+    pairs = tiepoint.match(descriptors, others)
+    moved = other[pairs[:, 1], :2] - keypoints[pairs[:, 0], :2]
+    assert len(pairs) > 30 and np.abs(np.median(moved, axis=0) - [7, 0]).max() < 0.05
+    mask = np.zeros_like(image)
+    mask[:, :100] = 255
+    assert tiepoint.sift(image, mask=mask)[0][:, 0].max() < 101
+    with pytest.raises(tiepoint.UsageError, match="128"):
+        tiepoint.match(np.zeros((3, 64), np.uint8), descriptors)
+
+
+def test_undistortion():
+    camera = tiepoint.Camera("SIMPLE_RADIAL", 64, 48, [50.0, 32.0, 24.0, -0.05])
+    image = np.full((48, 64, 3), 90, np.uint8)
+    flat, pinhole = tiepoint.undistort(image, camera)
+    assert pinhole.model == "PINHOLE" and flat.shape == (pinhole.height, pinhole.width, 3)
+    assert (flat == 90).all(), "no blank pixels"
+    with pytest.raises(tiepoint.UsageError):
+        tiepoint.undistort(image, camera, blank_pixels=2.0)
+
+
+def test_models_are_arrays(workspace, tmp_path):
+    model = tiepoint.Reconstruction.read(workspace)
+    count, points = len(model.image_names), len(model.points)
+    assert model.poses.shape == (count, 3, 4) and model.centers.shape == (count, 3)
+    assert model.colors.shape == (points, 3) and model.point_errors.shape == (points,)
+    # The pixel of a point is where its keypoint is, to within the error of the point.
+    point, image, keypoint = model.observations[0]
+    pose = model.poses[image]
+    in_cam = (pose[:, :3] @ model.points[point] + pose[:, 3])[None]
+    pixel = model.cameras[model.image_cameras[image]].project(in_cam)[0]
+    assert np.linalg.norm(pixel - model.keypoints(image)[keypoint]) < 4
+    assert np.allclose(model.centers[image], -pose[:, :3].T @ pose[:, 3])
+
+    model.write(tmp_path / "copy", text=True)
+    copy = tiepoint.Reconstruction.read(tmp_path / "copy")
+    assert (copy.poses == model.poses).all() and (copy.image_ids == model.image_ids).all()
+    moved = np.eye(4)
+    moved[:3] *= 2
+    copy.transform(moved)
+    assert np.allclose(copy.points, 2 * model.points)
+    with pytest.raises(tiepoint.UsageError, match="similarity"):
+        copy.transform(np.diag([1.0, 2.0, 3.0, 1.0]))
+    with pytest.raises(tiepoint.UsageError, match="rotations"):
+        copy.poses = np.zeros((count, 3, 4))
+    with pytest.raises(tiepoint.Error, match="absent"):
+        tiepoint.Reconstruction.read(tmp_path / "absent")
+
+
+def test_bundle_adjustment_lowers_the_cost(workspace):
+    model = tiepoint.Reconstruction.read(workspace)
+    rng = np.random.default_rng(4)
+    model.points = model.points + 0.05 * rng.standard_normal(model.points.shape)
+    before = model.point_errors.mean()
+    summary = tiepoint.bundle_adjust(model, refine="")
+    assert summary["final_cost"] < 0.1 * summary["initial_cost"]
+    assert model.point_errors.mean() < before
+    with pytest.raises(tiepoint.UsageError, match="everything"):
+        tiepoint.bundle_adjust(model, refine="everything")
+
+
+def test_pycolmap_reads_it(workspace):
+    pytest.importorskip("pycolmap")
+    model = tiepoint.Reconstruction.read(workspace)
+    there = tiepoint.to_pycolmap(model)
+    assert there.num_reg_images() == len(model.image_names)
+    assert there.num_points3D() == len(model.points)

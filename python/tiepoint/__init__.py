@@ -1,0 +1,49 @@
+"""Structure from motion for cameras mounted on one vehicle: photos in, a COLMAP model out.
+
+The commands of the program are functions: `reconstruct` and its stages `extract_features`,
+`match_images`, `map_images` and `dense`; `localize`, `adjust`, `export`, `view`,
+`evaluate_poses`, `model_info` and others (`commands()` lists them). Their options are keywords, and
+they return the result of `--json` as a dictionary. `Reconstruction` holds a model as numpy arrays;
+`sift`, `match`, `relative_pose`, `absolute_pose`, `homography`, `fundamental`, `bundle_adjust` and
+`undistort` work on arrays.
+"""
+
+from ._convert import to_pycolmap
+from ._tiepoint import (
+    Camera,
+    Error,
+    Reconstruction,
+    UsageError,
+    __version__,
+    absolute_pose,
+    bundle_adjust,
+    fundamental,
+    homography,
+    match,
+    relative_pose,
+    sift,
+    undistort,
+)
+from .commands import FUNCTIONS as _FUNCTIONS
+from .commands import commands
+
+globals().update(_FUNCTIONS)
+
+__all__ = [
+    "Camera",
+    "Error",
+    "Reconstruction",
+    "UsageError",
+    "__version__",
+    "absolute_pose",
+    "bundle_adjust",
+    "commands",
+    "fundamental",
+    "homography",
+    "match",
+    "relative_pose",
+    "sift",
+    "to_pycolmap",
+    "undistort",
+    *_FUNCTIONS,
+]
