@@ -35,7 +35,6 @@ pub mod strecha;
 mod text;
 pub mod timestamps;
 pub mod trajectory;
-pub mod undistort;
 pub mod video;
 mod yaml;
 

@@ -7,12 +7,13 @@ use std::str::FromStr;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::trajectory::{self, TimedPose};
 use tiepoint_io::{
-    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort,
+    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps,
 };
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
@@ -220,18 +221,36 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
     let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
     names.push(SCENE.to_owned());
     folder.refuse_foreign(names.iter().map(String::as_str))?;
-    let undistorted = undistort::undistort_model(model);
+    let undistorted = undistort_model(model, &UndistortOptions::default())
+        .map_err(|cause| Error::Dense { path: from.to_owned(), cause })?;
     let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
         let target = folder.stage(&image_name(image))?;
-        let photo = Rgb::read_of_size(path, old.width, old.height)?;
-        Ok(undistort::undistort_image(&photo, old, new).write(&target)?)
+        write_undistorted(path, &Undistortion::new(old, new), &target)
     };
     // The photo and its undistorted copy.
     let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
     for_each_within_budget(budget_bytes(), bytes, &photos, write, |_, written| written)?;
     openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
     folder.publish(&names, &[]).map(drop)
+}
+
+/// Writes the undistorted image of a photo.
+///
+/// # Errors
+///
+/// The photo cannot be read or has another size than its camera, or writing fails.
+pub(crate) fn write_undistorted(
+    photo: &Path,
+    undistortion: &Undistortion,
+    target: &Path,
+) -> Result<(), Error> {
+    let (from, to) = (undistortion.from(), undistortion.to());
+    let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
+    let data = undistortion
+        .image::<3>(&rgb.data)
+        .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;
+    Ok(Rgb { width: to.width, height: to.height, data }.write(target)?)
 }
 
 /// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.
