@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageFormat, ImageReader};
+use image::{DynamicImage, ExtendedColorType, ImageFormat, ImageReader};
 
 use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
@@ -76,6 +76,46 @@ impl Luma {
         };
         Ok(Self { width, height, data })
     }
+
+    /// Writes a PNG file, whatever the extension. The folder must exist.
+    ///
+    /// # Errors
+    ///
+    /// If the image does not have `width * height` bytes, and if the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_png(path, &self.data, self.width, self.height, ExtendedColorType::L8)
+    }
+}
+
+/// Writes a PNG file. Numbers of 16 bits have the byte order of the machine.
+pub(crate) fn write_png(
+    path: &Path,
+    data: &[u8],
+    width: u32,
+    height: u32,
+    color: ExtendedColorType,
+) -> Result<()> {
+    let bytes = png(path, data, width, height, color)?;
+    AtomicFile::write_with(path, |file| file.write_all(&bytes))
+}
+
+/// The bytes of a PNG file; `path` is for errors.
+fn png(
+    path: &Path,
+    data: &[u8],
+    width: u32,
+    height: u32,
+    color: ExtendedColorType,
+) -> Result<Vec<u8>> {
+    let expected = u64::from(width) * u64::from(height) * u64::from(color.bits_per_pixel()) / 8;
+    if expected != data.len() as u64 {
+        let what = format!("{} bytes are no image of {width} × {height} pixels", data.len());
+        return Err(Error::content(path, what));
+    }
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(&mut bytes, data, width, height, color, ImageFormat::Png)
+        .map_err(|cause| Error::content(path, cause.to_string()))?;
+    Ok(bytes.into_inner())
 }
 
 impl Rgb {
@@ -115,7 +155,7 @@ impl Rgb {
         let format = ImageFormat::from_path(path)
             .map_err(|cause| Error::content(path, cause.to_string()))?;
         let mut bytes = Cursor::new(Vec::new());
-        let color = image::ExtendedColorType::Rgb8;
+        let color = ExtendedColorType::Rgb8;
         let (data, width, height) = (&self.data, self.width, self.height);
         let written = match format {
             ImageFormat::Jpeg => JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
