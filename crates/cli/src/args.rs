@@ -536,10 +536,11 @@ pub(crate) struct MergeModels {
 pub(crate) struct Export {
     /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap or colmap-text (a folder), ply (point cloud), tum or kitti (trajectory of the first
-    /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
-    /// with transforms.json, images and cloud), kalibr (camchain.yaml with extrinsics and time
-    /// offsets of the rig).
+    /// colmap or colmap-text (a folder), ply (point cloud), las (the dense cloud of a workspace, as
+    /// LAS or LAZ by the extension; needs a build with the feature las), tum or kitti (trajectory
+    /// of the first camera), bal, openmvs (a folder with scene.mvs and undistorted images),
+    /// nerfstudio (a folder with transforms.json, images and cloud), kalibr (camchain.yaml with
+    /// extrinsics and time offsets of the rig).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
@@ -593,6 +594,10 @@ pub(crate) struct Synth {
     /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
     #[arg(long)]
     pub(crate) scan: bool,
+    /// Also writes truth/depth_maps, the true depth of each pixel centre as a depth map of COLMAP;
+    /// 0 on the sky and on moving cars.
+    #[arg(long)]
+    pub(crate) depths: bool,
 }
 
 #[derive(Debug, Args)]

@@ -166,6 +166,15 @@ impl Rgb {
         AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
     }
 
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    ///
+    /// If the image does not have `3 * width * height` bytes.
+    pub fn png(&self) -> Result<Vec<u8>> {
+        png(Path::new("the picture"), &self.data, self.width, self.height, ExtendedColorType::Rgb8)
+    }
+
     /// The colour of the pixel in column x, row y.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let start = 3 * (y as usize * self.width as usize + x as usize);

@@ -21,12 +21,13 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::Error;
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
+use crate::file_names::DENSE_CLOUD;
 use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
 use crate::ordered::for_each_within_budget;
-use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
+use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{current_records, is_workspace};
@@ -50,17 +51,20 @@ pub enum ExportFormat {
     OpenMvs,
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
+    /// The dense cloud of a workspace, as LAS or LAZ by the extension.
+    Las,
     /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
     Kalibr,
 }
 
 /// Formats by their names on the command line.
-const FORMATS: [(&str, ExportFormat); 9] = [
+const FORMATS: [(&str, ExportFormat); 10] = [
     ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
     ("colmap-text", ExportFormat::ColmapText),
     ("ply", ExportFormat::Ply),
+    ("las", ExportFormat::Las),
     ("tum", ExportFormat::Tum),
     ("kitti", ExportFormat::Kitti),
     ("bal", ExportFormat::Bal),
@@ -110,7 +114,7 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
 ///
 /// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
 pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    if format == ExportFormat::Kalibr {
+    if matches!(format, ExportFormat::Kalibr | ExportFormat::Las) {
         return Err(Error::NoPoses { path: to.to_owned() });
     }
     let (model, rigid) = rigid_model(from)?;
@@ -150,6 +154,14 @@ fn write_as(
             file(Some(PLY_MARK), &|to| Ok(ply::write(to, &ply::points(model))?))?;
             poses = 0;
         }
+        ExportFormat::Las => {
+            let cloud = dense_cloud(from)?;
+            write_file(to, [cloud.as_path()], Some(LAS_MARK), |to| {
+                points = write_las(&cloud, to)?;
+                Ok(())
+            })?;
+            poses = 0;
+        }
         ExportFormat::Kitti => {
             let trajectory: Vec<Rigid3> =
                 trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
@@ -172,6 +184,32 @@ fn write_as(
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// The file of the dense cloud of a workspace.
+///
+/// # Errors
+///
+/// There is none.
+fn dense_cloud(workspace: &Path) -> Result<PathBuf, Error> {
+    let path = workspace.join(DENSE_CLOUD);
+    match is_workspace(workspace) && path.is_file() {
+        true => Ok(path),
+        false => Err(Error::NoDenseCloud { path: workspace.to_owned() }),
+    }
+}
+
+/// Writes a cloud as LAS or LAZ. Returns the number of points.
+#[cfg(feature = "las")]
+fn write_las(cloud: &Path, to: &Path) -> Result<usize, Error> {
+    let vertices = ply::read(cloud)?;
+    tiepoint_io::las::write(to, &vertices)?;
+    Ok(vertices.len())
+}
+
+#[cfg(not(feature = "las"))]
+fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
+    Err(Error::NoLasWriter { path: to.to_owned() })
 }
 
 /// Writes a COLMAP model into a folder and replaces an earlier one of this program.

@@ -159,6 +159,7 @@ fn dense_names_what_is_missing() {
     tiepoint_in(dir, "dense {}/ws --redo map").failed(2, &["--redo", "dense"]);
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo dense").failed(2, &["--dense"]);
     tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --dense-max-size 99").failed(2, &["--dense"]);
+    tiepoint_in(dir, "export {}/ws --to las -o {}/a.las").failed(1, &["tiepoint dense"]);
     // Another's file in the way.
     fs::create_dir_all(dir.join("ws/dense")).unwrap();
     fs::write(dir.join("ws/dense/fused.ply"), "theirs").unwrap();
@@ -245,6 +246,31 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     // Without a mask, nothing is masked.
     let other = &model.images().nth(1).unwrap().1.name;
     assert!(!dir.join(format!("ws/dense/masks/{other}.png")).exists());
+    let page = tiepoint_in(dir, "view {}/ws --json").done().json();
+    let page = fs::read_to_string(page["report"].as_str().unwrap()).unwrap();
+    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let data: Value = serde_json::from_str(data).unwrap();
+    let shown = &data["sections"][0]["models"][0]["dense"];
+    assert_eq!(shown["pictures"].as_array().unwrap().len(), COUNT);
+    assert!(shown["points_shown"].as_u64().unwrap() > 100, "{}", shown["points_shown"]);
+    // The second export replaces the first one.
+    let points = ply::read(&dir.join("ws/dense/fused.ply")).unwrap();
+    for _ in 0..2 {
+        let run = tiepoint_in(dir, "export {}/ws --to las -o {}/cloud.laz");
+        // Cargo joins the features of the packages that it builds together, so that the program may
+        // have LAS whatever the features of this package are.
+        if cfg!(feature = "las") || run.code() == 0 {
+            run.done();
+            let compare = "evaluate cloud {}/cloud.laz {}/ws/dense/fused.ply --json";
+            let found = tiepoint_in(dir, compare).done().json();
+            assert_eq!(found["points"], points.len(), "{found}");
+            assert_eq!(found["reference_points"], points.len(), "{found}");
+            let extent = points.iter().map(|point| point.xyz.amax()).fold(0.0, f64::max);
+            assert!(found["distance"]["mean"].as_f64().unwrap() < 1e-3 * extent, "{found}");
+        } else {
+            run.failed(1, &["--features las", "fused.ply"]);
+        }
+    }
     // Other masks are another input.
     mask.save(dir.join(format!("masks/{other}.png"))).unwrap();
     tiepoint_in(dir, masked).failed(1, &["masks"]);
