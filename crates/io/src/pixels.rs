@@ -134,10 +134,16 @@ impl Rgb {
     ///
     /// If the file cannot be read, is not an image, or has another size.
     pub fn read_of_size(path: &Path, width: u32, height: u32) -> Result<Self> {
-        Self::read_within(
-            path,
-            &SizeLimit::Size { width, height, what: "the photo", of: "the camera of its model" },
-        )
+        Self::read_within(path, &SizeLimit::of_photo(width, height))
+    }
+
+    /// Checks, by its header alone, that [`Rgb::read_of_size`] would accept the size of a file.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
+        header(path, &SizeLimit::of_photo(width, height)).map(drop)
     }
 
     pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
@@ -197,6 +203,11 @@ pub(crate) enum SizeLimit<'a> {
 }
 
 impl SizeLimit<'_> {
+    /// The size of the camera of a photo.
+    fn of_photo(width: u32, height: u32) -> Self {
+        Self::Size { width, height, what: "the photo", of: "the camera of its model" }
+    }
+
     /// Checks the size of an upright image; the error is the end of a sentence about the file.
     pub(crate) fn check(&self, width: u32, height: u32) -> Result<(), String> {
         let pixels = u64::from(width) * u64::from(height);
@@ -223,8 +234,17 @@ impl SizeLimit<'_> {
     }
 }
 
+/// EXIF data, width and height of an upright image.
+pub(crate) fn header(path: &Path, limit: &SizeLimit) -> Result<(Exif, u32, u32)> {
+    // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
+    let stored = stored_size(path)?;
+    let exif = Exif::read(path)?;
+    let (width, height) = upright_size(path, &exif, stored, limit)?;
+    Ok((exif, width, height))
+}
+
 /// Size of an image after the rotation of its EXIF orientation, from the stored size.
-pub(crate) fn upright_size(
+fn upright_size(
     path: &Path,
     exif: &Exif,
     stored: (u32, u32),
@@ -237,7 +257,7 @@ pub(crate) fn upright_size(
 
 /// Stored size of an image, from its header alone; an error if the length of the file is impossible
 /// for that size.
-pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
+fn stored_size(path: &Path) -> Result<(u32, u32)> {
     let content = |what: String| Error::content(path, what);
     let file = File::open(path).map_err(Error::io(path))?;
     let length = file.metadata().map_err(Error::io(path))?.len();

@@ -81,6 +81,12 @@ pub fn dense(
         return Err(Error::NothingDense { path: folder, images: problems.len() });
     }
     if progress == Progress::Begin {
+        // Before old results are removed, which bad photos would not replace.
+        for (image, photo) in &photos {
+            let camera = model.camera(image.camera);
+            Rgb::check_size(photo, camera.width, camera.height)?;
+            masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
+        }
         remove_old_results(workspace, &undistorted)?;
     }
     let mut run = Run::new(workspace, undistorted, problems, options);

@@ -187,9 +187,11 @@ fn dense_names_what_is_missing() {
     // A folder without masks, and a mask of another size.
     fs::create_dir_all(dir.join("masks")).unwrap();
     tiepoint_in(dir, "dense {}/ws --masks {}/masks").failed(1, &["masks", "holds no mask"]);
+    tiepoint_in(dir, "dense {}/ws --max-size 100").done();
+    let old = results(&dir.join("ws"));
     let name = &model.images().next().unwrap().1.name;
     GrayImage::new(7, 7).save(dir.join(format!("masks/{name}.png"))).unwrap();
-    tiepoint_in(dir, "dense {}/ws --masks {}/masks").failed(1, &["masks", "pixels"]);
+    tiepoint_in(dir, "dense {}/ws --masks {}/masks --redo dense").failed(1, &["masks", "pixels"]);
     tiepoint_in(dir, "dense {}/ws --max-size 1").failed(2, &["--max-size", "16"]);
     // A photo of another size, then no photos.
     let first = fs::read_dir(dir.join("photos")).unwrap().next().unwrap().unwrap().path();
@@ -199,6 +201,7 @@ fn dense_names_what_is_missing() {
     tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &[name, "pixels"]);
     fs::remove_dir_all(dir.join("photos")).unwrap();
     tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &["photos"]);
+    assert!(results(&dir.join("ws")) == old, "failed runs have changed the dense workspace");
 }
 
 /// Masks, 16-bit depth maps, the page, and the stage as a part of `reconstruct`.

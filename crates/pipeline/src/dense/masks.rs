@@ -26,12 +26,23 @@ impl Masks {
     ///
     /// A folder cannot be read, or there is no mask.
     pub(super) fn open(records: &Records, folder: &Path) -> Result<Self, Error> {
-        let photos = ImageFolder::open(&records.inputs, Some(folder))?;
+        // Each photo was within the limit of the features.
+        let photos = ImageFolder::open(&records.inputs, Some(folder))?.with_max_pixels(u64::MAX);
         let masks: [PathBuf; 1] = [folder.to_owned()];
         let fingerprint = fingerprint(&ImageFolder::open(&masks, None)?)?;
         let images = photos.images().iter().enumerate();
         let index_of = images.map(|(index, image)| (image.name.clone(), index)).collect();
         Ok(Self { photos, index_of, fingerprint })
+    }
+
+    /// Checks that the mask of a photo, if there is one, has its size.
+    ///
+    /// # Errors
+    ///
+    /// It has not, or cannot be read.
+    pub(super) fn check(&self, photo: &str) -> Result<(), Error> {
+        let Some(index) = self.index_of.get(photo) else { return Ok(()) };
+        Ok(self.photos.check_mask(*index)?)
     }
 
     /// The mask of a photo as its undistorted image sees it: 255 where the image is used, and else
