@@ -4,7 +4,7 @@
     pip install numpy scipy pycolmap==4.2.1
     cargo build --release
     TIEPOINT_DATA=... python bench/dense.py [CASE ...] [--openmvs DensifyPointCloud] \\
-        [--seed 1] [--threads 2] [--results RESULTS.json] [--keep FOLDER]
+        [--seed 1] [--threads 2] [--size PX] [--results RESULTS.json] [--keep FOLDER]
 
 Cases: `room` (bench/dense_scene.py: no planes), `street` (tiepoint synth), fountain-P11, sceaux and
 kitti04. Each reconstructs the photos, then measures `tiepoint dense` with the model's own poses;
@@ -45,6 +45,10 @@ SPACING = 2**0.5
 # reference.
 LIDAR_REACH_M = 0.3
 
+# Types of PLY by both of their names.
+TYPES = {"float": "<f4", "uchar": "u1", "uint": "<u4", "int": "<i4"}
+TYPES |= {"float32": "<f4", "uint8": "u1", "uint32": "<u4", "int32": "<i4"}
+
 
 def measured(command):
     """Runs a command; its CPU seconds, wall seconds and peak memory in MiB."""
@@ -75,7 +79,6 @@ def cloud_of(path):
     """Points of a binary PLY file with single precision positions."""
     data = path.read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
-    sizes = {"float": ("<f4", 4), "uchar": ("u1", 1), "uint": ("<u4", 4), "int": ("<i4", 4)}
     fields, count = [], 0
     for line in data[:end].decode().splitlines():
         words = line.split()
@@ -84,7 +87,7 @@ def cloud_of(path):
         elif words[:1] == ["property"]:
             if words[1] == "list":
                 return lists_of(data, end, count)
-            fields.append((words[2], sizes[words[1]][0]))
+            fields.append((words[2], TYPES[words[1]]))
     points = np.frombuffer(data, np.dtype(fields), count, end)
     return np.column_stack([points[axis] for axis in "xyz"]).astype(float)
 
@@ -98,8 +101,8 @@ def lists_of(data, at, count):
         if words[0] == "element":
             break
         if words[0] == "property":
-            size = {"float": 4, "uchar": 1, "uint": 4, "int": 4, "uint8": 1, "uint32": 4}
-            steps.append((words[1] == "list", [size[word] for word in words[1:-1] if word in size]))
+            sizes = [np.dtype(TYPES[word]).itemsize for word in words[1:-1] if word in TYPES]
+            steps.append((words[1] == "list", sizes))
     points = np.empty((count, 3))
     for index in range(count):
         points[index] = np.frombuffer(data, "<f4", 3, at)
@@ -297,7 +300,7 @@ def scene_case(name, scratch, options):
 
 def photo_case(name, scratch, options):
     photos, workspace = data() / name / "images", scratch / "ws"
-    options = argparse.Namespace(**{**vars(options), "size": PHOTOS[name]})
+    options = argparse.Namespace(**{**vars(options), "size": options.size or PHOTOS[name]})
     tiepoint("reconstruct", photos, "-o", workspace, "--threads", options.threads)
     found, clouds = run_programs(workspace, scratch, options)
     if len(clouds) == 2:
@@ -360,10 +363,10 @@ def main():
     parser.add_argument("--openmvs", type=pathlib.Path, default=os.environ.get("OPENMVS_DENSIFY"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--size", type=int, help="largest side of the depth maps")
     parser.add_argument("--results", type=pathlib.Path)
     parser.add_argument("--keep", type=pathlib.Path)
     options = parser.parse_args()
-    options.size = None
     results = []
     for name in options.cases:
         run = scene_case if name in SCENES else kitti_case if name == "kitti04" else photo_case
