@@ -56,6 +56,7 @@ COMMANDS = [
     ("openmvs", "export {d}/ws --to openmvs -o {d}/out --threads 1"),
     ("ply", "export {d}/ws --to ply -o {d}/a.ply --threads 1"),
     ("adjust", "adjust {d}/ws -o {d}/out --threads 1"),
+    ("dense", "dense {d}/ws --threads 1"),
 ]
 
 
@@ -80,7 +81,8 @@ def hashes(folder, names):
 
 
 def results(folder):
-    return hashes(folder, ["ws/sparse", "ws/points.ply", "ws/timestamps.csv", "out", "a.ply"])
+    workspace = ["ws/sparse", "ws/dense", "ws/points.ply", "ws/timestamps.csv"]
+    return hashes(folder, [*workspace, "out", "a.ply"])
 
 
 def main():

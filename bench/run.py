@@ -3,7 +3,7 @@
 
     pip install numpy pycolmap==4.2.1
     cargo build --release && cargo build --release -p tiepoint-ba --example bal
-    TIEPOINT_DATA=... python bench/run.py photos kitti demo ba-ceres    measures, writes, generates
+    TIEPOINT_DATA=... python bench/run.py photos kitti demo ba-ceres dense    measures and writes
     python bench/run.py --refresh                                     generates all pages again
 
 A measurement writes docs/benchmarks/results/NAME.json: the commit, whether files differed from it,
@@ -369,10 +369,57 @@ def table_ba_ceres(problems):
     return rows
 
 
+# ---- dense: dense clouds beside OpenMVS ---------------------------------------------------------
+
+
+def measure_dense():
+    return script("dense.py")["cases"]
+
+
+def table_dense(cases):
+    programs = list(dict.fromkeys(name for case in cases for name in case["programs"]))
+    of = lambda what: " / ".join(programs) if len(programs) > 1 else what
+    head = (
+        f"input, poses | megapixels | CPU s a megapixel: {of('tiepoint')} | points"
+        " | accuracy at 1, 2, 5 footprints (%) | completeness (%) | F1 (%) | other truth"
+        " | peak (MiB)"
+    )
+    rows = [head.split(" | ")]
+    for case in cases:
+        found = [case["programs"][name] for name in programs if name in case["programs"]]
+
+        def all_of(show):
+            return " / ".join(show(one) for one in found)
+
+        def shares(key):
+            return all_of(lambda one: ", ".join(f"{value:.1f}" for value in one.get(key, [])))
+
+        def other(one):
+            if "lidar_median_m" in one:
+                return f"{100 * one['lidar_median_m']:.1f} cm ({one['lidar_share']:.0f} % near it)"
+            return f"{one['agreement']:.0f} % near the other" if "agreement" in one else ""
+
+        rows.append(
+            [
+                f"{case['case']}, {case['poses']}",
+                f"{found[0]['megapixels']:.1f}",
+                all_of(lambda one: f"{one['cpu_s'] / one['megapixels']:.1f}"),
+                all_of(lambda one: grouped(one["points"])),
+                shares("accuracy"),
+                shares("completeness"),
+                shares("f1"),
+                all_of(other),
+                all_of(lambda one: grouped(one.get("peak_mib", 0))),
+            ]
+        )
+    return rows
+
+
 # ---- the tables ---------------------------------------------------------------------------------
 
 SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
 LEAST = "the least of five runs"
+ONCE = "one run each"
 DEMO = f"medians of seeds {DEMO_SEEDS[0]} to {DEMO_SEEDS[-1]}"
 ONE = "one run"
 # Of each: its page, the crates that it measures, how to measure and how to show it, which run
@@ -384,6 +431,7 @@ TABLES = {
     "kitti": ("drives.md", LIBRARIES, measure_kitti, table_kitti, SEEDED),
     "known-rig": ("drives.md", LIBRARIES, measure_known_rig, table_known_rig, SEEDED),
     "demo": ("experiments.md", [*LIBRARIES, "synth"], measure_demo, table_demo, DEMO),
+    "dense": ("dense.md", ["dense", "geometry", "pipeline"], measure_dense, table_dense, ONCE),
     "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),
 }
 

@@ -39,7 +39,8 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Runs features, match and map: photos in, a COLMAP project out. Resumes an interrupted run.
+    /// Runs features, match and map, with --dense also dense: photos in, a COLMAP project out.
+    /// Resumes an interrupted run.
     Reconstruct(Reconstruct),
     /// Stage 1: extracts SIFT keypoints and descriptors into WORKSPACE/database.db.
     Features(Features),
@@ -98,7 +99,19 @@ pub(crate) struct Reconstruct {
     pub(crate) mapping: Mapping,
     #[command(flatten)]
     pub(crate) seed: Seed,
-    /// Computes this stage and all later ones again: features, match or map.
+    /// Also runs the stage dense, as `tiepoint dense` does.
+    #[arg(long)]
+    pub(crate) dense: bool,
+    /// Largest width and height of the undistorted images and depth maps of --dense, in pixels; by
+    /// default that of the photos.
+    #[arg(
+        long,
+        value_name = "PX",
+        requires = "dense",
+        value_parser = clap::value_parser!(u32).range(16..)
+    )]
+    pub(crate) dense_max_size: Option<u32>,
+    /// Computes this stage and all later ones again: features, match, map or (with --dense) dense.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
 }
@@ -184,9 +197,17 @@ pub(crate) struct Dense {
     /// that of the photos.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     pub(crate) max_size: Option<u32>,
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. No depths are estimated
+    /// where the mask is black.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) masks: Option<PathBuf>,
     /// Also writes normal maps, which COLMAP's stereo_fusion reads.
     #[arg(long)]
     pub(crate) normal_maps: bool,
+    /// Also writes depth maps as PNG of 16 bits a pixel (dense/depth_png), which trainers of
+    /// Gaussian splats read; scale.json there has the depth of one unit.
+    #[arg(long)]
+    pub(crate) depth_pngs: bool,
     /// Computes this stage again: dense.
     #[arg(long, value_name = "STAGE")]
     pub(crate) redo: Option<Stage>,
@@ -221,7 +242,7 @@ pub(crate) struct Input {
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) timestamps: Option<PathBuf>,
     /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. No keypoints are detected
-    /// where the mask is black.
+    /// where the mask is black, nor depths with --dense.
     #[arg(long, value_name = "DIR")]
     pub(crate) masks: Option<PathBuf>,
     /// Skips photos with more than N million pixels. A pixel takes about 16 bytes of memory. As
@@ -515,10 +536,11 @@ pub(crate) struct MergeModels {
 pub(crate) struct Export {
     /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
-    /// colmap or colmap-text (a folder), ply (point cloud), tum or kitti (trajectory of the first
-    /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
-    /// with transforms.json, images and cloud), kalibr (camchain.yaml with extrinsics and time
-    /// offsets of the rig).
+    /// colmap or colmap-text (a folder), ply (point cloud), las (the dense cloud of a workspace, as
+    /// LAS or LAZ by the extension; needs a build with the feature las), tum or kitti (trajectory
+    /// of the first camera), bal, openmvs (a folder with scene.mvs and undistorted images),
+    /// nerfstudio (a folder with transforms.json, images and cloud), kalibr (camchain.yaml with
+    /// extrinsics and time offsets of the rig).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
@@ -572,6 +594,10 @@ pub(crate) struct Synth {
     /// Also writes truth/scan.ply, the cloud of a laser scanner on the roof, for `evaluate cloud`.
     #[arg(long)]
     pub(crate) scan: bool,
+    /// Also writes truth/depth_maps, the true depth of each pixel centre as a depth map of COLMAP;
+    /// 0 on the sky and on moving cars.
+    #[arg(long)]
+    pub(crate) depths: bool,
 }
 
 #[derive(Debug, Args)]

@@ -227,23 +227,35 @@ impl ImageSource for ImageFolder {
     }
 
     fn mask(&self, index: usize) -> Result<Option<Luma>> {
-        let Some(path) = &self.masks[index] else { return Ok(None) };
-        let (_, width, height) = self.header(&self.paths[index])?;
-        let of = format!("its image {}", self.images[index].name);
-        Luma::read_within(path, &SizeLimit::Size { width, height, what: "the mask", of: &of })
-            .map(Some)
+        self.with_mask(index, Luma::read_within)
     }
 }
 
 impl ImageFolder {
+    /// Checks, by its header alone, that the mask of an image, if there is one, has its size.
+    ///
+    /// # Errors
+    ///
+    /// If a file cannot be read or is not an image, or if the sizes differ.
+    pub fn check_mask(&self, index: usize) -> Result<()> {
+        self.with_mask(index, pixels::header).map(drop)
+    }
+
+    /// Reads something of the mask of an image, and requires its size.
+    fn with_mask<T>(
+        &self,
+        index: usize,
+        read: impl FnOnce(&Path, &SizeLimit) -> Result<T>,
+    ) -> Result<Option<T>> {
+        let Some(path) = &self.masks[index] else { return Ok(None) };
+        let (_, width, height) = self.header(&self.paths[index])?;
+        let of = format!("its image {}", self.images[index].name);
+        read(path, &SizeLimit::Size { width, height, what: "the mask", of: &of }).map(Some)
+    }
+
     /// EXIF data, width and height of an image.
     fn header(&self, path: &Path) -> Result<(Exif, u32, u32)> {
-        // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
-        let stored = pixels::stored_size(path)?;
-        let exif = Exif::read(path)?;
-        let (width, height) =
-            pixels::upright_size(path, &exif, stored, &SizeLimit::Pixels(self.max_pixels))?;
-        Ok((exif, width, height))
+        pixels::header(path, &SizeLimit::Pixels(self.max_pixels))
     }
 }
 

@@ -9,6 +9,7 @@ mod counted_file;
 #[cfg(feature = "database")]
 pub mod database;
 mod dense_map;
+mod depth_scale;
 pub mod disk;
 mod error;
 mod excerpt;
@@ -35,12 +36,12 @@ pub mod strecha;
 mod text;
 pub mod timestamps;
 pub mod trajectory;
-pub mod undistort;
 pub mod video;
 mod yaml;
 
 pub use atomic::AtomicFile;
 pub use dense_map::DenseMap;
+pub use depth_scale::DepthScale;
 pub use error::{Error, Result};
 pub use exif::{Device, Exif, is_plausible_focal};
 pub use fused_ply::FusedPly;

@@ -35,8 +35,8 @@ struct PlatformIndices([u32; 3]);
 /// Writes the registered images and the points. `image_folder`, the path from the folder of the
 /// scene to the folder of the images, is prepended to the names of the images.
 ///
-/// OpenMVS expects images without distortion: the cameras must be pinholes; see
-/// [`crate::undistort`].
+/// OpenMVS expects images without distortion: the cameras must be pinholes, as those of
+/// `tiepoint_dense::undistort`.
 ///
 /// # Errors
 ///

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageFormat, ImageReader};
+use image::{DynamicImage, ExtendedColorType, ImageFormat, ImageReader};
 
 use crate::exif::Exif;
 use crate::jpeg::{self, Planes};
@@ -76,6 +76,46 @@ impl Luma {
         };
         Ok(Self { width, height, data })
     }
+
+    /// Writes a PNG file, whatever the extension. The folder must exist.
+    ///
+    /// # Errors
+    ///
+    /// If the image does not have `width * height` bytes, and if the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        write_png(path, &self.data, self.width, self.height, ExtendedColorType::L8)
+    }
+}
+
+/// Writes a PNG file. Numbers of 16 bits have the byte order of the machine.
+pub(crate) fn write_png(
+    path: &Path,
+    data: &[u8],
+    width: u32,
+    height: u32,
+    color: ExtendedColorType,
+) -> Result<()> {
+    let bytes = png(path, data, width, height, color)?;
+    AtomicFile::write_with(path, |file| file.write_all(&bytes))
+}
+
+/// The bytes of a PNG file; `path` is for errors.
+fn png(
+    path: &Path,
+    data: &[u8],
+    width: u32,
+    height: u32,
+    color: ExtendedColorType,
+) -> Result<Vec<u8>> {
+    let expected = u64::from(width) * u64::from(height) * u64::from(color.bits_per_pixel()) / 8;
+    if expected != data.len() as u64 {
+        let what = format!("{} bytes are no image of {width} × {height} pixels", data.len());
+        return Err(Error::content(path, what));
+    }
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(&mut bytes, data, width, height, color, ImageFormat::Png)
+        .map_err(|cause| Error::content(path, cause.to_string()))?;
+    Ok(bytes.into_inner())
 }
 
 impl Rgb {
@@ -94,10 +134,16 @@ impl Rgb {
     ///
     /// If the file cannot be read, is not an image, or has another size.
     pub fn read_of_size(path: &Path, width: u32, height: u32) -> Result<Self> {
-        Self::read_within(
-            path,
-            &SizeLimit::Size { width, height, what: "the photo", of: "the camera of its model" },
-        )
+        Self::read_within(path, &SizeLimit::of_photo(width, height))
+    }
+
+    /// Checks, by its header alone, that [`Rgb::read_of_size`] would accept the size of a file.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
+        header(path, &SizeLimit::of_photo(width, height)).map(drop)
     }
 
     pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
@@ -115,7 +161,7 @@ impl Rgb {
         let format = ImageFormat::from_path(path)
             .map_err(|cause| Error::content(path, cause.to_string()))?;
         let mut bytes = Cursor::new(Vec::new());
-        let color = image::ExtendedColorType::Rgb8;
+        let color = ExtendedColorType::Rgb8;
         let (data, width, height) = (&self.data, self.width, self.height);
         let written = match format {
             ImageFormat::Jpeg => JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
@@ -124,6 +170,15 @@ impl Rgb {
         };
         written.map_err(|cause| Error::content(path, cause.to_string()))?;
         AtomicFile::write_with(path, |file| file.write_all(bytes.get_ref()))
+    }
+
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    ///
+    /// If the image does not have `3 * width * height` bytes.
+    pub fn png(&self) -> Result<Vec<u8>> {
+        png(Path::new("the picture"), &self.data, self.width, self.height, ExtendedColorType::Rgb8)
     }
 
     /// The colour of the pixel in column x, row y.
@@ -148,6 +203,11 @@ pub(crate) enum SizeLimit<'a> {
 }
 
 impl SizeLimit<'_> {
+    /// The size of the camera of a photo.
+    fn of_photo(width: u32, height: u32) -> Self {
+        Self::Size { width, height, what: "the photo", of: "the camera of its model" }
+    }
+
     /// Checks the size of an upright image; the error is the end of a sentence about the file.
     pub(crate) fn check(&self, width: u32, height: u32) -> Result<(), String> {
         let pixels = u64::from(width) * u64::from(height);
@@ -174,8 +234,17 @@ impl SizeLimit<'_> {
     }
 }
 
+/// EXIF data, width and height of an upright image.
+pub(crate) fn header(path: &Path, limit: &SizeLimit) -> Result<(Exif, u32, u32)> {
+    // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
+    let stored = stored_size(path)?;
+    let exif = Exif::read(path)?;
+    let (width, height) = upright_size(path, &exif, stored, limit)?;
+    Ok((exif, width, height))
+}
+
 /// Size of an image after the rotation of its EXIF orientation, from the stored size.
-pub(crate) fn upright_size(
+fn upright_size(
     path: &Path,
     exif: &Exif,
     stored: (u32, u32),
@@ -188,7 +257,7 @@ pub(crate) fn upright_size(
 
 /// Stored size of an image, from its header alone; an error if the length of the file is impossible
 /// for that size.
-pub(crate) fn stored_size(path: &Path) -> Result<(u32, u32)> {
+fn stored_size(path: &Path) -> Result<(u32, u32)> {
     let content = |what: String| Error::content(path, what);
     let file = File::open(path).map_err(Error::io(path))?;
     let length = file.metadata().map_err(Error::io(path))?.len();

@@ -5,33 +5,39 @@
 //! published on its own, so that an interrupted run loses one step of one image. At most one
 //! reference image and its sources are in memory.
 
+mod masks;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use tiepoint_dense::fusion::{FusionImage, FusionOptions, fuse};
 use tiepoint_dense::stereo::{
-    DepthMap, FineEstimate, FineSource, PlaneMap, View, estimate_coarse, estimate_fine, normals_of,
+    DepthMap, FineEstimate, FineSource, InverseDepthRange, PlaneMap, View, estimate_coarse,
+    estimate_fine, normals_of,
 };
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_dense::{Grey, PosedPinhole, StereoProblem, select_views};
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{DenseMap, FusedPly, FusedVisibility, Luma, Rgb};
+use tiepoint_io::{DenseMap, DepthScale, FusedPly, FusedVisibility, Luma, Rgb};
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
+use self::masks::Masks;
 use crate::dense_options::DenseOptions;
-use crate::export::photos_of;
-use crate::file_names::model_path;
+use crate::export::{photos_of, write_undistorted};
+use crate::file_names::{DENSE_CLOUD, depth_map_path, model_path};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
+use crate::workspace::current_records;
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
 
 const FOLDER: &str = "dense/";
 const SPARSE: &str = "dense/sparse";
-const FUSED: &str = "dense/fused.ply";
 const VISIBILITY: &str = "dense/fused.ply.vis";
 /// The images that COLMAP's `patch_match_stereo` and `stereo_fusion` work on.
 const STEREO_LIST: &str = "dense/stereo/patch-match.cfg";
 const FUSION_LIST: &str = "dense/stereo/fusion.cfg";
+/// Scale of the 16-bit depth maps.
+const DEPTH_SCALE: &str = "dense/depth_png/scale.json";
 /// Channels of a file of planes: inverse depth, its two derivatives, and the cost.
 const PLANE_CHANNELS: usize = 4;
 
@@ -40,8 +46,8 @@ const PLANE_CHANNELS: usize = 4;
 /// # Errors
 ///
 /// The workspace has no model; the stage was run with other options, and `redo` does not ask for
-/// it; a photo is gone or has another size; no two images share points; a file cannot be read or
-/// written; `watch` returns `Break`.
+/// it; a photo or mask is gone or has another size; no two images share points; a file cannot be
+/// read or written; `watch` returns `Break`.
 pub fn dense(
     workspace: &mut Workspace,
     options: &DenseOptions,
@@ -49,7 +55,15 @@ pub fn dense(
     watch: Watch,
 ) -> Result<(), Error> {
     const STAGE: Stage = Stage::Dense;
-    let recipe = Recipe::new(workspace.fingerprint(Stage::Map)?, option_keys::of_dense(options));
+    let mut input = workspace.fingerprint(Stage::Map)?;
+    let masks = match &options.masks {
+        Some(folder) => Some(Masks::open(&current_records(workspace.root())?, folder)?),
+        None => None,
+    };
+    if let Some(masks) = &masks {
+        input = format!("{input} masked by {}", masks.fingerprint);
+    }
+    let recipe = Recipe::new(input, option_keys::of_dense(options));
     let progress = workspace.begin(STAGE, &recipe, redo)?;
     if progress == Progress::Kept {
         return emit(watch, &Event::StageKept { stage: STAGE });
@@ -63,13 +77,20 @@ pub fn dense(
     let undistorted = undistort_model(&model, &undistort)
         .map_err(|cause| Error::Dense { path: folder.clone(), cause })?;
     let problems = select_views(&undistorted, options.sources);
-    if problems.iter().all(|problem| problem.sources.is_empty()) {
+    if problems.iter().all(|problem| problem.sources.is_empty() || problem.seeds.is_empty()) {
         return Err(Error::NothingDense { path: folder, images: problems.len() });
     }
     if progress == Progress::Begin {
+        // Before old results are removed, which bad photos would not replace.
+        for (image, photo) in &photos {
+            let camera = model.camera(image.camera);
+            Rgb::check_size(photo, camera.width, camera.height)?;
+            masks.as_ref().map_or(Ok(()), |masks| masks.check(&image.name))?;
+        }
         remove_old_results(workspace, &undistorted)?;
     }
     let mut run = Run::new(workspace, undistorted, problems, options);
+    run.masks = masks;
     let total = 3 * run.problems.len();
     let done = run.count_done()?;
     emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
@@ -87,7 +108,7 @@ pub fn dense(
         }
     }
     for index in 0..run.problems.len() {
-        if run.is_missing(&depth_file(run.name(index)))? {
+        if run.is_missing(&depth_map_path(run.name(index)))? {
             run.estimate_depths(index)?;
             run.done(DenseStep::Depths, index, watch)?;
         }
@@ -96,7 +117,7 @@ pub fn dense(
     report.seconds = start.elapsed().as_secs_f64();
     let seconds = report.seconds;
     workspace.complete(STAGE);
-    let fused = vec![VISIBILITY.to_owned(), FUSED.to_owned()];
+    let fused = vec![VISIBILITY.to_owned(), DENSE_CLOUD.to_owned()];
     workspace.publish(fused, &temporary, |all| all.stages.dense = Some(report))?;
     emit(watch, &Event::StageDone { stage: STAGE, seconds })
 }
@@ -105,13 +126,19 @@ fn image_file(image: &str) -> String {
     format!("dense/images/{image}")
 }
 
+/// The mask of an image: 255 where it is used, 0 where it is not.
+fn mask_file(image: &str) -> String {
+    format!("dense/masks/{image}.png")
+}
+
 /// Planes at half resolution, until the stage is complete.
 fn planes_file(image: &str) -> String {
     format!("dense/stereo/planes/{image}.bin")
 }
 
-fn depth_file(image: &str) -> String {
-    format!("dense/stereo/depth_maps/{image}.geometric.bin")
+/// The depth map as an image of 16 bits a pixel.
+fn depth_png_file(image: &str) -> String {
+    format!("dense/depth_png/{image}.png")
 }
 
 fn normal_file(image: &str) -> String {
@@ -126,11 +153,16 @@ fn normal_file(image: &str) -> String {
 fn remove_old_results(workspace: &mut Workspace, model: &Reconstruction) -> Result<(), Error> {
     let of_image = |image: &Image| {
         let name = &image.name;
-        [image_file(name), planes_file(name), depth_file(name), normal_file(name)]
+        let images = [image_file(name), mask_file(name)];
+        let maps =
+            [planes_file(name), depth_map_path(name), normal_file(name), depth_png_file(name)];
+        images.into_iter().chain(maps)
     };
     let mut names: Vec<String> = model.images().flat_map(|(_, image)| of_image(image)).collect();
     names.extend(model_names(Some(SPARSE)));
-    names.extend([FUSED, VISIBILITY, STEREO_LIST, FUSION_LIST].map(str::to_owned));
+    names.extend(
+        [DENSE_CLOUD, VISIBILITY, STEREO_LIST, FUSION_LIST, DEPTH_SCALE].map(str::to_owned),
+    );
     workspace.folder.refuse_foreign(names.iter().map(String::as_str))?;
     let old = workspace.folder.names().filter(|name| name.starts_with(FOLDER));
     let old: Vec<String> = old.map(str::to_owned).collect();
@@ -144,6 +176,8 @@ struct Run<'a> {
     /// One for each image of the model, in order.
     problems: Vec<StereoProblem>,
     options: &'a DenseOptions,
+    masks: Option<Masks>,
+    depth_scale: DepthScale,
 }
 
 impl<'a> Run<'a> {
@@ -153,7 +187,11 @@ impl<'a> Run<'a> {
         problems: Vec<StereoProblem>,
         options: &'a DenseOptions,
     ) -> Self {
-        Self { workspace, model, problems, options }
+        // The farthest depth that any image may have.
+        let ranges = problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
+        let farthest = ranges.map(|range| 1.0 / range.min).fold(0.0, f32::max);
+        let depth_scale = DepthScale::up_to(farthest);
+        Self { workspace, model, problems, options, masks: None, depth_scale }
     }
 
     fn name(&self, index: usize) -> &str {
@@ -174,7 +212,7 @@ impl<'a> Run<'a> {
         let mut done = 0;
         for index in 0..self.problems.len() {
             let name = self.name(index);
-            for file in [image_file(name), planes_file(name), depth_file(name)] {
+            for file in [image_file(name), planes_file(name), depth_map_path(name)] {
                 done += usize::from(!self.is_missing(&file)?);
             }
         }
@@ -203,6 +241,10 @@ impl<'a> Run<'a> {
         folder.stage_bytes(STEREO_LIST, stereo.as_bytes())?;
         folder.stage_bytes(FUSION_LIST, fusion.as_bytes())?;
         names.extend([STEREO_LIST, FUSION_LIST].map(str::to_owned));
+        if self.options.has_depth_pngs {
+            folder.stage_bytes(DEPTH_SCALE, self.depth_scale.json().as_bytes())?;
+            names.push(DEPTH_SCALE.to_owned());
+        }
         self.publish(&names)
     }
 
@@ -215,14 +257,19 @@ impl<'a> Run<'a> {
     ) -> Result<(), Error> {
         let from = model.camera(image.camera);
         let to = *self.model.camera_of(ImageId::from_index(index));
-        let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
-        let data = Undistortion::new(from, &to)
-            .image::<3>(&rgb.data)
-            .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;
         let name = image_file(&image.name);
         let target = self.workspace.folder.stage(&name)?;
-        Rgb { width: to.width, height: to.height, data }.write(&target)?;
-        self.publish(&[name])
+        let undistortion = Undistortion::new(from, &to);
+        write_undistorted(photo, &undistortion, &target)?;
+        let mut names = vec![name];
+        if let Some(masks) = &self.masks
+            && let Some(mask) = masks.undistorted(&image.name, &undistortion)?
+        {
+            let name = mask_file(&image.name);
+            mask.write(&self.workspace.folder.stage(&name)?)?;
+            names.insert(0, name);
+        }
+        self.publish(&names)
     }
 
     fn camera(&self, index: usize) -> Result<PosedPinhole, Error> {
@@ -318,8 +365,9 @@ impl<'a> Run<'a> {
         };
         let (width, height) = (reference.grey.width, reference.grey.height);
         let none = || DepthMap { width, height, depths: vec![0.0; width * height] };
-        let depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
-        let mut names = vec![depth_file(self.name(index))];
+        let mut depths = estimate.map_or_else(none, |FineEstimate { depths, .. }| depths);
+        self.apply_mask(index, &mut depths)?;
+        let mut names = vec![depth_map_path(self.name(index))];
         if self.options.has_normal_maps {
             let normals = normals_of(&depths, &reference.camera);
             let channel = |channel: usize| normals.iter().map(move |normal| normal[channel]);
@@ -329,17 +377,44 @@ impl<'a> Run<'a> {
             file.write(&self.workspace.folder.stage(&name)?)?;
             names.insert(0, name);
         }
+        if self.options.has_depth_pngs {
+            let name = depth_png_file(self.name(index));
+            let target = self.workspace.folder.stage(&name)?;
+            self.depth_scale.write(&target, width as u32, height as u32, &depths.depths)?;
+            names.insert(0, name);
+        }
         let file = DenseMap { width, height, channels: 1, values: depths.depths };
         let name = names.last().expect("the depth map is the last of the names");
         file.write(&self.workspace.folder.stage(name)?)?;
         self.publish(&names)
     }
 
+    /// Removes the depths where the mask of an image is 0.
+    fn apply_mask(&self, index: usize, depths: &mut DepthMap) -> Result<(), Error> {
+        let name = mask_file(self.name(index));
+        if self.masks.is_none() || self.is_missing(&name)? {
+            return Ok(());
+        }
+        let path = self.path(&name);
+        let mask = Luma::read(&path)?;
+        if mask.data.len() != depths.depths.len() {
+            let (width, height) = (depths.width as u32, depths.height as u32);
+            let cause = tiepoint_dense::Error::Size { width, height, found: mask.data.len() };
+            return Err(Error::Dense { path, cause });
+        }
+        for (depth, is_used) in depths.depths.iter_mut().zip(mask.data) {
+            if is_used == 0 {
+                *depth = 0.0;
+            }
+        }
+        Ok(())
+    }
+
     /// Fuses the depth maps into the staged cloud. Returns the report and the names of the files
     /// that are of no further use.
     fn fuse(&mut self) -> Result<(DenseReport, Vec<String>), Error> {
         let folder = &self.workspace.folder;
-        let mut ply = FusedPly::create(&folder.stage(FUSED)?)?;
+        let mut ply = FusedPly::create(&folder.stage(DENSE_CLOUD)?)?;
         let mut visibility = FusedVisibility::create(&folder.stage(VISIBILITY)?)?;
         let mut report = DenseReport::default();
         for (index, problem) in self.problems.iter().enumerate() {
@@ -366,7 +441,7 @@ impl<'a> Run<'a> {
 
     fn fusion_image(&self, index: usize) -> Result<FusionImage, Error> {
         let camera = self.camera(index)?;
-        let path = self.path(&depth_file(self.name(index)));
+        let path = self.path(&depth_map_path(self.name(index)));
         let DenseMap { width, height, values, .. } = DenseMap::read(&path)?;
         let photo = self.path(&image_file(self.name(index)));
         let rgb = Rgb::read_of_size(&photo, camera.width as u32, camera.height as u32)?;

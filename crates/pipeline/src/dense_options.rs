@@ -1,16 +1,28 @@
+use std::path::PathBuf;
+
 /// Options of dense reconstruction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DenseOptions {
     /// Largest width and height of the undistorted images and depth maps, in pixels.
     pub max_image_size: Option<u32>,
     /// Number of source images of each depth map.
     pub sources: usize,
+    /// Folder with a mask for each photo; pixels where a mask is 0 get no depth.
+    pub masks: Option<PathBuf>,
     /// Whether normal maps are written, which COLMAP's fusion reads.
     pub has_normal_maps: bool,
+    /// Whether depth maps are also written as PNG of 16 bits, with one scale for all.
+    pub has_depth_pngs: bool,
 }
 
 impl Default for DenseOptions {
     fn default() -> Self {
-        Self { max_image_size: None, sources: 5, has_normal_maps: false }
+        Self {
+            max_image_size: None,
+            sources: 5,
+            masks: None,
+            has_normal_maps: false,
+            has_depth_pngs: false,
+        }
     }
 }

@@ -511,6 +511,21 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// The build lacks the feature `las`.
+    #[error(
+        "{path} cannot be written, because this build has no LAS: build with --features las, or \
+         use dense/fused.ply of the workspace"
+    )]
+    NoLasWriter {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A workspace has no dense cloud.
+    #[error("{path} has no dense cloud: run `tiepoint dense {path}` first")]
+    NoDenseCloud {
+        /// The workspace.
+        path: PathBuf,
+    },
     /// A file cannot be read or written.
     #[error(transparent)]
     File(#[from] tiepoint_io::Error),

@@ -7,12 +7,13 @@ use std::str::FromStr;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model};
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::trajectory::{self, TimedPose};
 use tiepoint_io::{
-    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps, undistort,
+    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps,
 };
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
@@ -20,12 +21,13 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::Error;
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
+use crate::file_names::DENSE_CLOUD;
 use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
 use crate::ordered::for_each_within_budget;
-use crate::output_file::{COMMENT_MARK, PLY_MARK, write_file};
+use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{current_records, is_workspace};
@@ -49,17 +51,20 @@ pub enum ExportFormat {
     OpenMvs,
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
+    /// The dense cloud of a workspace, as LAS or LAZ by the extension.
+    Las,
     /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
     Kalibr,
 }
 
 /// Formats by their names on the command line.
-const FORMATS: [(&str, ExportFormat); 9] = [
+const FORMATS: [(&str, ExportFormat); 10] = [
     ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
     ("colmap-text", ExportFormat::ColmapText),
     ("ply", ExportFormat::Ply),
+    ("las", ExportFormat::Las),
     ("tum", ExportFormat::Tum),
     ("kitti", ExportFormat::Kitti),
     ("bal", ExportFormat::Bal),
@@ -109,7 +114,7 @@ pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, 
 ///
 /// Those of [`export`]; no two cameras have poses at common frames; the format has no poses.
 pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    if format == ExportFormat::Kalibr {
+    if matches!(format, ExportFormat::Kalibr | ExportFormat::Las) {
         return Err(Error::NoPoses { path: to.to_owned() });
     }
     let (model, rigid) = rigid_model(from)?;
@@ -149,6 +154,14 @@ fn write_as(
             file(Some(PLY_MARK), &|to| Ok(ply::write(to, &ply::points(model))?))?;
             poses = 0;
         }
+        ExportFormat::Las => {
+            let cloud = dense_cloud(from)?;
+            write_file(to, [cloud.as_path()], Some(LAS_MARK), |to| {
+                points = write_las(&cloud, to)?;
+                Ok(())
+            })?;
+            poses = 0;
+        }
         ExportFormat::Kitti => {
             let trajectory: Vec<Rigid3> =
                 trajectory_of(model).into_iter().map(|(_, pose)| pose).collect();
@@ -171,6 +184,32 @@ fn write_as(
         }
     }
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
+}
+
+/// The file of the dense cloud of a workspace.
+///
+/// # Errors
+///
+/// There is none.
+fn dense_cloud(workspace: &Path) -> Result<PathBuf, Error> {
+    let path = workspace.join(DENSE_CLOUD);
+    match is_workspace(workspace) && path.is_file() {
+        true => Ok(path),
+        false => Err(Error::NoDenseCloud { path: workspace.to_owned() }),
+    }
+}
+
+/// Writes a cloud as LAS or LAZ. Returns the number of points.
+#[cfg(feature = "las")]
+fn write_las(cloud: &Path, to: &Path) -> Result<usize, Error> {
+    let vertices = ply::read(cloud)?;
+    tiepoint_io::las::write(to, &vertices)?;
+    Ok(vertices.len())
+}
+
+#[cfg(not(feature = "las"))]
+fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
+    Err(Error::NoLasWriter { path: to.to_owned() })
 }
 
 /// Writes a COLMAP model into a folder and replaces an earlier one of this program.
@@ -220,18 +259,36 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
     let mut names: Vec<String> = photos.iter().map(|(image, _)| image_name(image)).collect();
     names.push(SCENE.to_owned());
     folder.refuse_foreign(names.iter().map(String::as_str))?;
-    let undistorted = undistort::undistort_model(model);
+    let undistorted = undistort_model(model, &UndistortOptions::default())
+        .map_err(|cause| Error::Dense { path: from.to_owned(), cause })?;
     let write = |(image, path): &(&Image, PathBuf)| -> Result<(), Error> {
         let (old, new) = (model.camera(image.camera), undistorted.camera(image.camera));
         let target = folder.stage(&image_name(image))?;
-        let photo = Rgb::read_of_size(path, old.width, old.height)?;
-        Ok(undistort::undistort_image(&photo, old, new).write(&target)?)
+        write_undistorted(path, &Undistortion::new(old, new), &target)
     };
     // The photo and its undistorted copy.
     let bytes = |(image, _): &(&Image, PathBuf)| 2 * decoder_bytes(model.camera(image.camera));
     for_each_within_budget(budget_bytes(), bytes, &photos, write, |_, written| written)?;
     openmvs::write(&folder.stage(SCENE)?, &undistorted, IMAGES)?;
     folder.publish(&names, &[]).map(drop)
+}
+
+/// Writes the undistorted image of a photo.
+///
+/// # Errors
+///
+/// The photo cannot be read or has another size than its camera, or writing fails.
+pub(crate) fn write_undistorted(
+    photo: &Path,
+    undistortion: &Undistortion,
+    target: &Path,
+) -> Result<(), Error> {
+    let (from, to) = (undistortion.from(), undistortion.to());
+    let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
+    let data = undistortion
+        .image::<3>(&rgb.data)
+        .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;
+    Ok(Rgb { width: to.width, height: to.height, data }.write(target)?)
 }
 
 /// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.

@@ -1,9 +1,17 @@
-//! Names of the files that a workspace has for each of its models.
+//! Names of the files of a workspace that several stages and commands use.
 
 /// Rig extrinsics of the largest model.
 pub(crate) const RIG: &str = "rig.json";
 /// Folder of the models.
 pub(crate) const SPARSE: &str = "sparse";
+
+/// The dense cloud.
+pub(crate) const DENSE_CLOUD: &str = "dense/fused.ply";
+
+/// The depth map of an image, relative to the workspace.
+pub(crate) fn depth_map_path(image: &str) -> String {
+    format!("dense/stereo/depth_maps/{image}.geometric.bin")
+}
 
 /// The folder of a model, relative to the workspace.
 pub(crate) fn model_path(index: usize) -> String {

@@ -8,6 +8,7 @@ mod cloud;
 mod colors;
 mod dense;
 mod dense_options;
+mod depth_pictures;
 mod error;
 mod evaluate;
 mod event;
@@ -58,6 +59,7 @@ pub use cameras::Calibration;
 pub use cloud::{CloudEvaluation, evaluate_cloud, read_cloud};
 pub use dense::dense;
 pub use dense_options::DenseOptions;
+pub use depth_pictures::DenseView;
 pub use error::{Error, Size};
 pub use evaluate::{
     Auc, ErrorStatistics, FocalLength, PoseEvaluation, Truth, TruthFormat, evaluate_poses,

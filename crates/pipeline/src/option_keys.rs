@@ -80,9 +80,10 @@ pub(crate) fn difference(key: &str, was: &str, is: &str) -> String {
 }
 
 /// Keys of options of the command line, and their names there.
-const ON_COMMAND_LINE: [(&str, &str); 26] = [
+const ON_COMMAND_LINE: [(&str, &str); 27] = [
     ("dense.max_image_size", "--max-size"),
     ("dense.normal_maps", "--normal-maps"),
+    ("dense.depth_pngs", "--depth-pngs"),
     (CALIBRATION_KEY, "--calibration"),
     (REFINE_KNOWN_KEY, "--refine"),
     (REFINE_EXTRINSICS_KEY, "--refine extrinsics"),
@@ -342,11 +343,14 @@ pub(crate) fn of_input_model(hash: &str, fix_existing_frames: bool) -> Texts {
 
 /// Options of the dense stage.
 pub(crate) fn of_dense(options: &DenseOptions) -> Texts {
-    let DenseOptions { max_image_size, sources, has_normal_maps } = options;
+    // The input covers the content of the masks.
+    let DenseOptions { max_image_size, sources, masks: _, has_normal_maps, has_depth_pngs } =
+        options;
     vec![
         ("dense.max_image_size", or_none(*max_image_size)),
         ("dense.sources", sources.to_string()),
         ("dense.normal_maps", or_none(has_normal_maps.then_some("true"))),
+        ("dense.depth_pngs", or_none(has_depth_pngs.then_some("true"))),
     ]
 }
 
@@ -452,8 +456,12 @@ mod tests {
             "mapper.global_growth = 1.1",
         ];
         assert_eq!(lines(of_mapping(&MapperOptions::default(), None)), expected);
-        let expected =
-            ["dense.max_image_size = none", "dense.sources = 5", "dense.normal_maps = none"];
+        let expected = [
+            "dense.max_image_size = none",
+            "dense.sources = 5",
+            "dense.normal_maps = none",
+            "dense.depth_pngs = none",
+        ];
         assert_eq!(lines(of_dense(&DenseOptions::default())), expected);
     }
 

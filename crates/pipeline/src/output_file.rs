@@ -12,6 +12,9 @@ use crate::output_folder::{STAGED, output};
 
 /// Marks a PLY file as written by this program.
 pub(crate) const PLY_MARK: &str = "\ncomment tiepoint\n";
+/// Marks a LAS or LAZ file as written by this program: the generating software in its header, which
+/// zeros surround.
+pub(crate) const LAS_MARK: &str = "\0tiepoint\0";
 /// Start of the first line of a text file of this program, if its format has comments.
 pub(crate) const COMMENT_MARK: &str = "# tiepoint";
 /// Marks an HTML page as written by this program.

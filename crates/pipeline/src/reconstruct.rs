@@ -2,8 +2,9 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use crate::{
-    DEFAULT_EVERY, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput, Report, Stage,
-    Watch, Workspace, extract_features, import_features, map, match_images, open_input,
+    DEFAULT_EVERY, DenseOptions, Error, FeatureOptions, MapOptions, MatchOptions, OpenedInput,
+    Report, Stage, Watch, Workspace, dense, extract_features, import_features, map, match_images,
+    open_input,
 };
 
 /// Options of [`reconstruct`].
@@ -14,7 +15,7 @@ pub struct Options {
     pub database: Option<PathBuf>,
     /// Stage 1.
     pub features: FeatureOptions,
-    /// Folder with a mask for each image; no keypoints are detected where a mask is 0.
+    /// Folder with a mask for each image; no keypoints and depths are estimated where a mask is 0.
     pub masks: Option<PathBuf>,
     /// The sharpest of every N frames of a video is used.
     pub every: NonZeroUsize,
@@ -22,6 +23,8 @@ pub struct Options {
     pub matching: MatchOptions,
     /// Stage 3.
     pub mapping: MapOptions,
+    /// Stage 4, which is run if this is given. Its masks are those above.
+    pub dense: Option<DenseOptions>,
     /// Runs this stage and the later ones again, even if they are complete.
     pub redo: Option<Stage>,
 }
@@ -35,6 +38,7 @@ impl Default for Options {
             every: DEFAULT_EVERY,
             matching: MatchOptions::default(),
             mapping: MapOptions::default(),
+            dense: None,
             redo: None,
         }
     }
@@ -45,8 +49,8 @@ impl Default for Options {
 ///
 /// # Errors
 ///
-/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`] and
-/// [`map`].
+/// Those of [`open_input`], [`extract_features`], [`import_features`], [`match_images`], [`map`]
+/// and [`dense`].
 pub fn reconstruct(
     inputs: &[PathBuf],
     workspace: &Path,
@@ -71,5 +75,10 @@ pub fn reconstruct(
 fn finish(mut workspace: Workspace, options: &Options, watch: Watch) -> Result<Report, Error> {
     match_images(&mut workspace, &options.matching, options.redo, watch)?;
     map(&mut workspace, &options.mapping, options.redo, watch)?;
+    if let Some(options_of_dense) = &options.dense {
+        let masks = options.masks.clone();
+        let all = DenseOptions { masks, ..options_of_dense.clone() };
+        dense(&mut workspace, &all, options.redo, watch)?;
+    }
     workspace.report()
 }

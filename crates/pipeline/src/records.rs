@@ -84,7 +84,7 @@ impl Recipe {
             Stage::Features => "from other photos, or photos have changed since".to_owned(),
             Stage::Match => "from other features than the current ones".to_owned(),
             Stage::Map => "from other matches than the current ones".to_owned(),
-            Stage::Dense => "from other models than the current ones".to_owned(),
+            Stage::Dense => "from other models or masks than the current ones".to_owned(),
         })
     }
 

@@ -15,6 +15,7 @@ use tiepoint_eval::geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::read_model;
 use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
+use crate::depth_pictures::DenseView;
 use crate::evaluate::{model_folder, read_times};
 use crate::file_names::RIG;
 use crate::output_file::{refuse_foreign_page, write_page};
@@ -56,6 +57,8 @@ pub struct ReportModel<'a> {
     /// Estimated and true camera centres in the world frame, in order of time; empty without ground
     /// truth.
     pub camera_errors: &'a [CameraError],
+    /// The dense cloud and depth maps, if there are any.
+    pub dense: Option<&'a DenseView>,
 }
 
 /// Models of the same scene, which the page compares with each other.
@@ -117,6 +120,18 @@ struct Model<'a> {
     trajectory: Option<Trajectory>,
     /// Name and seconds of each stage.
     stages: Vec<(&'static str, f64)>,
+    dense: Option<Dense<'a>>,
+}
+
+/// A dense cloud in the coding of the points of [`Model`], and pictures of depth maps.
+#[derive(Serialize)]
+struct Dense<'a> {
+    num_points: usize,
+    points_shown: usize,
+    points: String,
+    colours: String,
+    /// Name of the image, and base64 of a PNG file.
+    pictures: Vec<(&'a str, String)>,
 }
 
 /// The images of one camera: centre and four image corners, 15 view coordinates per image.
@@ -214,6 +229,8 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
             files.push((name, text));
         }
     }
+    let has_dense = report.as_ref().is_some_and(|report| report.stages.dense.is_some());
+    let dense = if has_dense { Some(DenseView::read(path, &model)?) } else { None };
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let report_model = ReportModel {
         name: &name,
@@ -221,6 +238,7 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         world_from_model: None,
         report: report.as_ref(),
         camera_errors: &[],
+        dense: dense.as_ref(),
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
     let section =
@@ -296,17 +314,26 @@ fn describe<'a>(
     view_from_world: &Sim3,
     max_points: usize,
 ) -> Model<'a> {
-    let ReportModel { name, model, world_from_model, report, camera_errors } = report_model;
+    let ReportModel { name, model, world_from_model, report, camera_errors, dense } = report_model;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
-    let (mut points, mut colours) = (Vec::new(), Vec::new());
-    for (_, track) in model.tracks().step_by(model.num_tracks().div_ceil(max_points).max(1)) {
-        let position = (view_from_model * track.xyz) / UNIT;
-        // Points outside the range of `i16`, such as points of the sky, are left out.
-        if position.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
-            points.extend(position.iter().flat_map(|value| (value.round() as i16).to_le_bytes()));
-            colours.extend(track.color);
+    // The dense cloud gets three quarters.
+    let share = if dense.is_some() { max_points / 4 } else { max_points };
+    let step = model.num_tracks().div_ceil(share.max(1)).max(1);
+    let tracks = model.tracks().map(|(_, track)| (track.xyz, track.color)).step_by(step);
+    let (points, colours) = coded(tracks, &view_from_model);
+    let dense = dense.map(|dense| {
+        let step = dense.points.len().div_ceil((max_points - share).max(1)).max(1);
+        let thinned = dense.points.iter().map(|vertex| (vertex.xyz, vertex.color)).step_by(step);
+        let (points, colours) = coded(thinned, &view_from_model);
+        let pictures = dense.pictures.iter();
+        Dense {
+            num_points: dense.points.len(),
+            points_shown: colours.len() / 3,
+            points: base64(&points),
+            colours: base64(&colours),
+            pictures: pictures.map(|(name, png)| (name.as_str(), base64(png))).collect(),
         }
-    }
+    });
     let scale = world_from_model.map_or(1.0, |world_from_model| world_from_model.scale);
     Model {
         name,
@@ -323,7 +350,25 @@ fn describe<'a>(
         rigs: rigs(model, scale),
         trajectory: trajectory(camera_errors, view_from_world),
         stages: report.map_or_else(Vec::new, stages),
+        dense,
     }
+}
+
+/// Positions and colours of points, as [`Model`] has them.
+fn coded(
+    vertices: impl Iterator<Item = (Vector3<f64>, [u8; 3])>,
+    view_from_model: &Sim3,
+) -> (Vec<u8>, Vec<u8>) {
+    let (mut points, mut colours) = (Vec::new(), Vec::new());
+    for (xyz, color) in vertices {
+        let position = (*view_from_model * xyz) / UNIT;
+        // Points outside the range of `i16`, such as points of the sky, are left out.
+        if position.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
+            points.extend(position.iter().flat_map(|value| (value.round() as i16).to_le_bytes()));
+            colours.extend(color);
+        }
+    }
+    (points, colours)
 }
 
 /// Estimated and true trajectory of the camera with the smallest index; `None` without ground
@@ -460,6 +505,7 @@ fn stages(report: &Report) -> Vec<(&'static str, f64)> {
         ("features", stages.features.as_ref().map(|stage| stage.seconds)),
         ("match", stages.matches.as_ref().map(|stage| stage.seconds)),
         ("map", stages.map.as_ref().map(|stage| stage.seconds)),
+        ("dense", stages.dense.as_ref().map(|stage| stage.seconds)),
     ];
     times.into_iter().filter_map(|(name, seconds)| Some((name, seconds?))).collect()
 }

@@ -288,6 +288,7 @@ impl DriveOutcome {
             world_from_model: Some(run.poses.truth_from_model),
             report: Some(&run.report),
             camera_errors: &run.camera_errors,
+            dense: None,
         };
         self.runs.iter().zip(names).map(model).collect()
     }

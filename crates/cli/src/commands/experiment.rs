@@ -181,6 +181,7 @@ fn write_results(
             world_from_model: Some(*world_from_model),
             report: Some(report),
             camera_errors,
+            dense: None,
         })
         .collect();
     let page = folder.join("report.html");

@@ -17,12 +17,16 @@ use crate::progress::Progress;
 use crate::summary;
 
 pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Failure> {
-    if args.redo == Some(Stage::Dense) {
+    if args.redo == Some(Stage::Dense) && !args.dense {
         return Err(Failure::Usage(
-            "this command does not run the stage dense: give --redo dense to `tiepoint dense`"
+            "this command does not run the stage dense without --dense: add it, or give --redo \
+             dense to `tiepoint dense`"
                 .to_owned(),
         ));
     }
+    let dense = args
+        .dense
+        .then(|| DenseOptions { max_image_size: args.dense_max_size, ..DenseOptions::default() });
     let options = Options {
         database: args.input.database.clone(),
         features: feature_options(&args.input, &args.cameras)?,
@@ -30,6 +34,7 @@ pub(crate) fn reconstruct(args: &Reconstruct, output: &Output) -> Result<(), Fai
         every: args.input.every,
         matching: match_options(&args.pairs, &args.seed),
         mapping: map_options(&args.mapping, &args.seed)?,
+        dense,
         redo: args.redo,
     };
     let mut progress = Progress::new(output);
@@ -88,7 +93,9 @@ pub(crate) fn dense(args: &Dense, output: &Output) -> Result<(), Failure> {
     let mut progress = Progress::new(output);
     let options = DenseOptions {
         max_image_size: args.max_size,
+        masks: args.masks.clone(),
         has_normal_maps: args.normal_maps,
+        has_depth_pngs: args.depth_pngs,
         ..DenseOptions::default()
     };
     dense_workspace(&mut workspace, &options, redo, &mut |event| progress.watch(event))?;

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
-use tiepoint_pipeline::eval::geometry::nalgebra::Vector3;
-use tiepoint_pipeline::io::AtomicFile;
+use tiepoint_pipeline::eval::geometry::nalgebra::{Vector2, Vector3};
 use tiepoint_pipeline::io::colmap::{Format, write_model};
 use tiepoint_pipeline::io::disk::create_folders;
+use tiepoint_pipeline::io::{AtomicFile, DenseMap};
 use tiepoint_synth::{
     Drive, DriveOptions, Exposure, LidarOptions, Mount, reference_cloud, write_ply,
 };
@@ -71,6 +71,9 @@ pub(crate) fn synth(args: &Synth, output: &Output) -> Result<(), Failure> {
     let rendered = render(&plan, &drive, &mut progress)?;
     if args.scan {
         write_ply(&args.output.join("truth/scan.ply"), &scan(&drive)?)?;
+    }
+    if args.depths {
+        write_depths(&args.output.join("truth/depth_maps"), &drive)?;
     }
     drop(progress);
     output.result(&rendered, || rendered.describe())
@@ -140,6 +143,33 @@ pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
         drive,
         &LidarOptions { every_turns: SCAN_EVERY_TURNS, ..LidarOptions::default() },
     )?)
+}
+
+/// Writes the true depths of the pixel centres of each image: z in the camera frame at the capture
+/// time, in metres.
+fn write_depths(folder: &Path, drive: &Drive) -> Result<(), Failure> {
+    for (index, camera) in drive.cameras().iter().enumerate() {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        for exposure in &camera.exposures {
+            let cam_from_world = drive.cam_from_world(index, exposure.time_s);
+            let depth = |pixel: usize| {
+                let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+                let surface = drive.surface_at(index, exposure.time_s, &Vector2::new(x, y));
+                let surface = surface.filter(|surface| !surface.is_moving);
+                surface.map_or(0.0, |found| (cam_from_world * found.point_in_world).z as f32)
+            };
+            let values = (0..width * height).into_par_iter().map(depth).collect();
+            let path = folder.join(format!("{}.bin", exposure.name));
+            if let Some(parent) = path.parent() {
+                let cannot = |cause| {
+                    Failure::CouldNot(format!("cannot write {}: {cause}", parent.display()))
+                };
+                create_folders(parent).map_err(cannot)?;
+            }
+            DenseMap { width, height, channels: 1, values }.write(&path)?;
+        }
+    }
+    Ok(())
 }
 
 /// Renders a drive to disk; existing images are not rendered again.

@@ -6,9 +6,11 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use image::GrayImage;
 use serde_json::Value;
-use tiepoint_pipeline::io::colmap::read_model;
+use tiepoint_pipeline::io::colmap::{Format, read_model, write_model};
 use tiepoint_pipeline::io::{DenseMap, ply};
+use tiepoint_pipeline::sfm::scene::ImageId;
 
 use crate::{photos, tiepoint_in};
 
@@ -155,19 +157,124 @@ fn dense_names_what_is_missing() {
     tiepoint_in(dir, "dense {}/nothing").failed(1, &["nothing", "is not a workspace"]);
     reconstructed(dir);
     tiepoint_in(dir, "dense {}/ws --redo map").failed(2, &["--redo", "dense"]);
-    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo dense").failed(2, &["tiepoint dense"]);
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --redo dense").failed(2, &["--dense"]);
+    tiepoint_in(dir, "reconstruct {}/photos -o {}/ws --dense-max-size 99").failed(2, &["--dense"]);
+    tiepoint_in(dir, "export {}/ws --to las -o {}/a.las").failed(1, &["tiepoint dense"]);
     // Another's file in the way.
     fs::create_dir_all(dir.join("ws/dense")).unwrap();
     fs::write(dir.join("ws/dense/fused.ply"), "theirs").unwrap();
     tiepoint_in(dir, "dense {}/ws").failed(1, &["fused.ply", "did not make it"]);
     assert_eq!(fs::read(dir.join("ws/dense/fused.ply")).unwrap(), b"theirs");
     fs::remove_dir_all(dir.join("ws/dense")).unwrap();
+    // One image, then images of one pixel: no depth maps.
+    let sparse = dir.join("ws/sparse/0");
+    let model = read_model(&sparse).unwrap();
+    let mut changed = model.clone();
+    for index in 1..COUNT {
+        changed.deregister(ImageId::from_index(index));
+    }
+    write_model(&sparse, &changed, Format::Binary).unwrap();
+    tiepoint_in(dir, "dense {}/ws").failed(1, &["the 1 registered images", "overlap"]);
+    let mut changed = model.clone();
+    let cameras: Vec<_> = changed.cameras().map(|(id, _)| id).collect();
+    for id in cameras {
+        let camera = changed.camera_mut(id);
+        (camera.width, camera.height) = (1, 1);
+    }
+    write_model(&sparse, &changed, Format::Binary).unwrap();
+    tiepoint_in(dir, "dense {}/ws").failed(1, &["no two of the 5", "depth map"]);
+    write_model(&sparse, &model, Format::Binary).unwrap();
+    // A folder without masks, and a mask of another size.
+    fs::create_dir_all(dir.join("masks")).unwrap();
+    tiepoint_in(dir, "dense {}/ws --masks {}/masks").failed(1, &["masks", "holds no mask"]);
+    tiepoint_in(dir, "dense {}/ws --max-size 100").done();
+    let old = results(&dir.join("ws"));
+    let name = &model.images().next().unwrap().1.name;
+    GrayImage::new(7, 7).save(dir.join(format!("masks/{name}.png"))).unwrap();
+    tiepoint_in(dir, "dense {}/ws --masks {}/masks --redo dense").failed(1, &["masks", "pixels"]);
+    tiepoint_in(dir, "dense {}/ws --max-size 1").failed(2, &["--max-size", "16"]);
     // A photo of another size, then no photos.
     let first = fs::read_dir(dir.join("photos")).unwrap().next().unwrap().unwrap().path();
     let small = image::open(&first).unwrap().thumbnail(50, 50);
     small.save(&first).unwrap();
     let name = first.file_name().unwrap().to_str().unwrap();
-    tiepoint_in(dir, "dense {}/ws").failed(1, &[name, "pixels"]);
+    tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &[name, "pixels"]);
     fs::remove_dir_all(dir.join("photos")).unwrap();
-    tiepoint_in(dir, "dense {}/ws").failed(1, &["photos"]);
+    tiepoint_in(dir, "dense {}/ws --redo dense").failed(1, &["photos"]);
+    assert!(results(&dir.join("ws")) == old, "failed runs have changed the dense workspace");
+}
+
+/// Masks, 16-bit depth maps, the page, and the stage as a part of `reconstruct`.
+#[test]
+fn dense_uses_masks_and_writes_what_it_is_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    photos::write(&dir.join("photos"), COUNT, 0);
+    let run = "reconstruct {}/photos -o {}/ws --dense --dense-max-size 160 --json";
+    let report = tiepoint_in(dir, run).done().json();
+    assert_eq!(report["stages"]["dense"]["depth_maps"], COUNT, "{report}");
+    let model = read_model(&dir.join("ws/dense/sparse")).unwrap();
+    let name = &model.images().next().unwrap().1.name;
+    let map = |name: &str| {
+        let file = format!("ws/dense/stereo/depth_maps/{name}.geometric.bin");
+        DenseMap::read(&dir.join(file)).unwrap()
+    };
+    let unmasked = map(name);
+    // The left half of the first photo is not used.
+    fs::create_dir_all(dir.join("masks")).unwrap();
+    let mask = GrayImage::from_fn(photos::WIDTH, photos::HEIGHT, |x, _| {
+        image::Luma([if x < photos::WIDTH / 2 { 0 } else { 255 }])
+    });
+    mask.save(dir.join(format!("masks/{name}.png"))).unwrap();
+    let masked = "dense {}/ws --max-size 160 --masks {}/masks --depth-pngs";
+    tiepoint_in(dir, masked).failed(1, &["--depth-pngs", "--redo dense"]);
+    tiepoint_in(dir, &format!("{masked} --redo dense")).done();
+    let (depths, mask) = (map(name), dir.join(format!("ws/dense/masks/{name}.png")));
+    let mask = image::open(mask).unwrap().into_luma8();
+    let png = image::open(dir.join(format!("ws/dense/depth_png/{name}.png"))).unwrap();
+    let png = png.as_luma16().expect("16 bits").as_raw();
+    let scale = fs::read(dir.join("ws/dense/depth_png/scale.json")).unwrap();
+    let scale: Value = serde_json::from_slice(&scale).unwrap();
+    let scale = scale["depth_unit_scale_factor"].as_f64().unwrap();
+    let mut removed = 0;
+    for (index, depth) in depths.values.iter().enumerate() {
+        let is_used = mask.as_raw()[index] != 0;
+        assert!(is_used || *depth == 0.0, "pixel {index}");
+        removed += usize::from(!is_used && unmasked.values[index] > 0.0);
+        let from_png = f64::from(png[index]) * scale;
+        assert!((from_png - f64::from(*depth)).abs() <= 0.51 * scale, "pixel {index}");
+    }
+    let share = removed as f64 / mask.as_raw().len() as f64;
+    assert!(share > 0.5 * MIN_SHARE, "{share}");
+    // Without a mask, nothing is masked.
+    let other = &model.images().nth(1).unwrap().1.name;
+    assert!(!dir.join(format!("ws/dense/masks/{other}.png")).exists());
+    let page = tiepoint_in(dir, "view {}/ws --json").done().json();
+    let page = fs::read_to_string(page["report"].as_str().unwrap()).unwrap();
+    let data = page.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let data: Value = serde_json::from_str(data).unwrap();
+    let shown = &data["sections"][0]["models"][0]["dense"];
+    assert_eq!(shown["pictures"].as_array().unwrap().len(), COUNT);
+    assert!(shown["points_shown"].as_u64().unwrap() > 100, "{}", shown["points_shown"]);
+    // The second export replaces the first one.
+    let points = ply::read(&dir.join("ws/dense/fused.ply")).unwrap();
+    for _ in 0..2 {
+        let run = tiepoint_in(dir, "export {}/ws --to las -o {}/cloud.laz");
+        // Cargo joins the features of the packages that it builds together, so that the program may
+        // have LAS whatever the features of this package are.
+        if cfg!(feature = "las") || run.code() == 0 {
+            run.done();
+            let compare = "evaluate cloud {}/cloud.laz {}/ws/dense/fused.ply --json";
+            let found = tiepoint_in(dir, compare).done().json();
+            assert_eq!(found["points"], points.len(), "{found}");
+            assert_eq!(found["reference_points"], points.len(), "{found}");
+            let extent = points.iter().map(|point| point.xyz.amax()).fold(0.0, f64::max);
+            assert!(found["distance"]["mean"].as_f64().unwrap() < 1e-3 * extent, "{found}");
+        } else {
+            run.failed(1, &["--features las", "fused.ply"]);
+        }
+    }
+    // Other masks are another input.
+    mask.save(dir.join(format!("masks/{other}.png"))).unwrap();
+    tiepoint_in(dir, masked).failed(1, &["masks"]);
 }

@@ -18,8 +18,8 @@ use tiepoint_io::disk::faults::{Faults, Kind};
 use tiepoint_pipeline::sfm::MapperOptions;
 use tiepoint_pipeline::sfm::geometry::{CameraModelKind, Rng};
 use tiepoint_pipeline::{
-    Calibration, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions, Options, Stage,
-    adjust, export, reconstruct, view,
+    Calibration, DenseOptions, Error, ExportFormat, FeatureOptions, MapOptions, MatchOptions,
+    Options, Stage, Workspace, adjust, dense, export, reconstruct, view,
 };
 
 use crate::photos;
@@ -55,6 +55,8 @@ enum Command {
     Export(ExportFormat, &'static str),
     Adjust,
     View,
+    /// With all that it can write.
+    Dense,
 }
 
 impl Command {
@@ -94,6 +96,14 @@ impl Command {
             }
             Self::Adjust => adjust(&ws, Some(&dir.join("out")), false, watch).map(drop),
             Self::View => view(&ws).map(drop),
+            Self::Dense => {
+                let options = DenseOptions {
+                    has_normal_maps: true,
+                    has_depth_pngs: true,
+                    ..DenseOptions::default()
+                };
+                dense(&mut Workspace::open(&ws)?, &options, redo, watch)
+            }
             _ => {
                 let options = Options { redo, ..self.options() };
                 reconstruct(&[dir.join("photos")], &ws, &options, watch).map(drop)
@@ -134,6 +144,7 @@ fn of_user(dir: &Path) -> BTreeMap<String, Vec<u8>> {
 fn results(dir: &Path) -> BTreeMap<String, Vec<u8>> {
     let is_result = |name: &str| {
         name.starts_with("ws/sparse/")
+            || name.starts_with("ws/dense/")
             || name == "ws/points.ply"
             || name == "ws/timestamps.csv"
             || name.starts_with("out/") && !name.contains("/.")
@@ -277,6 +288,7 @@ fn nothing_is_lost_and_no_record_is_false_whatever_fails() {
         Command::Export(ExportFormat::Ply, "a.ply"),
         Command::Adjust,
         Command::View,
+        Command::Dense,
     ];
     for command in commands {
         let dir = folder();
@@ -328,7 +340,7 @@ fn check_order(log: &[(Operation, PathBuf)], case: &str) {
     for (operation, path) in log {
         match operation {
             Operation::Create | Operation::Write => unsynced.push(path),
-            Operation::Sync => unsynced.retain(|other| *other != path),
+            Operation::Sync | Operation::Remove => unsynced.retain(|other| *other != path),
             Operation::Rename => {
                 let staged = path.with_file_name(STAGED);
                 let is_commit = path.file_name().is_some_and(|name| name == COMMITTED);

@@ -115,7 +115,11 @@ fn photos_become_a_model_and_a_second_run_keeps_it() {
         for k in 0..COUNT {
             let size =
                 image::image_dimensions(dir.join(format!("{format}/images/{k}.png"))).unwrap();
-            assert_eq!(size, image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap());
+            let photo = image::image_dimensions(dir.join(format!("photos/{k}.png"))).unwrap();
+            // Without blank pixels, an undistorted image is a little larger or smaller.
+            let change = f64::from(size.0) / f64::from(photo.0) - 1.0;
+            let most = if format == "openmvs" { 0.05 } else { 0.0 };
+            assert!(change.abs() <= most, "{format}: {size:?} {photo:?}");
         }
         tiepoint_in(dir, &format!("export {{}}/ws/sparse/0 --to {format} -o {{}}/{format}"))
             .failed(1, &["not a workspace", "needs the photos"]);

@@ -27,6 +27,16 @@ impl Undistortion {
         Self { from: *from, to: *to, samples }
     }
 
+    /// The camera of the images.
+    pub fn from(&self) -> &Camera {
+        &self.from
+    }
+
+    /// The camera of the undistorted images.
+    pub fn to(&self) -> &Camera {
+        &self.to
+    }
+
     /// The place of a pixel of `from` in `to`; `None` if `to` does not image its ray.
     pub fn pixel(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
         self.to.intrinsics.project(&self.from.intrinsics.unproject(pixel)?)
