@@ -5,10 +5,11 @@ COLMAP exchange.
     TIEPOINT_DATA=... python bench/onto.py TIEPOINT [localize] [exchange] [--colmap COLMAP]
 
 TIEPOINT is the program. COLMAP is an old one (3.8 of apt), whose databases and models are exchanged
-as well. `localize`: every third photo of fountain-P11 and Herz-Jesus-P8 is held out, the others are
-mapped, and the poses of the held-out ones are compared with the truth after the similarity of the
-mapped ones, beside pycolmap's absolute pose of the same 2D-3D correspondences (those of the model
-that `localize` wrote, and the wrong ones that 30 % random pairs add). `exchange`: counts of images
+as well. `localize`: every third photo of fountain-P11, Herz-Jesus-P8 and the left camera of kitti01
+is held out, the others are mapped, and the poses of the held-out ones are compared with the truth
+after the similarity of the mapped ones, beside pycolmap's absolute pose of the same 2D-3D
+correspondences (those of the model that `localize` wrote, and the wrong ones that 30 % random pairs
+add). `exchange`: counts of images
 and errors of models that one program continued from the other's.
 """
 
@@ -89,6 +90,11 @@ def errors(found, true, old):
 
 
 def photos_of(name):
+    kitti = data / name / "poses.txt"
+    if kitti.exists():
+        photos = sorted((data / name / "images/left").iterdir())
+        poses = np.loadtxt(kitti).reshape(-1, 3, 4)
+        return photos, {p.name: (pose[:, :3], pose[:, 3]) for p, pose in zip(photos, poses)}
     folder = next(p for p in (data / name / "images", data / name) if any(p.glob("*.jpg")))
     cameras = next(iter(sorted({p.parent for p in (data / name).rglob("*.camera")})))
     return sorted(folder.glob("*.jpg")), truth(cameras)
@@ -180,6 +186,7 @@ def theirs_of(folder, images, name):
         pycolmap.match_exhaustive(database)
         models = pycolmap.incremental_mapping(database, images, folder)
     else:
+
         def run(*arguments):
             subprocess.run([colmap, *map(str, arguments)], check=True, capture_output=True)
 
@@ -246,7 +253,7 @@ def exchange(name):
 
 
 if "localize" in parts:
-    for name in ("fountain-P11", "Herz-Jesus-P8"):
+    for name in ("fountain-P11", "Herz-Jesus-P8", "kitti01"):
         localize(name)
 if "exchange" in parts:
     exchange("fountain-P11")
