@@ -9,6 +9,7 @@ use tiepoint_scene::{Camera, CameraId, Image, ImageId};
 use super::guard::{self, Guard};
 use super::schema;
 use crate::disk::{self, Operation};
+use crate::excerpt::Excerpt;
 use crate::{Error, Result};
 
 /// Upper bound of image ids. COLMAP numbers a pair of images MAX_IMAGE_ID · (smaller id) + (larger
@@ -226,6 +227,15 @@ impl Database {
             self.camera_of.push(CameraId::from_index(camera));
         }
         Ok(())
+    }
+
+    /// An image by its name, for messages; by its id in the file if the name cannot be read.
+    pub(super) fn shown(&self, image: ImageId) -> String {
+        let id = self.images.get(image.index()).copied().unwrap_or(-1);
+        self.guard.begin();
+        let sql = "SELECT name FROM images WHERE image_id = ?1";
+        let name: rusqlite::Result<String> = self.connection.query_row(sql, [id], |row| row.get(0));
+        name.map_or_else(|_| format!("image {id}"), |name| Excerpt(&name).to_string())
     }
 
     /// The id in the file of an image.

@@ -112,12 +112,13 @@ impl Database {
             2 | 4 | 6 => values.chunks_exact(cols).map(from_columns).collect(),
             _ => {
                 return Err(
-                    self.content(format!("keypoints of image {} have {cols} columns", image.0))
+                    self.content(format!("keypoints of {} have {cols} columns", self.shown(image)))
                 );
             }
         };
-        keypoints
-            .ok_or_else(|| self.content(format!("a keypoint of image {} is not finite", image.0)))
+        keypoints.ok_or_else(|| {
+            self.content(format!("a keypoint of {} is not finite", self.shown(image)))
+        })
     }
 
     /// Reads the keypoints and descriptors of an image; empty if none were written.
@@ -136,16 +137,16 @@ impl Database {
             Some((SIFT, DESCRIPTOR_BYTES, data)) => data.as_chunks::<DESCRIPTOR_BYTES>().0.to_vec(),
             Some((kind, cols, _)) => {
                 let what = format!(
-                    "descriptors of image {} are of type {kind} with {cols} bytes, not SIFT",
-                    image.0
+                    "descriptors of {} are of type {kind} with {cols} bytes, not SIFT",
+                    self.shown(image)
                 );
                 return Err(self.content(what));
             }
         };
         if keypoints.len() != descriptors.len() {
             return Err(self.content(format!(
-                "image {} has {} keypoints but {} descriptors",
-                image.0,
+                "{} has {} keypoints but {} descriptors",
+                self.shown(image),
                 keypoints.len(),
                 descriptors.len()
             )));
@@ -196,8 +197,8 @@ impl Database {
         {
             let found = data.len();
             return Err(self.content(format!(
-                "{table} of image {}: {found} bytes for {rows} × {cols}",
-                image.0
+                "{table} of {}: {found} bytes for {rows} × {cols}",
+                self.shown(image)
             )));
         }
         Ok(Some((kind, cols as usize, data)))

@@ -304,9 +304,10 @@ impl Database {
         let by = || format!("pair {number}");
         let (a, b) = (number.div_euclid(MAX_IMAGE_ID), number.rem_euclid(MAX_IMAGE_ID));
         let (a, b) = (self.image_id(a, by)?, self.image_id(b, by)?);
-        ImagePair::new(a, b)
-            .filter(|pair| pair.a == a)
-            .ok_or_else(|| self.content(format!("pair {number} is of images {} and {}", a.0, b.0)))
+        ImagePair::new(a, b).filter(|pair| pair.a == a).ok_or_else(|| {
+            let [a, b] = [a, b].map(|image| self.shown(image));
+            self.content(format!("pair {number} is of {a} and {b}"))
+        })
     }
 
     /// Matches of a row with the columns pair_id, rows, cols, data.
