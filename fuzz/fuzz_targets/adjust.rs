@@ -22,7 +22,8 @@ fuzz_target!(|data: &[u8]| {
         steps += 1;
         if steps < 20 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
+    // It may grow: an observation behind its camera costs nothing until a step makes it valid.
     if let Ok(report) = done {
-        assert!(report.final_cost.is_finite() && report.final_cost <= report.initial_cost);
+        assert!(report.initial_cost.is_finite() && report.final_cost.is_finite());
     }
 });
