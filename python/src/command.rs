@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -9,6 +10,7 @@ use pyo3::prelude::*;
 use tiepoint_cli::{Call, Failed, Message};
 
 use crate::errors::{failed, invalid};
+use crate::fork::refuse_after_fork;
 
 /// Time between two looks at the signals of Python.
 const POLL: Duration = Duration::from_millis(50);
@@ -31,6 +33,8 @@ pub(crate) fn run(
     arguments: Vec<OsString>,
     on_event: Option<Py<PyAny>>,
 ) -> PyResult<Option<String>> {
+    refuse_after_fork()?;
+    wait_for_cancelled(python)?;
     let mut call = Call::start(arguments).map_err(exception)?;
     match receive(python, &mut call, on_event.as_ref()) {
         Ok(result) => python.detach(|| call.join()).map(|()| result).map_err(exception),
@@ -41,9 +45,30 @@ pub(crate) fn run(
                 while !call.is_finished() && start.elapsed() < GRACE {
                     std::thread::sleep(POLL);
                 }
+                if !call.is_finished() {
+                    cancelled().push(call);
+                }
             });
             Err(why)
         }
+    }
+}
+
+/// The cancelled commands that have not ended yet.
+fn cancelled() -> MutexGuard<'static, Vec<Call>> {
+    static CANCELLED: Mutex<Vec<Call>> = Mutex::new(Vec::new());
+    CANCELLED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Waits for cancelled commands, which may still hold a workspace.
+fn wait_for_cancelled(python: Python<'_>) -> PyResult<()> {
+    loop {
+        cancelled().retain(|call| !call.is_finished());
+        if cancelled().is_empty() {
+            return Ok(());
+        }
+        python.detach(|| std::thread::sleep(POLL));
+        python.check_signals()?;
     }
 }
 

@@ -7,6 +7,7 @@ use tiepoint_matching::match_features;
 
 use crate::arrays::matrix;
 use crate::errors::{failed, invalid};
+use crate::fork::refuse_after_fork;
 
 /// Keypoints, descriptors.
 type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
@@ -14,7 +15,9 @@ type Arrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u8>>);
 /// SIFT keypoints and RootSIFT descriptors of a grey image, an array of uint8 of shape (H, W).
 /// Where `mask`, of the same shape, is 0, no keypoints are detected. Returns the keypoints, float32
 /// of shape (N, 4): x, y, scale in pixels and orientation in radians; and the descriptors, uint8 of
-/// shape (N, 128). The centre of the top-left pixel is (0.5, 0.5).
+/// shape (N, 128). The centre of the top-left pixel is (0.5, 0.5). As in COLMAP, levels of the
+/// scale space are added from coarse to fine until there are more than `max_features` keypoints:
+/// the last level is complete.
 #[pyfunction]
 #[pyo3(signature = (image, *, max_features=8192, upright=false, mask=None))]
 pub(crate) fn sift<'py>(
@@ -28,6 +31,7 @@ pub(crate) fn sift<'py>(
     if height == 0 || width == 0 {
         return Err(invalid("image is empty"));
     }
+    refuse_after_fork()?;
     let pixels = image.as_array().iter().copied().collect::<Vec<u8>>();
     let mask = match &mask {
         Some(mask) if mask.as_array().dim() == (height, width) => {

@@ -7,6 +7,7 @@ mod command;
 mod errors;
 mod estimate;
 mod features;
+mod fork;
 mod reconstruction;
 mod undistort;
 

@@ -16,6 +16,7 @@ use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, Scope, adjust};
 use crate::arrays::{matrix, pose, poses, rows, vector};
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
+use crate::fork::refuse_after_fork;
 
 /// Largest difference of the entries of RᵀR from the identity for a rotation matrix.
 const ROTATION_TOLERANCE: f64 = 1e-6;
@@ -63,6 +64,12 @@ impl Reconstruction {
     /// of the files that it was read from.
     #[pyo3(signature = (path, *, text=false))]
     fn write(&self, python: Python<'_>, path: PathBuf, text: bool) -> PyResult<()> {
+        if path.as_os_str().is_empty() || path.join("stages.json").is_file() {
+            return Err(failed(format!(
+                "{} is a workspace or no name: give the folder of a model",
+                path.display()
+            )));
+        }
         let format = if text { Format::Text } else { Format::Binary };
         python.detach(|| write_model(&path, &self.model, format)).map_err(failed)
     }
@@ -274,8 +281,11 @@ impl Reconstruction {
             return Err(invalid("new_from_old must be a similarity [sR t; 0 1] with s > 0"));
         }
         let rotation = UnitQuaternion::from_matrix(&rotation);
-        self.model.transform(&Sim3 { scale, rotation, translation });
-        self.model.validate().map_err(failed)
+        let mut moved = self.model.clone();
+        moved.transform(&Sim3 { scale, rotation, translation });
+        moved.validate().map_err(failed)?;
+        self.model = moved;
+        Ok(())
     }
 
     fn __repr__(&self) -> String {
@@ -301,6 +311,7 @@ pub(crate) fn bundle_adjust<'py>(
     refine: &str,
     max_iterations: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
+    refuse_after_fork()?;
     let mut refined = RefineIntrinsics::NONE;
     for word in refine.split(',').map(str::trim).filter(|word| !word.is_empty()) {
         match word {

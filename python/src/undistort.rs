@@ -7,6 +7,7 @@ use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_camera
 
 use crate::camera::Camera;
 use crate::errors::{failed, invalid};
+use crate::fork::refuse_after_fork;
 
 /// Undistorts an image, uint8 of shape (H, W, 1) or (H, W, 3), of a camera. Returns the image and
 /// its PINHOLE camera, with the options and the sizes of COLMAP's image_undistorter. Pixels without
@@ -24,10 +25,18 @@ pub(crate) fn undistort<'py>(
     max_scale: f64,
     max_size: Option<u32>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, Camera)> {
+    refuse_after_fork()?;
     let options = UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size: max_size };
     let to = undistort_camera(&camera.camera, &options).map_err(invalid)?;
     let undistortion = Undistortion::new(&camera.camera, &to);
-    let (_, _, channels) = image.as_array().dim();
+    let (height, width, channels) = image.as_array().dim();
+    let size = (camera.camera.width as usize, camera.camera.height as usize);
+    if (width, height) != size {
+        return Err(invalid(format!(
+            "the image has {width} x {height} pixels, and the camera {} x {}",
+            size.0, size.1
+        )));
+    }
     let pixels: Vec<u8> = image.as_array().iter().copied().collect();
     let pixels = python.detach(|| match channels {
         1 => undistortion.image::<1>(&pixels).map_err(failed),

@@ -106,6 +106,8 @@ def test_undistortion():
     assert (flat == 90).all(), "no blank pixels"
     with pytest.raises(tiepoint.UsageError):
         tiepoint.undistort(image, camera, blank_pixels=2.0)
+    with pytest.raises(tiepoint.UsageError, match="48 x 64"):
+        tiepoint.undistort(image.transpose(1, 0, 2), camera)
 
 
 def test_models_are_arrays(workspace, tmp_path):
@@ -134,6 +136,8 @@ def test_models_are_arrays(workspace, tmp_path):
         copy.poses = np.zeros((count, 3, 4))
     with pytest.raises(tiepoint.Error, match="absent"):
         tiepoint.Reconstruction.read(tmp_path / "absent")
+    with pytest.raises(tiepoint.Error, match="is a workspace"):
+        model.write(workspace)
 
 
 def test_bundle_adjustment_lowers_the_cost(workspace):

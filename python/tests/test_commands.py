@@ -2,12 +2,14 @@
 
 import _thread
 import inspect
+import multiprocessing
 import os
 import subprocess
 import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 import tiepoint
 
@@ -80,6 +82,15 @@ def test_ctrl_c_stops_within_a_second(drive, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         tiepoint.reconstruct(drive, tmp_path / "ws", progress=lambda event: began.set())
     assert time.monotonic() - sent[0] < CTRL_C_LIMIT_S
+    # The next call waits for the end of the stopped one, and resumes.
+    assert tiepoint.reconstruct(drive, tmp_path / "ws")["models"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_forked_processes_are_refused(workspace):
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        with pytest.raises(tiepoint.Error, match="spawn"):
+            pool.apply_async(tiepoint.sift, [np.zeros((64, 64), np.uint8)]).get(timeout=60)
 
 
 def test_other_threads_go_on(drive, tmp_path):

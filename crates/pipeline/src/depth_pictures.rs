@@ -35,7 +35,8 @@ pub struct DenseView {
 }
 
 impl DenseView {
-    /// Reads the results of the dense stage of a workspace. At most twelve images have a picture.
+    /// Reads the results of the dense stage of a workspace. At most twelve images have a picture;
+    /// those whose depth map was deleted have none.
     ///
     /// # Errors
     ///
@@ -45,7 +46,11 @@ impl DenseView {
         let step = model.num_registered().div_ceil(MAX_PICTURES).max(1);
         let mut pictures = Vec::new();
         for (_, image, _) in model.registered().step_by(step) {
-            let map = DenseMap::read(&workspace.join(depth_map_path(&image.name)))?;
+            let file = workspace.join(depth_map_path(&image.name));
+            if !file.is_file() {
+                continue;
+            }
+            let map = DenseMap::read(&file)?;
             if let Some(picture) = picture(&map) {
                 pictures.push((image.name.clone(), picture.png()?));
             }

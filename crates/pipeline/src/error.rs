@@ -521,7 +521,10 @@ pub enum Error {
         path: PathBuf,
     },
     /// A workspace has no dense cloud.
-    #[error("{path} has no dense cloud: run `tiepoint dense {path}` first")]
+    #[error(
+        "{path} has no dense cloud of its model: run `tiepoint dense {path}` first, with --redo \
+        dense if its files were deleted"
+    )]
     NoDenseCloud {
         /// The workspace.
         path: PathBuf,

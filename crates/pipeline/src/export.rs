@@ -19,6 +19,7 @@ use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::Error;
+use crate::Report;
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
 use crate::file_names::DENSE_CLOUD;
@@ -30,7 +31,7 @@ use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::{current_records, is_workspace};
+use crate::workspace::{REPORT, current_records, is_workspace};
 
 /// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,7 +194,10 @@ fn write_as(
 /// There is none.
 fn dense_cloud(workspace: &Path) -> Result<PathBuf, Error> {
     let path = workspace.join(DENSE_CLOUD);
-    match is_workspace(workspace) && path.is_file() {
+    // That of an earlier model stays on disk, and the report has none.
+    let report = Report::read(&workspace.join(REPORT));
+    let is_current = report.is_ok_and(|report| report.stages.dense.is_some());
+    match is_workspace(workspace) && is_current && path.is_file() {
         true => Ok(path),
         false => Err(Error::NoDenseCloud { path: workspace.to_owned() }),
     }

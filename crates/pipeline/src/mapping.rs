@@ -107,7 +107,12 @@ pub fn map(
     let takes_intrinsics =
         workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_none();
     if let Some(model) = &input_model {
-        take(&mut scene, model, takes_intrinsics, watch)?;
+        let known: BTreeSet<CameraId> = match (refine, takes_intrinsics) {
+            (Some(_), _) => BTreeSet::new(),
+            (None, true) => scene.calibrated.clone(),
+            (None, false) => scene.cameras().map(|(id, _)| id).collect(),
+        };
+        take(&mut scene, model, &known, watch)?;
     }
     let graph = load_graph(workspace, &scene)?;
     let known_rigs = rig_calibration
@@ -276,17 +281,17 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
     scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
 }
 
-/// Replaces the scene by one with the poses and points of a model. `takes_intrinsics`: whether not
-/// all intrinsics are known.
+/// Replaces the scene by one with the poses and points of a model. `known`: cameras whose
+/// intrinsics are given and stay.
 fn take(
     scene: &mut Reconstruction,
     model: &OpenedModel,
-    takes_intrinsics: bool,
+    known: &BTreeSet<CameraId>,
     watch: Watch,
 ) -> Result<(), Error> {
     let found = model.transfer(scene)?;
     let is_replaced = |(id, image): &(ImageId, &Image)| {
-        (!takes_intrinsics || scene.calibrated.contains(&image.camera))
+        known.contains(&image.camera)
             && found.existing.contains(id)
             && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics
     };

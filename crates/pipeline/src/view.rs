@@ -17,6 +17,7 @@ use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::depth_pictures::DenseView;
 use crate::evaluate::{model_folder, read_times};
+use crate::file_names::DENSE_CLOUD;
 use crate::file_names::RIG;
 use crate::output_file::{refuse_foreign_page, write_page};
 use crate::workspace::REPORT;
@@ -229,7 +230,9 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
             files.push((name, text));
         }
     }
-    let has_dense = report.as_ref().is_some_and(|report| report.stages.dense.is_some());
+    let is_dense = report.as_ref().is_some_and(|report| report.stages.dense.is_some());
+    // Its files are large, and may have been deleted.
+    let has_dense = is_dense && path.join(DENSE_CLOUD).is_file();
     let dense = if has_dense { Some(DenseView::read(path, &model)?) } else { None };
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let report_model = ReportModel {
