@@ -3,11 +3,16 @@
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use tiepoint_geometry::nalgebra::{Matrix3, Vector2};
 use tiepoint_geometry::{RansacOptions, Report, estimate};
 
 use crate::arrays::{matrix3, pose, require_same_length, rows, vector};
 use crate::camera::Camera;
 use crate::errors::invalid;
+
+/// An estimator of a matrix from points of two images.
+type Estimate =
+    fn(&[Vector2<f64>], &[Vector2<f64>], &RansacOptions) -> Option<Report<Matrix3<f64>>>;
 
 /// The options; an error if they are out of range.
 fn options(max_error: f64, seed: u64) -> PyResult<RansacOptions> {
@@ -30,6 +35,20 @@ fn found<'py, M>(
     all.set_item("num_inliers", report.num_inliers)?;
     all.set_item("inliers", vector(python, report.inliers))?;
     Ok(Some(all))
+}
+
+/// Estimates a matrix from points of two images.
+fn from_points<'py>(
+    python: Python<'py>,
+    [points1, points2]: [&PyReadonlyArray2<'py, f64>; 2],
+    options: &RansacOptions,
+    name: &str,
+    estimate: Estimate,
+) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let (one, other) = (rows::<2>(points1, "points1")?, rows::<2>(points2, "points2")?);
+    require_same_length(one.len(), other.len(), ["points1", "points2"])?;
+    let report = python.detach(|| estimate(&one, &other, options));
+    found(python, report, name, |model| matrix3(python, model).into_any())
 }
 
 /// The relative pose of two calibrated cameras from corresponding pixels, (N, 2) each. Returns a
@@ -90,11 +109,8 @@ pub(crate) fn homography<'py>(
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (one, other) = (rows::<2>(&points1, "points1")?, rows::<2>(&points2, "points2")?);
-    require_same_length(one.len(), other.len(), ["points1", "points2"])?;
     let options = options(max_error, seed)?;
-    let report = python.detach(|| estimate::homography(&one, &other, &options));
-    found(python, report, "homography", |model| matrix3(python, model).into_any())
+    from_points(python, [&points1, &points2], &options, "homography", estimate::homography)
 }
 
 /// The fundamental matrix F of two images, x2ᵀ F x1 = 0, from corresponding pixels, (N, 2) each.
@@ -109,9 +125,6 @@ pub(crate) fn fundamental<'py>(
     max_error: f64,
     seed: u64,
 ) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let (one, other) = (rows::<2>(&points1, "points1")?, rows::<2>(&points2, "points2")?);
-    require_same_length(one.len(), other.len(), ["points1", "points2"])?;
     let options = options(max_error, seed)?;
-    let report = python.detach(|| estimate::fundamental(&one, &other, &options));
-    found(python, report, "fundamental", |model| matrix3(python, model).into_any())
+    from_points(python, [&points1, &points2], &options, "fundamental", estimate::fundamental)
 }

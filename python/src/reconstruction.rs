@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
-use tiepoint_io::colmap::{Format, read_model, write_model};
+use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
 use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, Scope, adjust};
 
@@ -61,17 +61,14 @@ impl Reconstruction {
     }
 
     /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those
-    /// of the files that it was read from.
+    /// of the files that it was read from. It replaces a model that was written so, no other.
     #[pyo3(signature = (path, *, text=false))]
     fn write(&self, python: Python<'_>, path: PathBuf, text: bool) -> PyResult<()> {
-        if path.as_os_str().is_empty() || path.join("stages.json").is_file() {
-            return Err(failed(format!(
-                "{} is a workspace or no name: give the folder of a model",
-                path.display()
-            )));
+        if path.as_os_str().is_empty() {
+            return Err(invalid("path is empty: give the folder of a model"));
         }
         let format = if text { Format::Text } else { Format::Binary };
-        python.detach(|| write_model(&path, &self.model, format)).map_err(failed)
+        python.detach(|| tiepoint_pipeline::write_model(&path, &self.model, format)).map_err(failed)
     }
 
     /// The cameras, in the order of their ids.

@@ -126,6 +126,12 @@ def test_models_are_arrays(workspace, tmp_path):
     model.write(tmp_path / "copy", text=True)
     copy = tiepoint.Reconstruction.read(tmp_path / "copy")
     assert (copy.poses == model.poses).all() and (copy.image_ids == model.image_ids).all()
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "cameras.txt").write_text("of another program")
+    with pytest.raises(tiepoint.Error, match="cameras.txt"):
+        model.write(foreign, text=True)
+    assert (foreign / "cameras.txt").read_text() == "of another program"
     moved = np.eye(4)
     moved[:3] *= 2
     copy.transform(moved)

@@ -19,13 +19,10 @@ def keyword(name):
 
 def text(value):
     """A value as the program reads it; the items of a list are separated by commas."""
-    if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
-        items = value.tolist() if hasattr(value, "tolist") else value
-        if isinstance(items, list) or isinstance(items, tuple):
-            return ",".join(text(item) for item in items)
-        value = items
-    if isinstance(value, float):
-        return repr(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return ",".join(map(text, value))
     return os.fspath(value) if hasattr(value, "__fspath__") else str(value)
 
 

@@ -3,7 +3,6 @@
 use std::ffi::OsString;
 use std::fmt;
 use std::io;
-use std::panic::{self, AssertUnwindSafe};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 use std::thread::{self, JoinHandle};
@@ -47,7 +46,7 @@ impl std::error::Error for Failed {}
 pub struct Call {
     messages: Receiver<Message>,
     interrupt: Arc<Interrupt>,
-    thread: JoinHandle<Result<(), Failed>>,
+    thread: JoinHandle<Result<(), Failure>>,
 }
 
 impl Call {
@@ -80,12 +79,7 @@ impl Call {
                 None => run(),
             }
         };
-        let guarded = move || {
-            let outcome = panic::catch_unwind(AssertUnwindSafe(run));
-            let why = "an internal error stopped it: please report the text above";
-            outcome.unwrap_or_else(|_| Err(Failure::CouldNot(why.to_owned()))).map_err(Failed::from)
-        };
-        let thread = thread::Builder::new().name("tiepoint".to_owned()).spawn(guarded);
+        let thread = thread::Builder::new().name("tiepoint".to_owned()).spawn(run);
         let thread = thread.map_err(|cause: io::Error| refused("cannot start a thread", &cause))?;
         Ok(Self { messages, interrupt, thread })
     }
@@ -111,7 +105,11 @@ impl Call {
     ///
     /// The command failed.
     pub fn join(self) -> Result<(), Failed> {
-        self.thread.join().unwrap_or_else(|_| Err(Failed::CouldNot("it panicked".to_owned())))
+        let internal = |_| {
+            let why = "an internal error stopped it: please report the text above";
+            Err(Failure::CouldNot(why.to_owned()))
+        };
+        self.thread.join().unwrap_or_else(internal).map_err(Failed::from)
     }
 }
 

@@ -27,7 +27,6 @@ use crate::export::{photos_of, write_undistorted};
 use crate::file_names::{DENSE_CLOUD, depth_map_path, model_path};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
-use crate::workspace::current_records;
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};
 
 const FOLDER: &str = "dense/";
@@ -57,7 +56,7 @@ pub fn dense(
     const STAGE: Stage = Stage::Dense;
     let mut input = workspace.fingerprint(Stage::Map)?;
     let masks = match &options.masks {
-        Some(folder) => Some(Masks::open(&current_records(workspace.root())?, folder)?),
+        Some(folder) => Some(Masks::open(&workspace.records, folder)?),
         None => None,
     };
     if let Some(masks) = &masks {
@@ -89,8 +88,7 @@ pub fn dense(
         }
         remove_old_results(workspace, &undistorted)?;
     }
-    let mut run = Run::new(workspace, undistorted, problems, options);
-    run.masks = masks;
+    let mut run = Run::new(workspace, undistorted, problems, options, masks);
     let total = 3 * run.problems.len();
     let done = run.count_done()?;
     emit(watch, &Event::StageBegan { stage: STAGE, total, done })?;
@@ -186,12 +184,13 @@ impl<'a> Run<'a> {
         model: Reconstruction,
         problems: Vec<StereoProblem>,
         options: &'a DenseOptions,
+        masks: Option<Masks>,
     ) -> Self {
         // The farthest depth that any image may have.
         let ranges = problems.iter().filter_map(|problem| InverseDepthRange::of(&problem.seeds));
         let farthest = ranges.map(|range| 1.0 / range.min).fold(0.0, f32::max);
         let depth_scale = DepthScale::up_to(farthest);
-        Self { workspace, model, problems, options, masks: None, depth_scale }
+        Self { workspace, model, problems, options, masks, depth_scale }
     }
 
     fn name(&self, index: usize) -> &str {

@@ -7,7 +7,7 @@ use tiepoint_io::{DenseMap, Rgb};
 use tiepoint_sfm::scene::Reconstruction;
 
 use crate::Error;
-use crate::file_names::{DENSE_CLOUD, depth_map_path};
+use crate::file_names::depth_map_path;
 
 /// Largest number of pictures of a page, and their largest side: together some 500 kB.
 const MAX_PICTURES: usize = 12;
@@ -35,14 +35,18 @@ pub struct DenseView {
 }
 
 impl DenseView {
-    /// Reads the results of the dense stage of a workspace. At most twelve images have a picture;
+    /// Reads the dense cloud and depth maps of a workspace. At most twelve images have a picture;
     /// those whose depth map was deleted have none.
     ///
     /// # Errors
     ///
     /// A file cannot be read.
-    pub(crate) fn read(workspace: &Path, model: &Reconstruction) -> Result<Self, Error> {
-        let points = ply::read(&workspace.join(DENSE_CLOUD))?;
+    pub(crate) fn read(
+        cloud: &Path,
+        workspace: &Path,
+        model: &Reconstruction,
+    ) -> Result<Self, Error> {
+        let points = ply::read(cloud)?;
         let step = model.num_registered().div_ceil(MAX_PICTURES).max(1);
         let mut pictures = Vec::new();
         for (_, image, _) in model.registered().step_by(step) {

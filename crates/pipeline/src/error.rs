@@ -520,6 +520,12 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A model would be written among the files of a workspace.
+    #[error("{path} is a workspace, which has its models in sparse: give another folder")]
+    ModelIntoWorkspace {
+        /// The workspace.
+        path: PathBuf,
+    },
     /// A workspace has no dense cloud.
     #[error(
         "{path} has no dense cloud of its model: run `tiepoint dense {path}` first, with --redo \

@@ -18,11 +18,8 @@ use tiepoint_io::{
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
-use crate::Error;
-use crate::Report;
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
-use crate::file_names::DENSE_CLOUD;
 use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
@@ -32,6 +29,7 @@ use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{REPORT, current_records, is_workspace};
+use crate::{Error, Report};
 
 /// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -191,16 +189,11 @@ fn write_as(
 ///
 /// # Errors
 ///
-/// There is none.
+/// There is none of its current model.
 fn dense_cloud(workspace: &Path) -> Result<PathBuf, Error> {
-    let path = workspace.join(DENSE_CLOUD);
-    // That of an earlier model stays on disk, and the report has none.
-    let report = Report::read(&workspace.join(REPORT));
-    let is_current = report.is_ok_and(|report| report.stages.dense.is_some());
-    match is_workspace(workspace) && is_current && path.is_file() {
-        true => Ok(path),
-        false => Err(Error::NoDenseCloud { path: workspace.to_owned() }),
-    }
+    let report = Report::read(&workspace.join(REPORT)).ok().filter(|_| is_workspace(workspace));
+    let cloud = report.and_then(|report| report.dense_cloud(workspace));
+    cloud.ok_or_else(|| Error::NoDenseCloud { path: workspace.to_owned() })
 }
 
 /// Writes a cloud as LAS or LAZ. Returns the number of points.
@@ -214,6 +207,19 @@ fn write_las(cloud: &Path, to: &Path) -> Result<usize, Error> {
 #[cfg(not(feature = "las"))]
 fn write_las(_: &Path, to: &Path) -> Result<usize, Error> {
     Err(Error::NoLasWriter { path: to.to_owned() })
+}
+
+/// Writes a COLMAP model into a folder and replaces an earlier one of this program, no other.
+///
+/// # Errors
+///
+/// The folder is a workspace, a file of a model exists in it that is not this program's, or writing
+/// fails.
+pub fn write_model(to: &Path, model: &Reconstruction, format: Format) -> Result<(), Error> {
+    if is_workspace(to) {
+        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
+    }
+    write_colmap(to, model, format, &[])
 }
 
 /// Writes a COLMAP model into a folder and replaces an earlier one of this program.

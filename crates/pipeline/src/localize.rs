@@ -363,7 +363,7 @@ impl Map {
             Err(error) => return Ok(Err(error.to_string())),
         };
         let cameras = self.cameras_of(name, index, &info, calibrations, options)?;
-        // Also of a photo whose name is in the database: it may be another one.
+        // Not the features of the database, whose image of this name may be another photo.
         let features = match extract(photos, index, &options.detector) {
             Ok(features) => features,
             Err(error) => return Ok(Err(error.to_string())),

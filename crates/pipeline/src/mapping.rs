@@ -104,20 +104,12 @@ pub fn map(
     let replaced = replaced_names(workspace);
     workspace.folder.refuse_foreign(replaced.iter().map(String::as_str))?;
     let mut scene = load_scene(workspace)?;
-    let takes_intrinsics =
-        workspace.records.option(Stage::Features, option_keys::INTRINSICS).is_none();
     if let Some(model) = &input_model {
-        let known: BTreeSet<CameraId> = match (refine, takes_intrinsics) {
-            (Some(_), _) => BTreeSet::new(),
-            (None, true) => scene.calibrated.clone(),
-            (None, false) => scene.cameras().map(|(id, _)| id).collect(),
-        };
-        take(&mut scene, model, &known, watch)?;
+        take(&mut scene, model, refine.is_some(), watch)?;
     }
     let graph = load_graph(workspace, &scene)?;
-    let known_rigs = rig_calibration
-        .map(|path| known_rigs(path, &mut scene, takes_intrinsics, refine_extrinsics))
-        .transpose()?;
+    let known_rigs =
+        rig_calibration.map(|path| known_rigs(path, &mut scene, refine_extrinsics)).transpose()?;
     // The focal lengths of an input model or a foreign database are those that it has.
     let is_foreign = input_model.is_some()
         || workspace.records.option(Stage::Features, option_keys::DATABASE).is_some();
@@ -131,9 +123,6 @@ pub fn map(
         });
     }
     if refine.is_some() {
-        if !takes_intrinsics {
-            scene.calibrated = scene.cameras().map(|(id, _)| id).collect();
-        }
         let known = std::mem::take(&mut scene.calibrated);
         scene.expected_intrinsics =
             known.into_iter().map(|id| (id, scene.camera(id).intrinsics)).collect();
@@ -189,13 +178,6 @@ pub fn map(
         return Err(error.into());
     }
     database.close()?;
-    if let Some(first) = models.first()
-        && let Err(error) = write_rigs(workspace, &first.reconstruction)
-        && !is_imported
-    {
-        // Tables of another program may have other columns; the model is valid without them.
-        return Err(error);
-    }
     // A database of another program may come without photos.
     if !workspace.records.inputs.is_empty()
         && let Err(error) = color_points(
@@ -230,6 +212,15 @@ pub fn map(
     let reports = reports.collect();
     let seconds = start.elapsed().as_secs_f64();
     let removed: Vec<String> = replaced.into_iter().filter(|name| !staged.contains(name)).collect();
+    // Behind all that may fail, and before the stage is complete: a later run repairs what an
+    // interruption leaves.
+    if let Some(first) = models.first()
+        && let Err(error) = write_rigs(workspace, &first.reconstruction)
+        && !is_imported
+    {
+        // Tables of another program may have other columns; the model is valid without them.
+        return Err(error);
+    }
     workspace.complete(STAGE);
     workspace.publish(staged, &removed, |all| {
         all.stages.map = Some(MapReport { seconds });
@@ -281,17 +272,18 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
     scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
 }
 
-/// Replaces the scene by one with the poses and points of a model. `known`: cameras whose
-/// intrinsics are given and stay.
+/// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those of
+/// the model, unless they are refined.
 fn take(
     scene: &mut Reconstruction,
     model: &OpenedModel,
-    known: &BTreeSet<CameraId>,
+    are_refined: bool,
     watch: Watch,
 ) -> Result<(), Error> {
     let found = model.transfer(scene)?;
     let is_replaced = |(id, image): &(ImageId, &Image)| {
-        known.contains(&image.camera)
+        !are_refined
+            && scene.calibrated.contains(&image.camera)
             && found.existing.contains(id)
             && found.scene.camera_of(*id).intrinsics != scene.camera(image.camera).intrinsics
     };
@@ -322,6 +314,9 @@ pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error>
     }
     let value = |key: &str| workspace.records.option(Stage::Features, key);
     CameraFacts::read(value).add_to(&mut scene);
+    if value(option_keys::INTRINSICS).is_some() {
+        scene.calibrated = scene.cameras().map(|(id, _)| id).collect();
+    }
     let times = workspace.timestamps_as_left()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
     for (index, image) in database.read_images()?.into_iter().enumerate() {

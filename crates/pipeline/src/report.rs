@@ -1,9 +1,10 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tiepoint_sfm::RollingShutter;
 use tiepoint_sfm::scene::{Camera, CameraId, Reconstruction};
 
+use crate::file_names::DENSE_CLOUD;
 use crate::{Error, RigReport, ScaleReport, Stage};
 
 /// `report.json`: the results of all stages.
@@ -207,6 +208,13 @@ impl ModelReport {
 }
 
 impl Report {
+    /// The file of the dense cloud of the current model. That of an earlier model stays on disk, and
+    /// the report has none; files of the stage may have been deleted.
+    pub(crate) fn dense_cloud(&self, workspace: &Path) -> Option<PathBuf> {
+        let path = workspace.join(DENSE_CLOUD);
+        (self.stages.dense.is_some() && path.is_file()).then_some(path)
+    }
+
     /// Reads `report.json`; an empty report if the file does not exist.
     ///
     /// # Errors

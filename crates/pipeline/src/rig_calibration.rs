@@ -24,7 +24,6 @@ use crate::calibration::{camera_of_photo, is_named};
 pub(crate) fn known_rigs(
     path: &Path,
     scene: &mut Reconstruction,
-    takes_intrinsics: bool,
     are_refined: bool,
 ) -> Result<KnownRigs, Error> {
     let fails = |what: String| Error::Calibration { path: path.to_owned(), what };
@@ -43,7 +42,7 @@ pub(crate) fn known_rigs(
                 )));
             }
             sensors.push(RigSensor { camera, cam_from_rig: Some(camera_on_rig.cam_from_rig) });
-            if takes_intrinsics && !scene.calibrated.contains(&camera) {
+            if !scene.calibrated.contains(&camera) {
                 set_intrinsics(scene, camera, camera_on_rig).map_err(fails)?;
             }
         }

@@ -17,7 +17,6 @@ use tiepoint_sfm::scene::{CameraId, ImageId, Reconstruction};
 
 use crate::depth_pictures::DenseView;
 use crate::evaluate::{model_folder, read_times};
-use crate::file_names::DENSE_CLOUD;
 use crate::file_names::RIG;
 use crate::output_file::{refuse_foreign_page, write_page};
 use crate::workspace::REPORT;
@@ -230,10 +229,8 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
             files.push((name, text));
         }
     }
-    let is_dense = report.as_ref().is_some_and(|report| report.stages.dense.is_some());
-    // Its files are large, and may have been deleted.
-    let has_dense = is_dense && path.join(DENSE_CLOUD).is_file();
-    let dense = if has_dense { Some(DenseView::read(path, &model)?) } else { None };
+    let cloud = report.as_ref().and_then(|report| report.dense_cloud(path));
+    let dense = cloud.map(|cloud| DenseView::read(&cloud, path, &model)).transpose()?;
     let name = path.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let report_model = ReportModel {
         name: &name,

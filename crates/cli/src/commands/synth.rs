@@ -145,6 +145,10 @@ pub(crate) fn scan(drive: &Drive) -> Result<Vec<Vector3<f64>>, Failure> {
     )?)
 }
 
+fn cannot(path: &Path, doing: &str, cause: std::io::Error) -> Failure {
+    Failure::CouldNot(format!("cannot {doing} {}: {cause}", path.display()))
+}
+
 /// Writes the true depths of the pixel centres of each image: z in the camera frame at the capture
 /// time, in metres.
 fn write_depths(folder: &Path, drive: &Drive) -> Result<(), Failure> {
@@ -161,10 +165,7 @@ fn write_depths(folder: &Path, drive: &Drive) -> Result<(), Failure> {
             let values = (0..width * height).into_par_iter().map(depth).collect();
             let path = folder.join(format!("{}.bin", exposure.name));
             if let Some(parent) = path.parent() {
-                let cannot = |cause| {
-                    Failure::CouldNot(format!("cannot write {}: {cause}", parent.display()))
-                };
-                create_folders(parent).map_err(cannot)?;
+                create_folders(parent).map_err(|cause| cannot(parent, "write", cause))?;
             }
             DenseMap { width, height, channels: 1, values }.write(&path)?;
         }
@@ -223,9 +224,6 @@ pub(crate) fn claim(
     contents: &str,
 ) -> Result<(), Failure> {
     let path = folder.join(record);
-    let cannot = |path: &Path, doing: &str, cause: std::io::Error| {
-        Failure::CouldNot(format!("cannot {doing} {}: {cause}", path.display()))
-    };
     match fs::read_to_string(&path) {
         Ok(found) if found == text => return Ok(()),
         Ok(_) => {

@@ -127,6 +127,12 @@ fn the_database_has_the_rigs_of_the_model() {
     assert_eq!(rigs(), (model.rigs, frames));
     tiepoint_in(dir.path(), "map {}/ws --rig off --redo map").done();
     assert_eq!(rigs(), (vec![], vec![]));
+    // Those of the scaled model.
+    tiepoint_in(dir.path(), "map {}/ws --rig hard --baseline 60cm --redo map").done();
+    let model = read_model(&dir.path().join("ws/sparse/0")).unwrap();
+    let baseline_m = model.rigs[0].sensors[1].cam_from_rig.unwrap().origin_in_a().norm();
+    assert!((baseline_m - 0.6).abs() < 1e-9, "{baseline_m}");
+    assert_eq!(rigs().0, model.rigs);
 }
 
 #[test]

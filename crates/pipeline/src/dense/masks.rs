@@ -26,7 +26,7 @@ impl Masks {
     ///
     /// A folder cannot be read, or there is no mask.
     pub(super) fn open(records: &Records, folder: &Path) -> Result<Self, Error> {
-        // Each photo was within the limit of the features.
+        // The feature stage has checked the photos against its limit.
         let photos = ImageFolder::open(&records.inputs, Some(folder))?.with_max_pixels(u64::MAX);
         let masks: [PathBuf; 1] = [folder.to_owned()];
         let fingerprint = fingerprint(&ImageFolder::open(&masks, None)?)?;
