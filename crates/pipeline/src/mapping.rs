@@ -272,8 +272,8 @@ fn image_without_focal(scene: &Reconstruction) -> Option<&Image> {
     scene.images().map(|(_, image)| image).find(|image| is_guessed(image))
 }
 
-/// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those of
-/// the model, unless they are refined.
+/// Replaces the scene by one with the poses and points of a model. Known intrinsics must be those
+/// of the model, unless they are refined.
 fn take(
     scene: &mut Reconstruction,
     model: &OpenedModel,

@@ -208,8 +208,8 @@ impl ModelReport {
 }
 
 impl Report {
-    /// The file of the dense cloud of the current model. That of an earlier model stays on disk, and
-    /// the report has none; files of the stage may have been deleted.
+    /// The file of the dense cloud of the current model. That of an earlier model stays on disk,
+    /// and the report has none; files of the stage may have been deleted.
     pub(crate) fn dense_cloud(&self, workspace: &Path) -> Option<PathBuf> {
         let path = workspace.join(DENSE_CLOUD);
         (self.stages.dense.is_some() && path.is_file()).then_some(path)
