@@ -80,7 +80,7 @@ def opencv_calibration(pairs, size):
         criteria=criteria,
         flags=cv2.CALIB_USE_INTRINSIC_GUESS,
     )
-    return rms, k1, k2, r, t.ravel()
+    return rms, (k1, k2), (d1, d2), r, t.ravel()
 
 
 def degrees_between(a, b):
@@ -208,6 +208,43 @@ def run(command):
     return done.stdout
 
 
+def mounting(arguments, program, folder, known, corners, size):
+    """The largest model of the report, the rig's second camera, and its R and T, of the corners;
+    `known`: options of the intrinsics."""
+    workspace = folder / known[0].strip("-")
+    run([program, "features", folder / "photos", "-o", workspace, *known])
+    run([program, "match", workspace, "--seed", arguments.seed])
+    put_corners(workspace / "database.db", corners, size)
+    done = run(
+        [program, "map", workspace, "--rig", arguments.rig, "--seed", arguments.seed, "--json"]
+    )
+    model = json.loads(done)["models"][0]
+    print(
+        f"tiepoint {known[0]}: {model['registered']} of {model['images']} images,"
+        f" {model['points']} points, {model['mean_reprojection_error_px']:.3f} px"
+    )
+    if not (workspace / "rig.json").exists():
+        sys.exit("tiepoint: no mounting was found")
+    camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
+    rotation = Rotation.from_quat(np.roll(camera["rotation_wxyz"], -1)).as_matrix()
+    return model, camera, rotation, np.array(camera["translation"])
+
+
+def calibration_files(folder, k, distortions, size):
+    """OpenCV's calibration of both cameras as its own YAML, and the option that names them."""
+    values = []
+    for name, matrix, distortion in zip(("left", "right"), k, distortions):
+        path = folder / f"{name}.yml"
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", size[0])
+        storage.write("image_height", size[1])
+        storage.write("camera_matrix", matrix)
+        storage.write("distortion_coefficients", distortion)
+        storage.release()
+        values.append(f"{name}={path}")
+    return ["--calibration", *values]
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -239,30 +276,13 @@ def main():
                 (folder / "photos" / camera).mkdir(parents=True, exist_ok=True)
                 (folder / "photos" / camera / f"{number}.jpg").write_bytes(path.read_bytes())
                 by_name[f"{camera}/{number}.jpg"] = corners
-        rms, k1, k2, r, t = opencv_calibration(pairs, size)
+        rms, (k1, k2), distortions, r, t = opencv_calibration(pairs, size)
         print(
             f"OpenCV: {len(pairs)} pairs, {rms:.3f} px, focal {k1[0, 0]:.1f} / {k2[0, 0]:.1f} px,"
             f" baseline {np.linalg.norm(t):.4f} squares"
         )
-        workspace = folder / "ws"
         lens = ["--focal-prior", FOCAL_PRIOR_PX, "--camera-model", "OPENCV"]
-        run([program, "features", folder / "photos", "-o", workspace, *lens])
-        run([program, "match", workspace, "--seed", arguments.seed])
-        put_corners(workspace / "database.db", by_name, size)
-        done = run(
-            [program, "map", workspace, "--rig", arguments.rig, "--seed", arguments.seed, "--json"]
-        )
-        model = json.loads(done)["models"][0]
-        print(
-            f"tiepoint: {model['registered']} of {model['images']} images, {model['points']}"
-            f" points, {model['mean_reprojection_error_px']:.3f} px"
-        )
-        if not (workspace / "rig.json").exists():
-            sys.exit("tiepoint: no mounting was found")
-        camera = json.loads((workspace / "rig.json").read_text())["cameras"][0]
-        own_r, own_t = Rotation.from_quat(
-            np.roll(camera["rotation_wxyz"], -1)
-        ).as_matrix(), np.array(camera["translation"])
+        model, camera, own_r, own_t = mounting(arguments, program, folder, lens, by_name, size)
         direction_from = lambda t: degrees(own_t @ t / np.linalg.norm(own_t) / np.linalg.norm(t))
         angle, direction = degrees_between(own_r, r), direction_from(t)
         focal = [c["params"][0] for c in model["cameras"]]
@@ -299,6 +319,18 @@ def main():
             f" {degrees_between(free_r, own_r):.3f} from ours; direction"
             f" {direction_from(free_t):.3f} degrees from ours; principal points, ours less these:"
             f" {shifts}"
+        )
+        known = calibration_files(folder, (k1, k2), distortions, size)
+        model, _, own_r, own_t = mounting(arguments, program, folder, known, by_name, size)
+        changed = max(
+            abs(c["params"][i] - value)
+            for c, k in zip(model["cameras"], (k1, k2))
+            for i, value in ((0, k[0, 0]), (1, k[1, 1]), (2, k[0, 2] + 0.5), (3, k[1, 2] + 0.5))
+        )
+        print(
+            f"with OpenCV's intrinsics given: rotation off by {degrees_between(own_r, r):.3f}"
+            f" degrees, direction by {direction_from(t):.3f} degrees; intrinsics changed by"
+            f" {changed:.1e} px"
         )
 
 
