@@ -231,8 +231,8 @@ def mounting(arguments, program, folder, known, corners, size):
 
 
 def calibration_files(folder, k, distortions, size):
-    """OpenCV's calibration of both cameras as its own YAML, and the option that names them."""
-    values = []
+    """OpenCV's calibration of both cameras as its own YAML, and the options that name them."""
+    options = []
     for name, matrix, distortion in zip(("left", "right"), k, distortions):
         path = folder / f"{name}.yml"
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -241,8 +241,8 @@ def calibration_files(folder, k, distortions, size):
         storage.write("camera_matrix", matrix)
         storage.write("distortion_coefficients", distortion)
         storage.release()
-        values.append(f"{name}={path}")
-    return ["--calibration", *values]
+        options += ["--calibration", f"{name}={path}"]
+    return options
 
 
 def main():
