@@ -192,6 +192,8 @@ pub(super) fn ranked(mut candidates: Vec<Similar>, count: usize) -> Vec<Similar>
     if count < candidates.len() {
         candidates.select_nth_unstable_by(count, order);
         candidates.truncate(count);
+        // The lists of all images are kept: at their capacity they would be all images by all.
+        candidates.shrink_to_fit();
     }
     candidates.sort_unstable_by(order);
     candidates
