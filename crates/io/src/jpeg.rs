@@ -24,7 +24,13 @@ pub(crate) struct Decoded {
     pub(crate) bytes: Vec<u8>,
 }
 
-pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
+/// Decodes an image whose first frame header claims this width and height. In a damaged file the
+/// decoder may find another one.
+pub(crate) fn decode(
+    bytes: &[u8],
+    planes: Planes,
+    (width, height): (u32, u32),
+) -> Result<Decoded, String> {
     if !is_complete(bytes) {
         return Err("the JPEG data is truncated".to_owned());
     }
@@ -36,6 +42,13 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
     let message = |error| format!("cannot decode the JPEG data: {error:?}");
     decoder.decode_headers().map_err(message)?;
     let info = decoder.info().ok_or("the JPEG data has no header")?;
+    let (last_width, last_height) = (u32::from(info.width), u32::from(info.height));
+    if (width, height) != (last_width, last_height) {
+        return Err(format!(
+            "the JPEG data has frame headers of {width} × {height} and of {last_width} × \
+             {last_height} pixels"
+        ));
+    }
     let is_grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let (planes, space) = match planes {
         Planes::Luma if is_grey => (Planes::Luma, ColorSpace::Luma),
@@ -43,7 +56,7 @@ pub(crate) fn decode(bytes: &[u8], planes: Planes) -> Result<Decoded, String> {
     };
     decoder.set_options(options.jpeg_set_out_colorspace(space));
     let bytes = decoder.decode().map_err(message)?;
-    Ok(Decoded { width: u32::from(info.width), height: u32::from(info.height), planes, bytes })
+    Ok(Decoded { width, height, planes, bytes })
 }
 
 const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];

@@ -334,8 +334,8 @@ fn decode(path: &Path, planes: Planes, limit: &SizeLimit) -> Result<DynamicImage
     upright_size(path, &exif, (width, height), limit)?;
     let mut image = match image::guess_format(&bytes) {
         Ok(ImageFormat::Jpeg) => {
-            let decoded =
-                jpeg::decode(&bytes, planes).map_err(|what| Error::content(path, what))?;
+            let decoded = jpeg::decode(&bytes, planes, (width, height))
+                .map_err(|what| Error::content(path, what))?;
             let (w, h) = (decoded.width, decoded.height);
             let image = match decoded.planes {
                 Planes::Luma => {

@@ -28,6 +28,19 @@ fn claiming_jpeg() -> Vec<u8> {
     bytes
 }
 
+/// A file with two frame headers of different heights. The first one follows a restart marker, which
+/// has no length; the decoder reads one and skips the header.
+fn jpeg_of_two_sizes() -> Vec<u8> {
+    let mut bytes = encoded(&noise(200, 200), ImageFormat::Jpeg);
+    let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
+    let length = u16::from_be_bytes([bytes[frame + 2], bytes[frame + 3]]);
+    let mut first = bytes[frame..][..2 + usize::from(length)].to_vec();
+    first[5..7].copy_from_slice(&100u16.to_be_bytes());
+    let skipped = (first.len() as u16 + 2).to_be_bytes();
+    bytes.splice(frame..frame, [&[0xFF, 0xD1][..], &skipped, &first].concat());
+    bytes
+}
+
 /// CRC 32 of PNG (ISO 3309).
 fn crc(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0u32, |crc, byte| {
@@ -70,6 +83,19 @@ fn refused(name: &str, bytes: &[u8], says: &str) {
     for error in [folder.info(0).map(drop), folder.luma(0).map(drop), folder.rgb(0).map(drop)] {
         let error = error.expect_err(name).to_string();
         assert!(error.contains(name) && error.contains(says), "{error}");
+    }
+}
+
+/// The size in the header, which becomes that of the camera, is that of the pixels.
+#[test]
+fn a_jpeg_of_two_sizes_is_refused() {
+    let (_dir, folder) = folder("a.jpg", &jpeg_of_two_sizes());
+    for error in [folder.luma(0).map(drop), folder.rgb(0).map(drop)] {
+        let error = error.unwrap_err().to_string();
+        assert!(
+            error.contains("a.jpg") && error.contains("200 × 100 and of 200 × 200 pixels"),
+            "{error}"
+        );
     }
 }
 
