@@ -9,7 +9,7 @@ use tiepoint_dense::undistort::{
     UndistortOptions, Undistortion, is_too_wide_for_pinhole, undistort_model,
 };
 use tiepoint_io::colmap::{Format, read_model};
-use tiepoint_io::{Luma, Rgb};
+use tiepoint_io::{Exif, Luma, disk};
 use tiepoint_sfm::scene::{Image, Reconstruction};
 
 use crate::colors::decoder_bytes;
@@ -17,7 +17,7 @@ use crate::export::model_files;
 use crate::memory::budget_bytes;
 use crate::model_photos::{ModelPhotos, undistorted_image, undistorted_mask};
 use crate::ordered::for_each_within_budget;
-use crate::output_folder::{OutputFolder, model_names};
+use crate::output_folder::{OutputFolder, model_names, output as failed_output};
 use crate::rolling_shutter::restore_detected_keypoints;
 use crate::workspace::is_workspace;
 use crate::{Error, Event, Watch, emit, model_folder};
@@ -196,13 +196,17 @@ impl Task<'_> {
         let (from, to) = (self.model.camera(image.camera), self.undistorted.camera(image.camera));
         let undistortion = Undistortion::new(from, to);
         let photo = self.photos.path(&image.name);
-        let rgb = undistorted_image(photo, &undistortion)?;
-        let write = |rgb: &Rgb, factor| -> Result<(), Error> {
-            Ok(rgb.write(&output.stage(&image_name(&image.name, factor))?)?)
-        };
-        write(&rgb, 1)?;
-        for factor in self.factors().skip(1) {
-            write(&rgb.reduced(factor), factor)?;
+        let target = |factor| output.stage(&image_name(&image.name, factor));
+        // A photo without distortion stays as it is, unless it has to be rotated.
+        let is_copied = undistortion.is_identity() && Exif::read(photo)?.orientation == 1;
+        if is_copied {
+            disk::copy_new(photo, &target(1)?).map_err(failed_output(&target(1)?))?;
+        }
+        if !is_copied || self.factors().count() > 1 {
+            let rgb = undistorted_image(photo, &undistortion)?;
+            for factor in self.factors().skip(usize::from(is_copied)) {
+                rgb.reduced(factor).write(&target(factor)?)?;
+            }
         }
         if self.options.masks.is_none() {
             return Ok(());

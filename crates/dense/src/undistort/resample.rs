@@ -1,6 +1,7 @@
 //! Images and masks of one camera, resampled to another one at the same place.
 
 use rayon::prelude::*;
+use tiepoint_geometry::CameraModelKind;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
 
@@ -38,6 +39,18 @@ impl Undistortion {
         &self.to
     }
 
+    /// Whether each pixel stays as it is: both cameras are without distortion, and equal.
+    pub fn is_identity(&self) -> bool {
+        let is_pinhole = |camera: &Camera| {
+            let kind = camera.intrinsics.kind();
+            matches!(kind, CameraModelKind::SimplePinhole | CameraModelKind::Pinhole)
+        };
+        let matrix = |camera: &Camera| camera.intrinsics.calibration_matrix();
+        let size = |camera: &Camera| (camera.width, camera.height);
+        let (from, to) = (&self.from, &self.to);
+        is_pinhole(from) && is_pinhole(to) && matrix(from) == matrix(to) && size(from) == size(to)
+    }
+
     /// The place of a pixel of `from` in `to`; `None` if `to` does not image its ray.
     pub fn pixel(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
         self.to.intrinsics.project(&self.from.intrinsics.unproject(pixel)?)
@@ -50,7 +63,7 @@ impl Undistortion {
     /// [`Error::Size`] if the image does not have the size of the camera.
     pub fn image<const C: usize>(&self, pixels: &[u8]) -> Result<Vec<u8>, Error> {
         self.check(pixels, C)?;
-        if self.from.intrinsics == self.to.intrinsics && self.size_is_kept() {
+        if self.is_identity() {
             return Ok(pixels.to_vec());
         }
         let mut out = vec![0; self.to.width as usize * self.to.height as usize * C];
@@ -155,10 +168,6 @@ impl Undistortion {
             }
         });
         Ok(out)
-    }
-
-    fn size_is_kept(&self) -> bool {
-        (self.from.width, self.from.height) == (self.to.width, self.to.height)
     }
 
     fn check(&self, pixels: &[u8], channels: usize) -> Result<(), Error> {
