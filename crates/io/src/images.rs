@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
-use crate::manifest::manifest_files;
+use crate::manifest::{is_inside, manifest_files};
 use crate::pixels::{self, SizeLimit};
-use crate::regular_file::{escaped, irregular_kind};
+use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
 /// File name extensions of images, in any case.
@@ -151,6 +151,15 @@ impl ImageFolder {
             }
             skipped.extend(listing.skipped);
         }
+        Self::of_found(found, skipped, masks)
+    }
+
+    /// The images by name: the path, and the name of the camera.
+    fn of_found(
+        found: BTreeMap<String, (PathBuf, String)>,
+        skipped: Vec<SkippedFile>,
+        masks: Option<&Path>,
+    ) -> Result<Self> {
         let mut this = Self {
             images: vec![],
             paths: vec![],
@@ -172,7 +181,7 @@ impl ImageFolder {
         this.skipped.sort();
         this.skipped.dedup();
         match masks {
-            Some(masks) if this.masks.iter().all(Option::is_none) => {
+            Some(masks) if !this.images.is_empty() && this.masks.iter().all(Option::is_none) => {
                 fs::read_dir(masks).map_err(Error::io(masks))?;
                 let what = format!(
                     "holds no mask: for {0}, `{0}.png` was looked for",
@@ -182,6 +191,35 @@ impl ImageFolder {
             }
             _ => Ok(this),
         }
+    }
+
+    /// The images of these names below a folder, as a model of another program names them: the
+    /// folder may hold other files. A camera is the folder of its images. Masks as for
+    /// [`ImageFolder::open`].
+    ///
+    /// # Errors
+    ///
+    /// If a name leads out of the folder or to no regular file, and if there is no mask.
+    pub fn of_names<'a>(
+        folder: &Path,
+        names: impl IntoIterator<Item = &'a str>,
+        masks: Option<&Path>,
+    ) -> Result<Self> {
+        let mut found = BTreeMap::new();
+        for name in names {
+            let path = folder.join(name);
+            if !is_inside(name) {
+                return Err(Error::content(folder, format!("the name {name:?} leads out of it")));
+            }
+            require_regular_file(&path)?;
+            if !path.is_file() {
+                let what = format!("has no photo {name}: give the folder that the names begin in");
+                return Err(Error::content(folder, what));
+            }
+            let camera = name.rsplit_once('/').map_or("", |(camera, _)| camera);
+            found.insert(name.to_owned(), (path, camera.to_owned()));
+        }
+        Self::of_found(found, Vec::new(), masks)
     }
 
     /// Sets the limit of pixels: larger images are refused when they are read
@@ -199,6 +237,11 @@ impl ImageFolder {
     /// The file of an image.
     pub fn path(&self, index: usize) -> &Path {
         &self.paths[index]
+    }
+
+    /// The file of the mask of an image.
+    pub fn mask_path(&self, index: usize) -> Option<&Path> {
+        self.masks[index].as_deref()
     }
 }
 

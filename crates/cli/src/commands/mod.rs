@@ -12,6 +12,7 @@ mod man;
 mod model;
 mod stages;
 mod synth;
+mod undistort;
 mod view;
 
 use crate::args::{Command, Evaluate};
@@ -32,6 +33,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::View(args) => view::view(&args, output),
         Command::Model(command) => model::model(&command, output),
         Command::Export(args) => export::export(&args, output),
+        Command::Undistort(args) => undistort::undistort(&args, output),
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
         Command::Experiment(args) => experiment::experiment(&args, output),
