@@ -12,7 +12,9 @@ const picked = { section: null, photos: {}, image: null };
 function drawKeypoints(context, { keypoints, keypoints_with_point: split }, width, height) {
   const places = new Uint16Array(bytes(keypoints).buffer);
   const scale = [width / 65535, height / 65535];
-  const size = Math.max(width, height) / 512;
+  // Smaller where there are many, so that they do not hide the photo.
+  const crowd = Math.min(Math.max(Math.sqrt(3000 / (places.length / 2)), 0.5), 1);
+  const size = (crowd * Math.max(width, height)) / 512;
   for (let pass = 0; pass < 2; pass++) {
     // Those with a point are drawn last, on top.
     const isWithPoint = pass === 1;
@@ -95,7 +97,7 @@ function showPhoto(section, photos, image) {
   drawPhoto(canvas, image, photo);
 }
 addEventListener('keydown', event => {
-  if (event.key === 'Escape') showPhoto(picked.section || sections[0], {}, null);
+  if (event.key === 'Escape' && picked.image) showPhoto(picked.section, {}, null);
 });
 
 // ---- Sections ----

@@ -5,7 +5,7 @@ const UNIT = 8 / 32767; // quantisation step of the coordinates, in view units
 const BACKGROUND = 0x16181d;
 const CAMERA_COLOURS = [0xff6b5e, 0x5ec8ff, 0xffd35e, 0x9bff8a];
 const FIELD_OF_VIEW = 40; // degrees, vertical
-const START = { yaw: 0.6, pitch: 0.6, distance: 3.2 };
+const START = { yaw: 0.6, pitch: 0.6, nearest: 2.8, farthest: 8 };
 // While the view moves, a slow machine draws fewer points, so that a frame takes less than this.
 const SLOW_MS = 45;
 const FAST_MS = 25;
@@ -65,7 +65,7 @@ function cloud({ points, colours }) {
   const made = new THREE.Points(geometry, material);
   made.scale.setScalar(UNIT);
   // Points are as large as they are far from each other, if they lie on a surface.
-  return { made, count, uniforms, spacing: 1.2 / Math.sqrt(Math.max(count, 1)) };
+  return { made, count, uniforms, spacing: 1.5 / Math.sqrt(Math.max(count, 1)) };
 }
 function coprime(number, other) {
   const divisor = (a, b) => (b ? divisor(b, a % b) : a);
@@ -102,10 +102,29 @@ function lookFrom(section, yaw, pitch) {
   target.set(0, 0, 0);
   camera.fov = FIELD_OF_VIEW;
   const [flat, up] = [Math.cos(pitch), Math.sin(pitch)];
-  camera.position.set(-Math.sin(yaw) * flat, -Math.cos(yaw) * flat, up);
-  camera.position.multiplyScalar(START.distance);
+  const towards = new THREE.Vector3(-Math.sin(yaw) * flat, -Math.cos(yaw) * flat, up);
+  camera.position.copy(towards).multiplyScalar(distanceToSeeAll(section, towards));
   camera.lookAt(target);
   redraw(section);
+}
+// From how far in a direction the points and nearly all cameras are in the picture.
+function distanceToSeeAll({ views }, towards) {
+  const [{ canvas, images }] = views;
+  const slope = 0.95 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360);
+  const aspect = canvas.clientWidth / Math.max(canvas.clientHeight, 1) || 1;
+  const right = new THREE.Vector3(0, 0, 1).cross(towards).normalize();
+  const up = new THREE.Vector3().crossVectors(towards, right);
+  const corner = new THREE.Vector3();
+  const wanted = images.flatMap(({ corners }) =>
+    [0, 1, 2, 3, 4].map(k => {
+      corner.fromArray(corners, 3 * k);
+      const aside = Math.max(Math.abs(corner.dot(right)) / aspect, Math.abs(corner.dot(up)));
+      return corner.dot(towards) + aside / slope;
+    }),
+  );
+  wanted.sort((a, b) => a - b);
+  const most = wanted.length ? wanted[Math.floor(0.98 * (wanted.length - 1))] : 0;
+  return Math.min(Math.max(START.nearest, most), START.farthest);
 }
 const reset = section => lookFrom(section, section.yaw, START.pitch);
 const fromAbove = section => lookFrom(section, 0, Math.PI / 2 - 1e-3);
