@@ -8,6 +8,8 @@ const MAX_COLUMNS: usize = 100;
 const EXTENSIONS: &[&str] = &["rs", "md", "toml", "py", "sh", "yml", "cpp", "html", "js"];
 /// Checked scripts without an extension.
 const SCRIPTS: &[&str] = &["check", "bench/asan", "bench/miri", "release/package"];
+/// Ending of the names of generated files.
+const MINIFIED: &str = ".min.js";
 /// Folders with generated files.
 const GENERATED: &[&str] = &["target", "corpus", "artifacts"];
 
@@ -24,7 +26,7 @@ fn collect_files(dir: &Path, root: &Path, files: &mut Vec<PathBuf>) {
             let ending = path.extension().map(|ending| ending.to_string_lossy().into_owned());
             let has_extension = ending.is_some_and(|ending| EXTENSIONS.contains(&ending.as_str()));
             let is_script = SCRIPTS.iter().any(|script| root.join(script) == path);
-            if has_extension || is_script {
+            if (has_extension || is_script) && !name.ends_with(MINIFIED) {
                 files.push(path);
             }
         }

@@ -24,6 +24,7 @@ fuzz_target!(|data: &[u8]| {
         (ExportFormat::Colmap, "binary"),
         (ExportFormat::ColmapText, "text"),
         (ExportFormat::Ply, "a.ply"),
+        (ExportFormat::Gltf, "a.glb"),
         (ExportFormat::Tum, "a.tum"),
         (ExportFormat::Kitti, "a.kitti"),
         (ExportFormat::Bal, "bal.txt"),

@@ -542,12 +542,13 @@ pub(crate) struct Export {
     /// Workspace, or folder with a COLMAP model.
     pub(crate) workspace: PathBuf,
     /// colmap or colmap-text (a folder), ply (point cloud), las (the dense cloud of a workspace, as
-    /// LAS or LAZ by the extension; needs a build with the feature las), tum or kitti (trajectory
-    /// of the first camera), bal, openmvs (a folder with scene.mvs and undistorted images),
-    /// nerfstudio (a folder with transforms.json, images and cloud), 3dgs-deblur (the same with
-    /// the velocities and the readout time of rolling shutters), gsplat (a folder with images,
-    /// sparse/0 with the detected keypoints, and rolling_shutter.json with viewmats of first and
-    /// last rows), kalibr (camchain.yaml with extrinsics and time offsets of the rig).
+    /// LAS or LAZ by the extension; needs a build with the feature las), gltf (binary, .glb:
+    /// points, dense cloud and cameras for 3D viewers), tum or kitti (trajectory of the first
+    /// camera), bal, openmvs (a folder with scene.mvs and undistorted images), nerfstudio (a folder
+    /// with transforms.json, images and cloud), 3dgs-deblur (the same with the velocities and the
+    /// readout time of rolling shutters), gsplat (a folder with images, sparse/0 with the detected
+    /// keypoints, and rolling_shutter.json with viewmats of first and last rows), kalibr
+    /// (camchain.yaml with extrinsics and time offsets of the rig).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.

@@ -16,6 +16,7 @@ mod excerpt;
 mod exif;
 mod fused_ply;
 mod fused_visibility;
+pub mod gltf;
 mod gopro;
 pub mod gsplat;
 mod images;

@@ -13,7 +13,7 @@ use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::disk::{self, FileId};
 use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{AtomicFile, gsplat, openmvs, ply, timestamps};
+use tiepoint_io::{AtomicFile, gltf, gsplat, openmvs, ply, timestamps};
 use tiepoint_sfm::geometry::Rigid3;
 use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
@@ -25,7 +25,7 @@ use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
 use crate::model_photos::{photos_of, write_undistorted};
 use crate::ordered::for_each_within_budget;
-use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
+use crate::output_file::{COMMENT_MARK, GLTF_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
 use crate::workspace::{REPORT, is_workspace};
@@ -57,12 +57,14 @@ pub enum ExportFormat {
     Deblur,
     /// The dense cloud of a workspace, as LAS or LAZ by the extension.
     Las,
+    /// Binary glTF of the cameras, the points, and the dense cloud if there is one.
+    Gltf,
     /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
     Kalibr,
 }
 
 /// Formats by their names on the command line.
-const FORMATS: [(&str, ExportFormat); 12] = [
+const FORMATS: [(&str, ExportFormat); 13] = [
     ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
@@ -71,6 +73,7 @@ const FORMATS: [(&str, ExportFormat); 12] = [
     ("colmap-text", ExportFormat::ColmapText),
     ("ply", ExportFormat::Ply),
     ("las", ExportFormat::Las),
+    ("gltf", ExportFormat::Gltf),
     ("tum", ExportFormat::Tum),
     ("kitti", ExportFormat::Kitti),
     ("bal", ExportFormat::Bal),
@@ -110,11 +113,14 @@ pub struct Exported {
 /// The model or its photos cannot be read, the model lacks data that the format needs (capture
 /// times, rig extrinsics, photos), or the result cannot be written.
 pub fn export(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
-    write_as(from, &read_model(&model_folder(from)?)?, format, to)
+    // Its files are read only by the formats that have it.
+    let dense = dense_cloud(from);
+    write_as(from, &read_model(&model_folder(from)?)?, dense.as_deref(), format, to)
 }
 
 /// Adjusts a model with exact rig extrinsics (one `cam_from_rig` per camera), whatever constraint
-/// it was mapped with, and exports it with its rig and frames. The model on disk is not changed.
+/// it was mapped with, and exports it with its rig and frames, without a dense cloud, which has the
+/// poses from before. The model on disk is not changed.
 ///
 /// # Errors
 ///
@@ -124,7 +130,7 @@ pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Expo
         return Err(Error::NoPoses { path: to.to_owned() });
     }
     let (model, rigid) = rigid_model(from)?;
-    Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, format, to)? })
+    Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, None, format, to)? })
 }
 
 /// [`export`] of a model with its keypoints where they were detected. Those of a model with rolling
@@ -137,12 +143,13 @@ pub fn export_detected(from: &Path, format: ExportFormat, to: &Path) -> Result<E
     let folder = model_folder(from)?;
     let mut model = read_model(&folder)?;
     rolling_shutter::restore_detected_keypoints(&folder, &mut model)?;
-    write_as(from, &model, format, to)
+    write_as(from, &model, dense_cloud(from).as_deref(), format, to)
 }
 
 fn write_as(
     from: &Path,
     model: &Reconstruction,
+    dense: Option<&Path>,
     format: ExportFormat,
     to: &Path,
 ) -> Result<Exported, Error> {
@@ -183,12 +190,22 @@ fn write_as(
             poses = 0;
         }
         ExportFormat::Las => {
-            let cloud = dense_cloud(from)?;
-            write_file(to, [cloud.as_path()], Some(LAS_MARK), |to| {
-                points = write_las(&cloud, to)?;
+            let cloud = dense.ok_or_else(|| Error::NoDenseCloud { path: from.to_owned() })?;
+            write_file(to, [cloud], Some(LAS_MARK), |to| {
+                points = write_las(cloud, to)?;
                 Ok(())
             })?;
             poses = 0;
+        }
+        ExportFormat::Gltf => {
+            let (sparse, dense_points) = (ply::points(model), dense.map(ply::read).transpose()?);
+            let mut clouds = vec![("points", sparse.as_slice())];
+            clouds.extend(dense_points.iter().map(|points| ("dense", points.as_slice())));
+            let inputs = inputs.iter().map(PathBuf::as_path).chain(dense);
+            write_file(to, inputs, Some(GLTF_MARK), |to| {
+                points = gltf::write(to, model, &clouds)?;
+                Ok(())
+            })?;
         }
         ExportFormat::Kitti => {
             let trajectory: Vec<Rigid3> =
@@ -214,15 +231,12 @@ fn write_as(
     Ok(Exported { path: to.to_owned(), poses, points, photos_in_place: in_place, rigid: None })
 }
 
-/// The file of the dense cloud of a workspace.
-///
-/// # Errors
-///
-/// There is none of its current model.
-fn dense_cloud(workspace: &Path) -> Result<PathBuf, Error> {
-    let report = Report::read(&workspace.join(REPORT)).ok().filter(|_| is_workspace(workspace));
-    let cloud = report.and_then(|report| report.dense_cloud(workspace));
-    cloud.ok_or_else(|| Error::NoDenseCloud { path: workspace.to_owned() })
+/// The file of the dense cloud of a workspace; `None` if there is none of its current model.
+fn dense_cloud(workspace: &Path) -> Option<PathBuf> {
+    if !is_workspace(workspace) {
+        return None;
+    }
+    Report::read(&workspace.join(REPORT)).ok()?.dense_cloud(workspace)
 }
 
 /// Writes a cloud as LAS or LAZ. Returns the number of points.

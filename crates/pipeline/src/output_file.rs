@@ -15,6 +15,8 @@ pub(crate) const PLY_MARK: &str = "\ncomment tiepoint\n";
 /// Marks a LAS or LAZ file as written by this program: the generating software in its header, which
 /// zeros surround.
 pub(crate) const LAS_MARK: &str = "\0tiepoint\0";
+/// Marks a binary glTF file as written by this program: the first member of its JSON part.
+pub(crate) const GLTF_MARK: &str = r#"{"asset":{"generator":"tiepoint""#;
 /// Start of the first line of a text file of this program, if its format has comments.
 pub(crate) const COMMENT_MARK: &str = "# tiepoint";
 /// Marks an HTML page as written by this program.

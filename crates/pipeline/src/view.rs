@@ -1,9 +1,14 @@
 //! `report.html`: a page without external resources that shows models in a browser.
 //!
-//! This module samples the data, so that the size of the page is bounded; `view.html` draws them.
+//! This module samples the data, so that the size of the page is bounded: it has at most 2 million
+//! points (24 MB) and 1 million keypoints (5 MB), and 8 MB of photos. `view/*.js` draw them, with
+//! three.js (`view/three`).
 //! The view frame has the mean up direction of the images as z and unit length such that 90 % of
 //! the points lie within a distance of 1 of the median. Models with a known world frame share one
 //! view frame, so that they can be compared.
+
+mod coding;
+mod photos;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -21,19 +26,29 @@ use crate::file_names::RIG;
 use crate::output_file::{refuse_foreign_page, write_page};
 use crate::workspace::REPORT;
 use crate::{Error, Report, Table, TableRow, evaluate_rig};
+use coding::{base64, evenly};
+use photos::ShownImage;
+pub use photos::Thumbnails;
 
 const PAGE: &str = "report.html";
-const TEMPLATE: &str = include_str!("view.html");
-/// Placeholder of the data in the template.
-const PLACEHOLDER: &str = "{{DATA}}";
-/// Points of all models together: about 1.2 MB of the file.
-const MAX_POINTS: usize = 100_000;
+const TEMPLATE: &str = include_str!("view/page.html");
+/// The program of the page, in one element: the library, and ours.
+const THREE: &str = include_str!("view/three/three.min.js");
+const SCRIPTS: [&str; 3] =
+    [include_str!("view/plots.js"), include_str!("view/scene.js"), include_str!("view/page.js")];
+/// Placeholders of the data and of the program in the template.
+const PLACEHOLDERS: [&str; 2] = ["{{DATA}}", "{{SCRIPT}}"];
+/// Points of all models together: about 24 MB of the file.
+const MAX_POINTS: usize = 2_000_000;
+/// Keypoints of all models together: about 5 MB of the file.
+const MAX_KEYPOINTS: usize = 1_000_000;
 /// Images, and frames of a rig, shown per model.
 const MAX_IMAGES: usize = 2_000;
 /// Largest number of rows of the covisibility matrix; with more images, neighbours share a row.
 const MAX_MATRIX_ROWS: usize = 100;
-/// Quantisation step of point coordinates, in view units: an `i16` reaches ±8. `view.html` has the
-/// same number.
+/// Quantisation step of point coordinates, in view units: an `i16` reaches ±8. The error of a
+/// coordinate is at most half of it, 1.2e-4 of the radius around 90 % of the points. `scene.js` has
+/// the same number.
 const UNIT: f64 = 8.0 / 32767.0;
 /// Larger reprojection errors are counted in the last bin, in pixels.
 const MAX_ERROR_PX: f64 = 4.0;
@@ -59,6 +74,8 @@ pub struct ReportModel<'a> {
     pub camera_errors: &'a [CameraError],
     /// The dense cloud and depth maps, if there are any.
     pub dense: Option<&'a DenseView>,
+    /// The photos of its images, if there are any. Models of the same images share them.
+    pub photos: Option<&'a Thumbnails>,
 }
 
 /// Models of the same scene, which the page compares with each other.
@@ -89,6 +106,8 @@ pub struct CameraError {
 struct Page<'a> {
     title: &'a str,
     sections: Vec<Section<'a>>,
+    /// Base64 of JPEG files by the names of the images, for each set of photos.
+    photos: Vec<BTreeMap<&'a str, String>>,
     /// Name and text of each file.
     files: Vec<(&'static str, String)>,
 }
@@ -112,7 +131,7 @@ struct Model<'a> {
     points: String,
     /// Base64 of red, green and blue per point.
     colours: String,
-    cameras: Vec<Frusta>,
+    cameras: Vec<Frusta<'a>>,
     errors: Histogram,
     track_lengths: Histogram,
     covisibility: Matrix,
@@ -121,6 +140,8 @@ struct Model<'a> {
     /// Name and seconds of each stage.
     stages: Vec<(&'static str, f64)>,
     dense: Option<Dense<'a>>,
+    /// Index of its set of photos.
+    photos: Option<usize>,
 }
 
 /// A dense cloud in the coding of the points of [`Model`], and pictures of depth maps.
@@ -136,9 +157,10 @@ struct Dense<'a> {
 
 /// The images of one camera: centre and four image corners, 15 view coordinates per image.
 #[derive(Serialize)]
-struct Frusta {
+struct Frusta<'a> {
     colour: u32,
     corners: Vec<f32>,
+    images: Vec<ShownImage<'a>>,
 }
 
 #[derive(Serialize)]
@@ -188,30 +210,63 @@ pub fn report_html(
     sections: &[ReportSection],
     files: Vec<(&'static str, String)>,
 ) -> String {
-    let num_models: usize = sections.iter().map(|section| section.models.len()).sum();
-    let max_points = MAX_POINTS / num_models.max(1);
-    let sections = sections.iter().map(|section| describe_section(section, max_points));
-    let page = Page { title, sections: sections.collect(), files };
+    let models = || sections.iter().flat_map(|section| section.models);
+    let num_images: usize =
+        models().map(|model| model.model.num_registered().min(MAX_IMAGES)).sum();
+    let limits = Limits {
+        points: MAX_POINTS / models().count().max(1),
+        keypoints: MAX_KEYPOINTS / num_images.max(1),
+    };
+    let mut photos: Vec<&Thumbnails> = Vec::new();
+    for set in models().filter_map(|model| model.photos) {
+        if !photos.iter().any(|other| std::ptr::eq(*other, set)) {
+            photos.push(set);
+        }
+    }
+    let sections = sections.iter().map(|section| describe_section(section, limits, &photos));
+    let sections = sections.collect();
+    let photos = photos
+        .iter()
+        .map(|set| set.by_name.iter().map(|(name, jpeg)| (name.as_str(), base64(jpeg))).collect());
+    let page = Page { title, sections, photos: photos.collect(), files };
     let data = serde_json::to_string(&page).expect("our own types are JSON: string keys");
     // Escaped, so that a name cannot close the script element of the data.
-    TEMPLATE.replacen(PLACEHOLDER, &data.replace('<', "\\u003c"), 1)
+    let data = data.replace('<', "\\u003c");
+    let (before, rest) = TEMPLATE.split_once(PLACEHOLDERS[0]).expect("the template has it");
+    let (between, after) = rest.split_once(PLACEHOLDERS[1]).expect("the template has it");
+    let mut page = [before, &data, between, "'use strict';\n", THREE].concat();
+    SCRIPTS.iter().for_each(|script| page.push_str(script));
+    page + after
 }
 
-/// The data of one section, with at most `max_points` points a model.
-fn describe_section<'a>(section: &ReportSection<'a>, max_points: usize) -> Section<'a> {
+/// The largest numbers of points of a model and of keypoints of an image.
+#[derive(Clone, Copy)]
+struct Limits {
+    points: usize,
+    keypoints: usize,
+}
+
+fn describe_section<'a>(
+    section: &ReportSection<'a>,
+    limits: Limits,
+    photos: &[&Thumbnails],
+) -> Section<'a> {
     let ReportSection { heading, note, tables, models } = *section;
     let shared_frame =
         models.first().and_then(|first| first.world_from_model.map(|_| upright(first)));
     let models = models.iter().map(|report_model| {
         let view_from_world = shared_frame.filter(|_| report_model.world_from_model.is_some());
         let view_from_world = view_from_world.unwrap_or_else(|| upright(report_model));
-        describe(report_model, &view_from_world, max_points)
+        let set = report_model.photos;
+        let photos = set.and_then(|set| photos.iter().position(|other| std::ptr::eq(*other, set)));
+        Model { photos, ..describe(report_model, &view_from_world, limits) }
     });
     Section { heading, note, tables, models: models.collect() }
 }
 
 /// Writes `report.html` for the largest model of a workspace, with the texts of `report.json` and
-/// `rig.json`. `path` may also be a folder with a COLMAP model. Returns the path of the page.
+/// `rig.json` and small copies of the photos. `path` may also be a folder with a COLMAP model; its
+/// photos are unknown. Returns the path of the page.
 ///
 /// # Errors
 ///
@@ -239,6 +294,7 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         report: report.as_ref(),
         camera_errors: &[],
         dense: dense.as_ref(),
+        photos: Some(&Thumbnails::of_workspace(path, &model, Thumbnails::MAX_BYTES)),
     };
     let table = Table::of_columns(&[name.to_string()], summary(&model, report.as_ref()));
     let section =
@@ -308,23 +364,23 @@ fn upright(report_model: &ReportModel) -> Sim3 {
     Sim3 { scale, rotation, translation: -(rotation * centre) * scale }
 }
 
-/// The data of one model, with at most `max_points` points.
 fn describe<'a>(
     report_model: &ReportModel<'a>,
     view_from_world: &Sim3,
-    max_points: usize,
+    limits: Limits,
 ) -> Model<'a> {
-    let ReportModel { name, model, world_from_model, report, camera_errors, dense } = report_model;
+    let ReportModel { name, model, world_from_model, report, camera_errors, dense, .. } =
+        report_model;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
-    // The dense cloud gets three quarters.
-    let share = if dense.is_some() { max_points / 4 } else { max_points };
-    let step = model.num_tracks().div_ceil(share.max(1)).max(1);
-    let tracks = model.tracks().map(|(_, track)| (track.xyz, track.color)).step_by(step);
-    let (points, colours) = coded(tracks, &view_from_model);
+    // The dense cloud gets three quarters or more.
+    let share = if dense.is_some() { limits.points / 4 } else { limits.points };
+    let share = share.min(model.num_tracks());
+    let tracks = model.tracks().map(|(_, track)| (track.xyz, track.color));
+    let (points, colours) = coded(tracks, share, model.num_tracks(), &view_from_model);
     let dense = dense.map(|dense| {
-        let step = dense.points.len().div_ceil((max_points - share).max(1)).max(1);
-        let thinned = dense.points.iter().map(|vertex| (vertex.xyz, vertex.color)).step_by(step);
-        let (points, colours) = coded(thinned, &view_from_model);
+        let all = dense.points.iter().map(|vertex| (vertex.xyz, vertex.color));
+        let share = limits.points - share;
+        let (points, colours) = coded(all, share, dense.points.len(), &view_from_model);
         let pictures = dense.pictures.iter();
         Dense {
             num_points: dense.points.len(),
@@ -343,7 +399,7 @@ fn describe<'a>(
         points_shown: colours.len() / 3,
         points: base64(&points),
         colours: base64(&colours),
-        cameras: frusta(model, &view_from_model),
+        cameras: frusta(model, &view_from_model, limits.keypoints),
         errors: errors(model),
         track_lengths: track_lengths(model),
         covisibility: covisibility(model),
@@ -351,16 +407,20 @@ fn describe<'a>(
         trajectory: trajectory(camera_errors, view_from_world),
         stages: report.map_or_else(Vec::new, stages),
         dense,
+        photos: None,
     }
 }
 
-/// Positions and colours of points, as [`Model`] has them.
+/// Positions and colours of `kept` of `count` points, as [`Model`] has them.
 fn coded(
     vertices: impl Iterator<Item = (Vector3<f64>, [u8; 3])>,
+    kept: usize,
+    count: usize,
     view_from_model: &Sim3,
 ) -> (Vec<u8>, Vec<u8>) {
     let (mut points, mut colours) = (Vec::new(), Vec::new());
-    for (xyz, color) in vertices {
+    let is_kept = evenly(count, kept);
+    for (_, (xyz, color)) in vertices.enumerate().filter(|(index, _)| is_kept(*index)) {
         let position = (*view_from_model * xyz) / UNIT;
         // Points outside the range of `i16`, such as points of the sky, are left out.
         if position.iter().all(|value| value.abs() <= f64::from(i16::MAX)) {
@@ -402,31 +462,41 @@ fn trajectory(camera_errors: &[CameraError], view_from_world: &Sim3) -> Option<T
     Some(trajectory)
 }
 
-/// View frusta of the images of each camera, at most [`MAX_IMAGES`] in all.
-fn frusta(model: &Reconstruction, view_from_model: &Sim3) -> Vec<Frusta> {
+/// View frusta of the images of each camera, at most [`MAX_IMAGES`] in all, with at most
+/// `max_keypoints` keypoints each.
+fn frusta<'a>(
+    model: &'a Reconstruction,
+    view_from_model: &Sim3,
+    max_keypoints: usize,
+) -> Vec<Frusta<'a>> {
     let step = model.num_registered().div_ceil(MAX_IMAGES).max(1);
-    let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image.camera, *pose)).collect();
+    let poses: Vec<_> = model.registered().map(|(_, image, pose)| (image, *pose)).collect();
     let steps =
         poses.windows(2).map(|pair| (pair[1].1.origin_in_a() - pair[0].1.origin_in_a()).norm());
     let mut steps: Vec<f64> = steps.collect();
     let depth = FRUSTUM_DEPTH * median(&mut steps).unwrap_or(1.0);
-    let mut all: BTreeMap<CameraId, Vec<f32>> = BTreeMap::new();
-    for (id, pose) in poses.iter().step_by(step) {
-        let camera = model.camera(*id);
+    let mut all: BTreeMap<CameraId, Frusta> = BTreeMap::new();
+    for (image, pose) in poses.iter().step_by(step) {
+        let (id, camera) = (image.camera, model.camera(image.camera));
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)].map(|(x, y)| {
             let ray = camera.intrinsics.unproject(&Vector2::new(x, y)).unwrap_or_else(Vector3::z);
             pose.inverse() * (ray * (depth / ray.z.abs().max(0.2)))
         });
-        let numbers = all.entry(*id).or_default();
+        let frusta = all.entry(id).or_insert_with(|| Frusta {
+            colour: id.0,
+            corners: Vec::new(),
+            images: Vec::new(),
+        });
+        frusta.images.push(ShownImage::of(image, camera, max_keypoints));
         for point in std::iter::once(pose.origin_in_a()).chain(corners) {
             // 1e-4 view units are less than a pixel on the screen.
-            numbers.extend(
+            frusta.corners.extend(
                 (*view_from_model * point).iter().map(|value| (value * 1e4).round() as f32 / 1e4),
             );
         }
     }
-    all.into_iter().map(|(id, corners)| Frusta { colour: id.0, corners }).collect()
+    all.into_values().collect()
 }
 
 /// Histogram of the reprojection errors of all observations, in pixels.
@@ -510,41 +580,26 @@ fn stages(report: &Report) -> Vec<(&'static str, f64)> {
     times.into_iter().filter_map(|(name, seconds)| Some((name, seconds?))).collect()
 }
 
-/// RFC 4648, with padding.
-fn base64(bytes: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let bits =
-            (0..3).fold(0u32, |bits, k| bits << 8 | u32::from(chunk.get(k).copied().unwrap_or(0)));
-        for k in 0..4 {
-            let letter = LETTERS[(bits >> (18 - 6 * k) & 63) as usize];
-            text.push(if k <= chunk.len() { char::from(letter) } else { '=' });
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn base64_matches_rfc_4648() {
-        for (plain, coded) in
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
-        {
-            assert_eq!(base64(plain.as_bytes()), coded);
+    fn page_has_no_external_resources() {
+        for placeholder in PLACEHOLDERS {
+            assert_eq!(TEMPLATE.matches(placeholder).count(), 1);
         }
-        assert_eq!(base64(&[0xfb, 0xff, 0xbf]), "+/+/");
-    }
-
-    #[test]
-    fn template_has_one_placeholder_and_no_external_resources() {
-        assert_eq!(TEMPLATE.matches(PLACEHOLDER).count(), 1);
-        assert!(TEMPLATE.contains("8 / 32767"));
-        for word in ["src=", "href=", "@import", "fetch(", "https://"] {
-            assert!(!TEMPLATE.contains(word), "{word}");
+        assert!(SCRIPTS[1].contains("8 / 32767"));
+        for part in [[TEMPLATE].as_slice(), &SCRIPTS].concat() {
+            for word in ["src=", "href=", "@import", "fetch(", "https://"] {
+                assert!(!part.contains(word), "{word}");
+            }
         }
+        // The policy forbids the rest: the page may load nothing.
+        assert!(TEMPLATE.contains("default-src 'none'"));
+        for word in ["</script", "<!--", "fetch(", "XMLHttpRequest", "import("] {
+            assert!(!THREE.contains(word) && !SCRIPTS.concat().contains(word), "{word}");
+        }
+        assert!(THREE.contains("The MIT License"));
     }
 }

@@ -235,6 +235,7 @@ fn report_shows_models_side_by_side_and_escapes_names() {
         report: None,
         camera_errors: &camera_errors,
         dense: None,
+        photos: None,
     };
     let other = ReportModel { name: "</script>paper", ..report_model };
     let rows = vec![("ATE".to_owned(), vec!["1 m".to_owned(), "2 m".to_owned()])];

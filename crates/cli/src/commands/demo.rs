@@ -12,7 +12,7 @@ use tiepoint_pipeline::sfm::{MapperOptions, RigTerm};
 use tiepoint_pipeline::{
     CameraError, CloudEvaluation, FeatureOptions, MapOptions, MatchOptions, Options,
     PoseEvaluation, Report, ReportModel, ReportSection, RigCamera, SurfaceEvaluation, Table,
-    TableRow, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
+    TableRow, Thumbnails, Workspace, reconstruct, refuse_foreign_page, report_html, write_page,
 };
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
@@ -245,10 +245,15 @@ impl Run {
 impl Outcome {
     fn write_page(&self) -> Result<(), Failure> {
         let names = Run::names();
+        let max_bytes = Thumbnails::MAX_BYTES / self.drives.len();
+        let photos: Vec<_> = self.drives.iter().map(|drive| drive.photos(max_bytes)).collect();
         let parts: Vec<_> = self
             .drives
             .iter()
-            .map(|drive| (drive.report_models(&names), [drive.table()], drive.note()))
+            .zip(&photos)
+            .map(|(drive, photos)| {
+                (drive.report_models(&names, photos), [drive.table()], drive.note())
+            })
             .collect();
         let sections: Vec<ReportSection> = self
             .drives
@@ -281,7 +286,11 @@ impl Outcome {
 }
 
 impl DriveOutcome {
-    fn report_models<'a>(&'a self, names: &'a [String; 3]) -> Vec<ReportModel<'a>> {
+    fn report_models<'a>(
+        &'a self,
+        names: &'a [String; 3],
+        photos: &'a Thumbnails,
+    ) -> Vec<ReportModel<'a>> {
         let model = |(run, name): (&'a Run, &'a String)| ReportModel {
             name,
             model: &run.model,
@@ -289,8 +298,15 @@ impl DriveOutcome {
             report: Some(&run.report),
             camera_errors: &run.camera_errors,
             dense: None,
+            photos: Some(photos),
         };
         self.runs.iter().zip(names).map(model).collect()
+    }
+
+    /// Small copies of the rendered images, which all runs share.
+    fn photos(&self, max_bytes: usize) -> Thumbnails {
+        let run = self.runs.last().expect("all modes are run");
+        Thumbnails::of_workspace(&run.workspace, &run.model, max_bytes)
     }
 
     /// What the drive is, and how the errors of `off` and `auto` compare.

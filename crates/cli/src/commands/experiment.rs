@@ -20,7 +20,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use tiepoint_pipeline::sfm::RigTerm;
-use tiepoint_pipeline::{Report, ReportModel, ReportSection, Table, Workspace, report_html};
+use tiepoint_pipeline::{
+    Report, ReportModel, ReportSection, Table, Thumbnails, Workspace, report_html,
+};
 use tiepoint_synth::{Drive, DriveOptions, Mount, Mounting, RouteKind};
 
 use super::drive_evaluation::{camera_errors, read_drive_model};
@@ -165,23 +167,32 @@ fn write_results(
     drives: &[&Drive],
     tables: Vec<Table>,
 ) -> Result<Outcome, Failure> {
+    let mut distinct: Vec<&Drive> = drives.to_vec();
+    distinct.dedup_by(|one, other| std::ptr::eq(*one, *other));
+    let max_bytes = Thumbnails::MAX_BYTES / distinct.len().max(1);
+    // Runs on the images of one drive, which follow each other, share the photos.
+    let mut photos: Vec<(&Drive, Thumbnails)> = Vec::new();
     let mut models = Vec::new();
     for (run, drive) in runs.iter().zip(drives) {
         let Some(world_from_model) = run.world_from_model() else { continue };
         let model = read_drive_model(&run.workspace, drive)?;
         let errors = camera_errors(&model, drive, &world_from_model);
         let report: Report = Workspace::open(&run.workspace)?.report()?;
-        models.push((run, world_from_model, model, errors, report));
+        if !photos.last().is_some_and(|(last, _)| std::ptr::eq(*last, *drive)) {
+            photos.push((drive, Thumbnails::of_workspace(&run.workspace, &model, max_bytes)));
+        }
+        models.push((run, world_from_model, model, errors, report, photos.len() - 1));
     }
     let report_models: Vec<ReportModel> = models
         .iter()
-        .map(|(run, world_from_model, model, camera_errors, report)| ReportModel {
+        .map(|(run, world_from_model, model, camera_errors, report, set)| ReportModel {
             name: &run.name,
             model,
             world_from_model: Some(*world_from_model),
             report: Some(report),
             camera_errors,
             dense: None,
+            photos: Some(&photos[*set].1),
         })
         .collect();
     let page = folder.join("report.html");

@@ -259,6 +259,13 @@ fn dense_uses_masks_and_writes_what_it_is_asked_for() {
     // The second export replaces the first one.
     let points = ply::read(&dir.join("ws/dense/fused.ply")).unwrap();
     for _ in 0..2 {
+        let found = tiepoint_in(dir, "export {}/ws --to gltf -o {}/a.glb --json").done().json();
+        let model = &data["sections"][0]["models"][0];
+        let sparse = model["num_points"].as_u64().unwrap() as usize;
+        assert_eq!(found["points"], sparse + points.len(), "{found}");
+        assert_eq!(found["poses"], COUNT, "{found}");
+    }
+    for _ in 0..2 {
         let run = tiepoint_in(dir, "export {}/ws --to las -o {}/cloud.laz");
         // Cargo joins the features of the packages that it builds together, so that the program may
         // have LAS whatever the features of this package are.

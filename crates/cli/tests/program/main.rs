@@ -15,6 +15,7 @@ mod model;
 mod names;
 mod onto;
 mod own_files;
+mod page;
 mod photos;
 mod records;
 mod results;

@@ -2,9 +2,11 @@
 //! cameras.
 #![allow(clippy::unwrap_used)]
 
-use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, Vector2, Vector3, Vector4};
+use tiepoint_geometry::nalgebra::{
+    Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector2, Vector3, Vector4,
+};
 use tiepoint_geometry::{CameraModelKind, Intrinsics, Rigid3};
-use tiepoint_io::{nerfstudio, openmvs};
+use tiepoint_io::{gltf, nerfstudio, openmvs, ply};
 use tiepoint_scene::{Camera, CameraId, Image, Keypoint, Observation, Reconstruction, Track};
 
 use crate::common::{RigKind, random_model};
@@ -252,4 +254,129 @@ fn nerfstudio_has_no_rational_distortion() {
     let path = dir.path().join("transforms.json");
     let error = nerfstudio::write(&path, &model, "images", None).unwrap_err().to_string();
     assert!(error.contains("knows no camera model FULL_OPENCV"), "{error}");
+}
+
+/// The JSON part and the binary part of a file of binary glTF, by the layout of its specification.
+fn glb_parts(bytes: &[u8]) -> (serde_json::Value, Vec<u8>) {
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (b"glTF".as_slice(), 2, bytes.len()));
+    let json_bytes = word(12);
+    assert_eq!((&bytes[16..20], json_bytes % 4), (b"JSON".as_slice(), 0));
+    let at = 20 + json_bytes;
+    assert_eq!((&bytes[at + 4..at + 8], word(at) % 4), (b"BIN\0".as_slice(), 0));
+    assert_eq!(at + 8 + word(at), bytes.len());
+    (serde_json::from_slice(&bytes[20..at]).unwrap(), bytes[at + 8..].to_vec())
+}
+
+#[test]
+fn gltf_has_the_points_and_cameras_of_the_model() {
+    let model = random_model(5, RigKind::SeveralCameras);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.glb");
+    let dense = [
+        ply::Vertex { xyz: Vector3::new(1.0, 2.0, 3.0), color: [0, 188, 255] },
+        ply::Vertex { xyz: Vector3::new(1e300, 0.0, 0.0), color: [0; 3] },
+    ];
+    let sparse = ply::points(&model);
+    let count = gltf::write(&path, &model, &[("points", &sparse), ("dense", &dense)]).unwrap();
+    assert_eq!(count, model.num_tracks() + 1, "one exceeds single precision");
+    let (json, binary) = glb_parts(&std::fs::read(&path).unwrap());
+    assert_eq!(json["buffers"], serde_json::json!([{ "byteLength": binary.len() }]));
+    let index = |value: &serde_json::Value| value.as_u64().unwrap() as usize;
+    let bytes = |accessor: &serde_json::Value| {
+        let view = &json["bufferViews"][index(&accessor["bufferView"])];
+        let (start, length) = (index(&view["byteOffset"]), index(&view["byteLength"]));
+        assert_eq!(start % 4, 0);
+        binary[start..start + length].to_vec()
+    };
+    let positions = |accessor: &serde_json::Value| -> Vec<Vector3<f64>> {
+        let bytes = bytes(accessor);
+        let values: Vec<f64> =
+            bytes.as_chunks().0.iter().map(|value| f64::from(f32::from_le_bytes(*value))).collect();
+        assert_eq!(values.len(), 3 * index(&accessor["count"]));
+        for axis in 0..3 {
+            let values = || values.iter().skip(axis).step_by(3).copied();
+            assert_eq!(accessor["min"][axis], values().fold(f64::INFINITY, f64::min));
+            assert_eq!(accessor["max"][axis], values().fold(f64::NEG_INFINITY, f64::max));
+        }
+        values.as_chunks().0.iter().map(|xyz: &[f64; 3]| Vector3::from(*xyz)).collect()
+    };
+    let numbers = |value: &serde_json::Value| -> Vec<f64> {
+        value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    };
+    let node = |name: &str| {
+        let nodes = json["nodes"].as_array().unwrap();
+        nodes.iter().find(|node| node["name"] == name).unwrap()
+    };
+    let primitive =
+        |node: &serde_json::Value| json["meshes"][index(&node["mesh"])]["primitives"][0].clone();
+    let attribute = |name: &str, attribute: &str| {
+        let primitive = primitive(node(name));
+        assert_eq!(primitive["mode"], 0, "points");
+        json["accessors"][index(&primitive["attributes"][attribute])].clone()
+    };
+    let found = positions(&attribute("points", "POSITION"));
+    assert_eq!(found.len(), model.num_tracks());
+    for ((_, track), found) in model.tracks().zip(&found) {
+        assert!((track.xyz - found).amax() <= 1e-6 * track.xyz.amax(), "{found}");
+    }
+    // Half of the light is the value 188 of sRGB.
+    let colors = bytes(&attribute("dense", "COLOR_0"));
+    let colors: Vec<u16> = colors.as_chunks().0.iter().map(|c| u16::from_le_bytes(*c)).collect();
+    assert_eq!((colors[0], colors[2], colors[3]), (0, u16::MAX, u16::MAX));
+    assert!((f64::from(colors[1]) / 65535.0 - 0.5).abs() < 0.01, "{colors:?}");
+
+    // The mean up direction of the images is y.
+    let quaternion = |value: &serde_json::Value| {
+        let [x, y, z, w] = numbers(value).try_into().unwrap();
+        UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+    };
+    let gltf_from_model = quaternion(&node("tiepoint")["rotation"]);
+    let up: Vector3<f64> =
+        model.registered().map(|(.., pose)| pose.rotation.inverse() * -Vector3::y()).sum();
+    assert!((gltf_from_model * up.normalize() - Vector3::y()).norm() < 1e-9);
+    assert_eq!(numbers(&node("tiepoint")["extras"]["origin"]), [0.0; 3]);
+    assert_eq!(node("cameras")["children"].as_array().unwrap().len(), model.num_registered());
+    for (_, image, pose) in model.registered() {
+        let found = node(&image.name);
+        let centre = Vector3::from_vec(numbers(&found["translation"]));
+        assert!((centre - pose.origin_in_a()).norm() < 1e-9);
+        // glTF's cameras look along -z with y up.
+        let ahead = quaternion(&found["rotation"]) * -Vector3::z();
+        assert!((ahead - pose.rotation.inverse() * Vector3::z()).norm() < 1e-9);
+        let above = quaternion(&found["rotation"]) * Vector3::y();
+        assert!((above - pose.rotation.inverse() * -Vector3::y()).norm() < 1e-9);
+        // The corners of the frustum are where the camera sees those of the image.
+        let primitive = primitive(found);
+        assert_eq!(primitive["mode"], 1, "lines");
+        let corners = positions(&json["accessors"][index(&primitive["attributes"]["POSITION"])]);
+        assert_eq!(corners[0], Vector3::zeros());
+        let camera = model.camera(image.camera);
+        let Some(ray) = camera.intrinsics.unproject(&Vector2::new(640.0, 480.0)) else { continue };
+        let corner = Vector3::new(corners[3].x, -corners[3].y, -corners[3].z);
+        assert!(corner.normalize().dot(&ray.normalize()) > 1.0 - 1e-9, "{corner} {ray}");
+    }
+    let pinhole = far_pinhole_model();
+    gltf::write(&path, &pinhole, &[]).unwrap();
+    let (json, _) = glb_parts(&std::fs::read(&path).unwrap());
+    let lens = &json["cameras"][0]["perspective"];
+    assert!((lens["yfov"].as_f64().unwrap() - 2.0 * (240.0_f64 / 500.0).atan()).abs() < 1e-9);
+    assert!((lens["aspectRatio"].as_f64().unwrap() - 4.0 / 3.0).abs() < 1e-9);
+    // Far from the origin, as in UTM coordinates, positions are relative to whole units.
+    let origin = &json["nodes"][0]["extras"]["origin"];
+    assert_eq!(numbers(origin), [400_000.0, 5_000_000.0, 100.0]);
+    let centre = numbers(&json["nodes"][1]["translation"]);
+    assert!((Vector3::from_vec(centre) - Vector3::new(0.25, 0.0, 0.0)).norm() < 1e-6);
+}
+
+/// One image of a pinhole camera of 500 px, far from the origin.
+fn far_pinhole_model() -> Reconstruction {
+    let mut model = Reconstruction::default();
+    let intrinsics = Intrinsics::centred(CameraModelKind::SimplePinhole, 500.0, 640, 480);
+    let camera = Camera { intrinsics, width: 640, height: 480, has_focal_prior: false };
+    let camera = model.add_camera(camera);
+    let image = model.add_image(Image::new("a.jpg", camera, vec![]));
+    let centre = Vector3::new(400_000.25, 5_000_000.0, 100.0);
+    model.register(image, Rigid3 { translation: -centre, ..Rigid3::identity() });
+    model
 }
