@@ -194,36 +194,6 @@ impl Rgb {
         Ok(bytes)
     }
 
-    /// A smaller copy with at most `max_side` columns and rows and about `max_pixels` pixels, which
-    /// are means; the same image if it is as small.
-    pub fn reduced(&self, max_side: usize, max_pixels: usize) -> Self {
-        let (width, height) = (self.width as usize, self.height as usize);
-        let by_side = max_side as f64 / width.max(height) as f64;
-        let scale = by_side.min((max_pixels as f64 / (width * height) as f64).sqrt());
-        if scale >= 1.0 {
-            return self.clone();
-        }
-        let reduced = |side: usize| ((side as f64 * scale) as usize).max(1);
-        let (columns, rows) = (reduced(width), reduced(height));
-        let mut data = Vec::with_capacity(3 * columns * rows);
-        for row in 0..rows {
-            let (top, bottom) = (row * height / rows, (row + 1) * height / rows);
-            for column in 0..columns {
-                let (left, right) = (column * width / columns, (column + 1) * width / columns);
-                let mut sum = [0; 3];
-                for y in top..bottom {
-                    let pixels = &self.data[3 * (y * width + left)..3 * (y * width + right)];
-                    for pixel in pixels.as_chunks::<3>().0 {
-                        (0..3).for_each(|channel| sum[channel] += usize::from(pixel[channel]));
-                    }
-                }
-                let count = (bottom - top) * (right - left);
-                data.extend(sum.map(|sum| ((sum + count / 2) / count) as u8));
-            }
-        }
-        Self { width: columns as u32, height: rows as u32, data }
-    }
-
     /// The colour of the pixel in column x, row y.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let start = 3 * (y as usize * self.width as usize + x as usize);

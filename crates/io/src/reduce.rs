@@ -11,6 +11,21 @@ impl Rgb {
         let data = reduced::<3>(&self.data, [self.width, self.height], [width, height]);
         Self { width, height, data }
     }
+
+    /// The image with its aspect ratio, at most `max_side` columns and rows and about `max_pixels`
+    /// pixels, which are means of areas; the same image if it is as small.
+    #[must_use]
+    pub fn fitted(&self, max_side: u32, max_pixels: u64) -> Self {
+        let (width, height) = (f64::from(self.width), f64::from(self.height));
+        let by_side = f64::from(max_side) / width.max(height);
+        let scale = by_side.min((max_pixels as f64 / (width * height)).sqrt());
+        if scale >= 1.0 {
+            return self.clone();
+        }
+        let [width, height] = [width, height].map(|side| ((side * scale) as u32).max(1));
+        let data = reduced::<3>(&self.data, [self.width, self.height], [width, height]);
+        Self { width, height, data }
+    }
 }
 
 impl Luma {
@@ -85,7 +100,10 @@ mod tests {
         let expected = vec![mean([0.0, 2.0 / 3.0 * 50.0, 0.0]), 100, mean([50.0, 200.0, 0.0])];
         assert_eq!(odd.reduced(2), Luma { width: 3, height: 1, data: expected });
         let rgb = Rgb { width: 2, height: 1, data: vec![0, 100, 200, 10, 100, 100] };
-        assert_eq!(rgb.reduced(4), Rgb { width: 1, height: 1, data: vec![5, 100, 150] });
+        let pixel = Rgb { width: 1, height: 1, data: vec![5, 100, 150] };
+        assert_eq!(rgb.reduced(4), pixel);
+        assert_eq!((rgb.fitted(1, 9), rgb.fitted(9, 1)), (pixel.clone(), pixel));
+        assert_eq!(rgb.fitted(2, 2), rgb);
         let flat = Luma { width: 37, height: 23, data: vec![255; 37 * 23] };
         assert!(flat.reduced(8).data.iter().all(|value| *value == 255));
     }

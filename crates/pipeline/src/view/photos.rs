@@ -17,7 +17,7 @@ use crate::workspace::{current_records, is_workspace};
 /// Largest number of photos of a model in a page: all are decoded, which takes most of the time.
 const MAX_PHOTOS: usize = 500;
 /// Largest side of a copy, in pixels.
-const MAX_SIDE: usize = 512;
+const MAX_SIDE: u32 = 512;
 const JPEG_QUALITY: u8 = 80;
 /// Bytes of a copy per pixel, of textured photos with [`JPEG_QUALITY`].
 const BYTES_PER_PIXEL: f64 = 0.25;
@@ -56,7 +56,7 @@ impl Thumbnails {
         let pixels = max_bytes as f64 / photos.len().max(1) as f64 / BYTES_PER_PIXEL;
         let reduce = |(_, camera, path): &(&Image, &Camera, &Path)| {
             let photo = Rgb::read_of_size(path, camera.width, camera.height).ok()?;
-            photo.reduced(MAX_SIDE, pixels as usize).jpeg(JPEG_QUALITY).ok()
+            photo.fitted(MAX_SIDE, pixels as u64).jpeg(JPEG_QUALITY).ok()
         };
         let (mut all, mut left) = (Self::default(), max_bytes);
         let bytes = |(_, camera, _): &(&Image, &Camera, &Path)| decoder_bytes(camera);
