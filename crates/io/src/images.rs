@@ -9,7 +9,7 @@ use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
 use crate::manifest::manifest_files;
-use crate::pixels::{self, SizeLimit};
+use crate::pixels::{self, SizeLimit, Turn};
 use crate::regular_file::{escaped, irregular_kind};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
@@ -95,6 +95,7 @@ pub struct ImageFolder {
     masks: Vec<Option<PathBuf>>,
     skipped: Vec<SkippedFile>,
     max_pixels: u64,
+    turn: Turn,
 }
 
 impl ImageFolder {
@@ -158,6 +159,7 @@ impl ImageFolder {
             masks: vec![],
             skipped,
             max_pixels: DEFAULT_MAX_PIXELS,
+            turn: Turn::Upright,
         };
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
@@ -182,6 +184,58 @@ impl ImageFolder {
             }
             _ => Ok(this),
         }
+    }
+
+    /// Lists the images in a folder and below as COLMAP does: images may lie beside folders of
+    /// images, the images of a folder have a camera, and pixels are taken as they are stored,
+    /// whatever the EXIF orientation says. Images without a mask are used entirely.
+    ///
+    /// # Errors
+    ///
+    /// If the folder cannot be read.
+    pub fn as_stored(input: &Path, masks: Option<&Path>) -> Result<Self> {
+        let listing = Listing::of_input(input, String::new())?;
+        let mut this = Self {
+            images: vec![],
+            paths: vec![],
+            cameras: vec![],
+            masks: vec![],
+            skipped: listing.skipped,
+            max_pixels: DEFAULT_MAX_PIXELS,
+            turn: Turn::AsStored,
+        };
+        let found: BTreeMap<String, PathBuf> =
+            listing.images.into_iter().map(|image| (image.name, image.path)).collect();
+        for (name, path) in found {
+            let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let known = this.cameras.iter().position(|known| known == folder);
+            let camera = CameraId::from_index(known.unwrap_or_else(|| {
+                this.cameras.push(folder.to_owned());
+                this.cameras.len() - 1
+            }));
+            this.masks.push(masks.and_then(|masks| mask_of(masks, &name, &mut this.skipped)));
+            this.paths.push(path);
+            this.images.push(SourceImage { name, camera });
+        }
+        this.skipped.sort();
+        this.skipped.dedup();
+        Ok(this)
+    }
+
+    /// Sets one mask for all images.
+    #[must_use]
+    pub fn with_one_mask(mut self, mask: &Path) -> Self {
+        self.masks = vec![Some(mask.to_owned()); self.images.len()];
+        self
+    }
+
+    /// The colour image if it has `width` × `height` pixels, without a limit of pixels.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn rgb_of_size(&self, index: usize, width: u32, height: u32) -> Result<Rgb> {
+        Rgb::read_turned(&self.paths[index], &SizeLimit::of_photo(width, height), self.turn)
     }
 
     /// Sets the limit of pixels: larger images are refused when they are read
@@ -219,15 +273,15 @@ impl ImageSource for ImageFolder {
     }
 
     fn luma(&self, index: usize) -> Result<Luma> {
-        Luma::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
+        Luma::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
     fn rgb(&self, index: usize) -> Result<Rgb> {
-        Rgb::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
+        Rgb::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
     fn mask(&self, index: usize) -> Result<Option<Luma>> {
-        self.with_mask(index, Luma::read_within)
+        self.with_mask(index, |path, limit| Luma::read_turned(path, limit, self.turn))
     }
 }
 
@@ -238,7 +292,7 @@ impl ImageFolder {
     ///
     /// If a file cannot be read or is not an image, or if the sizes differ.
     pub fn check_mask(&self, index: usize) -> Result<()> {
-        self.with_mask(index, pixels::header).map(drop)
+        self.with_mask(index, |path, limit| pixels::header_turned(path, limit, self.turn)).map(drop)
     }
 
     /// Reads something of the mask of an image, and requires its size.
@@ -255,7 +309,7 @@ impl ImageFolder {
 
     /// EXIF data, width and height of an image.
     fn header(&self, path: &Path) -> Result<(Exif, u32, u32)> {
-        pixels::header(path, &SizeLimit::Pixels(self.max_pixels))
+        pixels::header_turned(path, &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 }
 

@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 mod adjust;
+mod colmap;
 mod completions;
 mod demo;
 mod drive_evaluation;
@@ -15,6 +16,7 @@ mod synth;
 mod view;
 
 use crate::args::{Command, Evaluate};
+pub(crate) use colmap::with_name;
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -35,6 +37,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
         Command::Experiment(args) => experiment::experiment(&args, output),
+        Command::Colmap(args) => colmap::colmap(&args, output),
         Command::Completions(args) => completions::completions(&args, output),
         Command::Man(args) => man::man(&args, output),
     }
