@@ -199,7 +199,7 @@ def main():
     parser.add_argument("--keep", type=Path, help="folder for the results, else they are deleted")
     args = parser.parse_args()
     data = Path(os.environ["TIEPOINT_DATA"]) / "fountain-P11"
-    truth = strecha_centres(data)
+    truth = strecha_centres(data / "cameras")
     with tempfile.TemporaryDirectory() as temporary:
         root = args.keep or Path(temporary)
         root.mkdir(parents=True, exist_ok=True)
