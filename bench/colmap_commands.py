@@ -10,14 +10,14 @@ Two sequences of commands, each as its script issues it, with the same arguments
     3dgs          graphdeco-inria/gaussian-splatting, convert.py --no_gpu
     nerfstudio    nerfstudio, ns-process-data images (colmap_utils.run_colmap), exhaustive matching
 
-COLMAP before 4 does not know --alignment_max_error, which convert.py gives to model_aligner: it gets
---robust_alignment_max_error in its place, and the line says so.
+COLMAP before 4 does not know --alignment_max_error, which convert.py gives to model_aligner: it
+gets --robust_alignment_max_error in its place, and a line says so.
 
 Photos are the first of fountain-P11, reduced. Compared are: the exit codes; the files below the
-folder of the script; tables and columns of the database (COLMAP's must be there); registered images;
-camera model, focal lengths and principal point; centres and rotations after a similarity (Umeyama
-1991), beside the error of each program against the truth of Strecha et al.; whether pycolmap reads
-the models; sizes and grey values of the undistorted images."""
+folder of the script; tables and columns of the database (COLMAP's must be there); registered
+images; camera model, focal lengths and principal point; centres and rotations after a similarity
+(Umeyama 1991), beside the error of each program against the truth of Strecha et al. (pycolmap reads
+the models for that); sizes of the undistorted images."""
 
 import argparse
 import os
@@ -179,6 +179,9 @@ def compare_models(reference, other, truth):
 def compare_images(reference, other):
     names = sorted(path.name for path in (reference / "images").glob("*"))
     if not names:
+        return
+    if {path.name for path in (other / "images").glob("*")} != set(names):
+        print("    the undistorted images differ in their names")
         return
     for name in names:
         one, two = (Image.open(folder / "images" / name) for folder in (reference, other))

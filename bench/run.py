@@ -415,6 +415,39 @@ def table_dense(cases):
     return rows
 
 
+# ---- undistort: images and keypoints beside COLMAP ------------------------------------------------
+
+
+def measure_undistort():
+    return script("undistort.py")["runs"]
+
+
+def table_undistort(runs):
+    head = (
+        "camera model | within 1 grey level (%): photo | noise | largest difference: photo | noise"
+        " | keypoints off by (px) | ns a pixel: COLMAP | tiepoint | ratio"
+    )
+    rows = [head.split(" | ")]
+    for run in runs:
+        pixels = run["size"][0] * run["size"][1]
+        times = [1e9 * run[key] / pixels for key in ("colmap_s", "tiepoint_s")]
+        images = [run["photo.png"], run["noise.png"]]
+        # A camera without distortion is copied.
+        is_copied = run["model"] in ("SIMPLE_PINHOLE", "PINHOLE")
+        rows.append(
+            [
+                f"`{run['model']}`",
+                *(f"{100 * image['share']:.2f}" for image in images),
+                *(str(image["worst"]) for image in images),
+                f"{run['keypoint_off_px']:.0e}",
+                f"{times[0]:.1f}",
+                f"{times[1]:.1f}",
+                "copied" if is_copied else f"{times[0] / times[1]:.1f}",
+            ]
+        )
+    return rows
+
+
 # ---- the tables ---------------------------------------------------------------------------------
 
 SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
@@ -432,6 +465,13 @@ TABLES = {
     "known-rig": ("drives.md", LIBRARIES, measure_known_rig, table_known_rig, SEEDED),
     "demo": ("experiments.md", [*LIBRARIES, "synth"], measure_demo, table_demo, DEMO),
     "dense": ("dense.md", ["dense", "geometry", "pipeline"], measure_dense, table_dense, ONCE),
+    "undistort": (
+        "undistort.md",
+        ["dense", "geometry", "io"],
+        measure_undistort,
+        table_undistort,
+        ONE,
+    ),
     "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),
 }
 

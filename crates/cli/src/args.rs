@@ -15,6 +15,7 @@ use tiepoint_pipeline::sfm::matching::PairSelection;
 use tiepoint_pipeline::sfm::{Readout, RigTerm};
 use tiepoint_pipeline::{
     Calibration, CalibrationSource, CameraGrouping, DEFAULT_EVERY, ExportFormat, Stage, Truth,
+    UndistortOptions,
 };
 use tiepoint_synth::{Effects, Mounting, RouteKind};
 
@@ -67,6 +68,10 @@ pub(crate) enum Command {
     Model(ModelCommand),
     /// Writes a model in another format.
     Export(Export),
+    /// Writes the undistorted images of a model and the model with PINHOLE cameras, as trainers of
+    /// Gaussian splats read them (3DGS, gsplat, LichtFeld, Brush, nerfstudio): DIR/images with the
+    /// names of the photos, DIR/masks and DIR/sparse/0.
+    Undistort(Undistort),
     /// Writes report.html into a workspace: point cloud, cameras and plots in one file that a
     /// browser shows offline.
     View(View),
@@ -554,8 +559,10 @@ pub(crate) struct Export {
     /// colmap or colmap-text (a folder), ply (point cloud), las (the dense cloud of a workspace, as
     /// LAS or LAZ by the extension; needs a build with the feature las), tum or kitti (trajectory
     /// of the first camera), bal, openmvs (a folder with scene.mvs and undistorted images),
-    /// nerfstudio (a folder with transforms.json, images and cloud), kalibr (camchain.yaml with
-    /// extrinsics and time offsets of the rig).
+    /// nerfstudio (a folder with transforms.json, images and cloud), 3dgs-deblur (the same with
+    /// the velocities and the readout time of rolling shutters), gsplat (a folder with images,
+    /// sparse/0 with the detected keypoints, and rolling_shutter.json with viewmats of first and
+    /// last rows), kalibr (camchain.yaml with extrinsics and time offsets of the rig).
     #[arg(long, value_name = "FORMAT")]
     pub(crate) to: ExportFormat,
     /// The file or folder to write.
@@ -566,6 +573,53 @@ pub(crate) struct Export {
     /// and after.
     #[arg(long)]
     pub(crate) rigid: bool,
+    /// Writes the keypoints that were detected in the photos, as database.db has them. By default
+    /// those of the model, which with --rolling-shutter are where a global shutter would have seen
+    /// them. gsplat always gets the detected ones.
+    #[arg(long, conflicts_with = "rigid")]
+    pub(crate) detected_keypoints: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Undistort {
+    /// Workspace, or folder with a COLMAP model.
+    pub(crate) model: PathBuf,
+    /// Output folder. Files of an earlier run are replaced, others never.
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    /// The folder that the names of the model's images begin in; by default the photos are the
+    /// inputs of the workspace.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) images: Option<PathBuf>,
+    /// Folder with a mask for each photo, left/1.jpg.png for left/1.jpg. Writes masks of all
+    /// undistorted images, black where the mask is black and where a pixel has no source.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) masks: Option<PathBuf>,
+    /// Writes the keypoints that were detected in the photos. By default those of the model, which
+    /// with --rolling-shutter are where a global shutter would have seen them.
+    #[arg(long)]
+    pub(crate) detected_keypoints: bool,
+    /// Also writes the images (and masks) at these fractions of the size: 2,4,8 gives images_2,
+    /// images_4 and images_8.
+    #[arg(
+        long,
+        value_name = "N,..",
+        value_delimiter = ',',
+        value_parser = clap::value_parser!(u32).range(2..=64)
+    )]
+    pub(crate) downscale: Vec<u32>,
+    /// Blank pixels in the undistorted images: 0 none, 1 as many as all pixels of the photo need.
+    #[arg(long, value_name = "SHARE", default_value_t = UndistortOptions::default().blank_pixels)]
+    pub(crate) blank_pixels: f64,
+    /// Smallest size of the undistorted images, relative to the photos.
+    #[arg(long, value_name = "SCALE", default_value_t = UndistortOptions::default().min_scale)]
+    pub(crate) min_scale: f64,
+    /// Largest size of the undistorted images, relative to the photos.
+    #[arg(long, value_name = "SCALE", default_value_t = UndistortOptions::default().max_scale)]
+    pub(crate) max_scale: f64,
+    /// Largest width and height of the undistorted images, in pixels.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) max_image_size: Option<u32>,
 }
 
 #[derive(Debug, Args)]

@@ -126,6 +126,13 @@ impl Progress {
             Event::ImageLocalized { image, inliers } => {
                 self.show(&format!("{image}: {inliers} inliers"));
             }
+            Event::ImageUndistorted { image, done, total } => {
+                if done == 1 {
+                    self.start_bar("undistort", total, 0);
+                }
+                self.show(image);
+                self.bar.set_position(done as u64);
+            }
             Event::ImageRegistered { image, registered, points } => {
                 self.show(&format!("{image}: {points} points"));
                 self.bar.set_position(registered as u64);

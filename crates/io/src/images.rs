@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
-use crate::manifest::manifest_files;
+use crate::manifest::{is_inside, manifest_files};
 use crate::pixels::{self, SizeLimit, Turn};
-use crate::regular_file::{escaped, irregular_kind};
+use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
 /// File name extensions of images, in any case.
@@ -152,6 +152,15 @@ impl ImageFolder {
             }
             skipped.extend(listing.skipped);
         }
+        Self::of_found(found, skipped, masks)
+    }
+
+    /// The images by name: the path, and the name of the camera.
+    fn of_found(
+        found: BTreeMap<String, (PathBuf, String)>,
+        skipped: Vec<SkippedFile>,
+        masks: Option<&Path>,
+    ) -> Result<Self> {
         let mut this = Self {
             images: vec![],
             paths: vec![],
@@ -174,7 +183,7 @@ impl ImageFolder {
         this.skipped.sort();
         this.skipped.dedup();
         match masks {
-            Some(masks) if this.masks.iter().all(Option::is_none) => {
+            Some(masks) if !this.images.is_empty() && this.masks.iter().all(Option::is_none) => {
                 fs::read_dir(masks).map_err(Error::io(masks))?;
                 let what = format!(
                     "holds no mask: for {0}, `{0}.png` was looked for",
@@ -186,6 +195,35 @@ impl ImageFolder {
         }
     }
 
+    /// The images of these names below a folder, as a model of another program names them: the
+    /// folder may hold other files. A camera is the folder of its images. Masks as for
+    /// [`ImageFolder::open`].
+    ///
+    /// # Errors
+    ///
+    /// If a name leads out of the folder or to no regular file, and if there is no mask.
+    pub fn of_names<'a>(
+        folder: &Path,
+        names: impl IntoIterator<Item = &'a str>,
+        masks: Option<&Path>,
+    ) -> Result<Self> {
+        let mut found = BTreeMap::new();
+        for name in names {
+            let path = folder.join(name);
+            if !is_inside(name) {
+                return Err(Error::content(folder, format!("the name {name:?} leads out of it")));
+            }
+            require_regular_file(&path)?;
+            if !path.is_file() {
+                let what = format!("has no photo {name}: give the folder that the names begin in");
+                return Err(Error::content(folder, what));
+            }
+            let camera = name.rsplit_once('/').map_or("", |(camera, _)| camera);
+            found.insert(name.to_owned(), (path, camera.to_owned()));
+        }
+        Self::of_found(found, Vec::new(), masks)
+    }
+
     /// Lists the images in a folder and below as COLMAP does: images may lie beside folders of
     /// images, the images of a folder have a camera, and pixels are taken as they are stored,
     /// whatever the EXIF orientation says. Images without a mask are used entirely.
@@ -195,31 +233,36 @@ impl ImageFolder {
     /// If the folder cannot be read.
     pub fn as_stored(input: &Path, masks: Option<&Path>) -> Result<Self> {
         let listing = Listing::of_input(input, String::new())?;
-        let mut this = Self {
-            images: vec![],
-            paths: vec![],
-            cameras: vec![],
-            masks: vec![],
-            skipped: listing.skipped,
-            max_pixels: DEFAULT_MAX_PIXELS,
-            turn: Turn::AsStored,
-        };
-        let found: BTreeMap<String, PathBuf> =
-            listing.images.into_iter().map(|image| (image.name, image.path)).collect();
-        for (name, path) in found {
-            let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
-            let known = this.cameras.iter().position(|known| known == folder);
-            let camera = CameraId::from_index(known.unwrap_or_else(|| {
-                this.cameras.push(folder.to_owned());
-                this.cameras.len() - 1
-            }));
-            this.masks.push(masks.and_then(|masks| mask_of(masks, &name, &mut this.skipped)));
-            this.paths.push(path);
-            this.images.push(SourceImage { name, camera });
+        let found = listing.images.into_iter().map(|image| {
+            let folder = image.name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
+            (image.name, (image.path, folder))
+        });
+        let this = Self::of_found(found.collect(), listing.skipped, None)?;
+        let mut this = this.with_stored_pixels();
+        if let Some(masks) = masks {
+            let names = this.images.iter().map(|image| &image.name);
+            this.masks = names.map(|name| mask_of(masks, name, &mut this.skipped)).collect();
         }
         this.skipped.sort();
         this.skipped.dedup();
         Ok(this)
+    }
+
+    /// Takes pixels in the order of the file, whatever the EXIF orientation says, as COLMAP and many
+    /// readers of its models do.
+    #[must_use]
+    pub fn with_stored_pixels(self) -> Self {
+        Self { turn: Turn::AsStored, ..self }
+    }
+
+    /// Checks, by its header alone, that an image has `width` × `height` pixels.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn check_size(&self, index: usize, width: u32, height: u32) -> Result<()> {
+        let limit = SizeLimit::of_photo(width, height);
+        pixels::header_turned(&self.paths[index], &limit, self.turn).map(drop)
     }
 
     /// Sets one mask for all images.
@@ -253,6 +296,11 @@ impl ImageFolder {
     /// The file of an image.
     pub fn path(&self, index: usize) -> &Path {
         &self.paths[index]
+    }
+
+    /// The file of the mask of an image.
+    pub fn mask_path(&self, index: usize) -> Option<&Path> {
+        self.masks[index].as_deref()
     }
 }
 

@@ -5,13 +5,14 @@
 //! opposite sign. Each frame has its own intrinsics, so that any number of cameras is possible; but
 //! nerfstudio reads one `camera_model` for all: OPENCV or OPENCV_FISHEYE.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
 use tiepoint_geometry::Rigid3;
-use tiepoint_geometry::nalgebra::{Matrix4, Vector4};
-use tiepoint_scene::{Camera, Reconstruction};
+use tiepoint_geometry::nalgebra::{Matrix4, Vector3, Vector4};
+use tiepoint_scene::{Camera, ImageId, Reconstruction};
 
 use crate::{AtomicFile, Error, Result};
 
@@ -29,10 +30,41 @@ pub fn write(
     image_folder: &str,
     cloud: Option<&str>,
 ) -> Result<()> {
+    write_with_motion(path, model, image_folder, cloud, &BTreeMap::new())
+}
+
+/// The motion of a rolling-shutter camera during the exposure of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Velocity of the centre in the world, in units of the model a second.
+    pub velocity_in_world: Vector3<f64>,
+    /// Angular velocity ω in the camera, in radians a second: after a time t the rotation of
+    /// cam_from_world is Exp(t ω) R.
+    pub angular_velocity_rad_s: Vector3<f64>,
+    /// Time from the first row to the last one, in seconds; negative if the last row comes first.
+    pub readout_s: f64,
+}
+
+/// [`write()`] with the keys of 3dgs-deblur. Its file has one `rolling_shutter_time`, which is the
+/// mean of the images' here. Velocities are those that give the true motion in that time. Poses are
+/// those of the middle rows. An image without a motion has the velocity 0.
+///
+/// # Errors
+///
+/// Those of [`write()`].
+pub fn write_with_motion(
+    path: &Path,
+    model: &Reconstruction,
+    image_folder: &str,
+    cloud: Option<&str>,
+    motions: &BTreeMap<ImageId, Motion>,
+) -> Result<()> {
+    let readouts: Vec<f64> = motions.values().map(|motion| motion.readout_s.abs()).collect();
+    let readout_s = readouts.iter().sum::<f64>() / readouts.len().max(1) as f64;
     model.validate().map_err(|cause| Error::Model { path: path.to_owned(), cause })?;
     let mut common_model = None;
     let mut frames = Vec::new();
-    for (_, image, cam_from_world) in model.registered() {
+    for (id, image, cam_from_world) in model.registered() {
         let camera = model.camera(image.camera);
         let name = match camera.intrinsics.kind().name() {
             "OPENCV_FISHEYE" => "OPENCV_FISHEYE",
@@ -62,9 +94,29 @@ pub fn write(
         if let Some(time_s) = image.time_s {
             frame.insert("time".to_owned(), json!(time_s));
         }
+        if !motions.is_empty() {
+            let [linear, angular] = motions.get(&id).map_or([Vector3::zeros(); 2], |motion| {
+                let in_camera = cam_from_world.rotation * motion.velocity_in_world;
+                // The camera turns by the inverse of cam_from_world's rotation.
+                [in_camera, -motion.angular_velocity_rad_s]
+                    .map(|v| v * (motion.readout_s / readout_s))
+            });
+            for (key, value) in
+                [("camera_linear_velocity", linear), ("camera_angular_velocity", angular)]
+            {
+                frame.insert(key.to_owned(), json!([value.x, -value.y, -value.z]));
+            }
+        }
         frames.push(Value::Object(frame));
     }
     let mut root = json!({ "camera_model": common_model.unwrap_or("OPENCV"), "frames": frames });
+    if !motions.is_empty() {
+        root["rolling_shutter_time"] = json!(readout_s);
+        // Not known, and 0 models no blur.
+        root["exposure_time"] = json!(0.0);
+        // The poses stay as they are, as the velocities do not follow a change of the axes.
+        root["orientation_override"] = json!("none");
+    }
     if let Some(cloud) = cloud {
         root["ply_file_path"] = json!(cloud);
     }

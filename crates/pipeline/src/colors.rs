@@ -46,9 +46,7 @@ pub(crate) fn color_points<'a>(
             })
             .collect();
         let work = |(image, camera, index): &(&Image, &Camera, usize)| {
-            folder
-                .rgb_of_size(*index, camera.width, camera.height)
-                .map(|rgb| colors(image, &rgb))
+            folder.rgb_of_size(*index, camera.width, camera.height).map(|rgb| colors(image, &rgb))
         };
         let bytes = |(_, camera, _): &(&Image, &Camera, usize)| decoder_bytes(camera);
         for_each_within_budget(budget_bytes(), bytes, &images, work, |_, found| {

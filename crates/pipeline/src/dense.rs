@@ -23,8 +23,8 @@ use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use self::masks::Masks;
 use crate::dense_options::DenseOptions;
-use crate::export::{photos_of, write_undistorted};
 use crate::file_names::{DENSE_CLOUD, depth_map_path, model_path};
+use crate::model_photos::{photos_of, write_undistorted};
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe};
 use crate::{DenseReport, DenseStep, Error, Event, Stage, Watch, Workspace, emit, option_keys};

@@ -410,12 +410,42 @@ pub enum Error {
     },
     /// The format needs the photos, and a bare model does not tell where they are.
     #[error(
-        "{path} is not a workspace, and this format needs the photos: export from the workspace \
-        that the model was made in"
+        "{path} is in no workspace, and the photos are needed: name the workspace that the model \
+        was made in, or the folder of the photos with --images if the command has it"
     )]
     NoPhotos {
         /// The model.
         path: PathBuf,
+    },
+    /// A camera sees half of all directions or more, and a PINHOLE image less.
+    #[error(
+        "the camera of {image} sees 180 degrees or more, which no PINHOLE image holds: cut the \
+        photos into views first, or give them as they are (`tiepoint export --to colmap` or \
+        nerfstudio) to a program that takes fisheye cameras"
+    )]
+    TooWide {
+        /// The first image of the camera.
+        image: String,
+    },
+    /// The format needs rolling shutters, and the model was mapped without.
+    #[error(
+        "{path} has no rolling shutter: map with --rolling-shutter estimate, or with the readout \
+        time if it is known"
+    )]
+    NoShutter {
+        /// The model.
+        path: PathBuf,
+    },
+    /// Detected keypoints were asked for, and a model has no database with them.
+    #[error(
+        "the detected keypoints of {image} are not in {path}: export from the workspace that \
+        the model was made in"
+    )]
+    NoDetectedKeypoints {
+        /// The database.
+        path: PathBuf,
+        /// The image.
+        image: String,
     },
     /// A photo of the workspace is no longer where it was.
     #[error("the photo {image} is no longer in {}: put it back", comma_separated(inputs))]

@@ -129,6 +129,15 @@ pub enum Event<'a> {
         /// Number of keypoints that observe a point; 0 without a pose.
         inliers: usize,
     },
+    /// An image was undistorted.
+    ImageUndistorted {
+        /// Its name.
+        image: &'a str,
+        /// Number of undistorted images.
+        done: usize,
+        /// Number of images to undistort.
+        total: usize,
+    },
     /// A loop was closed.
     LoopClosed {
         /// Number of image pairs that drift had separated.

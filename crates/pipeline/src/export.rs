@@ -11,12 +11,11 @@ use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_model}
 use tiepoint_io::bal::Bal;
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_io::disk::{self, FileId};
+use tiepoint_io::nerfstudio::{self, Motion};
 use tiepoint_io::trajectory::{self, TimedPose};
-use tiepoint_io::{
-    AtomicFile, ImageFolder, ImageSource, Rgb, nerfstudio, openmvs, ply, timestamps,
-};
+use tiepoint_io::{AtomicFile, gsplat, openmvs, ply, timestamps};
 use tiepoint_sfm::geometry::Rigid3;
-use tiepoint_sfm::scene::{Image, Reconstruction};
+use tiepoint_sfm::scene::{Image, ImageId, Reconstruction};
 
 use crate::colors::decoder_bytes;
 use crate::evaluate::model_folder;
@@ -24,12 +23,13 @@ use crate::image_names::first_folder;
 use crate::kalibr;
 use crate::memory::budget_bytes;
 use crate::model_location::ModelLocation;
+use crate::model_photos::{photos_of, write_undistorted};
 use crate::ordered::for_each_within_budget;
 use crate::output_file::{COMMENT_MARK, LAS_MARK, PLY_MARK, write_file};
 use crate::output_folder::{OutputFolder, model_names, output};
 use crate::rigid::{RigidReport, rigid_model};
-use crate::workspace::{REPORT, current_records, is_workspace};
-use crate::{Error, Report};
+use crate::workspace::{REPORT, is_workspace};
+use crate::{Error, Report, rolling_shutter};
 
 /// An export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +50,11 @@ pub enum ExportFormat {
     OpenMvs,
     /// `transforms.json`, the images and the cloud, in a folder.
     Nerfstudio,
+    /// The photos, the model with the detected keypoints, and `rolling_shutter.json` with the
+    /// poses of first and last rows, in a folder.
+    Gsplat,
+    /// [`Self::Nerfstudio`] with the keys of 3dgs-deblur: velocities and readout time.
+    Deblur,
     /// The dense cloud of a workspace, as LAS or LAZ by the extension.
     Las,
     /// Extrinsics and time offsets of the rig as Kalibr's `camchain.yaml`.
@@ -57,10 +62,12 @@ pub enum ExportFormat {
 }
 
 /// Formats by their names on the command line.
-const FORMATS: [(&str, ExportFormat); 10] = [
+const FORMATS: [(&str, ExportFormat); 12] = [
     ("colmap", ExportFormat::Colmap),
     ("openmvs", ExportFormat::OpenMvs),
     ("nerfstudio", ExportFormat::Nerfstudio),
+    ("gsplat", ExportFormat::Gsplat),
+    ("3dgs-deblur", ExportFormat::Deblur),
     ("colmap-text", ExportFormat::ColmapText),
     ("ply", ExportFormat::Ply),
     ("las", ExportFormat::Las),
@@ -120,6 +127,19 @@ pub fn export_rigid(from: &Path, format: ExportFormat, to: &Path) -> Result<Expo
     Ok(Exported { rigid: Some(rigid), ..write_as(from, &model, format, to)? })
 }
 
+/// [`export`] of a model with its keypoints where they were detected. Those of a model with rolling
+/// shutters are where a global shutter would have seen them, and its photos are not.
+///
+/// # Errors
+///
+/// Those of [`export`]; the model is in no workspace with the database of its keypoints.
+pub fn export_detected(from: &Path, format: ExportFormat, to: &Path) -> Result<Exported, Error> {
+    let folder = model_folder(from)?;
+    let mut model = read_model(&folder)?;
+    rolling_shutter::restore_detected_keypoints(&folder, &mut model)?;
+    write_as(from, &model, format, to)
+}
+
 fn write_as(
     from: &Path,
     model: &Reconstruction,
@@ -140,7 +160,16 @@ fn write_as(
             file(None, &|to| Ok(bal.write(to)?))?;
         }
         ExportFormat::OpenMvs => export_openmvs(from, model, to)?,
-        ExportFormat::Nerfstudio => in_place = export_nerfstudio(from, model, to)?,
+        ExportFormat::Nerfstudio => {
+            in_place = export_nerfstudio(from, model, to, &BTreeMap::new())?;
+        }
+        ExportFormat::Deblur => {
+            let mut model = model.clone();
+            let motions = rolling_shutter::motions(&folder, &mut model)?;
+            let motions = rolling_shutter::for_nerfstudio(&motions);
+            in_place = export_nerfstudio(from, &model, to, &motions)?;
+        }
+        ExportFormat::Gsplat => in_place = export_gsplat(from, &folder, model, to)?,
         ExportFormat::Kalibr => {
             let (text, cameras) = kalibr::camchain(model, &ModelLocation::of(&folder).rig())?;
             let text = format!("{COMMENT_MARK}\n{text}");
@@ -283,29 +312,70 @@ fn export_openmvs(from: &Path, model: &Reconstruction, to: &Path) -> Result<(), 
     folder.publish(&names, &[]).map(drop)
 }
 
-/// Writes the undistorted image of a photo.
-///
-/// # Errors
-///
-/// The photo cannot be read or has another size than its camera, or writing fails.
-pub(crate) fn write_undistorted(
-    photo: &Path,
-    undistortion: &Undistortion,
-    target: &Path,
-) -> Result<(), Error> {
-    let (from, to) = (undistortion.from(), undistortion.to());
-    let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
-    let data = undistortion
-        .image::<3>(&rgb.data)
-        .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;
-    Ok(Rgb { width: to.width, height: to.height, data }.write(target)?)
-}
-
 /// Writes `transforms.json`, the cloud, and copies of the photos: nerfstudio supports distortion.
-/// Photos that are in their places already are not copied; returns their number.
-fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<usize, Error> {
+/// With motions, `transforms.json` has the keys of 3dgs-deblur. Photos that are in their places
+/// already are not copied; returns their number.
+fn export_nerfstudio(
+    from: &Path,
+    model: &Reconstruction,
+    to: &Path,
+    motions: &BTreeMap<ImageId, Motion>,
+) -> Result<usize, Error> {
     const CLOUD: &str = "points.ply";
     const TRANSFORMS: &str = "transforms.json";
+    if is_workspace(to) {
+        // The points.ply of a workspace is the cloud of its model.
+        return Err(Error::IsInput { path: to.join(CLOUD) });
+    }
+    let names = [CLOUD, TRANSFORMS].map(str::to_owned);
+    with_photos(from, model, to, &names, &[], |folder| {
+        ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
+        let staged = folder.stage(TRANSFORMS)?;
+        nerfstudio::write_with_motion(&staged, model, IMAGES, Some(CLOUD), motions)
+            .map_err(|error| renamed(error, &to.join(TRANSFORMS)))?;
+        Ok(names.to_vec())
+    })
+}
+
+/// Writes `rolling_shutter.json`, the model with the detected keypoints, which are those of the
+/// photos, and copies of the photos. Returns as [`export_nerfstudio`].
+fn export_gsplat(
+    from: &Path,
+    model_folder: &Path,
+    model: &Reconstruction,
+    to: &Path,
+) -> Result<usize, Error> {
+    const SPARSE: &str = "sparse/0";
+    const ROWS: &str = "rolling_shutter.json";
+    if is_workspace(to) {
+        return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
+    }
+    let mut model = model.clone();
+    let motions = rolling_shutter::motions(model_folder, &mut model)?;
+    let rows = rolling_shutter::for_gsplat(&model, &motions);
+    rolling_shutter::restore_detected_keypoints(model_folder, &mut model)?;
+    let inputs = model_files(model_folder);
+    let mut names = model_names(Some(SPARSE));
+    names.push(ROWS.to_owned());
+    with_photos(from, &model, to, &names, &inputs, |folder| {
+        gsplat::write(&folder.stage(ROWS)?, &model, IMAGES, &rows)
+            .map_err(|error| renamed(error, &to.join(ROWS)))?;
+        let mut staged = folder.stage_model(Some(SPARSE), &model, Format::Binary)?;
+        staged.push(ROWS.to_owned());
+        Ok(staged)
+    })
+}
+
+/// Writes copies of the photos, and files that `write` stages and names. `names`: all that it may
+/// write. Photos that are in their places already are not copied; returns their number.
+fn with_photos(
+    from: &Path,
+    model: &Reconstruction,
+    to: &Path,
+    names: &[String],
+    inputs: &[PathBuf],
+    write: impl FnOnce(&OutputFolder) -> Result<Vec<String>, Error>,
+) -> Result<usize, Error> {
     let photos = photos_of(from, model)?;
     let mut folder = OutputFolder::open(to)?;
     let is_in_place = |image: &Image, path: &Path| {
@@ -314,54 +384,27 @@ fn export_nerfstudio(from: &Path, model: &Reconstruction, to: &Path) -> Result<u
     };
     let copied: Vec<&(&Image, PathBuf)> =
         photos.iter().filter(|(image, path)| !is_in_place(image, path)).collect();
-    let mut names: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
-    names.extend([CLOUD, TRANSFORMS].map(str::to_owned));
-    if is_workspace(to) {
-        // The points.ply of a workspace is the cloud of its model.
-        return Err(Error::IsInput { path: to.join(CLOUD) });
-    }
     folder.protect(photos.iter().map(|(_, path)| path.as_path()));
-    folder.refuse_foreign([CLOUD, TRANSFORMS])?;
+    folder.protect(inputs.iter().map(PathBuf::as_path));
+    folder.refuse_foreign(names.iter().map(String::as_str))?;
     copied.par_iter().try_for_each(|(image, path)| {
         let target = folder.stage(&image_name(image))?;
         disk::copy_new(path, &target).map_err(output(&to.join(image_name(image))))
     })?;
-    ply::write(&folder.stage(CLOUD)?, &ply::points(model))?;
-    nerfstudio::write(&folder.stage(TRANSFORMS)?, model, IMAGES, Some(CLOUD)).map_err(|error| {
-        match error {
-            // The file for which the user asked, not the one that becomes it.
-            tiepoint_io::Error::Content { what, .. } => {
-                tiepoint_io::Error::Content { path: to.join(TRANSFORMS), what }
-            }
-            other => other,
-        }
-    })?;
-    folder.publish(&names, &[])?;
+    let mut staged: Vec<String> = copied.iter().map(|(image, _)| image_name(image)).collect();
+    staged.extend(write(&folder)?);
+    folder.publish(&staged, &[])?;
     Ok(photos.len() - copied.len())
 }
 
-/// The registered images with the paths of their photos.
-pub(crate) fn photos_of<'a>(
-    from: &Path,
-    model: &'a Reconstruction,
-) -> Result<Vec<(&'a Image, PathBuf)>, Error> {
-    if !is_workspace(from) {
-        return Err(Error::NoPhotos { path: from.to_owned() });
+/// The error with the file for which the user asked, not the one that becomes it.
+fn renamed(error: tiepoint_io::Error, path: &Path) -> tiepoint_io::Error {
+    match error {
+        tiepoint_io::Error::Content { what, .. } => {
+            tiepoint_io::Error::Content { path: path.to_owned(), what }
+        }
+        other => other,
     }
-    let inputs = current_records(from)?.inputs;
-    let folder = ImageFolder::open(&inputs, None)?;
-    let by_name: BTreeMap<&str, usize> = folder
-        .images()
-        .iter()
-        .enumerate()
-        .map(|(index, image)| (image.name.as_str(), index))
-        .collect();
-    let photo = |image: &'a Image| {
-        let missing = || Error::NoPhoto { image: image.name.clone(), inputs: inputs.clone() };
-        let index = by_name.get(image.name.as_str()).ok_or_else(missing)?;
-        Ok((image, folder.path(*index).to_owned()))
-    };
-    model.registered().map(|(_, image, _)| photo(image)).collect()
 }
 
 /// Registered images of the first camera and their poses (`cam_from_world`), ordered by name.

@@ -363,7 +363,10 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
 }
 
 /// An event of the mapper with image names in place of ids.
-pub(crate) fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
+pub(crate) fn translate<'a>(
+    event: &sfm::Event,
+    name: &dyn Fn(ImageId) -> &'a str,
+) -> Option<Event<'a>> {
     Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => {
             Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }

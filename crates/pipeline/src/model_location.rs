@@ -33,9 +33,19 @@ impl ModelLocation {
         as_given.or_else(resolved).unwrap_or_else(outside)
     }
 
+    /// The folder of the workspace.
+    pub(crate) fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// File of the capture times.
     pub(crate) fn timestamps(&self) -> PathBuf {
         self.root.join(TIMESTAMPS)
+    }
+
+    /// File of the detected keypoints.
+    pub(crate) fn database(&self) -> PathBuf {
+        self.root.join(DATABASE)
     }
 
     /// File of the model's rig extrinsics.

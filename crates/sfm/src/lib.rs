@@ -40,7 +40,7 @@ pub use rigs::{
     RigidCamera, SensorPair, SplitRepair, constrain_rigidly, final_links, frames_by_time,
     growing_links, relative_poses, rig_candidates, rig_pairs, sensor_pairs,
 };
-pub use rolling_shutter::{Readout, RollingShutter, RowPoses};
+pub use rolling_shutter::{Readout, RollingShutter, RowPoses, row_poses};
 pub use tiepoint_ba as ba;
 pub use tiepoint_geometry as geometry;
 pub use tiepoint_matching as matching;

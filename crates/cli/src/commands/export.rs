@@ -1,6 +1,6 @@
 //! `export`.
 
-use tiepoint_pipeline::{Exported, export as export_model, export_rigid};
+use tiepoint_pipeline::{Exported, export as export_model, export_detected, export_rigid};
 
 use crate::args::Export;
 use crate::failure::Failure;
@@ -8,7 +8,11 @@ use crate::output::Output;
 use crate::summary;
 
 pub(crate) fn export(args: &Export, output: &Output) -> Result<(), Failure> {
-    let write = if args.rigid { export_rigid } else { export_model };
+    let write = match (args.rigid, args.detected_keypoints) {
+        (true, _) => export_rigid,
+        (false, true) => export_detected,
+        (false, false) => export_model,
+    };
     let exported = write(&args.workspace, args.to, &args.output)?;
     output.result(&exported, || describe(&exported))
 }

@@ -13,12 +13,13 @@ mod man;
 mod model;
 mod stages;
 mod synth;
+mod undistort;
 mod view;
 
 use crate::args::{Command, Evaluate};
-pub(crate) use colmap::with_name;
 use crate::failure::Failure;
 use crate::output::Output;
+pub(crate) use colmap::with_name;
 
 pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
     match command {
@@ -34,6 +35,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::View(args) => view::view(&args, output),
         Command::Model(command) => model::model(&command, output),
         Command::Export(args) => export::export(&args, output),
+        Command::Undistort(args) => undistort::undistort(&args, output),
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
         Command::Experiment(args) => experiment::experiment(&args, output),

@@ -55,8 +55,7 @@ fn colmap(dir: &Path, line: &str) -> Run {
 /// The ids and names of the images of a database.
 fn images(database: &Path) -> Vec<(i64, String)> {
     let database = Connection::open(database).unwrap();
-    let mut rows =
-        database.prepare("SELECT image_id, name FROM images ORDER BY image_id").unwrap();
+    let mut rows = database.prepare("SELECT image_id, name FROM images ORDER BY image_id").unwrap();
     let rows = rows.query_map([], |row| Ok((row.get(0)?, row.get(1)?))).unwrap();
     rows.map(Result::unwrap).collect()
 }

@@ -22,6 +22,7 @@ mod results;
 mod rig_calibration;
 #[path = "../../../../tests/skipped.rs"]
 mod skipped;
+mod undistort;
 mod video;
 
 use std::ffi::OsStr;

@@ -1,6 +1,7 @@
 //! The PINHOLE camera of a distorted one, with the options and the sizes of COLMAP's
 //! `UndistortCamera`.
 
+use tiepoint_geometry::cameras::MIN_DEPTH;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
 use tiepoint_scene::Camera;
@@ -100,6 +101,32 @@ pub fn undistort_camera(camera: &Camera, options: &UndistortOptions) -> Result<C
     Ok(Camera { intrinsics, width: size[0], height: size[1], ..*camera })
 }
 
+/// Whether a camera sees a direction at 90 degrees or more from its axis on the row or the column
+/// of its principal point: 180 degrees or more from border to border, which a PINHOLE camera of
+/// the same axis cuts off at any size. Corners alone may see more.
+pub fn is_too_wide_for_pinhole(camera: &Camera) -> bool {
+    if camera.intrinsics.kind() == CameraModelKind::Equirectangular {
+        return true;
+    }
+    let k = camera.intrinsics.calibration_matrix();
+    let centre = Vector2::new(k[(0, 2)], k[(1, 2)]);
+    let sizes = [camera.width, camera.height];
+    let outermost = |axis: usize, outward: bool| {
+        // From the border inwards, as an image may have pixels without a ray.
+        (0..sizes[axis]).find_map(|pixels| {
+            let pixels = f64::from(pixels) + 0.5;
+            let mut place = centre;
+            place[axis] = if outward { f64::from(sizes[axis]) - pixels } else { pixels };
+            camera.intrinsics.unproject(&place)
+        })
+    };
+    (0..2).any(|axis| {
+        [false, true].into_iter().any(|outward| {
+            outermost(axis, outward).is_some_and(|ray| ray.z <= MIN_DEPTH * ray.norm())
+        })
+    })
+}
+
 /// Range of the undistorted coordinate along a border of the image; empty if no pixel of the
 /// border has a ray in front of the pinhole.
 #[derive(Clone, Copy, Debug)]
@@ -133,8 +160,7 @@ impl Border {
                 let mut pixel = Vector2::repeat(f64::from(other) + 0.5);
                 pixel[axis] = position;
                 let ray = camera.intrinsics.unproject(&pixel)?;
-                (ray.z > tiepoint_geometry::cameras::MIN_DEPTH)
-                    .then(|| k[(axis, axis)] * ray[axis] / ray.z + k[(axis, 2)])
+                (ray.z > MIN_DEPTH).then(|| k[(axis, axis)] * ray[axis] / ray.z + k[(axis, 2)])
             };
             (0..size[1 - axis]).filter_map(coordinate).fold(Range::EMPTY, Range::with)
         };

@@ -4,7 +4,8 @@
 mod camera;
 mod model;
 mod resample;
+mod source_map;
 
-pub use camera::{UndistortOptions, undistort_camera};
+pub use camera::{UndistortOptions, is_too_wide_for_pinhole, undistort_camera};
 pub use model::undistort_model;
 pub use resample::Undistortion;

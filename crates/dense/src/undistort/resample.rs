@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
 
+use super::source_map::{CELL, FRACTION_BITS, SourceMap, Walk};
 use crate::Error;
 
 /// Undistortion from one camera to another one at the same place.
@@ -54,21 +55,77 @@ impl Undistortion {
         }
         let mut out = vec![0; self.to.width as usize * self.to.height as usize * C];
         let row_bytes = (self.to.width as usize * C).max(1);
+        let map = (self.samples == 1)
+            .then(|| SourceMap::new(self.to.width, self.to.height, |place| self.source(place)));
         out.par_chunks_mut(row_bytes).enumerate().for_each(|(row, out)| {
-            for (column, out) in out.chunks_exact_mut(C).enumerate() {
-                let (mut sum, mut count) = ([0.0; C], 0.0);
-                self.for_each_source(column, row, |source| {
-                    if let Some(color) = source.and_then(|s| self.bilinear::<C>(pixels, &s)) {
-                        (0..C).for_each(|channel| sum[channel] += color[channel]);
-                        count += 1.0;
-                    }
-                });
-                if count > 0.0 {
-                    (0..C).for_each(|channel| out[channel] = (sum[channel] / count).round() as u8);
+            for (cell, out) in out.chunks_mut(CELL * C).enumerate() {
+                let mut walk = map.as_ref().and_then(|map| map.walk(cell, row));
+                for (column, out) in out.as_chunks_mut::<C>().0.iter_mut().enumerate() {
+                    let place = walk.as_mut().map(Walk::step);
+                    *out = place
+                        .and_then(|place| self.interior::<C>(pixels, place))
+                        .unwrap_or_else(|| self.pixel_mean(pixels, CELL * cell + column, row));
                 }
             }
         });
         Ok(out)
+    }
+
+    /// The mean of the samples of a pixel.
+    #[cold]
+    fn pixel_mean<const C: usize>(&self, pixels: &[u8], column: usize, row: usize) -> [u8; C] {
+        let (mut sum, mut count) = ([0.0; C], 0.0);
+        self.for_each_source(column, row, |source| {
+            if let Some(color) = source.and_then(|s| self.bilinear::<C>(pixels, &s)) {
+                (0..C).for_each(|channel| sum[channel] += color[channel]);
+                count += 1.0;
+            }
+        });
+        if count > 0.0 { sum.map(|sum: f64| (sum / count).round() as u8) } else { [0; C] }
+    }
+
+    /// [`Self::bilinear`] at a place of a [`Walk`] between four pixels of the image, with weights of
+    /// 12 bits; `None` elsewhere, and for pixels at the end of the data.
+    #[inline]
+    fn interior<const C: usize>(&self, pixels: &[u8], place: [i64; 2]) -> Option<[u8; C]> {
+        const WEIGHT_BITS: u32 = 12;
+        const ONE: u64 = 1 << WEIGHT_BITS;
+        const HALF: u64 = ONE / 2;
+        // Relative to the centre of the first pixel, and rounded.
+        const OFFSET: i64 = (1 << (FRACTION_BITS - 1)) - (1 << (FRACTION_BITS - WEIGHT_BITS - 1));
+        let [x, y] = place.map(|value| (value - OFFSET) >> (FRACTION_BITS - WEIGHT_BITS));
+        let [x0, y0] = [x >> WEIGHT_BITS, y >> WEIGHT_BITS];
+        let (width, height) = (i64::from(self.from.width), i64::from(self.from.height));
+        if x0 < 0 || y0 < 0 || x0 + 1 >= width || y0 + 1 >= height {
+            return None;
+        }
+        let [u, v] = [x, y].map(|value| value as u64 & (ONE - 1));
+        let both = (u * v + HALF) >> WEIGHT_BITS;
+        let weights = [ONE + both - u - v, u - both, v - both, both];
+        let start = (y0 * width + x0) as usize * C;
+        let row_bytes = width as usize * C;
+        if C == 3 {
+            // Two neighbours in a row are six of eight bytes. The three channels of a pixel are
+            // weighted as one number of three times 20 bits, which hold 255 · 2¹² + 2¹¹.
+            let spread = |p: u64| p & 0xff | (p & 0xff00) << 12 | (p & 0xff_0000) << 24;
+            let top = u64::from_le_bytes(*pixels.get(start..)?.first_chunk()?);
+            let bottom = u64::from_le_bytes(*pixels.get(start + row_bytes..)?.first_chunk()?);
+            let sum = spread(top) * weights[0]
+                + spread(top >> 24) * weights[1]
+                + spread(bottom) * weights[2]
+                + spread(bottom >> 24) * weights[3]
+                + spread(0x1_0101) * HALF;
+            return Some(std::array::from_fn(|channel| {
+                (sum >> (20 * channel as u32 + WEIGHT_BITS)) as u8
+            }));
+        }
+        let top = pixels.get(start..start + 2 * C)?;
+        let bottom = pixels.get(start + row_bytes..start + row_bytes + 2 * C)?;
+        Some(std::array::from_fn(|channel| {
+            let values = [top[channel], top[C + channel], bottom[channel], bottom[C + channel]];
+            let sum: u64 = weights.iter().zip(values).map(|(w, value)| w * u64::from(value)).sum();
+            ((sum + HALF) >> WEIGHT_BITS) as u8
+        }))
     }
 
     /// Resamples a mask of one byte a pixel, 0 where the image is not to be used. A pixel is 255
@@ -114,6 +171,11 @@ impl Undistortion {
         }
     }
 
+    /// The place in `from` of a place in `to`; `None` if `from` does not image its ray.
+    pub(super) fn source(&self, place: &Vector2<f64>) -> Option<Vector2<f64>> {
+        self.from.intrinsics.project(&self.to.intrinsics.unproject(place)?)
+    }
+
     /// The places in `from` of the samples of a pixel of `to`.
     fn for_each_source(
         &self,
@@ -128,8 +190,7 @@ impl Undistortion {
                     column as f64 + step * (f64::from(u) + 0.5),
                     row as f64 + step * (f64::from(v) + 0.5),
                 );
-                let ray = self.to.intrinsics.unproject(&pixel);
-                visit(ray.and_then(|ray| self.from.intrinsics.project(&ray)));
+                visit(self.source(&pixel));
             }
         }
     }

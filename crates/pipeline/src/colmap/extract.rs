@@ -127,8 +127,7 @@ pub fn extract(
     })?;
     // An empty file is what SQLite takes for an empty database.
     let is_there = database.metadata().is_ok_and(|found| found.len() > 0);
-    let mut database =
-        if is_there { open_to_add(database)? } else { Database::create(database)? };
+    let mut database = if is_there { open_to_add(database)? } else { Database::create(database)? };
     let existing = read_existing(&database)?;
     let (pending, kept): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&index| {
         existing.get(folder.images()[index].name.as_str()).is_none_or(|found| !found.1)
@@ -225,9 +224,7 @@ fn read_existing(database: &Database) -> Result<BTreeMap<String, (ImageId, bool)
     let counts = database.keypoint_counts()?;
     let images = database.read_images()?.into_iter().zip(counts).enumerate();
     Ok(images
-        .map(|(index, (image, count))| {
-            (image.name, (ImageId::from_index(index), count.is_some()))
-        })
+        .map(|(index, (image, count))| (image.name, (ImageId::from_index(index), count.is_some())))
         .collect())
 }
 

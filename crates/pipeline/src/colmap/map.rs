@@ -58,7 +58,7 @@ pub struct MappedFolder {
 }
 
 /// Maps the images of a database, which stays as it is, and writes the models into the sub-folders
-/// `0`, `1`, ... of a folder, the largest first. Rigs of the database whose extrinsics are known are
+/// `0`, `1`, ... of a folder, the largest first. Rigs of the database with known extrinsics are
 /// used. `images`: the folder of the images, for colours.
 ///
 /// # Errors
@@ -101,9 +101,10 @@ pub fn map(
     }
     drop(database);
     if let (Some(images), true) = (images, options.has_colors) {
-        let colored = ImageFolder::as_stored(images, None).map_err(Error::from).and_then(|folder| {
-            color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
-        });
+        let colored =
+            ImageFolder::as_stored(images, None).map_err(Error::from).and_then(|folder| {
+                color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
+            });
         if let Err(error) = colored {
             emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
         }

@@ -188,7 +188,7 @@ fn similarity_of(
     found
         .filter(|found| found.num_inliers >= required)
         .map(|found| found.model)
-        .ok_or_else(|| format!("has too few images that fit one similarity to the positions in"))
+        .ok_or_else(|| "has too few images that fit one similarity to the positions in".to_owned())
 }
 
 /// Writes a model in a format of COLMAP into a folder.

@@ -5,9 +5,9 @@ use std::path::Path;
 use tiepoint_io::colmap::Format;
 use tiepoint_sfm::scene::Reconstruction;
 
+use crate::Error;
 use crate::output_folder::{OutputFolder, model_names};
 use crate::workspace::is_workspace;
-use crate::Error;
 
 /// File of the options that a model was made with, which COLMAP writes beside it.
 pub(super) const PROJECT: &str = "project.ini";

@@ -5,8 +5,8 @@ use std::path::Path;
 use tiepoint_io::database::DatabaseFrame;
 
 use super::scene::{open_to_add, read_scene};
-use crate::rig_calibration::known_rigs;
 use crate::Error;
+use crate::rig_calibration::known_rigs;
 
 /// Writes the rigs of a file, and the frames of their images, into a database, in place of those
 /// that it has. Cameras for which the file has intrinsics get these. Returns the number of rigs and

@@ -99,7 +99,8 @@ pub fn triangulate(
     }
     if let (Some(images), true) = (images, options.has_colors) {
         let folder = ImageFolder::as_stored(images, None).map_err(Error::from);
-        if let Err(error) = folder.and_then(|folder| color_points(&folder, [&mut model].into_iter()))
+        if let Err(error) =
+            folder.and_then(|folder| color_points(&folder, [&mut model].into_iter()))
         {
             emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
         }

@@ -8,6 +8,7 @@ use tiepoint_io::{ImageFolder, ImageSource, Luma};
 
 use crate::Error;
 use crate::fingerprint::fingerprint;
+use crate::model_photos::undistorted_mask;
 use crate::records::Records;
 
 /// The masks of the photos of a workspace.
@@ -58,10 +59,6 @@ impl Masks {
     ) -> Result<Option<Luma>, Error> {
         let Some(index) = self.index_of.get(photo) else { return Ok(None) };
         let Some(mask) = self.photos.mask(*index)? else { return Ok(None) };
-        let data = undistortion
-            .mask(Some(&mask.data))
-            .map_err(|cause| Error::Dense { path: self.photos.path(*index).to_owned(), cause })?;
-        let to = undistortion.to();
-        Ok(Some(Luma { width: to.width, height: to.height, data }))
+        undistorted_mask(self.photos.path(*index), Some(&mask), undistortion).map(Some)
     }
 }

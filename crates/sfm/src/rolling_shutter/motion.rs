@@ -138,8 +138,10 @@ impl RowPoses {
     }
 }
 
-/// Returns the motion of the images of rolling-shutter cameras, if known.
-pub(crate) fn row_poses(
+/// Returns the motion of the images of rolling-shutter cameras, if known: images with times and
+/// neighbours in time, except next to one that seems to be misplaced. It is a function of the poses
+/// and times of a model.
+pub fn row_poses(
     model: &Reconstruction,
     shutters: &[RollingShutter],
 ) -> BTreeMap<ImageId, RowPoses> {

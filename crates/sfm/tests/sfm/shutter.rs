@@ -3,8 +3,11 @@
 use std::ops::ControlFlow;
 use std::sync::LazyLock;
 
+use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
+use tiepoint_sfm::scene::{Camera, Image, Reconstruction};
 use tiepoint_sfm::{
-    Failure, MapperOptions, OptionalStage, Readout, RefineIntrinsics, RollingShutter, RowPoses, map,
+    Failure, MapperOptions, OptionalStage, Readout, RefineIntrinsics, RollingShutter, RowPoses,
+    map, row_poses,
 };
 use tiepoint_synth::{
     Drive, DriveOptions, Effects, FeatureOptions, FeatureScene, MatchOptions, Mount, Mounting,
@@ -108,4 +111,48 @@ fn a_rolling_shutter_is_estimated_and_corrected() {
             assert!((shutter.readout_s - READOUT_S).abs() < MAX_DEVIATIONS * sd_s, "{shutter:?}");
         }
     }
+}
+
+/// Errors of the row poses from true poses and readout, relative to the middle row.
+const MAX_ROW_ERROR_M: f64 = 0.002;
+const MAX_ROW_ERROR_DEG: f64 = 0.02;
+
+#[test]
+fn rows_of_true_poses_are_at_their_true_poses() {
+    let effects = Effects { readout_s: READOUT_S, ..Effects::default() };
+    let drive = Drive::new(&DriveOptions { effects, ..DriveOptions::default() });
+    let drive = drive.expect("a street of 200 m");
+    let mut model = Reconstruction::default();
+    let mut true_times = Vec::new();
+    for (index, camera) in drive.cameras().iter().enumerate() {
+        let (width, height) = (camera.width, camera.height);
+        let intrinsics = Intrinsics::centred(CameraModelKind::Pinhole, 400.0, width, height);
+        let id = model.add_camera(Camera { intrinsics, width, height, has_focal_prior: true });
+        for exposure in &camera.exposures {
+            let image = model.add_image(Image::new(exposure.name.clone(), id, Vec::new()));
+            model.set_time(image, Some(exposure.stamp_s));
+            model.register(image, drive.cam_from_world(index, exposure.time_s));
+            true_times.push((index, exposure.time_s));
+        }
+    }
+    let shutter = |(camera, _)| RollingShutter { camera, readout_s: READOUT_S, readout_sd_s: None };
+    let shutters: Vec<RollingShutter> = model.cameras().map(shutter).collect();
+    let rows = row_poses(&model, &shutters);
+    assert!(rows.len() + 4 * drive.cameras().len() >= model.num_images(), "{}", rows.len());
+    let (mut worst_m, mut worst_deg, mut moved_m) = (0.0f64, 0.0f64, 0.0f64);
+    for (id, rows) in rows {
+        let middle = model.image(id).cam_from_world().expect("all have poses");
+        let (camera, time_s) = true_times[id.index()];
+        for y_px in [0.5, rows.height_px - 0.5] {
+            let found = rows.cam_from_world(middle, y_px);
+            let truth = drive.row_pose(camera, time_s, y_px).world_from_cam;
+            let error = found * truth;
+            worst_m = worst_m.max(error.translation.norm());
+            worst_deg = worst_deg.max(error.rotation.angle().to_degrees());
+            moved_m = moved_m.max((truth.translation - middle.origin_in_a()).norm());
+        }
+    }
+    eprintln!("rows: {worst_m:.5} m and {worst_deg:.5} degrees, of {moved_m:.3} m");
+    assert!(worst_m < MAX_ROW_ERROR_M && worst_deg < MAX_ROW_ERROR_DEG, "{worst_m} {worst_deg}");
+    assert!(moved_m > 10.0 * MAX_ROW_ERROR_M, "the camera moves during the readout");
 }

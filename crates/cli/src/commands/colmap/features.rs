@@ -20,12 +20,7 @@ pub(super) fn feature_extractor(options: &Options, output: &Output) -> Result<()
         format!(
             "{} images, {} keypoints, {} new cameras; {} images had features before, {} skipped; \
             {:.1} s\n",
-            found.images,
-            found.keypoints,
-            found.cameras,
-            found.kept,
-            found.skipped,
-            found.seconds
+            found.images, found.keypoints, found.cameras, found.kept, found.skipped, found.seconds
         )
     })
 }

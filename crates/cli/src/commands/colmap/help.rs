@@ -40,8 +40,7 @@ pub(super) fn of_verb(verb: &Verb, output: &Output) -> Result<(), Failure> {
     text += "\nOptions can either be specified via command-line or by defining\nthem in a .ini \
              project file passed to `--project_path`.\n\n  -h [ --help ]\n";
     for Spec { name, default, .. } in GENERAL.iter().copied().chain(verb.options()) {
-        let default =
-            if default.is_empty() { String::new() } else { format!(" (={default})") };
+        let default = if default.is_empty() { String::new() } else { format!(" (={default})") };
         let _ = writeln!(text, "  --{name} arg{default}");
     }
     output.generated(&text, |text| text)

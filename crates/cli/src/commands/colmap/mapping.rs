@@ -21,8 +21,7 @@ pub(super) fn mapper(options: &Options, output: &Output) -> Result<(), Failure> 
     let to = options.required("output_path").map_err(Failure::Usage)?;
     let mapping = map_options(options).map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
-    let models =
-        map(&database, Some(&images), &to, &mapping, &mut |event| progress.watch(event))?;
+    let models = map(&database, Some(&images), &to, &mapping, &mut |event| progress.watch(event))?;
     drop(progress);
     output.result(&models, || models.iter().map(described).collect())
 }
@@ -45,14 +44,10 @@ pub(super) fn point_triangulator(options: &Options, output: &Output) -> Result<(
     })();
     let triangulation = triangulation.map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
-    let model = triangulate(
-        &database,
-        images.as_deref(),
-        &from,
-        &to,
-        &triangulation,
-        &mut |event| progress.watch(event),
-    )?;
+    let model =
+        triangulate(&database, images.as_deref(), &from, &to, &triangulation, &mut |event| {
+            progress.watch(event)
+        })?;
     drop(progress);
     output.result(&model, || described(&model))
 }
@@ -65,10 +60,9 @@ pub(super) fn image_registrator(options: &Options, output: &Output) -> Result<()
     let min_matches = options.number("Mapper.min_num_matches").map_err(Failure::Usage)?;
     let seed = options.seed().map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
-    let model =
-        register(&database, &from, &to, &registration, min_matches, seed, &mut |event| {
-            progress.watch(event)
-        })?;
+    let model = register(&database, &from, &to, &registration, min_matches, seed, &mut |event| {
+        progress.watch(event)
+    })?;
     drop(progress);
     output.result(&model, || described(&model))
 }

@@ -36,8 +36,7 @@ fn run(pairs: DatabasePairs, options: &Options, output: &Output) -> Result<(), F
     let database = options.required("database_path").map_err(Failure::Usage)?;
     let matching = match_options(options).map_err(Failure::Usage)?;
     let mut progress = Progress::new(output);
-    let report =
-        match_database(&database, pairs, &matching, &mut |event| progress.watch(event))?;
+    let report = match_database(&database, pairs, &matching, &mut |event| progress.watch(event))?;
     drop(progress);
     output.result(&report, || {
         format!(

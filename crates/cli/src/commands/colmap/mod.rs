@@ -7,6 +7,7 @@ mod matching;
 mod models;
 mod options;
 mod tables;
+mod undistortion;
 mod verbs;
 
 use std::ffi::OsString;
@@ -72,9 +73,8 @@ fn in_pool(verb: &Verb, options: &Options, output: &Output) -> Result<(), Failur
     let threads = options.threads().map_err(Failure::Usage)?;
     let Some(threads) = threads else { return (verb.run)(options, output) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|cause| {
-        Failure::CouldNot(format!("cannot start {threads} threads: {cause}"))
-    })?;
+    let pool = pool
+        .map_err(|cause| Failure::CouldNot(format!("cannot start {threads} threads: {cause}")))?;
     pool.install(|| (verb.run)(options, output))
 }
 

@@ -54,8 +54,7 @@ pub(super) fn model_aligner(options: &Options, output: &Output) -> Result<(), Fa
     let [from, to] = paths(options)?;
     let kind = options.text("alignment_type");
     let positions = options.path("ref_images_path");
-    let max_error: f64 =
-        options.number("robust_alignment_max_error").map_err(Failure::Usage)?;
+    let max_error: f64 = options.number("robust_alignment_max_error").map_err(Failure::Usage)?;
     let target = match (kind, &positions) {
         ("plane", None) => AlignedTo::Plane,
         ("custom", Some(path)) if options.is_given("ref_is_gps") && options.flag("ref_is_gps") => {

@@ -38,29 +38,19 @@ pub(super) const GENERAL: &[Spec] = &[
 ];
 
 /// The database.
-pub(super) const DATABASE: &[Spec] = &[
-    path("database_path", "", Used),
-];
+pub(super) const DATABASE: &[Spec] = &[path("database_path", "", Used)];
 
 /// The folder of the images.
-pub(super) const IMAGES: &[Spec] = &[
-    path("image_path", "", Used),
-];
+pub(super) const IMAGES: &[Spec] = &[path("image_path", "", Used)];
 
 /// The model to read.
-pub(super) const INPUT: &[Spec] = &[
-    path("input_path", "", Used),
-];
+pub(super) const INPUT: &[Spec] = &[path("input_path", "", Used)];
 
 /// The folder or file to write.
-pub(super) const OUTPUT: &[Spec] = &[
-    path("output_path", "", Used),
-];
+pub(super) const OUTPUT: &[Spec] = &[path("output_path", "", Used)];
 
 /// The list of the images to take.
-pub(super) const IMAGE_LIST: &[Spec] = &[
-    path("image_list_path", "", Used),
-];
+pub(super) const IMAGE_LIST: &[Spec] = &[path("image_list_path", "", Used)];
 
 /// Options of feature_extractor.
 pub(super) const EXTRACTION: &[Spec] = &[
@@ -134,9 +124,7 @@ pub(super) const MATCHING: &[Spec] = &[
 ];
 
 /// Options of exhaustive_matcher.
-pub(super) const EXHAUSTIVE: &[Spec] = &[
-    int("ExhaustiveMatching.block_size", "50", Speed),
-];
+pub(super) const EXHAUSTIVE: &[Spec] = &[int("ExhaustiveMatching.block_size", "50", Speed)];
 
 /// Options of sequential_matcher.
 pub(super) const SEQUENTIAL: &[Spec] = &[
@@ -248,10 +236,8 @@ pub(super) const MAPPER: &[Spec] = &[
 ];
 
 /// Options of point_triangulator alone.
-pub(super) const TRIANGULATOR: &[Spec] = &[
-    bool("clear_points", "1", Used),
-    bool("refine_intrinsics", "0", Used),
-];
+pub(super) const TRIANGULATOR: &[Spec] =
+    &[bool("clear_points", "1", Used), bool("refine_intrinsics", "0", Used)];
 
 /// Options of bundle_adjuster.
 pub(super) const BUNDLE_ADJUSTMENT: &[Spec] = &[
@@ -280,7 +266,8 @@ pub(super) const BUNDLE_ADJUSTMENT: &[Spec] = &[
 pub(super) const UNDISTORTER: &[Spec] = &[
     text("output_type", "COLMAP", Used),
     text("copy_policy", "copy", Tuning),
-    int("num_patch_match_src_images", "20", Used),
+    path("image_list_path", "", Fixed),
+    int("num_patch_match_src_images", "20", Fixed),
     real("blank_pixels", "0", Used),
     real("min_scale", "0.2", Used),
     real("max_scale", "2", Used),
@@ -294,10 +281,8 @@ pub(super) const UNDISTORTER: &[Spec] = &[
 ];
 
 /// Options of model_converter.
-pub(super) const CONVERTER: &[Spec] = &[
-    text("output_type", "", Used),
-    bool("skip_distortion", "0", Tuning),
-];
+pub(super) const CONVERTER: &[Spec] =
+    &[text("output_type", "", Used), bool("skip_distortion", "0", Tuning)];
 
 /// Options of model_aligner.
 pub(super) const ALIGNER: &[Spec] = &[
@@ -316,10 +301,7 @@ pub(super) const ALIGNER: &[Spec] = &[
 ];
 
 /// Options of model_analyzer.
-pub(super) const ANALYZER: &[Spec] = &[
-    path("path", "", Used),
-    bool("verbose", "0", Speed),
-];
+pub(super) const ANALYZER: &[Spec] = &[path("path", "", Used), bool("verbose", "0", Speed)];
 
 /// Options of model_merger.
 pub(super) const MERGER: &[Spec] = &[
@@ -329,9 +311,7 @@ pub(super) const MERGER: &[Spec] = &[
 ];
 
 /// Options of rig_configurator.
-pub(super) const RIGS: &[Spec] = &[
-    path("rig_config_path", "", Used),
-];
+pub(super) const RIGS: &[Spec] = &[path("rig_config_path", "", Used)];
 
 /// Names of COLMAP 4 and, behind them, of COLMAP 3.
 pub(super) const ALIASES: &[(&str, &str)] = &[
@@ -352,7 +332,10 @@ pub(super) const ALIASES: &[(&str, &str)] = &[
     ("TwoViewGeometry.multiple_models", "SiftMatching.multiple_models"),
     ("TwoViewGeometry.compute_relative_pose", "SiftMatching.compute_relative_pose"),
     ("BundleAdjustmentCeres.max_num_iterations", "BundleAdjustment.max_num_iterations"),
-    ("BundleAdjustmentCeres.max_linear_solver_iterations", "BundleAdjustment.max_linear_solver_iterations"),
+    (
+        "BundleAdjustmentCeres.max_linear_solver_iterations",
+        "BundleAdjustment.max_linear_solver_iterations",
+    ),
     ("BundleAdjustmentCeres.function_tolerance", "BundleAdjustment.function_tolerance"),
     ("BundleAdjustmentCeres.gradient_tolerance", "BundleAdjustment.gradient_tolerance"),
     ("BundleAdjustmentCeres.parameter_tolerance", "BundleAdjustment.parameter_tolerance"),
@@ -364,7 +347,10 @@ pub(super) const ALIASES: &[(&str, &str)] = &[
     ("Mapper.ba_global_frames_freq", "Mapper.ba_global_images_freq"),
     ("Mapper.snapshot_frames_freq", "Mapper.snapshot_images_freq"),
     ("Mapper.fix_existing_frames", "Mapper.fix_existing_images"),
-    ("Mapper.ba_min_num_residuals_for_cpu_multi_threading", "Mapper.ba_min_num_residuals_for_multi_threading"),
+    (
+        "Mapper.ba_min_num_residuals_for_cpu_multi_threading",
+        "Mapper.ba_min_num_residuals_for_multi_threading",
+    ),
     ("Mapper.ba_local_min_tri_angle", "Mapper.local_ba_min_tri_angle"),
     ("BundleAdjustment.refine_rig_from_world", "BundleAdjustment.refine_extrinsics"),
     ("alignment_max_error", "robust_alignment_max_error"),

@@ -3,9 +3,10 @@
 use super::options::{Options, Spec};
 use super::tables::{
     ALIGNER, ANALYZER, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, EXHAUSTIVE, EXTRACTION, IMAGE_LIST,
-    IMAGES, INPUT, MAPPER, MATCHING, MERGER, OUTPUT, RIGS, SEQUENTIAL, TRIANGULATOR, VOCAB_TREE,
+    IMAGES, INPUT, MAPPER, MATCHING, MERGER, OUTPUT, RIGS, SEQUENTIAL, TRIANGULATOR, UNDISTORTER,
+    VOCAB_TREE,
 };
-use super::{features, mapping, matching, models};
+use super::{features, mapping, matching, models, undistortion};
 use crate::failure::Failure;
 use crate::output::Output;
 
@@ -44,6 +45,11 @@ pub(super) const VERBS: &[Verb] = &[
         name: "image_registrator",
         options: &[DATABASE, INPUT, OUTPUT, MAPPER],
         run: mapping::image_registrator,
+    },
+    Verb {
+        name: "image_undistorter",
+        options: &[IMAGES, INPUT, OUTPUT, UNDISTORTER],
+        run: undistortion::image_undistorter,
     },
     Verb {
         name: "mapper",
