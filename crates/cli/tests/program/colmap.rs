@@ -111,6 +111,16 @@ fn calls_of_3dgs_and_nerfstudio_make_what_colmap_makes() {
     };
     assert!(mean_z(&aligned).abs() < 1e-9 && mean_z(&mapped).abs() > 1e-3);
     assert!(aligned.registered().map(|(_, _, pose)| pose.origin_in_a().z).sum::<f64>() > 0.0);
+    colmap(
+        dir.path(),
+        "image_undistorter --image_path {}/input --input_path {}/distorted/sparse/0 --output_path \
+         {} --output_type COLMAP",
+    )
+    .done();
+    let made = ["images/0.png", "stereo/patch-match.cfg", "run-colmap-geometric.sh"];
+    assert!(made.iter().all(|name| dir.path().join(name).is_file()));
+    let undistorted = read_model(&dir.path().join("sparse")).unwrap();
+    assert_eq!(undistorted.cameras().next().unwrap().1.intrinsics.kind().name(), "PINHOLE");
     let run = tiepoint_in(
         dir.path(),
         "--json colmap bundle_adjuster --input_path {}/distorted/sparse/0 --output_path \

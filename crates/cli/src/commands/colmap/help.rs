@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::options::Spec;
+use super::spec::Spec;
 use super::tables::GENERAL;
 use super::verbs::{VERBS, Verb};
 use crate::failure::Failure;

@@ -6,6 +6,7 @@ mod mapping;
 mod matching;
 mod models;
 mod options;
+mod spec;
 mod tables;
 mod undistortion;
 mod verbs;
@@ -64,7 +65,8 @@ fn run(words: &[OsString], output: &Output) -> Result<(), Failure> {
     if rest.iter().any(|word| word == "-h" || word == "--help") {
         return help::of_verb(verb, output);
     }
-    let options = Options::parse(verb, rest, output).map_err(Failure::Usage)?;
+    let options = Options::parse(verb.name, verb.options().collect(), rest, output);
+    let options = options.map_err(Failure::Usage)?;
     in_pool(verb, &options, output)
 }
 

@@ -1,6 +1,7 @@
 //! The verbs: their names, options and work.
 
-use super::options::{Options, Spec};
+use super::options::Options;
+use super::spec::Spec;
 use super::tables::{
     ALIGNER, ANALYZER, BUNDLE_ADJUSTMENT, CONVERTER, DATABASE, EXHAUSTIVE, EXTRACTION, IMAGE_LIST,
     IMAGES, INPUT, MAPPER, MATCHING, MERGER, OUTPUT, RIGS, SEQUENTIAL, TRIANGULATOR, UNDISTORTER,
