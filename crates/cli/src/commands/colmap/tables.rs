@@ -52,7 +52,7 @@ pub(super) const OUTPUT: &[Spec] = &[path("output_path", "", Used)];
 /// The list of the images to take.
 pub(super) const IMAGE_LIST: &[Spec] = &[path("image_list_path", "", Used)];
 
-/// Options of `feature_extractor` .
+/// Options of `feature_extractor`.
 pub(super) const EXTRACTION: &[Spec] = &[
     int("camera_mode", "-1", Used),
     text("descriptor_normalization", "l1_root", Used),
@@ -123,10 +123,10 @@ pub(super) const MATCHING: &[Spec] = &[
     int("TwoViewGeometry.random_seed", "-1", Tuning),
 ];
 
-/// Options of `exhaustive_matcher` .
+/// Options of `exhaustive_matcher`.
 pub(super) const EXHAUSTIVE: &[Spec] = &[int("ExhaustiveMatching.block_size", "50", Speed)];
 
-/// Options of `sequential_matcher` .
+/// Options of `sequential_matcher`.
 pub(super) const SEQUENTIAL: &[Spec] = &[
     int("SequentialMatching.overlap", "10", Used),
     bool("SequentialMatching.quadratic_overlap", "1", Used),
@@ -143,7 +143,7 @@ pub(super) const SEQUENTIAL: &[Spec] = &[
     int("SequentialMatching.num_threads", "-1", Speed),
 ];
 
-/// Options of `vocab_tree_matcher` .
+/// Options of `vocab_tree_matcher`.
 pub(super) const VOCAB_TREE: &[Spec] = &[
     int("VocabTreeMatching.num_images", "100", Used),
     int("VocabTreeMatching.num_nearest_neighbors", "5", Tuning),
@@ -155,7 +155,7 @@ pub(super) const VOCAB_TREE: &[Spec] = &[
     int("VocabTreeMatching.num_threads", "-1", Speed),
 ];
 
-/// Options of `mapper`, point_triangulator and image_registrator .
+/// Options of `mapper`, `point_triangulator` and `image_registrator`.
 pub(super) const MAPPER: &[Spec] = &[
     int("Mapper.min_num_matches", "15", Used),
     bool("Mapper.ignore_watermarks", "0", Fixed),
@@ -239,7 +239,7 @@ pub(super) const MAPPER: &[Spec] = &[
 pub(super) const TRIANGULATOR: &[Spec] =
     &[bool("clear_points", "1", Used), bool("refine_intrinsics", "0", Used)];
 
-/// Options of `bundle_adjuster` .
+/// Options of `bundle_adjuster`.
 pub(super) const BUNDLE_ADJUSTMENT: &[Spec] = &[
     int("BundleAdjustment.max_num_iterations", "100", Used),
     int("BundleAdjustment.max_linear_solver_iterations", "200", Speed),
@@ -262,7 +262,7 @@ pub(super) const BUNDLE_ADJUSTMENT: &[Spec] = &[
     int("BundleAdjustment.num_threads", "-1", Speed),
 ];
 
-/// Options of `image_undistorter` .
+/// Options of `image_undistorter`.
 pub(super) const UNDISTORTER: &[Spec] = &[
     text("output_type", "COLMAP", Used),
     text("copy_policy", "copy", Tuning),
@@ -280,11 +280,11 @@ pub(super) const UNDISTORTER: &[Spec] = &[
     int("num_threads", "-1", Speed),
 ];
 
-/// Options of `model_converter` .
+/// Options of `model_converter`.
 pub(super) const CONVERTER: &[Spec] =
     &[text("output_type", "", Used), bool("skip_distortion", "0", Tuning)];
 
-/// Options of `model_aligner` .
+/// Options of `model_aligner`.
 pub(super) const ALIGNER: &[Spec] = &[
     path("ref_images_path", "", Used),
     bool("ref_is_gps", "1", Used),
@@ -300,17 +300,17 @@ pub(super) const ALIGNER: &[Spec] = &[
     real("robust_alignment_max_error", "0", Used),
 ];
 
-/// Options of `model_analyzer` .
+/// Options of `model_analyzer`.
 pub(super) const ANALYZER: &[Spec] = &[path("path", "", Used), bool("verbose", "0", Speed)];
 
-/// Options of `model_merger` .
+/// Options of `model_merger`.
 pub(super) const MERGER: &[Spec] = &[
     path("input_path1", "", Used),
     path("input_path2", "", Used),
     real("max_reproj_error", "64", Used),
 ];
 
-/// Options of `rig_configurator` .
+/// Options of `rig_configurator`.
 pub(super) const RIGS: &[Spec] = &[path("rig_config_path", "", Used)];
 
 /// Names of COLMAP 4 and, behind them, of COLMAP 3.
