@@ -2,6 +2,7 @@
 
 mod values;
 
+use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
@@ -85,11 +86,25 @@ pub(crate) enum Command {
     /// colmap/sparse/0 of a workspace gets a column of its own.
     #[command(subcommand)]
     Experiment(Experiment),
+    /// Does what COLMAP's commands do, with COLMAP's options of 3.x and 4.x: feature_extractor,
+    /// exhaustive_matcher, sequential_matcher, vocab_tree_matcher, mapper, bundle_adjuster,
+    /// image_undistorter, model_converter, model_aligner, model_analyzer, model_merger,
+    /// point_triangulator, image_registrator and rig_configurator. `tiepoint colmap VERB -h` lists
+    /// the options. Under the name `colmap` (a link to the program) the program is this command.
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Colmap(Colmap),
     /// Prints the completions of a shell to stdout. The shell reads them from its folder of
     /// completions.
     Completions(Completions),
     /// Prints the manual page of the program or of a command to stdout, in roff.
     Man(Man),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Colmap {
+    /// The command of COLMAP and its options: `mapper --database_path database.db ...`.
+    #[arg(value_name = "VERB", trailing_var_arg = true, allow_hyphen_values = true)]
+    pub(crate) words: Vec<OsString>,
 }
 
 #[derive(Debug, Args)]

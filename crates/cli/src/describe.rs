@@ -38,13 +38,14 @@ pub struct ArgumentInfo {
     pub values: Vec<String>,
 }
 
-/// The commands that work on data, in the order of the program's help.
+/// The commands that work on data, in the order of the program's help, without `colmap`, whose
+/// options are those of another program.
 pub fn commands() -> Vec<CommandInfo> {
     let mut program = Cli::command();
     program.build();
     let mut found = Vec::new();
     for command in program.get_subcommands() {
-        if !["help", "completions", "man"].contains(&command.get_name()) {
+        if !["help", "completions", "man", "colmap"].contains(&command.get_name()) {
             add(command, &[], &mut found);
         }
     }

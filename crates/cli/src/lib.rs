@@ -35,7 +35,7 @@ const BAD_USAGE: u8 = 2;
 
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match Cli::try_parse_from(commands::with_name(std::env::args_os())) {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };

@@ -89,6 +89,14 @@ impl Output {
         }
     }
 
+    /// Writes a warning to stderr, on one line.
+    pub(crate) fn warning(&self, message: &str) {
+        let event = serde_json::json!({ "event": "warning", "message": shortened(message) });
+        if !self.progress(&event) {
+            line_to_stderr(&printable(&format!("tiepoint: {}", shortened(message))));
+        }
+    }
+
     /// Writes an error message to stderr, on one line.
     pub(crate) fn error(&self, message: &str) {
         let message = &*shortened(message);

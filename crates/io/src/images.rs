@@ -9,7 +9,7 @@ use tiepoint_scene::CameraId;
 
 use crate::exif::Exif;
 use crate::manifest::{is_inside, manifest_files};
-use crate::pixels::{self, SizeLimit};
+use crate::pixels::{self, SizeLimit, Turn};
 use crate::regular_file::{escaped, irregular_kind, require_regular_file};
 use crate::{DEFAULT_MAX_PIXELS, Error, Luma, Result, Rgb};
 
@@ -95,6 +95,7 @@ pub struct ImageFolder {
     masks: Vec<Option<PathBuf>>,
     skipped: Vec<SkippedFile>,
     max_pixels: u64,
+    turn: Turn,
 }
 
 impl ImageFolder {
@@ -167,6 +168,7 @@ impl ImageFolder {
             masks: vec![],
             skipped,
             max_pixels: DEFAULT_MAX_PIXELS,
+            turn: Turn::Upright,
         };
         for (name, (path, camera)) in found {
             let known = this.cameras.iter().position(|known| *known == camera);
@@ -222,6 +224,63 @@ impl ImageFolder {
         Self::of_found(found, Vec::new(), masks)
     }
 
+    /// Lists the images in a folder and below as COLMAP does: images may lie beside folders of
+    /// images, the images of a folder have a camera, and pixels are taken as they are stored,
+    /// whatever the EXIF orientation says. Images without a mask are used entirely.
+    ///
+    /// # Errors
+    ///
+    /// If the folder cannot be read.
+    pub fn as_stored(input: &Path, masks: Option<&Path>) -> Result<Self> {
+        let listing = Listing::of_input(input, String::new())?;
+        let found = listing.images.into_iter().map(|image| {
+            let folder = image.name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
+            (image.name, (image.path, folder))
+        });
+        let this = Self::of_found(found.collect(), listing.skipped, None)?;
+        let mut this = this.with_stored_pixels();
+        if let Some(masks) = masks {
+            let names = this.images.iter().map(|image| &image.name);
+            this.masks = names.map(|name| mask_of(masks, name, &mut this.skipped)).collect();
+        }
+        this.skipped.sort();
+        this.skipped.dedup();
+        Ok(this)
+    }
+
+    /// Takes pixels in the order of the file, whatever the EXIF orientation says, as COLMAP and many
+    /// readers of its models do.
+    #[must_use]
+    pub fn with_stored_pixels(self) -> Self {
+        Self { turn: Turn::AsStored, ..self }
+    }
+
+    /// Checks, by its header alone, that an image has `width` × `height` pixels.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn check_size(&self, index: usize, width: u32, height: u32) -> Result<()> {
+        let limit = SizeLimit::of_photo(width, height);
+        pixels::header_turned(&self.paths[index], &limit, self.turn).map(drop)
+    }
+
+    /// Sets one mask for all images.
+    #[must_use]
+    pub fn with_one_mask(mut self, mask: &Path) -> Self {
+        self.masks = vec![Some(mask.to_owned()); self.images.len()];
+        self
+    }
+
+    /// The colour image if it has `width` × `height` pixels, without a limit of pixels.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not an image, or has another size.
+    pub fn rgb_of_size(&self, index: usize, width: u32, height: u32) -> Result<Rgb> {
+        Rgb::read_turned(&self.paths[index], &SizeLimit::of_photo(width, height), self.turn)
+    }
+
     /// Sets the limit of pixels: larger images are refused when they are read
     /// ([`DEFAULT_MAX_PIXELS`] by default).
     #[must_use]
@@ -262,15 +321,15 @@ impl ImageSource for ImageFolder {
     }
 
     fn luma(&self, index: usize) -> Result<Luma> {
-        Luma::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
+        Luma::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
     fn rgb(&self, index: usize) -> Result<Rgb> {
-        Rgb::read_within(&self.paths[index], &SizeLimit::Pixels(self.max_pixels))
+        Rgb::read_turned(&self.paths[index], &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 
     fn mask(&self, index: usize) -> Result<Option<Luma>> {
-        self.with_mask(index, Luma::read_within)
+        self.with_mask(index, |path, limit| Luma::read_turned(path, limit, self.turn))
     }
 }
 
@@ -281,7 +340,7 @@ impl ImageFolder {
     ///
     /// If a file cannot be read or is not an image, or if the sizes differ.
     pub fn check_mask(&self, index: usize) -> Result<()> {
-        self.with_mask(index, pixels::header).map(drop)
+        self.with_mask(index, |path, limit| pixels::header_turned(path, limit, self.turn)).map(drop)
     }
 
     /// Reads something of the mask of an image, and requires its size.
@@ -298,7 +357,7 @@ impl ImageFolder {
 
     /// EXIF data, width and height of an image.
     fn header(&self, path: &Path) -> Result<(Exif, u32, u32)> {
-        pixels::header(path, &SizeLimit::Pixels(self.max_pixels))
+        pixels::header_turned(path, &SizeLimit::Pixels(self.max_pixels), self.turn)
     }
 }
 

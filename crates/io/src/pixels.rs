@@ -5,6 +5,7 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
+use image::imageops::FilterType;
 use image::metadata::Orientation;
 use image::{DynamicImage, ExtendedColorType, ImageFormat, ImageReader};
 
@@ -67,7 +68,11 @@ impl Luma {
     }
 
     pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
-        let (width, height, data) = match decode(path, Planes::Luma, limit)? {
+        Self::read_turned(path, limit, Turn::Upright)
+    }
+
+    pub(crate) fn read_turned(path: &Path, limit: &SizeLimit, turn: Turn) -> Result<Self> {
+        let (width, height, data) = match decode(path, Planes::Luma, limit, turn)? {
             DynamicImage::ImageLuma8(image) => (image.width(), image.height(), image.into_raw()),
             other => {
                 let luma = other.to_rgb8().as_raw().as_chunks().0.iter().map(luma).collect();
@@ -75,6 +80,18 @@ impl Luma {
             }
         };
         Ok(Self { width, height, data })
+    }
+
+    /// The image in another size, by the mean of the pixels that a new one covers; a smaller size
+    /// is meant. An empty image stays empty.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let Some(image) = image::GrayImage::from_raw(self.width, self.height, self.data.clone())
+        else {
+            return Self::default();
+        };
+        let data = image::imageops::resize(&image, width, height, FilterType::Triangle).into_raw();
+        Self { width, height, data }
     }
 
     /// Writes a PNG file, whatever the extension. The folder must exist.
@@ -147,7 +164,11 @@ impl Rgb {
     }
 
     pub(crate) fn read_within(path: &Path, limit: &SizeLimit) -> Result<Self> {
-        let image = decode(path, Planes::Rgb, limit)?.into_rgb8();
+        Self::read_turned(path, limit, Turn::Upright)
+    }
+
+    pub(crate) fn read_turned(path: &Path, limit: &SizeLimit, turn: Turn) -> Result<Self> {
+        let image = decode(path, Planes::Rgb, limit, turn)?.into_rgb8();
         Ok(Self { width: image.width(), height: image.height(), data: image.into_raw() })
     }
 
@@ -207,6 +228,26 @@ fn luma([r, g, b]: &[u8; 3]) -> u8 {
         as u8
 }
 
+/// How the pixels of a file become an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// Rotated as the EXIF orientation asks for.
+    #[default]
+    Upright,
+    /// In the order of the file, as COLMAP and many readers of its models take them.
+    AsStored,
+}
+
+impl Turn {
+    /// The orientation to apply.
+    fn orientation(self, exif: &Exif) -> u8 {
+        match self {
+            Self::Upright => exif.orientation,
+            Self::AsStored => 1,
+        }
+    }
+}
+
 /// The permitted sizes of an upright image.
 pub(crate) enum SizeLimit<'a> {
     /// At most so many pixels.
@@ -217,7 +258,7 @@ pub(crate) enum SizeLimit<'a> {
 
 impl SizeLimit<'_> {
     /// The size of the camera of a photo.
-    fn of_photo(width: u32, height: u32) -> Self {
+    pub(crate) fn of_photo(width: u32, height: u32) -> Self {
         Self::Size { width, height, what: "the photo", of: "the camera of its model" }
     }
 
@@ -249,21 +290,30 @@ impl SizeLimit<'_> {
 
 /// EXIF data, width and height of an upright image.
 pub(crate) fn header(path: &Path, limit: &SizeLimit) -> Result<(Exif, u32, u32)> {
+    header_turned(path, limit, Turn::Upright)
+}
+
+/// EXIF data, width and height of an image.
+pub(crate) fn header_turned(
+    path: &Path,
+    limit: &SizeLimit,
+    turn: Turn,
+) -> Result<(Exif, u32, u32)> {
     // Checked before the EXIF data, because those of a TIFF file may be anywhere in the file.
     let stored = stored_size(path)?;
     let exif = Exif::read(path)?;
-    let (width, height) = upright_size(path, &exif, stored, limit)?;
+    let (width, height) = turned_size(path, turn.orientation(&exif), stored, limit)?;
     Ok((exif, width, height))
 }
 
-/// Size of an image after the rotation of its EXIF orientation, from the stored size.
-fn upright_size(
+/// Size of an image after the rotation of an EXIF orientation, from the stored size.
+fn turned_size(
     path: &Path,
-    exif: &Exif,
+    orientation: u8,
     stored: (u32, u32),
     limit: &SizeLimit,
 ) -> Result<(u32, u32)> {
-    let (width, height) = if exif.orientation >= 5 { (stored.1, stored.0) } else { stored };
+    let (width, height) = if orientation >= 5 { (stored.1, stored.0) } else { stored };
     limit.check(width, height).map_err(|what| Error::content(path, what))?;
     Ok((width, height))
 }
@@ -335,7 +385,7 @@ fn not_an_image(path: &Path) -> Error {
     Error::content(path, "is no JPEG, PNG or TIFF image")
 }
 
-fn decode(path: &Path, planes: Planes, limit: &SizeLimit) -> Result<DynamicImage> {
+fn decode(path: &Path, planes: Planes, limit: &SizeLimit, turn: Turn) -> Result<DynamicImage> {
     // Checks the size in the header before the file is read. The orientation does not change the
     // memory that decoding takes.
     let (width, height) = stored_size(path)?;
@@ -343,8 +393,8 @@ fn decode(path: &Path, planes: Planes, limit: &SizeLimit) -> Result<DynamicImage
         limit.check(width, height).or_else(|what| limit.check(height, width).map_err(|_| what));
     either.map_err(|what| Error::content(path, what))?;
     let bytes = std::fs::read(path).map_err(Error::io(path))?;
-    let exif = Exif::from_bytes(&bytes);
-    upright_size(path, &exif, (width, height), limit)?;
+    let orientation = turn.orientation(&Exif::from_bytes(&bytes));
+    turned_size(path, orientation, (width, height), limit)?;
     let mut image = match image::guess_format(&bytes) {
         Ok(ImageFormat::Jpeg) => {
             let decoded = jpeg::decode(&bytes, planes, (width, height))
@@ -373,7 +423,7 @@ fn decode(path: &Path, planes: Planes, limit: &SizeLimit) -> Result<DynamicImage
         Err(_) => return Err(not_an_image(path)),
     };
     image.apply_orientation(
-        Orientation::from_exif(exif.orientation).unwrap_or(Orientation::NoTransforms),
+        Orientation::from_exif(orientation).unwrap_or(Orientation::NoTransforms),
     );
     Ok(image)
 }

@@ -166,7 +166,7 @@ fn adjust_bal(
     Ok(report)
 }
 
-fn report(
+pub(crate) fn report(
     summary: &Summary,
     start: Instant,
     images: usize,

@@ -1,7 +1,6 @@
 //! Point colours: the mean of the pixels at the observations.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use tiepoint_io::{ImageFolder, ImageSource, Rgb};
 use tiepoint_sfm::scene::{Camera, Image, PointId, Reconstruction};
@@ -26,12 +25,11 @@ pub(crate) fn decoder_bytes(camera: &Camera) -> u64 {
 ///
 /// # Errors
 ///
-/// The input folders or a photo cannot be read.
+/// A photo cannot be read.
 pub(crate) fn color_points<'a>(
-    inputs: &[PathBuf],
+    folder: &ImageFolder,
     models: impl Iterator<Item = &'a mut Reconstruction>,
 ) -> Result<(), Error> {
-    let folder = ImageFolder::open(inputs, None)?;
     let by_name: BTreeMap<&str, usize> = folder
         .images()
         .iter()
@@ -40,17 +38,17 @@ pub(crate) fn color_points<'a>(
         .collect();
     for model in models {
         let mut sums = vec![([0u32; 3], 0u32); model.point_id_bound()];
-        let images: Vec<(&Image, &Camera, &Path)> = model
+        let images: Vec<(&Image, &Camera, usize)> = model
             .registered()
             .filter_map(|(_, image, _)| {
-                let path = folder.path(*by_name.get(image.name.as_str())?);
-                Some((image, model.camera(image.camera), path))
+                let index = *by_name.get(image.name.as_str())?;
+                Some((image, model.camera(image.camera), index))
             })
             .collect();
-        let work = |(image, camera, path): &(&Image, &Camera, &Path)| {
-            Rgb::read_of_size(path, camera.width, camera.height).map(|rgb| colors(image, &rgb))
+        let work = |(image, camera, index): &(&Image, &Camera, usize)| {
+            folder.rgb_of_size(*index, camera.width, camera.height).map(|rgb| colors(image, &rgb))
         };
-        let bytes = |(_, camera, _): &(&Image, &Camera, &Path)| decoder_bytes(camera);
+        let bytes = |(_, camera, _): &(&Image, &Camera, usize)| decoder_bytes(camera);
         for_each_within_budget(budget_bytes(), bytes, &images, work, |_, found| {
             for (point, color) in found? {
                 let (sum, count) = &mut sums[point.index()];

@@ -298,6 +298,14 @@ pub enum Error {
         /// The contradiction.
         what: String,
     },
+    /// A command on a database or a model of COLMAP does not fit what is there.
+    #[error("{path}: {what}")]
+    Colmap {
+        /// The file or folder.
+        path: PathBuf,
+        /// The contradiction, and what to do.
+        what: String,
+    },
     /// A file of capture times does not fit the photos.
     #[error("{path}: {what}")]
     Times {

@@ -302,7 +302,7 @@ impl Extractors {
 /// Memory of feature extraction, in bytes per pixel.
 const BYTES_PER_PIXEL: u64 = 16;
 
-fn memory_of(photo: &ImageInfo) -> u64 {
+pub(crate) fn memory_of(photo: &ImageInfo) -> u64 {
     BYTES_PER_PIXEL * u64::from(photo.width) * u64::from(photo.height)
 }
 

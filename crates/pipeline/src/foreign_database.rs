@@ -196,15 +196,15 @@ pub(crate) fn verify_imported_pairs(
 }
 
 /// The pairs of a database.
-struct Pairs {
+pub(crate) struct Pairs {
     cameras: Vec<Camera>,
     images: Vec<Image>,
     /// The two-view geometry of each pair that has one.
-    all: BTreeMap<ImagePair, Option<TwoView>>,
+    pub(crate) all: BTreeMap<ImagePair, Option<TwoView>>,
 }
 
 impl Pairs {
-    fn read(database: &Database) -> Result<Self, Error> {
+    pub(crate) fn read(database: &Database) -> Result<Self, Error> {
         let mut all: BTreeMap<ImagePair, Option<TwoView>> =
             database.matched_pairs()?.into_iter().map(|pair| (pair, None)).collect();
         all.extend(database.read_two_views()?.into_iter().map(|(pair, view)| (pair, Some(view))));
@@ -218,7 +218,7 @@ impl Pairs {
     }
 
     /// The two-view geometry of a pair, and whether it differs from that in the database.
-    fn verified(
+    pub(crate) fn verified(
         &self,
         pair: ImagePair,
         raw: &[Match],

@@ -5,6 +5,7 @@ mod calibration;
 mod camera_facts;
 mod cameras;
 mod cloud;
+pub mod colmap;
 mod colors;
 mod dense;
 mod dense_options;

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use tiepoint_io::colmap::Format;
 use tiepoint_io::database::{Database, DatabaseFrame};
-use tiepoint_io::{ply, timestamps};
+use tiepoint_io::{ImageFolder, ply, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, CorrespondenceGraph, Image, ImageId, Reconstruction};
 use tiepoint_sfm::{
     self as sfm, Existing, Failure, MappedModel, MapperOptions, OptionalStage, RefineIntrinsics,
@@ -180,10 +180,11 @@ pub fn map(
     database.close()?;
     // A database of another program may come without photos.
     if !workspace.records.inputs.is_empty()
-        && let Err(error) = color_points(
-            &workspace.records.inputs,
-            models.iter_mut().map(|model| &mut model.reconstruction),
-        )
+        && let Err(error) = ImageFolder::open(&workspace.records.inputs, None)
+            .map_err(Error::from)
+            .and_then(|folder| {
+                color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
+            })
     {
         // The photos may have moved; the model is valid without colours.
         emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
@@ -362,7 +363,10 @@ fn no_overlap(workspace: &Workspace, required: usize) -> Result<Error, Error> {
 }
 
 /// An event of the mapper with image names in place of ids.
-fn translate<'a>(event: &sfm::Event, name: &dyn Fn(ImageId) -> &'a str) -> Option<Event<'a>> {
+pub(crate) fn translate<'a>(
+    event: &sfm::Event,
+    name: &dyn Fn(ImageId) -> &'a str,
+) -> Option<Event<'a>> {
     Some(match *event {
         sfm::Event::Initialised { image1, image2, num_points } => {
             Event::ModelBegan { image1: name(image1), image2: name(image2), points: num_points }

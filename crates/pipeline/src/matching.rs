@@ -122,25 +122,50 @@ pub fn match_images(
         database.clear_matches_for(&workspace.records.rows())?;
         workspace.note(|_| {})?;
     }
-    let (cameras, images) = (database.read_cameras()?, database.read_images()?);
+    let images = database.read_images()?;
     let MatchOptions { pairs, seed, .. } = *options;
-    let PairChoice { selection, pairs: all } =
-        pair_choice::of_images(workspace, &database, &images, pairs, seed)?;
+    let choice = pair_choice::of_images(workspace, &database, &images, pairs, seed)?;
+    let mut report = match_pairs(&mut database, choice, options, watch)?;
+    let seconds = start.elapsed().as_secs_f64();
+    report.seconds = seconds;
+    // The report is written first, because the database marks the stage as complete.
+    workspace.complete(STAGE);
+    workspace.note(|all| all.stages.matches = Some(report))?;
+    database.write_stage_rows(&workspace.records.rows())?;
+    database.close()?;
+    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+}
+
+/// Matches and verifies the pairs of a choice that have no matches in the database yet. Completed
+/// pairs are kept when `watch` stops the run.
+///
+/// # Errors
+///
+/// The database cannot be read or written, or `watch` returns `Break`.
+pub(crate) fn match_pairs(
+    database: &mut Database,
+    choice: PairChoice,
+    options: &MatchOptions,
+    watch: Watch,
+) -> Result<MatchReport, Error> {
+    let (cameras, images) = (database.read_cameras()?, database.read_images()?);
+    let PairChoice { selection, pairs: all } = choice;
     let done: BTreeSet<ImagePair> = database.matched_pairs()?.into_iter().collect();
     let pending: Vec<ImagePair> = all.iter().copied().filter(|pair| !done.contains(pair)).collect();
     let tiles = tiles(pending.iter().copied());
-    let mut report = report_so_far(&database)?;
+    let mut report = report_so_far(database)?;
     let match_pair = |pair: ImagePair, loaded: &BTreeMap<ImageId, Loaded>| {
         match_pair(pair, loaded, &cameras, &images, options)
     };
-    let first = first_pairs(&database, &pending, seed, match_pair)?;
+    let first = first_pairs(database, &pending, options.seed, match_pair)?;
     let expected_s = first.expected_s(&tiles);
     emit(watch, &Event::PairsChosen { selection: &selection, pairs: pending.len(), expected_s })?;
-    emit(watch, &Event::StageBegan { stage: STAGE, total: all.len(), done: done.len() })?;
+    let (total, done) = (all.len(), all.len() - pending.len());
+    emit(watch, &Event::StageBegan { stage: Stage::Match, total, done })?;
 
     let mut loaded: BTreeMap<ImageId, Loaded> = BTreeMap::new();
     for pairs in &tiles {
-        load(&database, pairs, &mut loaded)?;
+        load(database, pairs, &mut loaded)?;
         let work = |pair: &ImagePair| match first.found.get(pair) {
             Some(found) => found.clone(),
             None => match_pair(*pair, &loaded),
@@ -153,24 +178,17 @@ pub fn match_images(
             count(&mut report, matches.len(), two_view.is_verified().then_some(inliers));
             batch.push((*pair, matches, two_view));
             if batch.len() >= PAIRS_PER_TRANSACTION {
-                write(&mut database, &mut batch)?;
+                write(database, &mut batch)?;
             }
             emit(watch, &event)
         });
         // Completed pairs are kept when the callback stops the run.
-        write(&mut database, &mut batch)?;
+        write(database, &mut batch)?;
         taken?;
     }
-    let seconds = start.elapsed().as_secs_f64();
-    report.seconds = seconds;
     report.selection = selection;
     report.expected_seconds = expected_s;
-    // The report is written first, because the database marks the stage as complete.
-    workspace.complete(STAGE);
-    workspace.note(|all| all.stages.matches = Some(report))?;
-    database.write_stage_rows(&workspace.records.rows())?;
-    database.close()?;
-    emit(watch, &Event::StageDone { stage: STAGE, seconds })
+    Ok(report)
 }
 
 /// The result of a pair: its matches and its two-view geometry.

@@ -68,6 +68,26 @@ impl ModelPhotos {
         Self { folder: folder.with_max_pixels(u64::MAX), index_of }
     }
 
+    /// Takes the pixels of photos and masks as they are stored.
+    pub(crate) fn as_stored(self) -> Self {
+        Self { folder: self.folder.with_stored_pixels(), ..self }
+    }
+
+    /// The undistorted image of a photo.
+    ///
+    /// # Errors
+    ///
+    /// The photo cannot be read or has another size than its camera.
+    pub(crate) fn undistorted(
+        &self,
+        image: &str,
+        undistortion: &Undistortion,
+    ) -> Result<Rgb, Error> {
+        let from = undistortion.from();
+        let rgb = self.folder.rgb_of_size(self.index_of[image], from.width, from.height)?;
+        undistorted_image(self.path(image), &rgb, undistortion)
+    }
+
     /// The file of a registered image's photo.
     pub(crate) fn path(&self, image: &str) -> &Path {
         self.folder.path(self.index_of[image])
@@ -91,7 +111,7 @@ impl ModelPhotos {
         for (_, image, _) in model.registered() {
             let camera = model.camera(image.camera);
             let index = self.index_of[&image.name];
-            Rgb::check_size(self.folder.path(index), camera.width, camera.height)?;
+            self.folder.check_size(index, camera.width, camera.height)?;
             self.folder.check_mask(index)?;
         }
         Ok(())
@@ -131,17 +151,18 @@ pub(crate) fn write_undistorted(
     undistortion: &Undistortion,
     target: &Path,
 ) -> Result<(), Error> {
-    Ok(undistorted_image(photo, undistortion)?.write(target)?)
+    let from = undistortion.from();
+    let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
+    Ok(undistorted_image(photo, &rgb, undistortion)?.write(target)?)
 }
 
-/// The undistorted image of a photo.
+/// The undistorted image of a photo with these pixels.
 ///
 /// # Errors
 ///
-/// The photo cannot be read or has another size than its camera.
-pub(crate) fn undistorted_image(photo: &Path, undistortion: &Undistortion) -> Result<Rgb, Error> {
-    let (from, to) = (undistortion.from(), undistortion.to());
-    let rgb = Rgb::read_of_size(photo, from.width, from.height)?;
+/// It has another size than its camera.
+fn undistorted_image(photo: &Path, rgb: &Rgb, undistortion: &Undistortion) -> Result<Rgb, Error> {
+    let to = undistortion.to();
     let data = undistortion
         .image::<3>(&rgb.data)
         .map_err(|cause| Error::Dense { path: photo.to_owned(), cause })?;

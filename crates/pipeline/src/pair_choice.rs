@@ -183,7 +183,11 @@ fn selected(
 }
 
 /// Global descriptors of all images, from a visual vocabulary that is learnt from a sample of them.
-fn retrieval_index(database: &Database, images: usize, seed: u64) -> Result<RetrievalIndex, Error> {
+pub(crate) fn retrieval_index(
+    database: &Database,
+    images: usize,
+    seed: u64,
+) -> Result<RetrievalIndex, Error> {
     let mut sample = Vec::new();
     for image in (0..images).step_by(images.div_ceil(SAMPLE_IMAGES).max(1)) {
         let features = database.read_features(ImageId::from_index(image))?;

@@ -15,12 +15,16 @@ use tiepoint_sfm::scene::{Image, Reconstruction};
 use crate::colors::decoder_bytes;
 use crate::export::model_files;
 use crate::memory::budget_bytes;
-use crate::model_photos::{ModelPhotos, undistorted_image, undistorted_mask};
+use crate::model_photos::{ModelPhotos, undistorted_mask};
 use crate::ordered::for_each_within_budget;
-use crate::output_folder::{OutputFolder, model_names, output as failed_output};
+use crate::output_folder::{OutputFolder, model_names, output as output_error};
 use crate::rolling_shutter::restore_detected_keypoints;
 use crate::workspace::is_workspace;
 use crate::{Error, Event, Watch, emit, model_folder};
+
+/// Folders that COLMAP's `patch_match_stereo` writes into and does not create.
+const STEREO_FOLDERS: [&str; 3] =
+    ["stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"];
 
 /// The places of the files in the output folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,8 +32,9 @@ pub enum UndistortLayout {
     /// `images`, `masks` and `sparse/0`, as trainers of Gaussian splats read them.
     #[default]
     Splats,
-    /// `images`, `masks`, `sparse`, and in `stereo` the lists of COLMAP's `patch_match_stereo` and
-    /// `stereo_fusion`: the output of COLMAP's `image_undistorter`.
+    /// `images`, `masks`, `sparse`, in `stereo` the lists of COLMAP's `patch_match_stereo` and
+    /// `stereo_fusion`, and scripts: the output of COLMAP's `image_undistorter`. Photos are taken as
+    /// they are stored, whatever the EXIF orientation says.
     Colmap,
 }
 
@@ -111,6 +116,9 @@ pub fn undistort(
         Some(images) => ModelPhotos::below(images, &model, masks)?,
         None => ModelPhotos::of_workspace(from, &model, masks)?,
     };
+    // COLMAP does not turn photos, so that the cameras of its models have the stored size.
+    let is_stored = options.layout == UndistortLayout::Colmap;
+    let photos = if is_stored { photos.as_stored() } else { photos };
     photos.check_sizes(&model)?;
     if is_workspace(to) {
         return Err(Error::ModelIntoWorkspace { path: to.to_owned() });
@@ -147,6 +155,11 @@ pub fn undistort(
     let is_left = |name: &&str| is_result(name, sparse) && !names.iter().any(|new| new == name);
     let removed: Vec<String> = output.names().filter(is_left).map(str::to_owned).collect();
     output.publish(&names, &removed)?;
+    if options.layout == UndistortLayout::Colmap {
+        for folder in STEREO_FOLDERS.map(|name| to.join(name)) {
+            disk::create_folders(&folder).map_err(output_error(&folder))?;
+        }
+    }
     let observations =
         |model: &Reconstruction| model.tracks().map(|(_, track)| track.observations.len()).sum();
     let (before, after): (usize, usize) = (observations(&model), observations(&undistorted));
@@ -198,12 +211,14 @@ impl Task<'_> {
         let photo = self.photos.path(&image.name);
         let target = |factor| output.stage(&image_name(&image.name, factor));
         // A photo without distortion stays as it is, unless it has to be rotated.
-        let is_copied = undistortion.is_identity() && Exif::read(photo)?.orientation == 1;
+        let is_upright =
+            self.options.layout == UndistortLayout::Colmap || Exif::read(photo)?.orientation == 1;
+        let is_copied = undistortion.is_identity() && is_upright;
         if is_copied {
-            disk::copy_new(photo, &target(1)?).map_err(failed_output(&target(1)?))?;
+            disk::copy_new(photo, &target(1)?).map_err(output_error(&target(1)?))?;
         }
         if !is_copied || self.factors().count() > 1 {
-            let rgb = undistorted_image(photo, &undistortion)?;
+            let rgb = self.photos.undistorted(&image.name, &undistortion)?;
             for factor in self.factors().skip(usize::from(is_copied)) {
                 rgb.reduced(factor).write(&target(factor)?)?;
             }
@@ -232,8 +247,29 @@ impl Task<'_> {
             images.iter().map(|image| format!("{}\n{after}", image.name)).collect()
         };
         // The sources of an image are chosen by `patch_match_stereo`, 20 of them.
-        vec![("stereo/patch-match.cfg", lines("__auto__, 20\n")), ("stereo/fusion.cfg", lines(""))]
+        vec![
+            ("stereo/patch-match.cfg", lines("__auto__, 20\n")),
+            ("stereo/fusion.cfg", lines("")),
+            ("run-colmap-geometric.sh", script("geometric", true)),
+            ("run-colmap-photometric.sh", script("photometric", false)),
+        ]
     }
+}
+
+/// A script that goes on with COLMAP's dense stereo.
+fn script(input: &str, is_geometric: bool) -> String {
+    format!(
+        "# Set COLMAP_EXE_PATH to the folder of COLMAP's program.\n\
+        \"$COLMAP_EXE_PATH/colmap\" patch_match_stereo --workspace_path . --workspace_format \
+        COLMAP --PatchMatchStereo.max_image_size 2000 --PatchMatchStereo.geom_consistency \
+        {is_geometric}\n\
+        \"$COLMAP_EXE_PATH/colmap\" stereo_fusion --workspace_path . --workspace_format COLMAP \
+        --input_type {input} --output_path ./fused.ply\n\
+        \"$COLMAP_EXE_PATH/colmap\" poisson_mesher --input_path ./fused.ply --output_path \
+        ./meshed-poisson.ply\n\
+        \"$COLMAP_EXE_PATH/colmap\" delaunay_mesher --input_path . --input_type dense \
+        --output_path ./meshed-delaunay.ply\n"
+    )
 }
 
 /// A folder of images or masks of a size.

@@ -1,6 +1,7 @@
 //! The commands, one file each.
 
 mod adjust;
+mod colmap;
 mod completions;
 mod demo;
 mod drive_evaluation;
@@ -18,6 +19,7 @@ mod view;
 use crate::args::{Command, Evaluate};
 use crate::failure::Failure;
 use crate::output::Output;
+pub(crate) use colmap::with_name;
 
 pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
     match command {
@@ -37,6 +39,7 @@ pub(crate) fn run(command: Command, output: &Output) -> Result<(), Failure> {
         Command::Synth(args) => synth::synth(&args, output),
         Command::Demo(args) => demo::demo(&args, output),
         Command::Experiment(args) => experiment::experiment(&args, output),
+        Command::Colmap(args) => colmap::colmap(&args, output),
         Command::Completions(args) => completions::completions(&args, output),
         Command::Man(args) => man::man(&args, output),
     }

@@ -4,6 +4,7 @@
 
 mod bad_input;
 mod cameras;
+mod colmap;
 mod dense;
 mod drive;
 mod exits;

@@ -53,22 +53,35 @@ impl Database {
         batch: impl IntoIterator<Item = (ImageId, &'a Features)>,
     ) -> Result<()> {
         self.transaction(|db| {
-            for (image, features) in batch {
-                let id = db.file_id(image)?;
-                let Features { keypoints, descriptors } = features;
-                let data: Vec<u8> =
-                    keypoints.iter().flat_map(to_columns).flat_map(f32::to_le_bytes).collect();
-                let sql =
-                    "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, \
-                    6, ?3)";
-                db.execute(sql, params![id, keypoints.len() as i64, data])?;
-                let sql = "INSERT OR REPLACE INTO descriptors(image_id, type, rows, cols, data) \
-                           VALUES (?1, ?2, ?3, ?4, ?5)";
-                let (rows, data) = (descriptors.len() as i64, descriptors.as_flattened());
-                db.execute(sql, params![id, SIFT, rows, DESCRIPTOR_BYTES as i64, data])?;
-            }
-            Ok(())
+            let has_kind = db.has_descriptor_kinds()?;
+            batch.into_iter().try_for_each(|(image, features)| {
+                db.put_features(db.file_id(image)?, features, has_kind)
+            })
         })
+    }
+
+    /// Before COLMAP 4, all descriptors were SIFT and the column `type` did not exist.
+    pub(super) fn has_descriptor_kinds(&self) -> Result<bool> {
+        Ok(self.columns("descriptors")?.iter().any(|name| name == "type"))
+    }
+
+    /// Writes the features of the image with an id in the file.
+    pub(super) fn put_features(&self, id: i64, features: &Features, has_kind: bool) -> Result<()> {
+        let Features { keypoints, descriptors } = features;
+        let data: Vec<u8> =
+            keypoints.iter().flat_map(to_columns).flat_map(f32::to_le_bytes).collect();
+        let sql = "INSERT OR REPLACE INTO keypoints(image_id, rows, cols, data) VALUES (?1, ?2, 6, \
+        ?3)";
+        self.execute(sql, params![id, keypoints.len() as i64, data])?;
+        let (kind, value) = if has_kind { ("type, ", "?5, ") } else { ("", "") };
+        let sql = format!(
+            "INSERT OR REPLACE INTO descriptors(image_id, {kind}rows, cols, data) \
+            VALUES (?1, {value}?2, ?3, ?4)"
+        );
+        let (rows, data) = (descriptors.len() as i64, descriptors.as_flattened());
+        let values: [&dyn rusqlite::ToSql; 5] =
+            [&id, &rows, &(DESCRIPTOR_BYTES as i64), &data, &SIFT];
+        self.execute(&sql, &values[..if has_kind { 5 } else { 4 }])
     }
 
     /// Deletes all keypoints and descriptors.
@@ -129,9 +142,7 @@ impl Database {
     /// numbers of keypoints and descriptors.
     pub fn read_features(&self, image: ImageId) -> Result<Features> {
         let keypoints = self.read_keypoints(image)?;
-        // Before COLMAP 4, all descriptors were SIFT and the column `type` did not exist.
-        let has_kind = self.columns("descriptors")?.iter().any(|name| name == "type");
-        let kind = if has_kind { "type" } else { "0" };
+        let kind = if self.has_descriptor_kinds()? { "type" } else { "0" };
         let descriptors: Vec<Descriptor> = match self.feature_row("descriptors", kind, image)? {
             None => Vec::new(),
             Some((SIFT, DESCRIPTOR_BYTES, data)) => data.as_chunks::<DESCRIPTOR_BYTES>().0.to_vec(),
@@ -161,8 +172,7 @@ impl Database {
     ///
     /// If the file cannot be read.
     pub fn image_without_sift(&self) -> Result<Option<String>> {
-        let has_kind = self.columns("descriptors")?.iter().any(|name| name == "type");
-        let kind = if has_kind { "descriptors.type" } else { "0" };
+        let kind = if self.has_descriptor_kinds()? { "descriptors.type" } else { "0" };
         let sql = format!(
             "SELECT images.name FROM images JOIN keypoints USING (image_id) LEFT JOIN descriptors \
             USING (image_id) WHERE keypoints.rows > 0 AND (descriptors.rows IS NULL OR \

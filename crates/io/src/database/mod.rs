@@ -11,6 +11,7 @@
 //! One table is not in COLMAP's schema: `tiepoint_stages` records the inputs of the stages that
 //! filled the other tables. COLMAP ignores it.
 
+mod append;
 mod connection;
 mod copy;
 mod create;

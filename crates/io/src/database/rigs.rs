@@ -12,7 +12,7 @@ use crate::binary::pose_numbers;
 use crate::{Result, rotation};
 
 /// Value of COLMAP for cameras among the types of sensors.
-const SENSOR_CAMERA: i64 = 0;
+pub(super) const SENSOR_CAMERA: i64 = 0;
 
 impl Database {
     /// Writes the rigs and frames; replaces those in the file. A camera in no rig gets a rig of its

@@ -1,0 +1,248 @@
+//! COLMAP's commands: the calls of 3DGS's `convert.py` and of nerfstudio, a database that another
+//! program made, and options.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::sync::OnceLock;
+
+use rusqlite::Connection;
+use tiepoint_pipeline::io::colmap::read_model;
+
+use crate::{Run, photos, tiepoint, tiepoint_in};
+
+/// Photos of the first call, and of all.
+const OLD: usize = 5;
+const ALL: usize = 6;
+
+/// A folder with `input` (photos) and what the calls made of them, made once.
+fn folder() -> &'static Path {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let dir = FOLDER.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        photos::write(&dir.path().join("input"), OLD, 0);
+        fs::create_dir_all(dir.path().join("distorted/sparse")).unwrap();
+        for line in [
+            "feature_extractor --database_path {}/distorted/database.db --image_path {}/input \
+             --ImageReader.single_camera 1 --ImageReader.camera_model OPENCV \
+             --SiftExtraction.use_gpu 1",
+            "exhaustive_matcher --database_path {}/distorted/database.db --SiftMatching.use_gpu 1",
+            "mapper --database_path {}/distorted/database.db --image_path {}/input --output_path \
+             {}/distorted/sparse --Mapper.ba_global_function_tolerance=0.000001",
+        ] {
+            colmap(dir.path(), line).done();
+        }
+        dir
+    });
+    dir.path()
+}
+
+/// Runs a verb under the name `colmap` where links exist, as a command elsewhere.
+fn colmap(dir: &Path, line: &str) -> Run {
+    let program = dir.join("colmap");
+    #[cfg(unix)]
+    if !program.exists() {
+        std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_tiepoint"), &program).unwrap();
+    }
+    if !program.exists() {
+        return tiepoint_in(dir, &format!("colmap {line}"));
+    }
+    let dir = dir.to_str().unwrap();
+    let words = line.split_whitespace().map(|word| word.replace("{}", dir));
+    Run(Command::new(program).args(words).output().expect("the program starts"))
+}
+
+/// The ids and names of the images of a database.
+fn images(database: &Path) -> Vec<(i64, String)> {
+    let database = Connection::open(database).unwrap();
+    let mut rows = database.prepare("SELECT image_id, name FROM images ORDER BY image_id").unwrap();
+    let rows = rows.query_map([], |row| Ok((row.get(0)?, row.get(1)?))).unwrap();
+    rows.map(Result::unwrap).collect()
+}
+
+fn count(database: &Path, table: &str) -> i64 {
+    let database = Connection::open(database).unwrap();
+    database.query_row(&format!("SELECT count(*) FROM {table}"), [], |row| row.get(0)).unwrap()
+}
+
+/// A copy of the folder of all tests.
+fn copy() -> tempfile::TempDir {
+    let copy = tempfile::tempdir().unwrap();
+    for name in ["input", "distorted/sparse/0"] {
+        fs::create_dir_all(copy.path().join(name)).unwrap();
+        for entry in fs::read_dir(folder().join(name)).unwrap() {
+            let from = entry.unwrap().path();
+            let to = copy.path().join(name).join(from.file_name().unwrap());
+            fs::copy(from, to).unwrap();
+        }
+    }
+    let database = "distorted/database.db";
+    fs::copy(folder().join(database), copy.path().join(database)).unwrap();
+    copy
+}
+
+#[test]
+fn calls_of_3dgs_and_nerfstudio_make_what_colmap_makes() {
+    let dir = copy();
+    let database = dir.path().join("distorted/database.db");
+    assert_eq!(count(&database, "cameras"), 1);
+    assert_eq!(images(&database).len(), OLD);
+    assert_eq!(count(&database, "two_view_geometries"), (OLD * (OLD - 1) / 2) as i64);
+    let folder = dir.path().join("distorted/sparse/0");
+    let mapped = read_model(&folder).unwrap();
+    assert_eq!(mapped.num_registered(), OLD);
+    let camera = *mapped.cameras().next().unwrap().1;
+    assert_eq!(camera.intrinsics.kind().name(), "OPENCV");
+    // The principal point stays where it is by default.
+    let centre = [f64::from(camera.width) / 2.0, f64::from(camera.height) / 2.0];
+    assert_eq!(camera.intrinsics.params()[2..4], centre);
+    assert!(fs::read_to_string(folder.join("project.ini")).unwrap().contains("[Mapper]\n"));
+    // In place.
+    colmap(
+        dir.path(),
+        "model_aligner --input_path {}/distorted/sparse/0 --database_path \
+         {}/distorted/database.db --alignment_max_error 0.1 --alignment_type plane --output_path \
+         {}/distorted/sparse/0",
+    )
+    .done();
+    let aligned = read_model(&folder).unwrap();
+    let mean_z = |model: &tiepoint_pipeline::sfm::scene::Reconstruction| {
+        model.tracks().map(|(_, track)| track.xyz.z).sum::<f64>() / model.num_tracks() as f64
+    };
+    assert!(mean_z(&aligned).abs() < 1e-9 && mean_z(&mapped).abs() > 1e-3);
+    assert!(aligned.registered().map(|(_, _, pose)| pose.origin_in_a().z).sum::<f64>() > 0.0);
+    colmap(
+        dir.path(),
+        "image_undistorter --image_path {}/input --input_path {}/distorted/sparse/0 --output_path \
+         {} --output_type COLMAP",
+    )
+    .done();
+    let made = ["images/0.png", "stereo/patch-match.cfg", "run-colmap-geometric.sh"];
+    assert!(made.iter().all(|name| dir.path().join(name).is_file()));
+    let undistorted = read_model(&dir.path().join("sparse")).unwrap();
+    assert_eq!(undistorted.cameras().next().unwrap().1.intrinsics.kind().name(), "PINHOLE");
+    let run = tiepoint_in(
+        dir.path(),
+        "--json colmap bundle_adjuster --input_path {}/distorted/sparse/0 --output_path \
+         {}/distorted/sparse/0 --BundleAdjustment.refine_principal_point 1",
+    )
+    .done();
+    let cost = |name: &str| run.json()[name].as_f64().unwrap();
+    assert!(cost("final_cost") < cost("initial_cost"));
+    let adjusted = read_model(&folder).unwrap();
+    assert_ne!(adjusted.cameras().next().unwrap().1.intrinsics.params()[2..4], centre);
+    assert!(adjusted.mean_reprojection_error_px() < 1.0);
+}
+
+#[test]
+fn a_database_is_added_to_and_keeps_what_it_has() {
+    let dir = copy();
+    let database = dir.path().join("distorted/database.db");
+    // As COLMAP 3.8 made it: no rigs, all descriptors SIFT; and an id that is not given again.
+    let old = Connection::open(&database).unwrap();
+    old.execute_batch(
+        "DROP TABLE frame_data; DROP TABLE frames; DROP TABLE rig_sensors; DROP TABLE rigs; \
+         ALTER TABLE descriptors DROP COLUMN type; UPDATE sqlite_sequence SET seq = 40 WHERE name \
+         = 'images';",
+    )
+    .unwrap();
+    old.close().unwrap();
+    let before = images(&database);
+    let keypoints = |id: i64| -> Vec<u8> {
+        let database = Connection::open(&database).unwrap();
+        let sql = "SELECT data FROM keypoints WHERE image_id = ?1";
+        database.query_row(sql, [id], |row| row.get(0)).unwrap()
+    };
+    let first = keypoints(1);
+    photos::write(&dir.path().join("input"), ALL, 0);
+    let line = "feature_extractor --database_path {}/distorted/database.db --image_path {}/input \
+                --ImageReader.existing_camera_id 1";
+    let run = tiepoint_in(dir.path(), &format!("--json colmap {line}")).done();
+    assert_eq!((run.json()["images"].as_u64(), run.json()["kept"].as_u64()), (Some(1), Some(5)));
+    let after = images(&database);
+    assert_eq!(after[..OLD], before);
+    assert_eq!(after[OLD], (41, format!("{OLD}.png")));
+    assert_eq!((count(&database, "cameras"), keypoints(1)), (1, first));
+    let line = "sequential_matcher --database_path {}/distorted/database.db \
+                --SequentialMatching.overlap 10 --FeatureMatching.use_gpu=0";
+    colmap(dir.path(), line).done();
+    assert_eq!(count(&database, "matches"), (ALL * (ALL - 1) / 2) as i64);
+    let line = "image_registrator --database_path {}/distorted/database.db --input_path \
+                {}/distorted/sparse/0 --output_path {}/all";
+    colmap(dir.path(), line).done();
+    let [old, all] = ["distorted/sparse/0", "all"].map(|name| {
+        let model = read_model(&dir.path().join(name)).unwrap();
+        model.registered().map(|(id, _, pose)| (id, *pose)).collect::<Vec<_>>()
+    });
+    assert_eq!(all[..OLD], old);
+    assert_eq!(all.len(), ALL);
+    let line = "point_triangulator --database_path {}/distorted/database.db --image_path \
+                {}/input --input_path {}/all --output_path {}/points";
+    colmap(dir.path(), line).done();
+    let model = read_model(&dir.path().join("points")).unwrap();
+    assert_eq!(model.registered().map(|(id, _, pose)| (id, *pose)).collect::<Vec<_>>(), all);
+    assert_eq!(model.original_ids.image(model.registered().last().unwrap().0), 41);
+    assert!(model.num_tracks() > 100 && model.mean_reprojection_error_px() < 1.0);
+}
+
+#[test]
+fn models_are_counted_and_converted() {
+    let dir = copy();
+    let text = colmap(dir.path(), "model_analyzer --path {}/distorted/sparse/0").done().stdout();
+    assert!(text.contains(&format!("Registered images: {OLD}\n")), "{text}");
+    let line = "model_converter --input_path {}/distorted/sparse/0 --output_path";
+    colmap(dir.path(), &format!("{line} {{}}/text --output_type TXT")).done();
+    let binary = read_model(&dir.path().join("distorted/sparse/0")).unwrap();
+    let text = read_model(&dir.path().join("text")).unwrap();
+    assert_eq!(text.num_tracks(), binary.num_tracks());
+    colmap(dir.path(), &format!("{line} {{}}/points.ply --output_type PLY")).done();
+    assert!(dir.path().join("points.ply").is_file());
+    colmap(dir.path(), &format!("{line} {{}}/x --output_type NVM")).failed(1, &["NVM", "PLY"]);
+}
+
+#[test]
+fn options_are_those_of_colmap() {
+    let first = |run: Run| run.done().stdout().lines().next().unwrap().to_owned();
+    let line = first(tiepoint(["colmap", "-h"]));
+    let version = line.strip_prefix("COLMAP ").unwrap().split(' ').next().unwrap();
+    assert!(version.split('.').all(|part| part.parse::<u32>().is_ok()), "{line}");
+    assert!(line.contains("tiepoint"), "{line}");
+    for words in [&["help"][..], &["version"], &[], &["mapper", "--help"]] {
+        assert_eq!(first(tiepoint([&["colmap"], words].concat())), line);
+    }
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir(dir.path().join("empty")).unwrap();
+    let run = |line: &str| tiepoint_in(dir.path(), &format!("colmap {line}"));
+    run("stereo_fusion").failed(1, &["stereo_fusion", "colmap help"]);
+    run("mapper --Mapper.unknown 1").failed(1, &["--Mapper.unknown", "colmap mapper -h"]);
+    run("mapper --Mapper.use_prior_position 1").failed(1, &["use_prior_position"]);
+    run("mapper --Mapper.min_model_size many").failed(1, &["min_model_size", "whole number"]);
+    run("mapper --Mapper.num_threads").failed(1, &["num_threads has no value"]);
+    run("mapper").failed(1, &["--database_path"]);
+    let line = "feature_extractor --database_path {}/x.db --image_path {}/empty";
+    run(line).failed(1, &["empty", "no images"]);
+    let tuned = run(&format!("{line} --FeatureExtraction.use_gpu true --log_level=0"));
+    assert_eq!(tuned.stderr().lines().count(), 1, "{}", tuned.stderr());
+    // The options of a project file, which has those of all verbs.
+    fs::write(dir.path().join("a.ini"), "image_path=nowhere\n[Mapper]\nnum_threads=1\n").unwrap();
+    let line = "feature_extractor --database_path {}/x.db --project_path {}/a.ini";
+    run(line).failed(1, &["nowhere"]);
+    assert!(!dir.path().join("x.db").exists());
+}
+
+#[test]
+fn a_model_of_another_program_is_not_replaced_by_the_mapper() {
+    let dir = copy();
+    let folder = dir.path().join("theirs/0");
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("cameras.bin"), "theirs").unwrap();
+    let line = "mapper --database_path {}/distorted/database.db --image_path {}/input \
+                --output_path {}/theirs";
+    colmap(dir.path(), line).failed(1, &["cameras.bin"]);
+    assert_eq!(fs::read(folder.join("cameras.bin")).unwrap(), b"theirs");
+    assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+    // A workspace's database has records, which would become wrong.
+    tiepoint_in(dir.path(), "features {}/input -o {}/ws").done();
+    let line = "exhaustive_matcher --database_path {}/ws/database.db";
+    colmap(dir.path(), line).failed(1, &["ws/database.db", "tiepoint match"]);
+}

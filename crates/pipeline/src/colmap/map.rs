@@ -1,0 +1,187 @@
+//! `mapper`: models of the images of a database.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::Serialize;
+use tiepoint_io::ImageFolder;
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::database::Database;
+use tiepoint_sfm::scene::{CorrespondenceGraph, ImageId, Reconstruction};
+use tiepoint_sfm::{
+    self as sfm, Existing, KnownFrame, KnownRigs, MappedModel, MapperOptions, Transferred,
+    transfer_model,
+};
+
+use super::output::{Replaced, put, refuse_foreign};
+use super::scene::{ids_of, read_graph, read_scene};
+use crate::colors::color_points;
+use crate::mapping::translate;
+use crate::{Error, Event, Stage, Watch, emit};
+
+/// Options of [`map`].
+#[derive(Clone, Debug)]
+pub struct MapDatabaseOptions {
+    /// Options of the mapper.
+    pub mapper: MapperOptions,
+    /// The images to map, by their names; all if `None`.
+    pub names: Option<BTreeSet<String>>,
+    /// Fewest verified matches of a pair.
+    pub min_matches: usize,
+    /// Most models that are written.
+    pub max_models: usize,
+    /// Whether points get colours.
+    pub has_colors: bool,
+    /// Whether the extrinsics of the rigs of the database are refined.
+    pub refines_rigs: bool,
+    /// The model to go on from; the result is then one model, in the output folder itself.
+    pub input: Option<PathBuf>,
+    /// Whether its poses are constant.
+    pub has_constant_poses: bool,
+    /// Text of the file `project.ini` beside each model.
+    pub project: Option<String>,
+}
+
+/// A model that was written.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MappedFolder {
+    /// Its folder.
+    pub path: PathBuf,
+    /// Number of images with a pose.
+    pub images: usize,
+    /// Number of points.
+    pub points: usize,
+    /// Mean reprojection error, in pixels.
+    pub mean_reprojection_error_px: f64,
+}
+
+/// Maps the images of a database, which stays as it is, and writes the models into the sub-folders
+/// `0`, `1`, ... of a folder, the largest first. Rigs of the database with known extrinsics are
+/// used. `images`: the folder of the images, for colours.
+///
+/// # Errors
+///
+/// The database or the model cannot be read; no pair of images overlaps; the mapper fails; an
+/// output folder has a model that is not this program's; writing fails; `watch` returns `Break`.
+pub fn map(
+    database: &Path,
+    images: Option<&Path>,
+    output: &Path,
+    options: &MapDatabaseOptions,
+    watch: Watch,
+) -> Result<Vec<MappedFolder>, Error> {
+    let start = Instant::now();
+    // Before any work is done. Named folders are replaced.
+    let folder = |index: usize| match options.input {
+        Some(_) => output.to_owned(),
+        None => output.join(index.to_string()),
+    };
+    let replaced = if options.input.is_some() { Replaced::All } else { Replaced::Ours };
+    if replaced == Replaced::Ours {
+        refuse_foreign(&folder(0))?;
+    }
+    let database = Database::open_read_only(database)?;
+    let scene = read_scene(&database)?;
+    let is_asked = |id: ImageId| match &options.names {
+        None => true,
+        Some(names) => names.contains(&scene.image(id).name),
+    };
+    let (seed, min_matches) = (options.mapper.seed, options.min_matches);
+    let graph = read_graph(&database, &scene, min_matches, &is_asked, seed)?;
+    let total = scene.images().filter(|(id, _)| is_asked(*id)).count();
+    emit(watch, &Event::StageBegan { stage: Stage::Map, total, done: 0 })?;
+    let mut models = run(&database, &graph, &scene, options, watch)?;
+    let is_extended = options.input.is_some();
+    models.truncate(if is_extended { 1 } else { options.max_models.max(1) });
+    for model in &mut models {
+        // Images of the input model that the database lacks are behind its own.
+        model.reconstruction.original_ids = ids_of(&database);
+    }
+    drop(database);
+    if let (Some(images), true) = (images, options.has_colors) {
+        let colored =
+            ImageFolder::as_stored(images, None).map_err(Error::from).and_then(|folder| {
+                color_points(&folder, models.iter_mut().map(|model| &mut model.reconstruction))
+            });
+        if let Err(error) = colored {
+            emit(watch, &Event::PointsGrey { why: &error.to_string() })?;
+        }
+    }
+    let mut written = Vec::new();
+    for (index, MappedModel { reconstruction: model, .. }) in models.iter().enumerate() {
+        let path = folder(index);
+        put(&path, model, Format::Binary, options.project.as_deref(), replaced)?;
+        written.push(MappedFolder {
+            path,
+            images: model.num_registered(),
+            points: model.num_tracks(),
+            mean_reprojection_error_px: model.mean_reprojection_error_px(),
+        });
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    emit(watch, &Event::StageDone { stage: Stage::Map, seconds })?;
+    Ok(written)
+}
+
+fn run(
+    database: &Database,
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+    options: &MapDatabaseOptions,
+    watch: Watch,
+) -> Result<Vec<MappedModel>, Error> {
+    // Without descriptors, no images are matched again.
+    let mut descriptors = |_: ImageId| Vec::new();
+    let mapper = &options.mapper;
+    let extended = options.input.as_deref().map(|path| transferred(scene, path)).transpose()?;
+    let scene = extended.as_ref().map_or(scene, |extended| &extended.scene);
+    let name = |id| scene.image(id).name.as_str();
+    let mut notified = |event: &sfm::Event| {
+        translate(event, &name).map_or(ControlFlow::Continue(()), |event| watch(&event))
+    };
+    let Some(path) = &options.input else {
+        return Ok(match known_rigs(database, options.refines_rigs)? {
+            None => sfm::map(graph, scene, &mut descriptors, mapper, &mut notified)?,
+            Some(rigs) => {
+                sfm::map_with_rigs(graph, scene, &rigs, &mut descriptors, mapper, &mut notified)?
+            }
+        });
+    };
+    let existing = Existing { model: scene, has_constant_poses: options.has_constant_poses };
+    let graph = &for_scene(graph, scene);
+    sfm::extend(graph, &existing, &mut descriptors, mapper, &mut notified)
+        .map_err(|cause| Error::InputModel { path: path.clone(), cause })
+}
+
+/// The scene with the poses and points of a model.
+pub(super) fn transferred(scene: &Reconstruction, path: &Path) -> Result<Transferred, Error> {
+    transfer_model(scene, &read_model(path)?)
+        .map_err(|cause| Error::InputModel { path: path.to_owned(), cause })
+}
+
+/// The correspondences of a database for a scene that also has the images of a model, which the
+/// database may lack.
+pub(super) fn for_scene(
+    graph: &CorrespondenceGraph,
+    scene: &Reconstruction,
+) -> CorrespondenceGraph {
+    let counts: Vec<usize> = scene.images().map(|(_, image)| image.keypoints.len()).collect();
+    CorrespondenceGraph::new(&counts, graph.pairs().clone())
+}
+
+/// The rigs of a database if all their extrinsics are known.
+fn known_rigs(database: &Database, are_refined: bool) -> Result<Option<KnownRigs>, Error> {
+    let (rigs, frames) = database.read_rigs()?;
+    let is_known = rigs
+        .iter()
+        .flat_map(|rig| rig.sensors.iter().skip(1))
+        .all(|sensor| sensor.cam_from_rig.is_some());
+    if rigs.is_empty() || !is_known {
+        return Ok(None);
+    }
+    let frames = frames.into_iter();
+    let frames = frames.map(|frame| KnownFrame { rig: frame.rig, images: frame.images }).collect();
+    Ok(Some(KnownRigs { rigs, frames, are_refined }))
+}

@@ -1,0 +1,239 @@
+//! `bundle_adjuster`, `model_aligner`, `model_converter` and `model_merger`: models in folders that
+//! may be input and output at once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::time::Instant;
+
+use serde::Serialize;
+use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_io::{ply, positions, similarity};
+use tiepoint_sfm::geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use tiepoint_sfm::geometry::{Loss, RansacOptions, Sim3, estimate};
+use tiepoint_sfm::scene::{ImageId, Reconstruction};
+use tiepoint_sfm::{self as sfm, AdjustOptions, RefineIntrinsics, Scope, merge_model};
+
+use super::output::write_model;
+use crate::adjust::report;
+use crate::{AdjustReport, Error, Event, SimilarityInfo, Watch};
+
+/// Standard deviation of the priors of the intrinsics, which COLMAP does not have: none.
+const NO_PRIOR: f64 = 1e6;
+
+/// Options of [`adjust`].
+#[derive(Clone, Copy, Debug)]
+pub struct AdjustModelOptions {
+    /// Intrinsics that are refined.
+    pub refine: RefineIntrinsics,
+    /// Whether poses are constant.
+    pub has_constant_poses: bool,
+    /// Whether the extrinsics of rigs are constant.
+    pub has_constant_rigs: bool,
+    /// Maximum number of iterations.
+    pub max_iterations: usize,
+    /// Relative decrease of the cost below which the adjustment ends; `None` for the own default.
+    pub function_tolerance: Option<f64>,
+}
+
+/// Bundle adjustment of a model without priors and without a robust loss, as COLMAP does it.
+///
+/// # Errors
+///
+/// The model cannot be read, adjusted or written, or `watch` returns `Break`.
+pub fn adjust(
+    input: &Path,
+    output: &Path,
+    options: &AdjustModelOptions,
+    watch: Watch,
+) -> Result<AdjustReport, Error> {
+    let mut model = read_model(input)?;
+    let posed: BTreeSet<ImageId> = model.registered().map(|(id, ..)| id).collect();
+    let defaults = AdjustOptions::default();
+    let adjust = AdjustOptions {
+        refine: options.refine,
+        loss: Loss::Trivial,
+        principal_point_sigma: NO_PRIOR,
+        distortion_sigma: NO_PRIOR,
+        constant_poses: options.has_constant_poses.then_some(&posed),
+        has_constant_rigs: options.has_constant_rigs || options.has_constant_poses,
+        max_iterations: options.max_iterations,
+        function_tolerance: options.function_tolerance.unwrap_or(defaults.function_tolerance),
+        ..defaults
+    };
+    let start = Instant::now();
+    let summary = sfm::adjust(&mut model, &Scope::Global, &adjust, &mut [], &mut |step| {
+        watch(&Event::AdjustmentStep { step: step.number, cost: step.cost })
+    })
+    .map_err(Error::adjusting(input))?;
+    let report = report(&summary, start, model.num_registered(), model.num_tracks())?;
+    write_model(output, &model, Format::Binary)?;
+    Ok(report)
+}
+
+/// What a model is aligned to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AlignedTo<'a> {
+    /// The plane of the points: it becomes z = 0, with the cameras on the positive side.
+    Plane,
+    /// A text file with lines `name x y z`: camera centres.
+    Positions {
+        /// The file.
+        path: &'a Path,
+        /// Maximum distance of an inlier, in the unit of the file; `None`: all positions are
+        /// inliers.
+        max_error: Option<f64>,
+        /// Fewest common images.
+        min_common_images: usize,
+    },
+}
+
+/// The result of [`align`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Aligned {
+    /// Number of images with a pose.
+    pub images: usize,
+    /// Number of points.
+    pub points: usize,
+    /// The transform new_from_old.
+    pub transform: SimilarityInfo,
+    /// Mean distance of the camera centres from their positions.
+    pub mean_distance: Option<f64>,
+}
+
+/// Aligns a model and writes it to `output`, and the transform to the file `transform_to`.
+///
+/// # Errors
+///
+/// An input cannot be read, it does not determine the alignment, or writing fails.
+pub fn align(
+    input: &Path,
+    to: AlignedTo,
+    output: &Path,
+    transform_to: Option<&Path>,
+) -> Result<Aligned, Error> {
+    let mut model = read_model(input)?;
+    let failed = |what: String| Error::Colmap { path: input.to_owned(), what };
+    let (new_from_old, mean_distance) = match to {
+        AlignedTo::Plane => (plane_from_world(&model).map_err(failed)?, None),
+        AlignedTo::Positions { path, max_error, min_common_images } => {
+            let file = positions::read(path)?;
+            let (from, to): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = model
+                .registered()
+                .filter_map(|(_, image, pose)| Some((pose.origin_in_a(), *file.get(&image.name)?)))
+                .unzip();
+            let found = similarity_of(&from, &to, max_error, min_common_images.max(3));
+            let found = found.map_err(|why| failed(format!("{why} {}", path.display())))?;
+            let distances = from.iter().zip(&to).map(|(from, to)| (found * *from - to).norm());
+            (found, Some(distances.sum::<f64>() / from.len().max(1) as f64))
+        }
+    };
+    model.transform(&new_from_old);
+    model.validate().map_err(|_| Error::TransformOverflows { path: input.to_owned() })?;
+    if let Some(file) = transform_to {
+        similarity::write(file, &new_from_old)?;
+    }
+    write_model(output, &model, Format::Binary)?;
+    Ok(Aligned {
+        images: model.num_registered(),
+        points: model.num_tracks(),
+        transform: (&new_from_old).into(),
+        mean_distance,
+    })
+}
+
+/// The frame of the points' principal plane: x and y along their largest extents.
+fn plane_from_world(model: &Reconstruction) -> Result<Sim3, String> {
+    let count = model.num_tracks() as f64;
+    if count < 3.0 {
+        return Err(format!("has {count} points, and a plane needs three"));
+    }
+    let mean = model.tracks().map(|(_, track)| track.xyz).sum::<Vector3<f64>>() / count;
+    let mut scatter = Matrix3::zeros();
+    for (_, track) in model.tracks() {
+        let offset = track.xyz - mean;
+        scatter += offset * offset.transpose();
+    }
+    let eigen = scatter.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let axis = |index: usize| eigen.eigenvectors.column(order[index]).into_owned();
+    let (x, mut y) = (axis(0), axis(1));
+    let centres: Vec<Vector3<f64>> =
+        model.registered().map(|(_, _, pose)| pose.origin_in_a()).collect();
+    let height = |y: &Vector3<f64>| {
+        centres.iter().map(|centre| x.cross(y).dot(&(centre - mean))).sum::<f64>()
+    };
+    if height(&y) < 0.0 {
+        y = -y;
+    }
+    let rows = Matrix3::from_columns(&[x, y, x.cross(&y)]).transpose();
+    let rotation = UnitQuaternion::from_matrix(&rows);
+    Ok(Sim3 { scale: 1.0, rotation, translation: -(rotation * mean) })
+}
+
+/// The similarity that brings centres to positions.
+fn similarity_of(
+    from: &[Vector3<f64>],
+    to: &[Vector3<f64>],
+    max_error: Option<f64>,
+    required: usize,
+) -> Result<Sim3, String> {
+    if from.len() < required {
+        let found = from.len();
+        return Err(format!("has {found} images with a position, and {required} are needed in"));
+    }
+    let max_error = max_error.unwrap_or(f64::MAX.sqrt());
+    let options = RansacOptions { max_error, ..RansacOptions::default() };
+    let found = estimate::similarity(from, to, true, &options);
+    found
+        .filter(|found| found.num_inliers >= required)
+        .map(|found| found.model)
+        .ok_or_else(|| "has too few images that fit one similarity to the positions in".to_owned())
+}
+
+/// Writes a model in a format of COLMAP into a folder.
+///
+/// # Errors
+///
+/// The model cannot be read or written.
+pub fn write_as(input: &Path, output: &Path, format: Format) -> Result<(), Error> {
+    write_model(output, &read_model(input)?, format)
+}
+
+/// Writes the points of a model as a PLY file, which is replaced.
+///
+/// # Errors
+///
+/// The model cannot be read, or the file written.
+pub fn convert_to_ply(input: &Path, output: &Path) -> Result<(), Error> {
+    Ok(ply::write(output, &ply::points(&read_model(input)?))?)
+}
+
+/// Merges a model into another one, in the frame of the first, and writes the result to `output`.
+/// Returns the number of images with a pose and of points.
+///
+/// # Errors
+///
+/// A model cannot be read, they do not fit, or writing fails.
+pub fn merge(
+    inputs: [&Path; 2],
+    max_error_px: f64,
+    output: &Path,
+) -> Result<BTreeMap<&'static str, usize>, Error> {
+    let [mut first, second] = [read_model(inputs[0])?, read_model(inputs[1])?];
+    let outcome =
+        merge_model(&mut first, &second, max_error_px).map_err(Error::adjusting(inputs[1]))?;
+    if outcome.alignment.reference_from_model.is_none() {
+        let what = format!(
+            "cannot be merged with {}: {} images are in both, and {} of their {} common \
+             observations fit one similarity",
+            inputs[0].display(),
+            outcome.alignment.num_common_images,
+            outcome.alignment.num_inliers,
+            outcome.alignment.num_common_observations
+        );
+        return Err(Error::Colmap { path: inputs[1].to_owned(), what });
+    }
+    write_model(output, &first, Format::Binary)?;
+    Ok([("images", first.num_registered()), ("points", first.num_tracks())].into())
+}
