@@ -4,10 +4,10 @@
     python bench/view.py [--points 2000000] [--size 1200x800] [--program TIEPOINT]
 
 Prints JSON: the size of the page, the time until it has drawn all points, the time of a frame with
-all points (drawn and read back, so that nothing is left to do), and, while the view turns, the
-time between frames and the points drawn in them. WebGL is done in software (SwiftShader) unless
---angle names another backend, so that times say what a machine without a graphics card does. Let
-nothing else run.
+all points (drawn and read back, so that nothing is left to do) with the processor time that it
+took, and, while the view turns, the time between frames and the points drawn in them. WebGL is done
+in software (SwiftShader) unless --angle names another backend, so that times say what a machine
+without a graphics card does. Let nothing else run.
 """
 
 import argparse
@@ -42,7 +42,9 @@ addEventListener('load', async () => {
     section.yaw += 0.05;
     reset(section);
   };
+  const mark = name => fetch(`/mark/${name}`, { method: 'POST', body: '{}' });
   const times = [];
+  await mark('start');
   for (let k = 0; k < 12; k++) {
     turn();
     const start = performance.now();
@@ -51,6 +53,8 @@ addEventListener('load', async () => {
     times.push(performance.now() - start);
     await frame();
   }
+  await mark('end');
+  found.frames = times.length;
   found.frame_ms = median(times);
   found.fastest_frame_ms = Math.min(...times);
   const [intervals, drawn] = [[], []];
@@ -139,18 +143,43 @@ def serve(page):
 
         def do_POST(self):
             length = int(self.headers["Content-Length"])
-            self.server.result = json.loads(self.rfile.read(length))
+            found = json.loads(self.rfile.read(length))
+            if self.path.startswith("/mark/"):
+                self.server.marks[self.path.removeprefix("/mark/")] = self.server.clock()
+            else:
+                self.server.result = found
+                self.server.done.set()
             self.send_response(204)
             self.end_headers()
-            self.server.done.set()
 
         def log_message(self, *_):
             pass
 
     server = http.server.ThreadingHTTPServer(("localhost", 0), Handler)
-    server.done, server.result = threading.Event(), None
+    server.done, server.result, server.marks = threading.Event(), None, {}
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return server
+
+
+def processor_s(ancestor):
+    """Processor time of a process and all that it started."""
+    times, children = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            text = path.read_text()
+        except OSError:
+            continue
+        # After the name, which may hold anything: state, parent, ..., times as user and system.
+        words = text.rpartition(")")[2].split()
+        process = int(path.parent.name)
+        times[process] = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+        children.setdefault(int(words[1]), []).append(process)
+    total, todo = 0, [ancestor]
+    while todo:
+        process = todo.pop()
+        total += times.get(process, 0)
+        todo += children.get(process, [])
+    return total
 
 
 def main():
@@ -180,6 +209,7 @@ def main():
         command += [f"http://localhost:{server.server_port}/"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         browser = subprocess.Popen(command, **quiet, start_new_session=True)
+        server.clock = lambda: processor_s(browser.pid)
         done = server.done.wait(PATIENCE_S)
         browser.terminate()
         browser.wait()
@@ -187,7 +217,11 @@ def main():
         if not done:
             sys.exit(f"{arguments.browser} gave no result within {PATIENCE_S} s")
         result = {"cores": len(os.sched_getaffinity(0)), "page_mb": len(html.encode()) / 1e6}
-        print(json.dumps(result | server.result, indent=1))
+        result |= server.result
+        spent_s = server.marks["end"] - server.marks["start"]
+        result["frame_processor_ms"] = 1e3 * spent_s / result["frames"]
+        result["load_average"] = os.getloadavg()[0]
+        print(json.dumps(result, indent=1))
 
 
 main()

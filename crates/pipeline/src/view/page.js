@@ -145,7 +145,8 @@ function column(section, model, isAlone) {
     if (!renderer) return element('p', {}, 'The 3D view needs a browser with WebGL.');
     return makeView(section, model, photos, image => showPhoto(section, photos, image)).place;
   };
-  const shown = model.points_shown < model.num_points ? `, ${model.points_shown} of them shown` : '';
+  const isPart = model.points_shown < model.num_points;
+  const shown = isPart ? `, ${model.points_shown} of them shown` : '';
   const dense = model.dense;
   const picture = ([name, png]) =>
     element(

@@ -9,7 +9,7 @@ const START = { yaw: 0.6, pitch: 0.6, nearest: 2.8, farthest: 8 };
 // While the view moves, a slow machine draws fewer points, so that a frame takes less than this.
 const SLOW_MS = 45;
 const FAST_MS = 25;
-const FEWEST_POINTS = 50_000;
+const FEWEST_POINTS = 20_000;
 const REST_MS = 180; // after a rest, all points are drawn
 const PICK_PX = 9;
 
@@ -289,12 +289,12 @@ function mark(section, name) {
 }
 
 // ---- Drawing, on demand ----
-const motion = { limit: Infinity, last: 0, until: 0, timer: 0, isPending: false };
+const motion = { limit: Infinity, last: 0, until: 0, isAsked: false, isPending: false };
 
 // `isMoving`: more frames will follow soon.
 function redraw(section, isMoving = false) {
   section.isStale = true;
-  if (isMoving) motion.until = performance.now() + REST_MS;
+  if (isMoving) Object.assign(motion, { isAsked: true, until: performance.now() + REST_MS });
   request();
 }
 function request() {
@@ -304,8 +304,10 @@ function request() {
 }
 function frameAt(now) {
   motion.isPending = false;
-  const isMoving = performance.now() < motion.until;
-  if (isMoving && motion.last) adapt(now - motion.last);
+  // A slow frame may take longer than a rest.
+  const isMoving = motion.isAsked || performance.now() < motion.until;
+  motion.isAsked = false;
+  if (motion.last) adapt(now - motion.last);
   motion.last = isMoving ? now : 0;
   for (const section of sections) {
     // What moved with fewer points is drawn again with all.
@@ -322,7 +324,7 @@ function adapt(took) {
   const shown = sections.flatMap(({ views }) => views).filter(view => view.isSeen);
   const most = shown.reduce((sum, { points }) => Math.max(sum, points.count), 0);
   const limit = Math.min(motion.limit, most);
-  if (took > SLOW_MS) motion.limit = Math.max(FEWEST_POINTS, limit * Math.max(0.3, SLOW_MS / took));
+  if (took > SLOW_MS) motion.limit = Math.max(FEWEST_POINTS, limit * Math.max(0.1, SLOW_MS / took));
   else if (took < FAST_MS) motion.limit = limit < most ? limit * 1.25 : Infinity;
 }
 function draw(view, isMoving) {
