@@ -2,6 +2,7 @@
 //! sizes of the cameras are those of COLMAP's `image_undistorter`.
 
 mod camera;
+mod mix;
 mod model;
 mod resample;
 mod source_map;

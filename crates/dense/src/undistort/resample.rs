@@ -5,7 +5,8 @@ use tiepoint_geometry::CameraModelKind;
 use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
 
-use super::source_map::{CELL, FRACTION_BITS, SourceMap, Walk};
+use super::mix::{WEIGHT_BITS, mix, mix_rgb};
+use super::source_map::{CELL, FRACTION_BITS, RowWalk, SourceMap, Walk};
 use crate::Error;
 
 /// Undistortion from one camera to another one at the same place.
@@ -70,14 +71,19 @@ impl Undistortion {
         let row_bytes = (self.to.width as usize * C).max(1);
         let map = (self.samples == 1)
             .then(|| SourceMap::new(self.to.width, self.to.height, |place| self.source(place)));
-        out.par_chunks_mut(row_bytes).enumerate().for_each(|(row, out)| {
-            for (cell, out) in out.chunks_mut(CELL * C).enumerate() {
-                let mut walk = map.as_ref().and_then(|map| map.walk(cell, row));
-                for (column, out) in out.as_chunks_mut::<C>().0.iter_mut().enumerate() {
-                    let place = walk.as_mut().map(Walk::step);
-                    *out = place
-                        .and_then(|place| self.interior::<C>(pixels, place))
-                        .unwrap_or_else(|| self.pixel_mean(pixels, CELL * cell + column, row));
+        out.par_chunks_mut(CELL * row_bytes).enumerate().for_each(|(band, out)| {
+            for cell in 0..(self.to.width as usize).div_ceil(CELL) {
+                let mut walk = map.as_ref().and_then(|map| map.walk(cell, band));
+                for (row, out) in out.chunks_exact_mut(row_bytes).enumerate() {
+                    let end = ((cell + 1) * CELL * C).min(row_bytes);
+                    let (out, _) = out[cell * CELL * C..end].as_chunks_mut::<C>();
+                    let mut walk = walk.as_mut().map(Walk::next_row);
+                    for (column, out) in out.iter_mut().enumerate() {
+                        let place = walk.as_mut().map(RowWalk::next_pixel);
+                        *out = place.and_then(|place| self.interior(pixels, place)).unwrap_or_else(
+                            || self.pixel_mean(pixels, CELL * cell + column, CELL * band + row),
+                        );
+                    }
                 }
             }
         });
@@ -101,43 +107,32 @@ impl Undistortion {
     /// 12 bits; `None` elsewhere, and for pixels at the end of the data.
     #[inline]
     fn interior<const C: usize>(&self, pixels: &[u8], place: [i64; 2]) -> Option<[u8; C]> {
-        const WEIGHT_BITS: u32 = 12;
-        const ONE: u64 = 1 << WEIGHT_BITS;
-        const HALF: u64 = ONE / 2;
+        const ONE: u32 = 1 << WEIGHT_BITS;
         // Relative to the centre of the first pixel, and rounded.
         const OFFSET: i64 = (1 << (FRACTION_BITS - 1)) - (1 << (FRACTION_BITS - WEIGHT_BITS - 1));
         let [x, y] = place.map(|value| (value - OFFSET) >> (FRACTION_BITS - WEIGHT_BITS));
-        let [x0, y0] = [x >> WEIGHT_BITS, y >> WEIGHT_BITS];
-        let (width, height) = (i64::from(self.from.width), i64::from(self.from.height));
-        if x0 < 0 || y0 < 0 || x0 + 1 >= width || y0 + 1 >= height {
+        // Negative places become large ones.
+        let [x0, y0] = [x, y].map(|value| (value >> WEIGHT_BITS) as u64);
+        let (width, height) = (u64::from(self.from.width), u64::from(self.from.height));
+        if x0.saturating_add(1) >= width || y0.saturating_add(1) >= height {
             return None;
         }
-        let [u, v] = [x, y].map(|value| value as u64 & (ONE - 1));
-        let both = (u * v + HALF) >> WEIGHT_BITS;
-        let weights = [ONE + both - u - v, u - both, v - both, both];
+        let [u, v] = [x, y].map(|value| value as u32 & (ONE - 1));
+        let both = (u * v + ONE / 2) >> WEIGHT_BITS;
+        let weights = [[ONE + both - u - v, u - both], [v - both, both]];
+        let weights = weights.map(|row| row.map(|weight| weight as u16));
         let start = (y0 * width + x0) as usize * C;
         let row_bytes = width as usize * C;
         if C == 3 {
-            // Two neighbours in a row are six of eight bytes. The three channels of a pixel are
-            // weighted as one number of three times 20 bits, which hold 255 · 2¹² + 2¹¹.
-            let spread = |p: u64| p & 0xff | (p & 0xff00) << 12 | (p & 0xff_0000) << 24;
-            let top = u64::from_le_bytes(*pixels.get(start..)?.first_chunk()?);
-            let bottom = u64::from_le_bytes(*pixels.get(start + row_bytes..)?.first_chunk()?);
-            let sum = spread(top) * weights[0]
-                + spread(top >> 24) * weights[1]
-                + spread(bottom) * weights[2]
-                + spread(bottom >> 24) * weights[3]
-                + spread(0x1_0101) * HALF;
-            return Some(std::array::from_fn(|channel| {
-                (sum >> (20 * channel as u32 + WEIGHT_BITS)) as u8
-            }));
+            let top = *pixels.get(start..)?.first_chunk()?;
+            let bottom = *pixels.get(start + row_bytes..)?.first_chunk()?;
+            let color = mix_rgb([top, bottom], weights);
+            return Some(std::array::from_fn(|channel| color[channel]));
         }
         let top = pixels.get(start..start + 2 * C)?;
         let bottom = pixels.get(start + row_bytes..start + row_bytes + 2 * C)?;
         Some(std::array::from_fn(|channel| {
-            let values = [top[channel], top[C + channel], bottom[channel], bottom[C + channel]];
-            let sum: u64 = weights.iter().zip(values).map(|(w, value)| w * u64::from(value)).sum();
-            ((sum + HALF) >> WEIGHT_BITS) as u8
+            mix([top, bottom].map(|row| [row[channel], row[C + channel]]), weights)
         }))
     }
 

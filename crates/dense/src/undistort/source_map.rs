@@ -68,44 +68,64 @@ impl SourceMap {
         Some(nodes)
     }
 
-    /// The walk along the pixels of a row in the `cell`-th cell of the row; `None` where the places
-    /// are to be computed exactly.
-    pub(super) fn walk(&self, cell: usize, row: usize) -> Option<Walk> {
-        let wide = self.columns - 3;
-        let of_cells = row / CELL;
-        if !self.is_smooth[of_cells * wide + cell] {
+    /// The walk through the pixels of a cell, which is the `column`-th of the `row`-th row of cells;
+    /// `None` where the places are to be computed exactly.
+    pub(super) fn walk(&self, column: usize, row: usize) -> Option<Walk> {
+        if !self.is_smooth[row * (self.columns - 3) + column] {
             return None;
         }
-        let nodes = self.nodes_of(cell, of_cells)?;
-        let down = weights(((row % CELL) as f64 + 0.5) / CELL as f64);
-        let line: [Vector2<f64>; 4] = std::array::from_fn(|i| mixed(&down, &nodes.map(|r| r[i])));
-        // The first four pixels determine the cubic.
-        let at = |pixel: usize| mixed(&weights((pixel as f64 + 0.5) / CELL as f64), &line);
-        let [a, b, c, d] = [at(0), at(1), at(2), at(3)];
+        let nodes = self.nodes_of(column, row)?;
+        // The first four pixels of the first four rows determine the cubic.
+        let steps = [0.5, 1.5, 2.5, 3.5].map(|pixel| weights(pixel / CELL as f64));
+        let rows = steps.map(|down| {
+            let line = std::array::from_fn(|i| mixed(&down, &nodes.map(|row| row[i])));
+            differences(steps.map(|along| mixed(&along, &line)))
+        });
         let fixed = |value: f64| (value * (1u64 << FRACTION_BITS) as f64) as i64;
         Some(Walk([0, 1].map(|axis| {
-            let (a, b, c, d) = (a[axis], b[axis], c[axis], d[axis]);
-            [a, b - a, c - 2.0 * b + a, d - 3.0 * c + 3.0 * b - a].map(fixed)
+            [0, 1, 2, 3]
+                .map(|k| differences(rows.map(|row| row[k])).map(|value| fixed(value[axis])))
         })))
     }
 }
 
-/// A place that goes from pixel to pixel of a row: x and y with their forward differences, in units
-/// of 2^−[`FRACTION_BITS`] pixels.
-pub(super) struct Walk([[i64; 4]; 2]);
+/// A value at 0 and its forward differences, from the values at 0, 1, 2 and 3.
+fn differences([a, b, c, d]: [Vector2<f64>; 4]) -> [Vector2<f64>; 4] {
+    [a, b - a, c - b * 2.0 + a, d - c * 3.0 + b * 3.0 - a]
+}
+
+/// A place that goes from row to row of a cell: of x and y the value and the forward differences
+/// along the row, each with its forward differences from row to row, in units of
+/// 2^−[`FRACTION_BITS`] pixels.
+pub(super) struct Walk([[[i64; 4]; 4]; 2]);
 
 impl Walk {
+    /// The walk along the row. Goes on to the next row.
+    #[inline]
+    pub(super) fn next_row(&mut self) -> RowWalk {
+        RowWalk(self.0.each_mut().map(|axis| axis.each_mut().map(step)))
+    }
+}
+
+/// A place that goes from pixel to pixel of a row: x and y with their forward differences.
+pub(super) struct RowWalk([[i64; 4]; 2]);
+
+impl RowWalk {
     /// The place, in units of 2^−[`FRACTION_BITS`] pixels. Goes on to the next pixel.
     #[inline]
-    pub(super) fn step(&mut self) -> [i64; 2] {
-        let place = [self.0[0][0], self.0[1][0]];
-        for [value, first, second, third] in &mut self.0 {
-            *value += *first;
-            *first += *second;
-            *second += *third;
-        }
-        place
+    pub(super) fn next_pixel(&mut self) -> [i64; 2] {
+        self.0.each_mut().map(step)
     }
+}
+
+/// The value of a cubic, which goes on by one.
+#[inline]
+fn step([value, first, second, third]: &mut [i64; 4]) -> i64 {
+    let now = *value;
+    *value += *first;
+    *first += *second;
+    *second += *third;
+    now
 }
 
 /// Weights of the cubic through values at −1, 0, 1 and 2.
