@@ -8,8 +8,13 @@ import os
 from . import _tiepoint
 from .progress import default_progress
 
-# Commands whose name says too little, or is that of a function of Python, without the program.
-NAMES = {"features": "extract_features", "match": "match_images", "map": "map_images"}
+# Commands whose name says too little, or is that of another function.
+NAMES = {
+    "features": "extract_features",
+    "match": "match_images",
+    "map": "map_images",
+    "undistort": "undistort_images",
+}
 
 
 def keyword(name):
