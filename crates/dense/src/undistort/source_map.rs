@@ -103,7 +103,13 @@ impl Walk {
     /// The walk along the row. Goes on to the next row.
     #[inline]
     pub(super) fn next_row(&mut self) -> RowWalk {
-        RowWalk(self.0.each_mut().map(|axis| axis.each_mut().map(step)))
+        let mut row = [[0; 4]; 2];
+        for (row, axis) in row.iter_mut().zip(&mut self.0) {
+            for (now, cubic) in row.iter_mut().zip(axis) {
+                *now = step(cubic);
+            }
+        }
+        RowWalk(row)
     }
 }
 
@@ -111,10 +117,14 @@ impl Walk {
 pub(super) struct RowWalk([[i64; 4]; 2]);
 
 impl RowWalk {
-    /// The place, in units of 2^−[`FRACTION_BITS`] pixels. Goes on to the next pixel.
+    /// The places of the pixels, in units of 2^−[`FRACTION_BITS`] pixels.
     #[inline]
-    pub(super) fn next_pixel(&mut self) -> [i64; 2] {
-        self.0.each_mut().map(step)
+    pub(super) fn places(mut self) -> [[i64; 2]; CELL] {
+        let mut places = [[0; 2]; CELL];
+        for place in &mut places {
+            *place = [step(&mut self.0[0]), step(&mut self.0[1])];
+        }
+        places
     }
 }
 
