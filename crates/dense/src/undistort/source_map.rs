@@ -5,8 +5,7 @@ use tiepoint_geometry::nalgebra::Vector2;
 
 /// Pixels between nodes of the grid.
 pub(super) const CELL: usize = 16;
-/// Bits of a fraction of a pixel in a [`Walk`]: the third difference of a cubic is summed up 16³ / 6
-/// times.
+/// Bits of a fraction of a pixel in a [`Walk`]: a third difference is summed up 16³ / 6 times.
 pub(super) const FRACTION_BITS: u32 = 40;
 /// Largest error of a cubic at the centre of its cell, in pixels; there the error is largest. Next
 /// to an edge of 255 grey levels it changes a quarter of a level.
@@ -68,7 +67,7 @@ impl SourceMap {
         Some(nodes)
     }
 
-    /// The walk through the pixels of a cell, which is the `column`-th of the `row`-th row of cells;
+    /// The walk through the pixels of a cell: the `column`-th one of the `row`-th row of cells.
     /// `None` where the places are to be computed exactly.
     pub(super) fn walk(&self, column: usize, row: usize) -> Option<Walk> {
         if !self.is_smooth[row * (self.columns - 3) + column] {
