@@ -415,7 +415,7 @@ def table_dense(cases):
     return rows
 
 
-# ---- undistort: images and keypoints beside COLMAP ------------------------------------------------
+# ---- undistort: images and keypoints beside COLMAP -----------------------------------------------
 
 
 def measure_undistort():

@@ -19,14 +19,14 @@ pub(super) fn mix_rgb(rows: [[u8; 8]; 2], weights: [[u16; 2]; 2]) -> [u8; 3] {
 fn mix_rgb_sse2(rows: [[u8; 8]; 2], weights: [[u16; 2]; 2]) -> [u8; 3] {
     use std::arch::x86_64::{
         _mm_add_epi32, _mm_cvtsi64_si128, _mm_cvtsi128_si32, _mm_madd_epi16, _mm_packs_epi32,
-        _mm_packus_epi16, _mm_set1_epi32, _mm_setzero_si128, _mm_srli_epi32, _mm_srli_si128,
-        _mm_unpacklo_epi8, _mm_unpacklo_epi16,
+        _mm_packus_epi16, _mm_set1_epi32, _mm_setzero_si128, _mm_srli_epi32, _mm_unpacklo_epi8,
     };
     let zero = _mm_setzero_si128();
     let of_row = |row: [u8; 8], [left, right]: [u16; 2]| {
-        let wide = _mm_unpacklo_epi8(_mm_cvtsi64_si128(i64::from_le_bytes(row)), zero);
         // The channels of both pixels side by side.
-        let pairs = _mm_unpacklo_epi16(wide, _mm_srli_si128::<6>(wide));
+        let row = i64::from_le_bytes(row);
+        let pairs = _mm_unpacklo_epi8(_mm_cvtsi64_si128(row), _mm_cvtsi64_si128(row >> 24));
+        let pairs = _mm_unpacklo_epi8(pairs, zero);
         let weights = u32::from(left) | u32::from(right) << 16;
         _mm_madd_epi16(pairs, _mm_set1_epi32(weights.cast_signed()))
     };

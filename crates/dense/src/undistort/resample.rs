@@ -6,7 +6,7 @@ use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
 
 use super::mix::{WEIGHT_BITS, mix, mix_rgb};
-use super::source_map::{CELL, FRACTION_BITS, RowWalk, SourceMap, Walk};
+use super::source_map::{CELL, FRACTION_BITS, SourceMap};
 use crate::Error;
 
 /// Undistortion from one camera to another one at the same place.
@@ -77,12 +77,16 @@ impl Undistortion {
                 for (row, out) in out.chunks_exact_mut(row_bytes).enumerate() {
                     let end = ((cell + 1) * CELL * C).min(row_bytes);
                     let (out, _) = out[cell * CELL * C..end].as_chunks_mut::<C>();
-                    let mut walk = walk.as_mut().map(Walk::next_row);
-                    for (column, out) in out.iter_mut().enumerate() {
-                        let place = walk.as_mut().map(RowWalk::next_pixel);
-                        *out = place.and_then(|place| self.interior(pixels, place)).unwrap_or_else(
-                            || self.pixel_mean(pixels, CELL * cell + column, CELL * band + row),
-                        );
+                    let done = walk.as_mut().map_or(0, |walk| {
+                        self.interior_of_row(pixels, &walk.next_row().places(), out)
+                    });
+                    if done != u32::MAX {
+                        let (column, row) = (cell * CELL, band * CELL + row);
+                        for (k, out) in out.iter_mut().enumerate() {
+                            if done >> k & 1 == 0 {
+                                *out = self.pixel_mean(pixels, column + k, row);
+                            }
+                        }
                     }
                 }
             }
@@ -103,7 +107,26 @@ impl Undistortion {
         if count > 0.0 { sum.map(|sum: f64| (sum / count).round() as u8) } else { [0; C] }
     }
 
-    /// [`Self::bilinear`] at a place of a [`Walk`] between four pixels of the image, with weights of
+    /// Sets the pixels of a row in a cell that have a colour by [`Self::interior`]. Returns a bit
+    /// for each; those beyond the row are set, too.
+    #[inline(never)]
+    fn interior_of_row<const C: usize>(
+        &self,
+        pixels: &[u8],
+        places: &[[i64; 2]; CELL],
+        out: &mut [[u8; C]],
+    ) -> u32 {
+        let mut done = u32::MAX;
+        for (k, (place, out)) in places.iter().zip(out).enumerate() {
+            match self.interior(pixels, *place) {
+                Some(color) => *out = color,
+                None => done &= !(1 << k),
+            }
+        }
+        done
+    }
+
+    /// [`Self::bilinear`] at a place of a walk between four pixels of the image, with weights of
     /// 12 bits; `None` elsewhere, and for pixels at the end of the data.
     #[inline]
     fn interior<const C: usize>(&self, pixels: &[u8], place: [i64; 2]) -> Option<[u8; C]> {

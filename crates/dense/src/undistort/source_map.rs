@@ -5,8 +5,7 @@ use tiepoint_geometry::nalgebra::Vector2;
 
 /// Pixels between nodes of the grid.
 pub(super) const CELL: usize = 16;
-/// Bits of a fraction of a pixel in a [`Walk`]: the third difference of a cubic is summed up 16³ / 6
-/// times.
+/// Bits of a fraction of a pixel in a [`Walk`]: a third difference is summed up 16³ / 6 times.
 pub(super) const FRACTION_BITS: u32 = 40;
 /// Largest error of a cubic at the centre of its cell, in pixels; there the error is largest. Next
 /// to an edge of 255 grey levels it changes a quarter of a level.
@@ -68,7 +67,7 @@ impl SourceMap {
         Some(nodes)
     }
 
-    /// The walk through the pixels of a cell, which is the `column`-th of the `row`-th row of cells;
+    /// The walk through the pixels of a cell: the `column`-th one of the `row`-th row of cells.
     /// `None` where the places are to be computed exactly.
     pub(super) fn walk(&self, column: usize, row: usize) -> Option<Walk> {
         if !self.is_smooth[row * (self.columns - 3) + column] {
@@ -103,7 +102,13 @@ impl Walk {
     /// The walk along the row. Goes on to the next row.
     #[inline]
     pub(super) fn next_row(&mut self) -> RowWalk {
-        RowWalk(self.0.each_mut().map(|axis| axis.each_mut().map(step)))
+        let mut row = [[0; 4]; 2];
+        for (row, axis) in row.iter_mut().zip(&mut self.0) {
+            for (now, cubic) in row.iter_mut().zip(axis) {
+                *now = step(cubic);
+            }
+        }
+        RowWalk(row)
     }
 }
 
@@ -111,10 +116,14 @@ impl Walk {
 pub(super) struct RowWalk([[i64; 4]; 2]);
 
 impl RowWalk {
-    /// The place, in units of 2^−[`FRACTION_BITS`] pixels. Goes on to the next pixel.
+    /// The places of the pixels, in units of 2^−[`FRACTION_BITS`] pixels.
     #[inline]
-    pub(super) fn next_pixel(&mut self) -> [i64; 2] {
-        self.0.each_mut().map(step)
+    pub(super) fn places(mut self) -> [[i64; 2]; CELL] {
+        let mut places = [[0; 2]; CELL];
+        for place in &mut places {
+            *place = [step(&mut self.0[0]), step(&mut self.0[1])];
+        }
+        places
     }
 }
 

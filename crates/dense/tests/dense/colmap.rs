@@ -1,5 +1,5 @@
-//! Undistorted pixels of COLMAP 4.2.1 (`pycolmap.undistort_image`, default options), for an image in
-//! which each error of a place shows. `bench/undistort.py` compares all pixels of larger images.
+//! Undistorted pixels of COLMAP 4.2.1 (`pycolmap.undistort_image`, default options), for an image
+//! in which each error of a place shows. `bench/undistort.py` compares all pixels of larger images.
 
 use tiepoint_dense::undistort::{UndistortOptions, Undistortion, undistort_camera};
 use tiepoint_geometry::{CameraModelKind, Intrinsics};
