@@ -11,8 +11,8 @@ use crate::plane::{Plane, Rays};
 const GEOMETRIC_WEIGHT: f32 = 0.2;
 const GEOMETRIC_LIMIT: f32 = 3.0;
 
-/// Largest cost of a source image that is selected, that of a depth in `filter`: above, the plane is
-/// wrong and does not tell which images see the surface. Other values were not tried.
+/// Largest cost of a source image that is selected, that of a depth in `filter`: above, the plane
+/// is wrong and does not tell which images see the surface. Other values were not tried.
 const MAX_SELECTED_COST: f32 = 0.7;
 
 /// The planes of a source image, for the geometric term.
