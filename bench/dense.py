@@ -76,43 +76,59 @@ def tiepoint(*words):
 
 
 def cloud_of(path):
-    """Points of a binary PLY file with single precision positions."""
+    """Points of a binary PLY file."""
+    return coloured_cloud_of(path)[0]
+
+
+def coloured_cloud_of(path):
+    """Points and colours of a binary PLY file, whose vertices may have lists (of OpenMVS: views and
+    their weights)."""
     data = path.read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
-    fields, count = [], 0
+    fields, count, has_lists, element = [], 0, False, ""
     for line in data[:end].decode().splitlines():
         words = line.split()
-        if words[:2] == ["element", "vertex"]:
-            count = int(words[2])
-        elif words[:1] == ["property"]:
-            if words[1] == "list":
-                return lists_of(data, end, count)
-            fields.append((words[2], TYPES[words[1]]))
-    points = np.frombuffer(data, np.dtype(fields), count, end)
-    return np.column_stack([points[axis] for axis in "xyz"]).astype(float)
+        if words[:1] == ["element"]:
+            element = words[1]
+            if element == "vertex":
+                count = int(words[2])
+        elif words[:1] == ["property"] and element == "vertex":
+            has_lists |= words[1] == "list"
+            if not has_lists:
+                fields.append((words[2], TYPES[words[1]]))
+    head = np.dtype(fields)
+    if has_lists:
+        vertices = vertices_before_lists(data, end, count, head)
+    else:
+        vertices = np.frombuffer(data, head, count, end)
+    points = np.column_stack([vertices[axis] for axis in "xyz"]).astype(float)
+    if "red" not in head.names:
+        return points, np.full((count, 3), 128, np.uint8)
+    return points, np.column_stack([vertices[name] for name in ("red", "green", "blue")])
 
 
-def lists_of(data, at, count):
-    """OpenMVS's vertices: position, colour, normal?, and lists of views and weights."""
-    head = data[: data.index(b"end_header")].decode().splitlines()
+def vertices_before_lists(data, at, count, head):
+    """The fields of vertices before their first list."""
+    lines = data[: data.index(b"end_header")].decode().splitlines()
+    start = next(index for index, line in enumerate(lines) if line.startswith("element vertex"))
     steps = []
-    for line in head[[index for index, l in enumerate(head) if l.startswith("element")][0] + 1 :]:
+    for line in lines[start + 1 :]:
         words = line.split()
         if words[0] == "element":
             break
         if words[0] == "property":
             sizes = [np.dtype(TYPES[word]).itemsize for word in words[1:-1] if word in TYPES]
             steps.append((words[1] == "list", sizes))
-    points = np.empty((count, 3))
-    for index in range(count):
-        points[index] = np.frombuffer(data, "<f4", 3, at)
+    found = bytearray()
+    for _ in range(count):
+        found += data[at : at + head.itemsize]
         for is_list, sizes in steps:
             if is_list:
                 length = int.from_bytes(data[at : at + sizes[0]], "little")
                 at += sizes[0] + length * sizes[1]
             else:
                 at += sizes[0]
-    return points
+    return np.frombuffer(bytes(found), head, count)
 
 
 class Surface:
@@ -245,7 +261,9 @@ def run_programs(workspace, scratch, options):
         shutil.rmtree(scene, ignore_errors=True)
         tiepoint("export", workspace, "--to", "openmvs", "-o", scene)
         largest = ["--max-resolution", options.size, "--min-resolution", 0] if options.size else []
-        level = ["--resolution-level", 0]
+        # The whole scene, and no lower priority than ours.
+        level = ["--resolution-level", 0, "--estimate-roi", 0, "--crop-to-roi", 0]
+        level += ["--process-priority", 0]
         words = [options.openmvs, scene / "scene.mvs", "-w", scene, "-o", scene / "dense.mvs"]
         cost = measured([*words, *level, *largest, "--max-threads", options.threads])
         clouds["openmvs"] = cloud_of(scene / "dense.ply")
@@ -373,8 +391,9 @@ def main():
         with tempfile.TemporaryDirectory() as temporary:
             scratch = options.keep / name if options.keep else pathlib.Path(temporary)
             results += run(name, scratch, options)
-    if options.results:
-        options.results.write_text(json.dumps({"cases": results}, indent=1))
+        # After each case, so that an interrupted run keeps what it has measured.
+        if options.results:
+            options.results.write_text(json.dumps({"cases": results}, indent=1))
 
 
 if __name__ == "__main__":

@@ -80,6 +80,8 @@ fn sweeps(
         let options = SweepOptions {
             random: random.wrapping_add((index as u64 + 1).wrapping_mul(0xA076_1D64_78BD_642F)),
             has_costs: index > 0,
+            // On the quarter level, the first planes are random and tell nothing about visibility.
+            selects: !random_plane,
             far: true,
             change_px: change_px * share,
             change_normal: CHANGE_NORMAL * share,

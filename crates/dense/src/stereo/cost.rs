@@ -11,6 +11,10 @@ use crate::plane::{Plane, Rays};
 const GEOMETRIC_WEIGHT: f32 = 0.2;
 const GEOMETRIC_LIMIT: f32 = 3.0;
 
+/// Largest cost of a source image that is selected, that of a depth in `filter`: above, the plane
+/// is wrong and does not tell which images see the surface. Other values were not tried.
+const MAX_SELECTED_COST: f32 = 0.7;
+
 /// The planes of a source image, for the geometric term.
 struct Geometric {
     planes: PlaneMap,
@@ -75,6 +79,9 @@ pub(super) struct PixelCosts<'a> {
     x: f32,
     y: f32,
     at_infinity: [[f32; 3]; MAX_SOURCES],
+    /// The source images that see the pixel, by [`PixelCosts::select`]; the first `count` of them.
+    selected: [u8; MAX_SOURCES],
+    count: usize,
 }
 
 impl Costs {
@@ -107,47 +114,98 @@ impl Costs {
         for (at_infinity, source) in at_infinity.iter_mut().zip(&self.sources) {
             *at_infinity = source.to_source.at_infinity(x, y);
         }
-        PixelCosts { costs: self, patch, x, y, at_infinity }
+        PixelCosts { costs: self, patch, x, y, at_infinity, selected: [0; MAX_SOURCES], count: 0 }
     }
 }
 
 impl PixelCosts<'_> {
-    /// The mean of the lowest costs of a plane over the source images, or some number of at least
-    /// `limit` if it is not below.
+    /// The cost of a plane in one source image, of a plane that the reference image sees.
     #[inline(always)]
-    pub(super) fn cost<N: Ncc>(&self, plane: &Plane, limit: f32) -> f32 {
-        let Self { costs, patch, x, y, .. } = *self;
-        if !costs.range.contains(plane.inverse_depth) || !costs.rays.sees(x, y, plane) {
+    fn in_source<N: Ncc>(&self, index: usize, plane: &Plane) -> f32 {
+        let source = &self.costs.sources[index];
+        let Transfer { columns, epipole } = &source.to_source;
+        let centre = source.to_source.at(&self.at_infinity[index], plane.inverse_depth);
+        let [a, b] = plane.slope;
+        let along = |column: &[f32; 3], slope: f32| {
+            [
+                column[0] + epipole[0] * slope,
+                column[1] + epipole[1] * slope,
+                column[2] + epipole[2] * slope,
+            ]
+        };
+        let warp = Warp { centre, dx: along(&columns[0], a), dy: along(&columns[1], b) };
+        let cost = N::cost(&source.source, &warp, self.patch);
+        match &source.geometric {
+            Some(geometric) if cost < OUTSIDE => cost + geometric.cost(self.x, self.y, &centre),
+            _ => cost,
+        }
+    }
+
+    #[inline(always)]
+    fn is_possible(&self, plane: &Plane) -> bool {
+        self.costs.range.contains(plane.inverse_depth)
+            && self.costs.rays.sees(self.x, self.y, plane)
+    }
+
+    /// Selects the source images with the lowest costs of a plane, if they correlate with it at
+    /// all. Returns the cost of the plane.
+    #[inline(always)]
+    pub(super) fn select<N: Ncc>(&mut self, plane: &Plane) -> f32 {
+        self.count = 0;
+        if !self.is_possible(plane) {
             return OUTSIDE;
         }
+        let best = self.costs.best;
         let mut lowest = [OUTSIDE; MAX_SOURCES];
-        let best = costs.best;
-        let limit = limit * best as f32;
-        for (index, source) in costs.sources.iter().enumerate() {
-            let Transfer { columns, epipole } = &source.to_source;
-            let centre = source.to_source.at(&self.at_infinity[index], plane.inverse_depth);
-            let [a, b] = plane.slope;
-            let along = |column: &[f32; 3], slope: f32| {
-                [
-                    column[0] + epipole[0] * slope,
-                    column[1] + epipole[1] * slope,
-                    column[2] + epipole[2] * slope,
-                ]
-            };
-            let warp = Warp { centre, dx: along(&columns[0], a), dy: along(&columns[1], b) };
-            let mut cost = N::cost(&source.source, &warp, patch);
-            if let Some(geometric) = source.geometric.as_ref().filter(|_| cost < OUTSIDE) {
-                cost += geometric.cost(x, y, &centre);
-            }
+        for index in 0..self.costs.sources.len() {
+            let cost = self.in_source::<N>(index, plane);
             // Insertion keeps the lowest costs sorted.
+            let mut place = index;
+            while place > 0 && lowest[place - 1] > cost {
+                lowest[place] = lowest[place - 1];
+                self.selected[place] = self.selected[place - 1];
+                place -= 1;
+            }
+            lowest[place] = cost;
+            self.selected[place] = index as u8;
+        }
+        if lowest[best - 1] < MAX_SELECTED_COST {
+            self.count = best;
+        }
+        lowest[..best].iter().sum::<f32>() / best as f32
+    }
+
+    /// The mean cost of a plane over the selected source images, or that of the lowest costs over
+    /// all of them if none are selected; some number of at least `limit` if it is not below.
+    #[inline(always)]
+    pub(super) fn cost<N: Ncc>(&self, plane: &Plane, limit: f32) -> f32 {
+        if !self.is_possible(plane) {
+            return OUTSIDE;
+        }
+        let best = self.costs.best;
+        let limit = limit * best as f32;
+        if self.count > 0 {
+            let mut sum = 0.0;
+            for index in &self.selected[..self.count] {
+                sum += self.in_source::<N>(usize::from(*index), plane);
+                // The images that are left cannot have costs below zero.
+                if sum >= limit {
+                    break;
+                }
+            }
+            return sum / best as f32;
+        }
+        let mut lowest = [OUTSIDE; MAX_SOURCES];
+        let sources = self.costs.sources.len();
+        for index in 0..sources {
+            let cost = self.in_source::<N>(index, plane);
             let mut place = index;
             while place > 0 && lowest[place - 1] > cost {
                 lowest[place] = lowest[place - 1];
                 place -= 1;
             }
             lowest[place] = cost;
-            // The images that are left cannot have costs below zero.
-            let left = costs.sources.len() - 1 - index;
+            let left = sources - 1 - index;
             if left < best && left > 0 {
                 let bound: f32 = lowest[..best - left].iter().sum();
                 if bound >= limit {

@@ -68,6 +68,7 @@ pub fn estimate_fine(
         let options = SweepOptions {
             random: random.wrapping_add(0x51 + index as u64),
             has_costs: index > 0,
+            selects: true,
             far: true,
             change_px: GEOMETRIC_CHANGE_PX * share,
             change_normal: GEOMETRIC_CHANGE_NORMAL * share,
@@ -85,6 +86,7 @@ pub fn estimate_fine(
     let options = SweepOptions {
         random: random.wrapping_add(0x71),
         has_costs: false,
+        selects: true,
         far: false,
         change_px: FULL_CHANGE_PX,
         change_normal: FULL_CHANGE_NORMAL,

@@ -34,6 +34,9 @@ pub(super) struct SweepOptions {
     pub(super) random: u64,
     /// Whether costs are known, from a sweep on the same level.
     pub(super) has_costs: bool,
+    /// Whether the source images of each pixel are those that see its first plane; else, of each
+    /// plane.
+    pub(super) selects: bool,
     /// Whether planes of far neighbours are tried, too.
     pub(super) far: bool,
     /// Largest random change of the parallax, in pixels.
@@ -154,8 +157,10 @@ impl Context<'_> {
         // A flat patch keeps the plane and the cost of the coarser level, whose patch is larger.
         let Some(patch) = table.patch(self.grey, x, y) else { return };
         let (u, v) = (x as f32, y as f32);
-        let pixel = costs.pixel(&patch, u, v);
-        if !options.has_costs {
+        let mut pixel = costs.pixel(&patch, u, v);
+        if options.selects {
+            cell.cost = pixel.select::<N>(&cell.plane);
+        } else if !options.has_costs {
             cell.cost = pixel.cost::<N>(&cell.plane, OUTSIDE);
         }
         let Some(per_px) = pixel.inverse_depth_per_pixel(cell.plane.inverse_depth) else { return };
