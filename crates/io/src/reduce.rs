@@ -97,7 +97,8 @@ mod tests {
         // Five columns become three of 5/3 columns each.
         let odd = Luma { width: 5, height: 1, data: vec![0, 50, 100, 150, 200] };
         let mean = |shares: [f64; 3]| (shares.iter().sum::<f64>() * 3.0 / 5.0).round() as u8;
-        let expected = vec![mean([0.0, 2.0 / 3.0 * 50.0, 0.0]), 100, mean([50.0, 200.0, 0.0])];
+        let expected =
+            vec![mean([0.0, 2.0 / 3.0 * 50.0, 0.0]), 100, mean([2.0 / 3.0 * 150.0, 200.0, 0.0])];
         assert_eq!(odd.reduced(2), Luma { width: 3, height: 1, data: expected });
         let rgb = Rgb { width: 2, height: 1, data: vec![0, 100, 200, 10, 100, 100] };
         let pixel = Rgb { width: 1, height: 1, data: vec![5, 100, 150] };

@@ -458,7 +458,7 @@ mod tests {
         assert_eq!(lines(of_mapping(&MapperOptions::default(), None)), expected);
         let expected = [
             "dense.max_image_size = none",
-            "dense.sources = 5",
+            "dense.sources = 8",
             "dense.normal_maps = none",
             "dense.depth_pngs = none",
         ];

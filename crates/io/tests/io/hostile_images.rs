@@ -28,8 +28,8 @@ fn claiming_jpeg() -> Vec<u8> {
     bytes
 }
 
-/// A file with two frame headers of different heights. The first one follows a restart marker, which
-/// has no length; the decoder reads one and skips the header.
+/// A file with two frame headers of different heights. The first one follows a restart marker,
+/// which has no length; the decoder reads one and skips the header.
 fn jpeg_of_two_sizes() -> Vec<u8> {
     let mut bytes = encoded(&noise(200, 200), ImageFormat::Jpeg);
     let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
