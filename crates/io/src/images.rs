@@ -248,8 +248,8 @@ impl ImageFolder {
         Ok(this)
     }
 
-    /// Takes pixels in the order of the file, whatever the EXIF orientation says, as COLMAP and many
-    /// readers of its models do.
+    /// Takes pixels in the order of the file, whatever the EXIF orientation says, as COLMAP and
+    /// many readers of its models do.
     #[must_use]
     pub fn with_stored_pixels(self) -> Self {
         Self { turn: Turn::AsStored, ..self }

@@ -69,7 +69,7 @@ impl ModelPhotos {
     }
 
     /// Takes the pixels of photos and masks as they are stored.
-    pub(crate) fn as_stored(self) -> Self {
+    pub(crate) fn with_stored_pixels(self) -> Self {
         Self { folder: self.folder.with_stored_pixels(), ..self }
     }
 

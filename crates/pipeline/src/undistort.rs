@@ -33,8 +33,8 @@ pub enum UndistortLayout {
     #[default]
     Splats,
     /// `images`, `masks`, `sparse`, in `stereo` the lists of COLMAP's `patch_match_stereo` and
-    /// `stereo_fusion`, and scripts: the output of COLMAP's `image_undistorter`. Photos are taken as
-    /// they are stored, whatever the EXIF orientation says.
+    /// `stereo_fusion`, and scripts: the output of COLMAP's `image_undistorter`. Photos are taken
+    /// as they are stored, whatever the EXIF orientation says.
     Colmap,
 }
 
@@ -118,7 +118,7 @@ pub fn undistort(
     };
     // COLMAP does not turn photos, so that the cameras of its models have the stored size.
     let is_stored = options.layout == UndistortLayout::Colmap;
-    let photos = if is_stored { photos.as_stored() } else { photos };
+    let photos = if is_stored { photos.with_stored_pixels() } else { photos };
     photos.check_sizes(&model)?;
     if is_workspace(to) {
         return Err(Error::ModelIntoWorkspace { path: to.to_owned() });

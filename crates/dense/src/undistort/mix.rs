@@ -71,7 +71,7 @@ mod tests {
         let mut state = 1u32;
         let mut next = |end: u32| {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (u64::from(state) * u64::from(end) >> 32) as u32
+            ((u64::from(state) * u64::from(end)) >> 32) as u32
         };
         for step in 0..10_000 {
             let rows = [0, 1].map(|_| {
