@@ -326,6 +326,22 @@ def export(
     output: Value,
     *,
     rigid: bool = False,
+    detected_keypoints: bool = False,
+    threads: Optional[int] = None,
+    progress: Progress = None,
+) -> dict[str, Any]: ...
+def undistort_images(
+    model: Value,
+    output: Value,
+    *,
+    images: Optional[Value] = None,
+    masks: Optional[Value] = None,
+    detected_keypoints: bool = False,
+    downscale: Optional[Value] = None,
+    blank_pixels: Optional[Value] = None,
+    min_scale: Optional[Value] = None,
+    max_scale: Optional[Value] = None,
+    max_image_size: Optional[Value] = None,
     threads: Optional[int] = None,
     progress: Progress = None,
 ) -> dict[str, Any]: ...
