@@ -195,6 +195,12 @@ fn models_are_counted_and_converted() {
     let binary = read_model(&dir.path().join("distorted/sparse/0")).unwrap();
     let text = read_model(&dir.path().join("text")).unwrap();
     assert_eq!(text.num_tracks(), binary.num_tracks());
+    // In place, beside the model of the other format.
+    let images = dir.path().join("distorted/sparse/0/images.bin");
+    let before = fs::read(&images).unwrap();
+    colmap(dir.path(), &format!("{line} {{}}/distorted/sparse/0 --output_type TXT")).done();
+    assert!(images.with_extension("txt").is_file());
+    assert_eq!(fs::read(&images).unwrap(), before);
     colmap(dir.path(), &format!("{line} {{}}/points.ply --output_type PLY")).done();
     assert!(dir.path().join("points.ply").is_file());
     colmap(dir.path(), &format!("{line} {{}}/x --output_type NVM")).failed(1, &["NVM", "PLY"]);

@@ -21,8 +21,8 @@ pub(super) enum Replaced {
     Ours,
 }
 
-/// Writes a model into a folder that the caller named as the output: its model is replaced, whoever
-/// made it, also if it is the input. All other files in it stay.
+/// Writes a model into a folder that the caller named as the output: its model in this format is
+/// replaced, whoever made it, also if it is the input. All other files in it stay.
 ///
 /// # Errors
 ///
@@ -44,6 +44,11 @@ pub(super) fn put(
     }
     let mut folder = OutputFolder::open(to)?;
     let mut names = model_names(None);
+    if replaced == Replaced::All {
+        // As COLMAP leaves the files of the other format, a conversion in place loses nothing.
+        let suffix = format!(".{}", format.suffix());
+        names.retain(|name| name.ends_with(&suffix));
+    }
     if project.is_some() {
         names.push(PROJECT.to_owned());
     }
