@@ -16,7 +16,7 @@ cargo +nightly fuzz build || exit 1
 host=$(rustc +nightly -vV | sed -n 's/^host: //p')
 ASAN_OPTIONS=detect_leaks=0 "${CARGO_TARGET_DIR:-fuzz/target}/$host/release/seeds" || exit 1
 failed=0
-TIMEFORMAT="cpu %U s"
+TIMEFORMAT="cpu %U s user, %S s system"
 for target in "${targets[@]}"; do
   echo "== $target"
   time nice -n 10 cargo +nightly fuzz run "$target" -- \
