@@ -22,5 +22,5 @@ mod tests;
 pub(crate) use constants::OUTSIDE;
 pub(crate) use isa::{Isa, dispatch};
 pub(crate) use kernel::{Ncc, Task, Warp};
-pub(crate) use patch::{Patch, PatchTable};
+pub(crate) use patch::{Patch, PatchTable, RADIUS};
 pub(crate) use source::Source;

@@ -1,7 +1,7 @@
 use tiepoint_geometry::Rng;
 
 use super::portable::Portable;
-use super::{Isa, Ncc, OUTSIDE, PatchTable, Source, Task, Warp, dispatch};
+use super::{Isa, Ncc, OUTSIDE, PatchTable, RADIUS, Source, Task, Warp, dispatch};
 use crate::Grey;
 
 const WIDTH: usize = 120;
@@ -47,10 +47,13 @@ fn flat_patches_and_samples_outside_have_no_correlation() {
     let source = Source::new(&image(0.0, 0.0, 1.0));
     let behind = Warp { centre: [-40.0, -40.0, -1.0], dx: [-1.0, 0.0, 0.0], dy: [0.0, -1.0, 0.0] };
     let nowhere = Warp { centre: [f32::NAN; 3], ..behind };
-    for warp in [shift(4.9, 40.0, 0.0, 0.0), shift(40.0, 84.1, 0.0, 0.0), behind, nowhere] {
+    let (radius, last) = (RADIUS as f32, (HEIGHT - 1 - RADIUS) as f32);
+    let left = shift(radius - 0.1, 40.0, 0.0, 0.0);
+    let below = shift(40.0, last + 0.1, 0.0, 0.0);
+    for warp in [left, below, behind, nowhere] {
         assert_eq!(Portable::cost(&source, &warp, &patch), OUTSIDE);
     }
-    assert!(Portable::cost(&source, &shift(5.0, 83.9, 0.0, 0.0), &patch) < OUTSIDE);
+    assert!(Portable::cost(&source, &shift(radius, last - 0.1, 0.0, 0.0), &patch) < OUTSIDE);
 }
 
 /// Costs of many patches on one instruction set.

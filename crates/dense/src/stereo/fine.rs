@@ -10,8 +10,8 @@ use super::sweep::{SweepOptions, sweep};
 use super::view::{MAX_SOURCES, View};
 use crate::plane::Rays;
 
-/// Sweeps on the half level with the geometric term, as in Xu & Tao 2019.
-const GEOMETRIC_SWEEPS: usize = 2;
+/// The one sweep on the half level with the geometric term. With two, as in Xu & Tao 2019, F1 at two
+/// footprints is as high to 0.1 %.
 const GEOMETRIC_CHANGE_PX: f32 = 0.5;
 const GEOMETRIC_CHANGE_NORMAL: f32 = 0.25;
 /// The one sweep on the full level.
@@ -61,32 +61,28 @@ pub fn estimate_fine(
         Costs::new(sources.into_iter().map(geometric).collect(), Rays::new(&half.camera), range);
     let mut field = Field::new(coarse.width, coarse.height, |x, y| {
         let (plane, cost) = coarse.plane(y * coarse.width + x);
-        Cell { plane, cost }
+        Cell { plane, cost, selection: None }
     });
-    for index in 0..GEOMETRIC_SWEEPS {
-        let share = 0.5f32.powi(index as i32);
-        let options = SweepOptions {
-            random: random.wrapping_add(0x51 + index as u64),
-            has_costs: index > 0,
-            selects: true,
-            far: true,
-            change_px: GEOMETRIC_CHANGE_PX * share,
-            change_normal: GEOMETRIC_CHANGE_NORMAL * share,
-            random_plane: false,
-        };
-        sweep(&mut field, &half.grey, &costs, &options);
-    }
-    let map = field.into_map();
+    let options = SweepOptions {
+        random: random.wrapping_add(0x51),
+        has_costs: false,
+        selects: true,
+        far: true,
+        change_px: GEOMETRIC_CHANGE_PX,
+        change_normal: GEOMETRIC_CHANGE_NORMAL,
+        random_plane: false,
+    };
+    sweep(&mut field, &half.grey, &costs, &options);
     let full_costs = Costs::new(
         views.iter().map(|view| LevelSource::new(reference, view, None)).collect(),
         Rays::new(&reference.camera),
         range,
     );
-    let mut field = doubled(&map, reference.grey.width, reference.grey.height);
+    let mut field = doubled(&field, reference.grey.width, reference.grey.height);
     let options = SweepOptions {
         random: random.wrapping_add(0x71),
         has_costs: false,
-        selects: true,
+        selects: false,
         far: false,
         change_px: FULL_CHANGE_PX,
         change_normal: FULL_CHANGE_NORMAL,

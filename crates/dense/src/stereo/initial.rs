@@ -3,7 +3,6 @@
 use super::field::{Cell, Field};
 use super::rng::PixelRng;
 use super::seeds::{InverseDepthRange, Seed};
-use crate::ncc::OUTSIDE;
 use crate::plane::{Plane, Rays};
 
 /// Largest slope of the first planes, as components of a normal beside a unit one along the ray:
@@ -33,7 +32,7 @@ pub(super) fn initial_field(
             .plane(x as f32, y as f32, inverse_depth, &normal)
             .filter(|plane| rays.sees(x as f32, y as f32, plane))
             .unwrap_or(Plane::frontal(inverse_depth));
-        Cell { plane, cost: OUTSIDE }
+        Cell::new(plane)
     })
 }
 

@@ -7,7 +7,7 @@ use super::cost::{Costs, PixelCosts};
 use super::field::{Cell, Field, color};
 use super::rng::PixelRng;
 use crate::Grey;
-use crate::ncc::{Isa, Ncc, OUTSIDE, PatchTable, Task, dispatch};
+use crate::ncc::{Isa, Ncc, OUTSIDE, PatchTable, RADIUS, Task, dispatch};
 use crate::plane::Plane;
 
 /// Offsets of the neighbours of the other colour in four near and four far regions; of each
@@ -25,7 +25,6 @@ const FAR_DISTANCES: [isize; 11] = [3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23];
 /// and whose slopes differ by less over the radius of a patch, have the same cost: positions are
 /// rounded to 1/64 pixel.
 const SAME_PX: f32 = 1.0 / 64.0;
-const PATCH_RADIUS: f32 = 5.0;
 
 /// What a sweep does.
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +33,7 @@ pub(super) struct SweepOptions {
     pub(super) random: u64,
     /// Whether costs are known, from a sweep on the same level.
     pub(super) has_costs: bool,
-    /// Whether the source images of each pixel are those that see its first plane; else, of each
-    /// plane.
+    /// Whether the source images of each pixel are selected anew: those that see its first plane.
     pub(super) selects: bool,
     /// Whether planes of far neighbours are tried, too.
     pub(super) far: bool,
@@ -157,11 +155,11 @@ impl Context<'_> {
         // A flat patch keeps the plane and the cost of the coarser level, whose patch is larger.
         let Some(patch) = table.patch(self.grey, x, y) else { return };
         let (u, v) = (x as f32, y as f32);
-        let mut pixel = costs.pixel(&patch, u, v);
+        let pixel = costs.pixel(&patch, u, v);
         if options.selects {
-            cell.cost = pixel.select::<N>(&cell.plane);
+            (cell.cost, cell.selection) = pixel.select::<N>(&cell.plane);
         } else if !options.has_costs {
-            cell.cost = pixel.cost::<N>(&cell.plane, OUTSIDE);
+            cell.cost = pixel.cost::<N>(&cell.plane, cell.selection, OUTSIDE);
         }
         let Some(per_px) = pixel.inverse_depth_per_pixel(cell.plane.inverse_depth) else { return };
         for region in NEAR {
@@ -211,13 +209,13 @@ fn offer<N: Ncc>(pixel: &PixelCosts, cell: &mut Cell, plane: Option<Plane>, per_
     let same = SAME_PX * per_px;
     let is_same = |a: f32, b: f32, factor: f32| (a - b).abs() * factor < same;
     if is_same(plane.inverse_depth, cell.plane.inverse_depth, 1.0)
-        && is_same(plane.slope[0], cell.plane.slope[0], PATCH_RADIUS)
-        && is_same(plane.slope[1], cell.plane.slope[1], PATCH_RADIUS)
+        && is_same(plane.slope[0], cell.plane.slope[0], RADIUS as f32)
+        && is_same(plane.slope[1], cell.plane.slope[1], RADIUS as f32)
     {
         return;
     }
-    let cost = pixel.cost::<N>(&plane, cell.cost);
+    let cost = pixel.cost::<N>(&plane, cell.selection, cell.cost);
     if cost < cell.cost {
-        *cell = Cell { plane, cost };
+        (cell.plane, cell.cost) = (plane, cost);
     }
 }
