@@ -99,6 +99,7 @@ pub use rig_evaluation::{RigEvaluation, evaluate_rig};
 pub use rig_file::{RigCamera, RigClock, RigFile};
 pub use rig_report::{ExtrinsicsReport, PaperReport, RigCameraReport, RigReport, SplitReport};
 pub use rigid::RigidReport;
+pub use rolling_shutter::rolling_shutters;
 pub use scale::ScaleReport;
 pub use stage::Stage;
 pub use surface::{SurfaceEvaluation, evaluate_surface};
