@@ -162,7 +162,7 @@ def compared(drive, found, truth):
     # A drive begins at time 0.
     names = sorted(name for name in found if middle[name][2] > 0)
     centres = [-turn.T @ shift for turn, shift in (found[name][2] for name in names)]
-    true_centres = [-turn.T @ shift for turn, shift in (middle[name] for name in names)]
+    true_centres = [-turn.T @ shift for turn, shift, _ in (middle[name] for name in names)]
     scale = umeyama(np.array(centres), np.array(true_centres))[0]
     moved, turned, flows, flows_of_middle = [], [], [], []
     still = (np.eye(3), np.zeros(3))
