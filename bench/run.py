@@ -448,7 +448,7 @@ def table_undistort(runs):
     return rows
 
 
-# ---- splats: poses of the rows of rolling-shutter images ------------------------------------------
+# ---- splats: poses of the rows of rolling-shutter images -----------------------------------------
 
 
 def measure_splats():
@@ -481,7 +481,7 @@ def table_splats(runs):
     return rows
 
 
-# ---- colmap-commands: scripts that drive COLMAP --------------------------------------------------
+# ---- colmap-commands: scripts that drive COLMAP -------------------------------------------------
 
 
 def measure_colmap_commands():

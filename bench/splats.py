@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Poses of the rows of rolling-shutter images, as `export --to gsplat` gives them, against the truth
+"""Row poses of rolling-shutter images, as `export --to gsplat` gives them, against the truth
 of rendered drives.
 
     pip install numpy pycolmap==4.2.1

@@ -15,9 +15,7 @@ use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::{Format, read_model};
 use tiepoint_pipeline::rolling_shutters;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
-use tiepoint_sfm::{
-    AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses,
-};
+use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
 
 use crate::arrays::{matrix, pose, poses, rows, vector};
 use crate::camera::Camera;
