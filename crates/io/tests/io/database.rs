@@ -543,7 +543,8 @@ fn tables_have_the_columns_of_colmap_3_in_its_order() {
         ("cameras", "camera_id model width height params prior_focal_length"),
         (
             "images",
-            "image_id name camera_id prior_qw prior_qx prior_qy prior_qz prior_tx prior_ty prior_tz",
+            "image_id name camera_id prior_qw prior_qx prior_qy prior_qz prior_tx prior_ty \
+             prior_tz",
         ),
         ("keypoints", "image_id rows cols data"),
         ("descriptors", "image_id rows cols data"),
