@@ -3,15 +3,25 @@
 
     pip install numpy pillow pycolmap==4.2.1
     cargo build --release
-    TIEPOINT_DATA=... python bench/colmap_commands.py --colmap $(which colmap)
+    TIEPOINT_DATA=... python bench/colmap_commands.py --colmap $(which colmap) \\
+        [--results RESULTS.json]
 
-Two sequences of commands, each as its script issues it, with the same arguments for both programs:
+Sequences of commands with the same arguments for both programs, the first two each as its script
+issues them:
 
     3dgs          graphdeco-inria/gaussian-splatting, convert.py --no_gpu
     nerfstudio    nerfstudio, ns-process-data images (colmap_utils.run_colmap), exhaustive matching
+    masks         masks of photos (ImageReader.mask_path), which hide the left quarter
+    turned        photos whose EXIF says that they are to be turned by 90°
+    continued     a model of the first images, and mapper --input_path with all
+
+COLMAP runs twice, so that its own noise stands beside the difference to tiepoint.
 
 COLMAP before 4 does not know --alignment_max_error, which convert.py gives to model_aligner: it
 gets --robust_alignment_max_error in its place, and a line says so.
+
+Then both read each other's database: COLMAP maps from that of tiepoint and tiepoint from that of
+COLMAP (`3dgs`).
 
 Photos are the first of fountain-P11, reduced. Compared are: the exit codes; the files below the
 folder of the script; tables and columns of the database (COLMAP's must be there); registered
@@ -20,6 +30,7 @@ images; camera model, focal lengths and principal point; centres and rotations a
 the models for that); sizes of the undistorted images."""
 
 import argparse
+import json
 import os
 import shlex
 import shutil
@@ -34,7 +45,10 @@ import numpy as np
 import pycolmap
 from colmap import strecha_centres, umeyama
 from PIL import Image
-from program import program_of
+from program import degrees, program_of
+
+# The tag of EXIF for how a photo is to be turned.
+ORIENTATION = 0x0112
 
 THREE_DGS = """
 feature_extractor --database_path {s}/distorted/database.db --image_path {s}/input
@@ -56,10 +70,31 @@ mapper --database_path {s}/colmap/database.db --image_path {s}/input
 bundle_adjuster --input_path {s}/colmap/sparse/0 --output_path {s}/colmap/sparse/0
     --BundleAdjustment.refine_principal_point 1
 """
+EXTRACT = """
+feature_extractor --database_path {s}/colmap/database.db --image_path {s}/input
+    --ImageReader.single_camera 1 --ImageReader.camera_model OPENCV --SiftExtraction.use_gpu 0"""
+MATCH_AND_MAP = """
+exhaustive_matcher --database_path {s}/colmap/database.db --SiftMatching.use_gpu 0
+mapper --database_path {s}/colmap/database.db --image_path {s}/input
+    --output_path {s}/colmap/sparse"""
+MASKS = EXTRACT + """
+    --ImageReader.mask_path {s}/masks""" + MATCH_AND_MAP
+TURNED = EXTRACT + MATCH_AND_MAP + """
+image_undistorter --image_path {s}/input --input_path {s}/colmap/sparse/0 --output_path {s}
+    --output_type COLMAP
+"""
+CONTINUED = EXTRACT + MATCH_AND_MAP + """
+    --image_list_path {s}/first.txt
+mapper --database_path {s}/colmap/database.db --image_path {s}/input
+    --input_path {s}/colmap/sparse/0 --output_path {s}/colmap/all
+"""
 # Script: commands, folder of the database, models.
 SCRIPTS = {
     "3dgs": (THREE_DGS, "distorted", ["distorted/sparse/0", "sparse/0"]),
     "nerfstudio": (NERFSTUDIO, "colmap", ["colmap/sparse/0"]),
+    "masks": (MASKS, "colmap", ["colmap/sparse/0"]),
+    "turned": (TURNED, "colmap", ["colmap/sparse/0"]),
+    "continued": (CONTINUED, "colmap", ["colmap/all"]),
 }
 
 
@@ -79,40 +114,73 @@ def version(program):
     return next(line.split(" ")[1] for line in out.split("\n") if line.startswith("COLMAP"))
 
 
-def run(program, script, folder, photos):
-    text, of_database, _ = SCRIPTS[script]
+def prepare(script, folder, photos):
+    _, of_database, _ = SCRIPTS[script]
     (folder / of_database / "sparse").mkdir(parents=True)
+    (folder / of_database / "all").mkdir()
     shutil.copytree(photos, folder / "input")
-    is_old = int(version(program).split(".")[0]) < 4 and "tiepoint" not in str(
-        subprocess.run([program, "-h"], capture_output=True, text=True).stdout
-    )
-    ok = True
+    names = sorted(path.name for path in photos.iterdir())
+    (folder / "first.txt").write_text("\n".join(names[: len(names) // 2 + 1]) + "\n")
+    if script == "masks":
+        (folder / "masks").mkdir()
+        for name in names:
+            width, height = Image.open(photos / name).size
+            mask = np.full((height, width), 255, np.uint8)
+            mask[:, : width // 4] = 0
+            Image.fromarray(mask).save(folder / "masks" / f"{name}.png")
+    if script == "turned":
+        exif = Image.Exif()
+        exif[ORIENTATION] = 6
+        for name in names:
+            image = Image.open(photos / name)
+            image.save(folder / "input" / name, quality=97, exif=exif)
+
+
+def run(program, script, folder, photos):
+    """The seconds of all commands; `None` if one failed."""
+    text, _, _ = SCRIPTS[script]
+    prepare(script, folder, photos)
+    is_old = is_before_4(program)
+    total = 0
     for command in commands(text):
         if is_old and "--alignment_max_error" in command:
             command = command.replace("--alignment_max_error", "--robust_alignment_max_error")
             print("    COLMAP 3: --robust_alignment_max_error for --alignment_max_error")
-        start = time.monotonic()
         # Files have relative names, so that project.ini can be compared.
-        done = subprocess.run(
-            [str(program), *shlex.split(command.format(s="."))],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
-        )
-        seconds = time.monotonic() - start
-        verb = command.split()[0]
-        print(f"    {verb:20} exit code {done.returncode}  {seconds:6.2f} s")
-        if done.returncode != 0:
-            print(done.stderr[-500:])
-            ok = False
+        seconds = issue(program, command.format(s="."), folder)
+        if seconds is None:
+            return None
+        total += seconds
     if script == "3dgs" and (folder / "sparse").is_dir():
         # What convert.py does then: all files of sparse, also hidden ones, go to sparse/0.
         (folder / "sparse/0").mkdir(exist_ok=True)
         for file in sorted((folder / "sparse").iterdir()):
             if file.name != "0":
                 shutil.move(file, folder / "sparse/0" / file.name)
-    return ok
+    return total
+
+
+def is_before_4(program):
+    help_text = subprocess.run([program, "-h"], capture_output=True, text=True).stdout
+    return int(version(program).split(".")[0]) < 4 and "tiepoint" not in help_text
+
+
+def issue(program, command, folder):
+    """The seconds of a command; `None` if it failed."""
+    start = time.monotonic()
+    done = subprocess.run(
+        [str(program), *shlex.split(command)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+    )
+    seconds = time.monotonic() - start
+    print(f"    {command.split()[0]:20} exit code {done.returncode}  {seconds:6.2f} s")
+    if done.returncode != 0:
+        print(done.stderr[-500:])
+        return None
+    return seconds
 
 
 def files(folder):
@@ -141,54 +209,95 @@ def poses(path):
     return model, centres, rotations
 
 
-def compare_models(reference, other, truth):
-    found = [poses(reference), poses(other)]
-    names = sorted(set(found[0][1]) & set(found[1][1]))
-    for label, (model, centres, _) in zip(["colmap", "tiepoint"], found):
-        camera = next(iter(model.cameras.values()))
-        error = np.array([truth[name] for name in sorted(centres)])
-        own = np.array([centres[name] for name in sorted(centres)])
-        scale, rotation, translation = umeyama(own, error)
-        moved = scale * own @ rotation.T + translation
-        millimetres = 1000 * np.linalg.norm(moved - error, axis=1).mean()
-        params = " ".join(f"{value:.2f}" for value in camera.params[:4])
-        print(
-            f"    {label:9} {len(centres)} images {len(model.points3D):5} points "
-            f"{model.compute_mean_reprojection_error():.3f} px  {camera.model.name} {params}  "
-            f"centres {millimetres:.2f} mm from the truth"
-        )
-    ours = np.array([found[1][1][name] for name in names])
-    theirs = np.array([found[0][1][name] for name in names])
+def measured(path, truth):
+    """What is told of a model."""
+    model, centres, _ = poses(path)
+    names = sorted(centres)
+    own, true = (np.array([table[name] for name in names]) for table in (centres, truth))
+    scale, rotation, translation = umeyama(own, true)
+    moved = scale * own @ rotation.T + translation
+    camera = next(iter(model.cameras.values()))
+    return {
+        "images": len(centres),
+        "points": len(model.points3D),
+        "reprojection_px": model.compute_mean_reprojection_error(),
+        "camera": camera.model.name,
+        "params": list(map(float, camera.params)),
+        "centres_mm": float(1000 * np.linalg.norm(moved - true, axis=1).mean()),
+    }
+
+
+def between(reference, other):
+    """The largest difference of centres, in thousandths of their extent, and of rotations, in
+    degrees, after a similarity."""
+    _, one, one_turns = poses(reference)
+    _, two, two_turns = poses(other)
+    names = sorted(set(one) & set(two))
+    theirs, ours = (np.array([table[name] for name in names]) for table in (one, two))
     scale, rotation, translation = umeyama(ours, theirs)
     moved = scale * ours @ rotation.T + translation
     extent = np.linalg.norm(theirs - theirs.mean(axis=0), axis=1).max()
     turns = [
-        np.degrees(
-            np.arccos(
-                np.clip((np.trace(found[1][2][n] @ rotation.T @ found[0][2][n].T) - 1) / 2, -1, 1)
-            )
-        )
-        for n in names
+        degrees((np.trace(two_turns[name] @ rotation.T @ one_turns[name].T) - 1) / 2)
+        for name in names
     ]
-    print(
-        f"    between   centres {1000 * np.linalg.norm(moved - theirs, axis=1).max() / extent:.2f} "
-        f"thousandths of their extent, rotations {max(turns):.3f}° at most"
-    )
+    apart = np.linalg.norm(moved - theirs, axis=1).max() / extent
+    return {"centres_per_mille": float(1000 * apart), "rotations_deg": float(max(turns))}
 
 
-def compare_images(reference, other):
+def images_differ(reference, other):
+    """What differs of the undistorted images beside their pixels; `None` if nothing does."""
     names = sorted(path.name for path in (reference / "images").glob("*"))
-    if not names:
-        return
     if {path.name for path in (other / "images").glob("*")} != set(names):
-        print("    the undistorted images differ in their names")
-        return
+        return "names of the undistorted images"
     for name in names:
         one, two = (Image.open(folder / "images" / name) for folder in (reference, other))
-        if one.size != two.size:
-            print(f"    {name}: {one.size} and {two.size} pixels")
-            return
-    print(f"    {len(names)} undistorted images of {one.size} pixels in both")
+        # Both programs choose the size by their own focal length and distortion.
+        if max(abs(a - b) for a, b in zip(one.size, two.size)) > 2:
+            return f"{name}: {one.size} and {two.size} pixels"
+        if one.format != two.format or one.mode != two.mode:
+            return f"{name}: {one.format} {one.mode} and {two.format} {two.mode}"
+    return None
+
+
+def case(script, programs, root, photos, truth):
+    folders, seconds = {}, {}
+    for name, program in programs.items():
+        print(f"  {name}")
+        folders[name] = root / script / name.replace(" ", "-")
+        shutil.rmtree(folders[name], ignore_errors=True)
+        seconds[name] = run(program, script, folders[name], photos)
+    _, of_database, models = SCRIPTS[script]
+    one, two = folders["colmap"], folders["tiepoint"]
+    # Before SQLite opens the databases, which makes files beside them.
+    made = [files(folder) for folder in (one, two)]
+    schemas = [schema(folder / of_database / "database.db") for folder in (one, two)]
+    found = {
+        "script": script,
+        "seconds": seconds,
+        "missing": sorted(made[0] - made[1]),
+        "more": sorted(made[1] - made[0]),
+        "missing_columns": sorted(".".join(column) for column in schemas[0] - schemas[1]),
+        "images_differ": images_differ(one, two) if script in ("3dgs", "turned") else None,
+        "models": {name: measured(folder / models[-1], truth) for name, folder in folders.items()},
+        "to_colmap": {
+            name: between(one / models[-1], folders[name] / models[-1])
+            for name in programs
+            if name != "colmap"
+        },
+    }
+    if script == "3dgs":
+        found["crossed"] = {}
+        for name, other in (("colmap", "tiepoint"), ("tiepoint", "colmap")):
+            print(f"  {name}, from the database of {other}")
+            output = folders[other] / f"mapped-by-{name}"
+            output.mkdir()
+            command = "mapper --database_path distorted/database.db --image_path input"
+            command += f" --output_path {output.name}"
+            if issue(programs[name], command, folders[other]) is not None:
+                found["crossed"][name] = measured(output / "0", truth)
+    print(json.dumps(found), flush=True)
+    return found
 
 
 def main():
@@ -199,6 +308,7 @@ def main():
     parser.add_argument("--images", type=int, default=6)
     parser.add_argument("--width", type=int, default=800)
     parser.add_argument("--scripts", nargs="+", choices=SCRIPTS, default=list(SCRIPTS))
+    parser.add_argument("--results", type=Path)
     parser.add_argument("--keep", type=Path, help="folder for the results, else they are deleted")
     args = parser.parse_args()
     data = Path(os.environ["TIEPOINT_DATA"]) / "fountain-P11"
@@ -215,34 +325,19 @@ def main():
         link = root / "colmap"
         link.unlink(missing_ok=True)
         link.symlink_to(program_of(args).resolve())
-        programs = {"colmap": args.colmap, "tiepoint": link}
-        print(", ".join(f"{name} says COLMAP {version(path)}" for name, path in programs.items()))
-        failed = False
+        programs = {"colmap": args.colmap, "colmap again": args.colmap, "tiepoint": link}
+        versions = {name: version(path) for name, path in programs.items()}
+        print(", ".join(f"{name} says COLMAP {said}" for name, said in versions.items()))
+        cases = []
         for script in args.scripts:
             print(f"{script}, {args.images} photos {args.width} wide")
-            folders = {}
-            for name, program in programs.items():
-                print(f"  {name}")
-                folders[name] = root / script / name
-                shutil.rmtree(folders[name], ignore_errors=True)
-                failed |= not run(program, script, folders[name], photos)
-            one, two = folders["colmap"], folders["tiepoint"]
-            print("  compared")
-            missing, more = files(one) - files(two), files(two) - files(one)
-            print(f"    files that only COLMAP makes: {' '.join(sorted(missing)) or 'none'}")
-            print(f"    files that only tiepoint makes: {' '.join(sorted(more)) or 'none'}")
-            _, of_database, models = SCRIPTS[script]
-            schemas = [schema(folder / of_database / "database.db") for folder in (one, two)]
-            absent = sorted(".".join(column) for column in schemas[0] - schemas[1])
-            print(f"    columns that only COLMAP's database has: {' '.join(absent) or 'none'}")
-            for model in models:
-                if all((folder / model).is_dir() for folder in (one, two)):
-                    print(f"   {model}")
-                    compare_models(one / model, two / model, truth)
-            if script == "3dgs":
-                compare_images(one, two)
-            failed |= bool(missing)
-    sys.exit(failed)
+            cases.append(case(script, programs, root, photos, truth))
+    if args.results:
+        args.results.write_text(json.dumps({"versions": versions, "cases": cases}))
+    failed = any(
+        None in one["seconds"].values() or one["missing"] or one["missing_columns"] for one in cases
+    )
+    sys.exit(1 if failed else 0)
 
 
 if __name__ == "__main__":

@@ -448,6 +448,83 @@ def table_undistort(runs):
     return rows
 
 
+# ---- splats: poses of the rows of rolling-shutter images -----------------------------------------
+
+
+def measure_splats():
+    return script("splats.py")["runs"]
+
+
+def table_splats(runs):
+    head = (
+        "drive | poses | readout (ms) | images | first and last row off by (mm): median | largest"
+        " | (°): median | largest | flow (px): median | 90 % | median, pose of the middle row alone"
+    )
+    rows = [head.split(" | ")]
+    for run in runs:
+        moved, turned, flow = run["moved_mm"], run["turned_deg"], run["flow_px"]
+        rows.append(
+            [
+                run["mounting"],
+                run["poses"],
+                " and ".join(f"{value:.2f}" for value in run["readouts_ms"]),
+                str(run["images"]),
+                f"{moved['median']:.2f}",
+                f"{moved['max']:.2f}",
+                f"{turned['median']:.4f}",
+                f"{turned['max']:.4f}",
+                f"{flow['median']:.3f}",
+                f"{flow['p90']:.3f}",
+                f"{run['flow_of_middle_px']['median']:.2f}",
+            ]
+        )
+    return rows
+
+
+# ---- colmap-commands: scripts that drive COLMAP -------------------------------------------------
+
+
+def measure_colmap_commands():
+    return script("colmap_commands.py")["cases"]
+
+
+def table_colmap_commands(cases):
+    head = (
+        "commands | files and columns that only COLMAP has | images: COLMAP / tiepoint | points"
+        " | reprojection error (px) | centres off the truth (mm): COLMAP, twice / tiepoint"
+        " | from COLMAP's first run, centres (‰ of their extent): COLMAP again / tiepoint"
+        " | rotations (°) | time (s): COLMAP / tiepoint"
+    )
+    rows = [head.split(" | ")]
+    for case in cases:
+        models, apart = case["models"], case["to_colmap"]
+        first, again, ours = (models[name] for name in ("colmap", "colmap again", "tiepoint"))
+        both = [apart[name] for name in ("colmap again", "tiepoint")]
+        absent = [f"`{name}`" for name in case["missing"] + case["missing_columns"]]
+
+        def pair(key, digits):
+            return " / ".join(f"{model[key]:.{digits}f}" for model in (first, ours))
+
+        def away(key, digits):
+            return " / ".join(f"{one[key]:.{digits}f}" for one in both)
+
+        seconds = [case["seconds"][name] for name in ("colmap", "tiepoint")]
+        rows.append(
+            [
+                case["script"],
+                " ".join(absent) or "none",
+                pair("images", 0),
+                pair("points", 0),
+                pair("reprojection_px", 3),
+                f"{first['centres_mm']:.1f}, {again['centres_mm']:.1f} / {ours['centres_mm']:.1f}",
+                away("centres_per_mille", 2),
+                away("rotations_deg", 3),
+                " / ".join("failed" if value is None else f"{value:.1f}" for value in seconds),
+            ]
+        )
+    return rows
+
+
 # ---- the tables ---------------------------------------------------------------------------------
 
 SEEDED = f"medians of seeds {SEEDS[0]} to {SEEDS[-1]}"
@@ -470,6 +547,20 @@ TABLES = {
         ["dense", "geometry", "io"],
         measure_undistort,
         table_undistort,
+        ONE,
+    ),
+    "splats": (
+        "splats.md",
+        ["geometry", "sfm", "io", "pipeline", "synth"],
+        measure_splats,
+        table_splats,
+        ONE,
+    ),
+    "colmap-commands": (
+        "colmap_commands.md",
+        [*LIBRARIES, "cli"],
+        measure_colmap_commands,
+        table_colmap_commands,
         ONE,
     ),
     "ba-ceres": ("ba.md", ["ba"], measure_ba_ceres, table_ba_ceres, LEAST),

@@ -3,15 +3,19 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::ndarray::Array4;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray2, PyReadonlyArray3,
+};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tiepoint_geometry::nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use tiepoint_geometry::{Rigid3, Sim3};
 use tiepoint_io::colmap::{Format, read_model};
+use tiepoint_pipeline::rolling_shutters;
 use tiepoint_scene::{CameraId, Image, ImageId, PointId};
-use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, Scope, adjust};
+use tiepoint_sfm::{AdjustOptions, RefineIntrinsics, RollingShutter, Scope, adjust, row_poses};
 
 use crate::arrays::{matrix, pose, poses, rows, vector};
 use crate::camera::Camera;
@@ -30,13 +34,22 @@ pub(crate) struct Reconstruction {
     /// The images with a pose.
     images: Vec<ImageId>,
     points: Vec<PointId>,
+    /// The readout times; an error says why they cannot be read.
+    shutters: Result<Vec<RollingShutter>, String>,
 }
 
 impl Reconstruction {
-    fn new(model: tiepoint_scene::Reconstruction) -> Self {
+    fn new(
+        model: tiepoint_scene::Reconstruction,
+        shutters: Result<Vec<RollingShutter>, String>,
+    ) -> Self {
         let images = model.registered().map(|(id, ..)| id).collect();
         let points = model.tracks().map(|(id, _)| id).collect();
-        Self { model, images, points }
+        Self { model, images, points, shutters }
+    }
+
+    fn shutters(&self) -> PyResult<&[RollingShutter]> {
+        self.shutters.as_deref().map_err(failed)
     }
 
     fn image(&self, index: usize) -> PyResult<&Image> {
@@ -57,7 +70,12 @@ impl Reconstruction {
     #[staticmethod]
     fn read(python: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let folder = tiepoint_pipeline::model_folder(&path).map_err(failed)?;
-        python.detach(|| read_model(&folder)).map(Self::new).map_err(failed)
+        let read = || {
+            let mut model = read_model(&folder)?;
+            let shutters = rolling_shutters(&folder, &mut model);
+            Ok::<_, tiepoint_io::Error>(Self::new(model, shutters.map_err(|e| e.to_string())))
+        };
+        python.detach(read).map_err(failed)
     }
 
     /// Writes the model into a folder, as COLMAP's binary files or its text files. Ids stay those
@@ -254,6 +272,52 @@ impl Reconstruction {
             Ok(all)
         };
         self.model.frames.iter().map(frame).collect()
+    }
+
+    /// Readout time of each camera in seconds, from the first to the last row, of shape (C,); 0 for
+    /// a global shutter, and for models that are in no workspace.
+    #[getter]
+    fn readout_times<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let mut times = vec![0.0; self.model.num_cameras()];
+        for shutter in self.shutters()? {
+            times[shutter.camera.index()] = shutter.readout_s;
+        }
+        Ok(vector(python, times))
+    }
+
+    /// Rolling shutters: cam_from_world at the centres of the first and of the last row of each
+    /// image, of shape (N, 2, 3, 4). An image whose motion is not known has its one pose twice.
+    #[getter]
+    fn row_poses<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray4<f64>>> {
+        let motions = row_poses(&self.model, self.shutters()?);
+        let mut all = Array4::zeros((self.images.len(), 2, 3, 4));
+        for (index, (id, _, middle)) in self.model.registered().enumerate() {
+            let rows = motions.get(&id).map_or([*middle; 2], |rows| {
+                [0.5, rows.height_px - 0.5].map(|y_px| rows.cam_from_world(middle, y_px))
+            });
+            for (which, pose) in rows.iter().enumerate() {
+                let matrix = pose.to_matrix();
+                for (row, column) in (0..3).flat_map(|row| (0..4).map(move |at| (row, at))) {
+                    all[(index, which, row, column)] = matrix[(row, column)];
+                }
+            }
+        }
+        Ok(all.into_pyarray(python))
+    }
+
+    /// Rolling shutters: velocity of each image's centre in the world, in units of the model a
+    /// second, and angular velocity in the camera, in radians a second (that of cam_from_world), of
+    /// shape (N, 6); NaN where the motion is not known.
+    #[getter]
+    fn row_velocities<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let motions = row_poses(&self.model, self.shutters()?);
+        let of_image = |id: &ImageId| {
+            motions.get(id).map_or([f64::NAN; 6], |rows| {
+                let (v, w) = (rows.velocity_in_world, rows.angular_velocity_rad_s);
+                [v.x, v.y, v.z, w.x, w.y, w.z]
+            })
+        };
+        Ok(matrix(python, &self.images.iter().map(of_image).collect::<Vec<_>>()))
     }
 
     /// Applies a similarity, a 4 × 4 matrix [sR t; 0 1] or [sR | t] of shape (3, 4).

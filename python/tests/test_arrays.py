@@ -1,5 +1,7 @@
 """Models, features and poses as arrays."""
 
+import json
+
 import numpy as np
 import pytest
 import tiepoint
@@ -144,6 +146,37 @@ def test_models_are_arrays(workspace, tmp_path):
         tiepoint.Reconstruction.read(tmp_path / "absent")
     with pytest.raises(tiepoint.Error, match="is a workspace"):
         model.write(workspace)
+
+
+def test_rows_of_rolling_shutters(workspace, tmp_path):
+    drive, mapped = tmp_path / "drive", tmp_path / "ws"
+    tiepoint.synth(
+        drive, route="open", length=40, rate=4, size="400x300", effects="rolling-shutter"
+    )
+    times = drive / "timestamps.csv"
+    tiepoint.reconstruct(drive, mapped, rig="off", rolling_shutter="16ms", timestamps=times)
+    model = tiepoint.Reconstruction.read(mapped)
+    assert np.allclose(model.readout_times, 0.016)
+    tiepoint.export(mapped, to="gsplat", output=tmp_path / "gsplat")
+    frames = json.loads((tmp_path / "gsplat/rolling_shutter.json").read_text())["frames"]
+    assert [frame["image_name"] for frame in frames] == model.image_names
+    rows = model.row_poses
+    for frame, (first, last), velocities in zip(frames, rows, model.row_velocities):
+        assert np.allclose(first, frame["viewmats"][:3], atol=1e-12)
+        assert np.allclose(last, frame["viewmats_rs"][:3], atol=1e-12)
+        if frame["rolling_shutter"] != "GLOBAL":
+            expected = frame["velocity_in_world"] + frame["angular_velocity_in_camera"]
+            assert np.allclose(velocities, expected, atol=1e-12)
+    assert not np.allclose(rows[:, 0], rows[:, 1])
+    # They follow the model.
+    model.transform(np.c_[2 * np.eye(3), np.zeros(3)])
+    assert np.allclose(model.row_poses[..., 3], 2 * rows[..., 3])
+    # A global shutter, and a model alone.
+    still = tiepoint.Reconstruction.read(workspace)
+    assert not still.readout_times.any() and np.isnan(still.row_velocities).all()
+    assert np.array_equal(still.row_poses[:, 0], still.poses)
+    model.write(tmp_path / "alone")
+    assert not tiepoint.Reconstruction.read(tmp_path / "alone").readout_times.any()
 
 
 def test_bundle_adjustment_lowers_the_cost(workspace):

@@ -3,17 +3,17 @@
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use tiepoint_io::ImageSource;
 use tiepoint_io::database::{Database, read_stage_rows};
-use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, Luma, timestamps};
+use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::{DEFAULT_MAX_PIXELS, ImageInfo, timestamps};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::{Calibration, FoundCameras, firsts};
+use crate::extractors::{Extractors, memory_of};
 use crate::fingerprint::of_text;
 use crate::memory::budget_bytes;
 use crate::ordered::for_each_within_budget;
@@ -153,7 +153,7 @@ pub fn extract_features(
         }
     }
 
-    let extractors = Extractors { options: options.detector, idle: Mutex::default() };
+    let extractors = Extractors::new(options.detector);
     let work = |(_, photo): &(ImageId, &Photo)| extract(photos, photo.index, &extractors);
     let bytes = |(_, photo): &(ImageId, &Photo)| memory_of(&photo.info);
     let budget = budget_bytes();
@@ -286,35 +286,7 @@ fn is_sqlite(path: &Path) -> bool {
     read.is_ok() && head == HEADER
 }
 
-/// Pool of extractors, whose buffers are reused: one per image that is processed at a time.
-struct Extractors {
-    options: sift::Options,
-    idle: Mutex<Vec<Sift>>,
-}
-
-impl Extractors {
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Sift>> {
-        // The list stays valid when a thread panics while it holds the lock.
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Memory of feature extraction, in bytes per pixel.
-const BYTES_PER_PIXEL: u64 = 16;
-
-pub(crate) fn memory_of(photo: &ImageInfo) -> u64 {
-    BYTES_PER_PIXEL * u64::from(photo.width) * u64::from(photo.height)
-}
-
 fn extract(photos: &Photos, index: usize, extractors: &Extractors) -> Result<Features, Error> {
     let (image, mask) = (photos.folder.luma(index)?, photos.folder.mask(index)?);
-    let idle = extractors.idle().pop();
-    let mut sift = idle.map_or_else(|| Sift::new(extractors.options), Ok)?;
-    let features = sift.extract(&view(&image), mask.as_ref().map(view).as_ref())?;
-    extractors.idle().push(sift);
-    Ok(features)
-}
-
-fn view(image: &Luma) -> GrayView<'_> {
-    GrayView::new(&image.data, image.width as usize, image.height as usize)
+    extractors.extract(&image, mask.as_ref())
 }

@@ -25,6 +25,7 @@ use tiepoint_sfm::{
 
 use crate::calibration::{CalibrationSource, Calibrations};
 use crate::cameras::Calibration;
+use crate::database_scene::read_scene;
 use crate::export::{model_files, write_colmap};
 use crate::keypoints::keypoint;
 use crate::output_folder::OutputFolder;
@@ -312,15 +313,7 @@ impl Map {
         if let Some(image) = database.image_without_sift()? {
             return Err(Error::NoSift { path: database_file, image });
         }
-        let mut scene = Reconstruction::default();
-        for camera in database.read_cameras()? {
-            scene.add_camera(camera);
-        }
-        for (index, image) in database.read_images()?.into_iter().enumerate() {
-            let keypoints = database.read_keypoints(ImageId::from_index(index))?;
-            let keypoints = keypoints.iter().map(keypoint).collect();
-            scene.add_image(Image::new(image.name, image.camera, keypoints));
-        }
+        let scene = read_scene(&database)?;
         let num_images = scene.num_images();
         let model = read_model(&folder)?;
         let found = transfer_model(&scene, &model)

@@ -17,9 +17,9 @@ use tiepoint_sfm::{
 
 use crate::camera_facts::CameraFacts;
 use crate::colors::color_points;
+use crate::database_scene::read_scene;
 use crate::file_names::{SPARSE, is_rig_name, model_path, rig_name};
 use crate::input_model::{InputModel, OpenedModel};
-use crate::keypoints::keypoint;
 use crate::output_folder::model_names;
 use crate::records::{Progress, Recipe, json};
 use crate::rig_calibration::known_rigs;
@@ -309,10 +309,7 @@ fn take(
 /// Reads the scene without poses from the database.
 pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error> {
     let database = Database::open(&workspace.database())?;
-    let mut scene = Reconstruction::default();
-    for camera in database.read_cameras()? {
-        scene.add_camera(camera);
-    }
+    let mut scene = read_scene(&database)?;
     let value = |key: &str| workspace.records.option(Stage::Features, key);
     CameraFacts::read(value).add_to(&mut scene);
     if value(option_keys::INTRINSICS).is_some() {
@@ -320,12 +317,9 @@ pub(crate) fn load_scene(workspace: &Workspace) -> Result<Reconstruction, Error>
     }
     let times = workspace.timestamps_as_left()?;
     let times = times.map_or(Ok(BTreeMap::new()), |path| timestamps::read(&path))?;
-    for (index, image) in database.read_images()?.into_iter().enumerate() {
-        let keypoints = database.read_keypoints(ImageId::from_index(index))?;
-        let mut image =
-            Image::new(image.name, image.camera, keypoints.iter().map(keypoint).collect());
-        image.time_s = times.get(&image.name).copied();
-        scene.add_image(image);
+    for id in (0..scene.num_images()).map(ImageId::from_index) {
+        let time_s = times.get(&scene.image(id).name).copied();
+        scene.set_time(id, time_s);
     }
     database.close()?;
     Ok(scene)

@@ -40,6 +40,8 @@ pub(crate) struct OutputFolder {
     inputs: BTreeSet<FileId>,
     /// Names of files that are never foreign, whatever their content.
     always_ours: &'static [&'static str],
+    /// Names of files that may be replaced, whoever made them.
+    replaceable: BTreeSet<String>,
     /// Lock on the folder, on systems that can lock folders.
     _lock: Option<File>,
 }
@@ -67,7 +69,14 @@ impl OutputFolder {
         let lock = lock(root)?;
         let manifest = read_manifest(root)?.unwrap_or_default();
         let root = root.to_owned();
-        let this = Self { root, manifest, inputs: BTreeSet::new(), always_ours: &[], _lock: lock };
+        let this = Self {
+            root,
+            manifest,
+            inputs: BTreeSet::new(),
+            always_ours: &[],
+            replaceable: BTreeSet::new(),
+            _lock: lock,
+        };
         if this.root.join(COMMITTED).is_dir() {
             this.put_in_place()?;
         }
@@ -103,6 +112,12 @@ impl OutputFolder {
     /// Sets the names of files that are never foreign, whatever their content.
     pub(crate) fn always_ours(&mut self, names: &'static [&'static str]) {
         self.always_ours = names;
+    }
+
+    /// Permits that files of these names are replaced, whoever made them. They become ours when a
+    /// transaction that replaces them is committed: a run that ends before claims nothing.
+    pub(crate) fn may_replace(&mut self, names: &[String]) {
+        self.replaceable.extend(names.iter().cloned());
     }
 
     /// Adds files that the command reads, and which it must therefore not write.
@@ -167,7 +182,7 @@ impl OutputFolder {
         if !found.is_file() {
             return Ok((Owner::Others, None));
         }
-        if self.always_ours.contains(&name) {
+        if self.always_ours.contains(&name) || self.replaceable.contains(name) {
             return Ok((Owner::Us, None));
         }
         let Some(known) = self.manifest.files.get(name) else { return Ok((Owner::Others, None)) };
@@ -325,6 +340,10 @@ impl OutputFolder {
         self.refuse_foreign(removed.iter().map(String::as_str))?;
         let is_there = |name: &&String| fs::symlink_metadata(self.root.join(name)).is_ok();
         let removed: Vec<String> = removed.iter().filter(is_there).cloned().collect();
+        for name in removed.iter().filter(|name| self.replaceable.contains(*name)) {
+            let hash = hash_of(&self.root.join(name))?;
+            manifest.files.entry(name.clone()).or_default().extend(hash);
+        }
         if placed.is_empty() && removed.is_empty() {
             self.remove(STAGED)?;
             return Ok(kept);
@@ -591,6 +610,33 @@ mod tests {
             assert!(matches!(OutputFolder::open(&root), Err(Error::ForeignFile { .. })), "{name}");
         }
         assert_eq!(fs::read(outside).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn replaceable_file_becomes_ours_only_when_it_is_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let names = ["a".to_owned(), "b".to_owned()];
+        for name in &names {
+            fs::write(root.join(name), "mine").unwrap();
+        }
+        let mut folder = OutputFolder::open(root).unwrap();
+        folder.may_replace(&names);
+        folder.refuse_foreign(["a", "b"]).unwrap();
+        folder.stage_bytes("a", b"new").unwrap();
+        // The run ends before it publishes.
+        drop(folder);
+        let mut folder = OutputFolder::open(root).unwrap();
+        assert!(put(&mut folder, &[("a", "other")], &[]).is_err(), "the file is still foreign");
+        drop(folder);
+        let mut folder = OutputFolder::open(root).unwrap();
+        folder.may_replace(&names);
+        put(&mut folder, &[("a", "new")], &["b"]).unwrap();
+        assert!(!root.join("b").exists());
+        drop(folder);
+        let mut folder = OutputFolder::open(root).unwrap();
+        put(&mut folder, &[("a", "newer")], &[]).unwrap();
+        assert_eq!(fs::read(root.join("a")).unwrap(), b"newer");
     }
 
     #[test]

@@ -19,18 +19,22 @@ use crate::keypoints::keypoint;
 use crate::model_location::ModelLocation;
 use crate::{Error, Report};
 
-/// The motion of the images of a model with rolling shutters. Sets the times of the images.
+/// The readout times of a model in a folder of a workspace; none if it was mapped without a rolling
+/// shutter, or is in no workspace. Sets the times of the images, so that
+/// [`row_poses`](tiepoint_sfm::row_poses) has all it needs.
 ///
 /// # Errors
 ///
-/// The report or the times cannot be read, or no image has a motion: the model was mapped without
-/// a rolling shutter, or is in no workspace.
-pub(crate) fn motions(
+/// The report or the times cannot be read.
+pub fn rolling_shutters(
     folder: &Path,
     model: &mut Reconstruction,
-) -> Result<BTreeMap<ImageId, RowPoses>, Error> {
+) -> Result<Vec<RollingShutter>, Error> {
     let location = ModelLocation::of(folder);
     let (report, index) = location.report();
+    if !report.is_file() {
+        return Ok(Vec::new());
+    }
     let report = Report::read(&report)?;
     let reported = report.models.get(index).map_or(&[][..], |model| &model.cameras);
     let shutter = |(camera, of_model): (_, &tiepoint_sfm::scene::Camera)| {
@@ -42,7 +46,23 @@ pub(crate) fn motions(
         Some(RollingShutter { camera, readout_s, readout_sd_s: reported.readout_sd_s })
     };
     let shutters: Vec<RollingShutter> = model.cameras().filter_map(shutter).collect();
-    read_times(model, &location.timestamps())?;
+    if !shutters.is_empty() {
+        read_times(model, &location.timestamps())?;
+    }
+    Ok(shutters)
+}
+
+/// The motion of the images of a model with rolling shutters. Sets the times of the images.
+///
+/// # Errors
+///
+/// The report or the times cannot be read, or no image has a motion: the model was mapped without
+/// a rolling shutter, or is in no workspace.
+pub(crate) fn motions(
+    folder: &Path,
+    model: &mut Reconstruction,
+) -> Result<BTreeMap<ImageId, RowPoses>, Error> {
+    let shutters = rolling_shutters(folder, model)?;
     let motions = row_poses(model, &shutters);
     if motions.is_empty() {
         return Err(Error::NoShutter { path: folder.to_owned() });

@@ -282,7 +282,12 @@ pub(crate) fn rigs_in(root: &Path) -> impl Iterator<Item = String> {
 
 /// Whether a folder is a workspace.
 pub(crate) fn is_workspace(root: &Path) -> bool {
-    root.join(STAGES).is_file() || OutputFolder::is_ours(root) && root.join(DATABASE).is_file()
+    let database = root.join(DATABASE);
+    // COLMAP's commands put their output beside a database that a caller names, which has no
+    // records. A damaged one may be that of a workspace.
+    let has_records = || !matches!(read_stage_rows(&database), Ok(None));
+    root.join(STAGES).is_file()
+        || OutputFolder::is_ours(root) && database.is_file() && has_records()
 }
 
 /// The records of a workspace, from `stages.json` and the database. Writes nothing.

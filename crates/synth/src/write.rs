@@ -47,6 +47,29 @@ impl Drive {
         text
     }
 
+    /// The true poses of the first and of the last row: `image,y_px,qw,qx,qy,qz,tx,ty,tz` with
+    /// cam_from_world at the centre of the row; `None` if no camera has a rolling shutter.
+    pub fn rows_csv(&self) -> Option<String> {
+        if self.cameras().iter().all(|camera| camera.readout_s == 0.0) {
+            return None;
+        }
+        let mut text = String::from("image,y_px,qw,qx,qy,qz,tx,ty,tz\n");
+        for (index, camera) in self.cameras().iter().enumerate() {
+            for exposure in &camera.exposures {
+                for y_px in [0.5, f64::from(camera.height) - 0.5] {
+                    let row = self.row_pose(index, exposure.time_s, y_px);
+                    let pose = row.world_from_cam.inverse();
+                    let (q, t) = (pose.rotation, pose.translation);
+                    let numbers = [y_px, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
+                    let numbers = numbers.map(|number| number.to_string()).join(",");
+                    writeln!(text, "{},{numbers}", exposure.name)
+                        .expect("a string can be written to");
+                }
+            }
+        }
+        Some(text)
+    }
+
     /// The trajectory of a camera in the TUM format: `seconds tx ty tz qx qy qz qw` with true time
     /// and world_from_cam.
     pub fn trajectory_tum(&self, camera: usize) -> String {
@@ -98,8 +121,8 @@ impl Drive {
         text
     }
 
-    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv` and a TUM trajectory
-    /// of each camera.
+    /// Writes `timestamps.csv` and, under `truth/`, `poses.csv`, `cameras.csv`, a TUM trajectory of
+    /// each camera and, of a rolling shutter, `rows.csv`.
     ///
     /// # Errors
     ///
@@ -108,6 +131,9 @@ impl Drive {
         write_file(&folder.join("timestamps.csv"), self.timestamps_csv().as_bytes())?;
         write_file(&folder.join("truth/poses.csv"), self.poses_csv().as_bytes())?;
         write_file(&folder.join("truth/cameras.csv"), self.cameras_csv().as_bytes())?;
+        if let Some(rows) = self.rows_csv() {
+            write_file(&folder.join("truth/rows.csv"), rows.as_bytes())?;
+        }
         for (index, camera) in self.cameras().iter().enumerate() {
             let path = folder.join("truth").join(format!("{}.tum", camera.name));
             write_file(&path, self.trajectory_tum(index).as_bytes())?;

@@ -135,6 +135,85 @@ fn calls_of_3dgs_and_nerfstudio_make_what_colmap_makes() {
 }
 
 #[test]
+fn undistortion_beside_a_database_can_run_again() {
+    let dir = copy();
+    let database = dir.path().join("database.db");
+    fs::rename(dir.path().join("distorted/database.db"), &database).unwrap();
+    fs::write(dir.path().join("images.txt"), "theirs").unwrap();
+    let line = "image_undistorter --image_path {}/input --input_path {}/distorted/sparse/0 \
+                --output_path {} --output_type COLMAP";
+    let before = fs::read(&database).unwrap();
+    colmap(dir.path(), line).done();
+    let image = dir.path().join("images/0.png");
+    let first = fs::read(&image).unwrap();
+    colmap(dir.path(), line).done();
+    assert_eq!(fs::read(&image).unwrap(), first);
+    // As convert.py moves the model, and a caller may change an image.
+    fs::create_dir(dir.path().join("sparse/0")).unwrap();
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let model = dir.path().join("sparse");
+        fs::rename(model.join(name), model.join("0").join(name)).unwrap();
+    }
+    colmap(dir.path(), line).done();
+    assert!(dir.path().join("sparse/0/images.bin").is_file());
+    fs::write(&image, "theirs").unwrap();
+    colmap(dir.path(), line).failed(1, &["images/0.png"]);
+    assert_eq!(fs::read(&image).unwrap(), b"theirs");
+    assert_eq!(fs::read(&database).unwrap(), before);
+    // A folder with the database of a workspace, whose list of stages is lost, stays one.
+    tiepoint_in(dir.path(), "features {}/input -o {}/ws").done();
+    fs::remove_file(dir.path().join("ws/stages.json")).unwrap();
+    colmap(dir.path(), &line.replace("--output_path {}", "--output_path {}/ws")).failed(1, &["ws"]);
+}
+
+/// COLMAP 3 reads columns by their place, and has no rigs.
+#[test]
+fn colmap_3_maps_matches_and_registers_from_our_database() {
+    let help = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
+    let help = help.map(|found| String::from_utf8_lossy(&found.stdout).into_owned());
+    if !help.is_ok_and(|help| help.starts_with("COLMAP 3.") && !help.contains("tiepoint")) {
+        return crate::skipped::skipped("COLMAP 3 (`colmap`)");
+    }
+    let dir = copy();
+    let theirs = |line: &str| {
+        let words = line.replace("{}", dir.path().to_str().unwrap());
+        let mut command = Command::new("colmap");
+        command.args(words.split_whitespace()).env("QT_QPA_PLATFORM", "offscreen");
+        let run = Run(command.output().unwrap());
+        assert_eq!(run.code(), 0, "{line}: {} {}", run.stdout(), run.stderr());
+    };
+    let database = dir.path().join("distorted/database.db");
+    fs::create_dir_all(dir.path().join("theirs/all")).unwrap();
+    theirs(
+        "mapper --database_path {}/distorted/database.db --image_path {}/input --output_path \
+         {}/theirs --Mapper.num_threads 1",
+    );
+    let model = read_model(&dir.path().join("theirs/0")).unwrap();
+    assert_eq!(model.num_registered(), OLD);
+    assert!(model.mean_reprojection_error_px() < 1.0);
+    // A photo that our program adds, and their matcher matches.
+    photos::write(&dir.path().join("input"), ALL, 0);
+    let ours = "feature_extractor --database_path {}/distorted/database.db --image_path {}/input \
+                --ImageReader.existing_camera_id 1";
+    colmap(dir.path(), ours).done();
+    theirs(
+        "exhaustive_matcher --database_path {}/distorted/database.db --SiftMatching.use_gpu 0 \
+         --SiftMatching.num_threads 2",
+    );
+    assert_eq!(count(&database, "two_view_geometries"), (ALL * (ALL - 1) / 2) as i64);
+    theirs(
+        "image_registrator --database_path {}/distorted/database.db --input_path {}/theirs/0 \
+         --output_path {}/theirs/all",
+    );
+    assert_eq!(read_model(&dir.path().join("theirs/all")).unwrap().num_registered(), ALL);
+    // They left their version in it, and our mapper still reads it.
+    let ours = "mapper --database_path {}/distorted/database.db --image_path {}/input \
+                --output_path {}/ours";
+    colmap(dir.path(), ours).done();
+    assert_eq!(read_model(&dir.path().join("ours/0")).unwrap().num_registered(), ALL);
+}
+
+#[test]
 fn a_database_is_added_to_and_keeps_what_it_has() {
     let dir = copy();
     let database = dir.path().join("distorted/database.db");

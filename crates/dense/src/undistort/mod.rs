@@ -5,6 +5,7 @@ mod camera;
 mod mix;
 mod model;
 mod resample;
+mod rgb_row;
 mod source_map;
 
 pub use camera::{UndistortOptions, is_too_wide_for_pinhole, undistort_camera};

@@ -6,7 +6,8 @@ use tiepoint_geometry::nalgebra::Vector2;
 use tiepoint_scene::Camera;
 
 use super::mix::{WEIGHT_BITS, mix, mix_rgb};
-use super::source_map::{CELL, FRACTION_BITS, SourceMap};
+use super::rgb_row::{OFFSET, Rgb, RowMixer};
+use super::source_map::{CELL, FRACTION_BITS, RowWalk, SourceMap};
 use crate::Error;
 
 /// Undistortion from one camera to another one at the same place.
@@ -63,6 +64,10 @@ impl Undistortion {
     /// # Errors
     /// [`Error::Size`] if the image does not have the size of the camera.
     pub fn image<const C: usize>(&self, pixels: &[u8]) -> Result<Vec<u8>, Error> {
+        self.image_by::<C>(pixels, RowMixer::available()[0])
+    }
+
+    fn image_by<const C: usize>(&self, pixels: &[u8], mixer: RowMixer) -> Result<Vec<u8>, Error> {
         self.check(pixels, C)?;
         if self.is_identity() {
             return Ok(pixels.to_vec());
@@ -78,7 +83,7 @@ impl Undistortion {
                     let end = ((cell + 1) * CELL * C).min(row_bytes);
                     let (out, _) = out[cell * CELL * C..end].as_chunks_mut::<C>();
                     let done = walk.as_mut().map_or(0, |walk| {
-                        self.interior_of_row(pixels, &walk.next_row().places(), out)
+                        self.interior_of_row(pixels, walk.next_row(), mixer, out)
                     });
                     if done != u32::MAX {
                         let (column, row) = (cell * CELL, band * CELL + row);
@@ -113,11 +118,20 @@ impl Undistortion {
     fn interior_of_row<const C: usize>(
         &self,
         pixels: &[u8],
-        places: &[[i64; 2]; CELL],
+        walk: RowWalk,
+        mixer: RowMixer,
         out: &mut [[u8; C]],
     ) -> u32 {
+        let Camera { width, height, .. } = self.from;
         let mut done = u32::MAX;
-        for (k, (place, out)) in places.iter().zip(out).enumerate() {
+        if C == 3
+            && let Ok(out) =
+                <&mut [[u8; 3]; CELL]>::try_from(out.as_flattened_mut().as_chunks_mut().0)
+            && mixer.mix(Rgb { pixels, width, height }, &walk, out)
+        {
+            return done;
+        }
+        for (k, (place, out)) in walk.places().iter().zip(out).enumerate() {
             match self.interior(pixels, *place) {
                 Some(color) => *out = color,
                 None => done &= !(1 << k),
@@ -131,8 +145,6 @@ impl Undistortion {
     #[inline]
     fn interior<const C: usize>(&self, pixels: &[u8], place: [i64; 2]) -> Option<[u8; C]> {
         const ONE: u32 = 1 << WEIGHT_BITS;
-        // Relative to the centre of the first pixel, and rounded.
-        const OFFSET: i64 = (1 << (FRACTION_BITS - 1)) - (1 << (FRACTION_BITS - WEIGHT_BITS - 1));
         let [x, y] = place.map(|value| (value - OFFSET) >> (FRACTION_BITS - WEIGHT_BITS));
         // Negative places become large ones.
         let [x0, y0] = [x, y].map(|value| (value >> WEIGHT_BITS) as u64);
@@ -240,5 +252,61 @@ impl Undistortion {
             let bottom = (1.0 - u) * at(x0, y1) + u * at(x1, y1);
             (1.0 - v) * top + v * bottom
         }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tiepoint_geometry::{Intrinsics, Rng};
+
+    use super::*;
+
+    #[test]
+    fn rows_at_once_are_as_pixel_by_pixel() {
+        let mut rng = Rng::stream(7, &[]);
+        let (mut quick, mut total) = (0, 0);
+        // Narrow images end inside of a cell and of the data; strong lenses leave the image.
+        for (k, (width, height)) in
+            [(97, 61), (200, 150), (64, 33), (18, 17), (3, 90), (90, 2), (400, 300)]
+                .into_iter()
+                .enumerate()
+        {
+            let size = f64::from(width.max(height));
+            let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+            for distortion in [[-0.2, 0.03, 0.001, -0.002], [0.15, 0.0, 0.01, 0.01], [0.0; 4]] {
+                let mut params = vec![0.8 * size, 0.81 * size, cx + 0.3, cy - 0.2];
+                params.extend(distortion);
+                let from = Intrinsics::new(CameraModelKind::Opencv, &params).unwrap();
+                let focal_px = size * [0.8, 0.5, 1.3][k % 3];
+                let to = Intrinsics::new(
+                    CameraModelKind::Pinhole,
+                    &[focal_px, focal_px, cx - 2.0, cy + 1.5],
+                )
+                .unwrap();
+                let camera = |intrinsics, width, height| Camera {
+                    intrinsics,
+                    width,
+                    height,
+                    has_focal_prior: true,
+                };
+                let map = Undistortion {
+                    from: camera(from, width, height),
+                    to: camera(to, width + 40, height + 20),
+                    samples: 1,
+                };
+                let pixels: Vec<u8> =
+                    (0..width * height * 3).map(|_| rng.next_u64() as u8).collect();
+                let images: Vec<Vec<u8>> = RowMixer::available()
+                    .into_iter()
+                    .map(|mixer| map.image_by::<3>(&pixels, mixer).unwrap())
+                    .collect();
+                for image in &images {
+                    assert!(image == images.last().unwrap(), "{width} × {height}");
+                }
+                quick += images[0].iter().filter(|value| **value != 0).count();
+                total += images[0].len();
+            }
+        }
+        assert!(quick * 3 > total, "most pixels have a source: {quick} of {total}");
     }
 }

@@ -113,7 +113,7 @@ impl Walk {
 }
 
 /// A place that goes from pixel to pixel of a row: x and y with their forward differences.
-pub(super) struct RowWalk([[i64; 4]; 2]);
+pub(super) struct RowWalk(pub(super) [[i64; 4]; 2]);
 
 impl RowWalk {
     /// The places of the pixels, in units of 2^−[`FRACTION_BITS`] pixels.

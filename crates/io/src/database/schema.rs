@@ -1,4 +1,7 @@
-//! The tables of COLMAP 4.2.1.
+//! The tables of COLMAP 4.2.1, which COLMAP 3.8 reads and writes as well.
+//!
+//! COLMAP 3 reads columns by their place. So tables have the layout that COLMAP 4 gives a database
+//! of COLMAP 3 when it opens one: columns of version 3 first, those of version 4 behind them.
 
 use rusqlite::Connection;
 
@@ -50,6 +53,7 @@ pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), Stri
     Ok(Ok(()))
 }
 
+/// COLMAP 3 wants the columns `prior_…`, which stay empty, and writes descriptors without a type.
 /// Version `user_version` of the schema: 1000000 · major + 10000 · minor + 100 · patch of COLMAP.
 pub(super) const CREATE: &str = "
 CREATE TABLE rigs (
@@ -86,6 +90,13 @@ CREATE TABLE images (
     image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
     name TEXT NOT NULL UNIQUE,
     camera_id INTEGER NOT NULL,
+    prior_qw REAL,
+    prior_qx REAL,
+    prior_qy REAL,
+    prior_qz REAL,
+    prior_tx REAL,
+    prior_ty REAL,
+    prior_tz REAL,
     CONSTRAINT image_id_check CHECK(image_id >= 0 and image_id < 2147483647),
     FOREIGN KEY(camera_id) REFERENCES cameras(camera_id));
 CREATE UNIQUE INDEX index_name ON images(name);
@@ -108,10 +119,10 @@ CREATE TABLE keypoints (
     FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE);
 CREATE TABLE descriptors (
     image_id INTEGER PRIMARY KEY NOT NULL,
-    type INTEGER NOT NULL,
     rows INTEGER NOT NULL,
     cols INTEGER NOT NULL,
     data BLOB,
+    type INTEGER NOT NULL DEFAULT 0,
     FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE);
 CREATE TABLE matches (
     pair_id INTEGER PRIMARY KEY NOT NULL,

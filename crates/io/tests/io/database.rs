@@ -525,3 +525,40 @@ fn copies_of_other_programs_files_have_ids_from_one_on() {
     assert!(Database::copy_with(&path, &copy, |_| Ok(())).is_err());
     assert!(Database::open(&copy).is_ok(), "an earlier copy stays");
 }
+
+/// COLMAP 3.8 reads columns by their place, and writes rows without the newer columns.
+#[test]
+fn tables_have_the_columns_of_colmap_3_in_its_order() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("database.db");
+    Database::create(&path).unwrap().close().unwrap();
+    let connection = rusqlite::Connection::open(&path).unwrap();
+    let columns = |table: &str| {
+        let sql = format!("SELECT name FROM pragma_table_info('{table}') ORDER BY cid");
+        let mut statement = connection.prepare(&sql).unwrap();
+        let names = statement.query_map([], |row| row.get::<_, String>(0)).unwrap();
+        names.map(Result::unwrap).collect::<Vec<_>>().join(" ")
+    };
+    for (table, theirs) in [
+        ("cameras", "camera_id model width height params prior_focal_length"),
+        (
+            "images",
+            "image_id name camera_id prior_qw prior_qx prior_qy prior_qz prior_tx prior_ty \
+             prior_tz",
+        ),
+        ("keypoints", "image_id rows cols data"),
+        ("descriptors", "image_id rows cols data"),
+        ("matches", "pair_id rows cols data"),
+        ("two_view_geometries", "pair_id rows cols data config F E H qvec tvec"),
+    ] {
+        assert!(columns(table).starts_with(theirs), "{table}: {}", columns(table));
+    }
+    connection
+        .execute_batch(
+            "PRAGMA foreign_keys = OFF;
+             INSERT INTO descriptors(image_id, rows, cols, data) VALUES (1, 0, 128, NULL);
+             INSERT INTO images(image_id, name, camera_id, prior_qw, prior_tz) \
+             VALUES (1, '1.jpg', 1, NULL, NULL);",
+        )
+        .unwrap();
+}

@@ -2,19 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::Serialize;
 use tiepoint_io::database::Database;
-use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
-use tiepoint_io::{ImageFolder, ImageInfo, ImageSource, Luma};
+use tiepoint_io::features::{self as sift, Features};
+use tiepoint_io::{ImageFolder, ImageInfo, ImageSource};
 use tiepoint_sfm::geometry::{CameraModelKind, Intrinsics};
 use tiepoint_sfm::scene::{Camera, CameraId, Image, ImageId};
 
 use super::scene::open_to_add;
-use crate::features::memory_of;
+use crate::extractors::{Extractors, memory_of};
 use crate::memory::budget_bytes;
 use crate::ordered::for_each_within_budget;
 use crate::{Error, Event, Stage, Watch, emit};
@@ -158,7 +157,7 @@ pub fn extract(
             Err(why) => skip(&image.name, &why, watch)?,
         }
     }
-    let extractors = Extractors { options: options.detector, idle: Mutex::default() };
+    let extractors = Extractors::new(options.detector);
     let work = |task: &Task| extract_one(&folder, task, options.max_image_size, &extractors);
     let (mut taken_images, mut keypoints) = (0, 0);
     let taken = for_each_within_budget(
@@ -350,19 +349,6 @@ impl<'a> Cameras<'a> {
     }
 }
 
-/// Pool of extractors, whose buffers are reused.
-struct Extractors {
-    options: sift::Options,
-    idle: Mutex<Vec<Sift>>,
-}
-
-impl Extractors {
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Sift>> {
-        // The list stays valid when a thread panics while it holds the lock.
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 fn extract_one(
     folder: &ImageFolder,
     task: &Task,
@@ -371,14 +357,12 @@ fn extract_one(
 ) -> Result<Features, Error> {
     let (image, mask) = (folder.luma(task.index)?, folder.mask(task.index)?);
     let reduced = max_image_size.and_then(|most| reduced_size(image.width, image.height, most));
-    let idle = extractors.idle().pop();
-    let mut sift = idle.map_or_else(|| Sift::new(extractors.options), Ok)?;
-    let features = match reduced {
-        None => sift.extract(&view(&image), mask.as_ref().map(view).as_ref())?,
+    match reduced {
+        None => extractors.extract(&image, mask.as_ref()),
         Some((width, height)) => {
             let small = image.resized(width, height);
             let mask = mask.map(|mask| mask.resized(width, height));
-            let mut features = sift.extract(&view(&small), mask.as_ref().map(view).as_ref())?;
+            let mut features = extractors.extract(&small, mask.as_ref())?;
             let x = image.width as f32 / width as f32;
             let y = image.height as f32 / height as f32;
             for keypoint in &mut features.keypoints {
@@ -386,11 +370,9 @@ fn extract_one(
                 keypoint.y *= y;
                 keypoint.scale *= 0.5 * (x + y);
             }
-            features
+            Ok(features)
         }
-    };
-    extractors.idle().push(sift);
-    Ok(features)
+    }
 }
 
 /// The size of an image with its larger side reduced to `most`; `None` if it is smaller.
@@ -404,8 +386,4 @@ fn reduced_size(width: u32, height: u32, most: u32) -> Option<(u32, u32)> {
         (side.round() as u32).max(1)
     };
     Some((scaled(width), scaled(height)))
-}
-
-fn view(image: &Luma) -> GrayView<'_> {
-    GrayView::new(&image.data, image.width as usize, image.height as usize)
 }

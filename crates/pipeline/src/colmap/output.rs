@@ -53,7 +53,7 @@ pub(super) fn put(
         names.push(PROJECT.to_owned());
     }
     if replaced == Replaced::All {
-        folder.claim(&names)?;
+        folder.may_replace(&names);
     }
     folder.refuse_foreign(names.iter().map(String::as_str))?;
     let mut staged = Vec::new();

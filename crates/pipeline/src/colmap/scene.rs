@@ -6,12 +6,11 @@ use rayon::prelude::*;
 use tiepoint_io::database::{Database, read_stage_rows};
 use tiepoint_sfm::VerifyOptions;
 use tiepoint_sfm::scene::{
-    CorrespondenceGraph, Image, ImageId, ImagePair, OriginalIds, Reconstruction, TwoView,
+    CorrespondenceGraph, ImageId, ImagePair, OriginalIds, Reconstruction, TwoView,
 };
 
-use crate::Error;
 use crate::foreign_database::Pairs;
-use crate::keypoints::keypoint;
+use crate::{Error, database_scene};
 
 /// Opens a database to add to it.
 ///
@@ -30,15 +29,7 @@ pub(super) fn open_to_add(path: &Path) -> Result<Database, Error> {
 
 /// The scene of a database without poses. Cameras and images have the ids of the database.
 pub(super) fn read_scene(database: &Database) -> Result<Reconstruction, Error> {
-    let mut scene = Reconstruction::default();
-    for camera in database.read_cameras()? {
-        scene.add_camera(camera);
-    }
-    for (index, image) in database.read_images()?.into_iter().enumerate() {
-        let keypoints = database.read_keypoints(ImageId::from_index(index))?;
-        let keypoints = keypoints.iter().map(keypoint).collect();
-        scene.add_image(Image::new(image.name, image.camera, keypoints));
-    }
+    let mut scene = database_scene::read_scene(database)?;
     scene.original_ids = ids_of(database);
     Ok(scene)
 }

@@ -1,5 +1,6 @@
 //! The files that a drive writes.
 
+use tiepoint_geometry::Rigid3;
 use tiepoint_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_synth::{Drive, DriveOptions, Effects, Mount, Mounting, image, write_ply};
 
@@ -62,6 +63,33 @@ fn tables_hold_time_stamps_and_true_poses() {
     assert_eq!(read("truth/left.tum").lines().count(), drive.cameras()[0].exposures.len());
     let offset = format!("right,clock_offset_s,{}", drive.cameras()[1].clock.offset_s);
     assert!(read("truth/cameras.csv").contains(&offset));
+}
+
+#[test]
+fn rows_of_a_rolling_shutter_have_their_poses() {
+    let global = drive(Effects::default());
+    assert!(global.rows_csv().is_none());
+    let drive = drive(Effects { readout_s: 0.02, ..Effects::default() });
+    let rows = drive.rows_csv().unwrap();
+    let exposure = &drive.cameras()[1].exposures[2];
+    let of_image = rows.lines().filter_map(|line| line.strip_prefix(exposure.name.as_str()));
+    let poses: Vec<(f64, Rigid3)> = of_image
+        .map(|line| {
+            let n: Vec<f64> = line[1..].split(',').map(|number| number.parse().unwrap()).collect();
+            let q = UnitQuaternion::new_unchecked(Quaternion::new(n[1], n[2], n[3], n[4]));
+            (n[0], Rigid3::new(q, Vector3::new(n[5], n[6], n[7])))
+        })
+        .collect();
+    // The image has 120 rows, of which the middle is exposed at the time of the image.
+    let steps = [0.5 / 120.0 - 0.5, 0.5 - 0.5 / 120.0];
+    for ((y_px, pose), (height_px, step)) in poses.iter().zip([0.5, 119.5].into_iter().zip(steps)) {
+        assert_eq!(*y_px, height_px);
+        let expected = drive.cam_from_world(1, exposure.time_s + 0.02 * step);
+        assert!((pose.translation - expected.translation).norm() < 1e-9);
+        assert!(pose.rotation.angle_to(&expected.rotation) < 1e-9);
+    }
+    assert_eq!(poses.len(), 2);
+    assert!((poses[0].1.origin_in_a() - poses[1].1.origin_in_a()).norm() > 0.01);
 }
 
 #[test]

@@ -1,0 +1,45 @@
+//! Feature extraction in parallel.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tiepoint_io::features::{self as sift, Features, GrayView, Sift};
+use tiepoint_io::{ImageInfo, Luma};
+
+use crate::Error;
+
+/// Memory of feature extraction, in bytes per pixel.
+const BYTES_PER_PIXEL: u64 = 16;
+
+pub(crate) fn memory_of(photo: &ImageInfo) -> u64 {
+    BYTES_PER_PIXEL * u64::from(photo.width) * u64::from(photo.height)
+}
+
+/// Pool of extractors, whose buffers are reused: one per image that is processed at a time.
+pub(crate) struct Extractors {
+    options: sift::Options,
+    idle: Mutex<Vec<Sift>>,
+}
+
+impl Extractors {
+    pub(crate) fn new(options: sift::Options) -> Self {
+        Self { options, idle: Mutex::default() }
+    }
+
+    /// Extracts the features of an image, where its mask is not 0.
+    pub(crate) fn extract(&self, image: &Luma, mask: Option<&Luma>) -> Result<Features, Error> {
+        let idle = self.idle().pop();
+        let mut sift = idle.map_or_else(|| Sift::new(self.options), Ok)?;
+        let features = sift.extract(&view(image), mask.map(view).as_ref())?;
+        self.idle().push(sift);
+        Ok(features)
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Vec<Sift>> {
+        // The list stays valid when a thread panics while it holds the lock.
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn view(image: &Luma) -> GrayView<'_> {
+    GrayView::new(&image.data, image.width as usize, image.height as usize)
+}
