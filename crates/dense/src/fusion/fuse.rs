@@ -116,9 +116,11 @@ fn fuse_pixel(
     let mut views = 1u32;
     let (mut depth, mut normal) = (own.depth, own.normal);
     let mut color = own.color.map(u32::from);
+    let point = reference.world_point(&own, own.depth);
+    let min_cosine = options.max_normal_error_rad.cos();
     for (slot, (other_index, other)) in others.iter().enumerate() {
         let Some(Agreement { depth: other_depth, surface, is_covered, footprint }) =
-            agreement(reference, &own, other, options)
+            agreement(reference, &own, &point, other, min_cosine, options)
         else {
             continue;
         };

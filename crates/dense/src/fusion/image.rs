@@ -100,15 +100,17 @@ impl FusionImage {
     }
 }
 
-/// What `other` sees at a surface of `reference`, if it is the same surface.
+/// What `other` sees at a surface of `reference` at `point` in the world frame, if it is the same
+/// surface. `min_cosine` is that of the largest angle between the normals.
 pub(super) fn agreement(
     reference: &FusionImage,
     own: &Surface,
+    point: &Vector3<f64>,
     other: &FusionImage,
+    min_cosine: f64,
     options: &FusionOptions,
 ) -> Option<Agreement> {
-    let point = reference.world_point(own, own.depth);
-    let in_other = other.camera.cam_from_world * point;
+    let in_other = other.camera.cam_from_world * *point;
     let place = other.camera.project(&in_other)?;
     let (x, y) = ((place.x + 0.5).floor(), (place.y + 0.5).floor());
     let (width, height) = (other.depths.width as f64, other.depths.height as f64);
@@ -116,7 +118,7 @@ pub(super) fn agreement(
         return None;
     }
     let surface = other.surface(x as usize, y as usize)?;
-    if surface.normal.dot(&own.normal) < options.max_normal_error_rad.cos() {
+    if surface.normal.dot(&own.normal) < min_cosine {
         return None;
     }
     // The plane of the pixel, met by the ray of the exact place: the depth of the pixel's centre

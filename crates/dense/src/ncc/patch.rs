@@ -104,32 +104,44 @@ impl PatchTable {
                 *level = pixels[y * width + x];
             }
         }
-        let mut patch = Patch {
-            weights: [[0.0; LANES]; 2],
-            centred: [[0.0; LANES]; 2],
-            inverse_deviation: 0.0,
-        };
-        let (mut total, mut mean) = (0.0, 0.0);
-        let mut values = [0.0; SAMPLES];
-        for sample in 0..SAMPLES {
-            let weight =
-                self.spatial[sample] * self.by_difference[levels[sample].abs_diff(middle) as usize];
-            values[sample] = UNITS * f32::from(levels[sample]) - MIDDLE;
-            patch.weights[sample / LANES][sample % LANES] = weight;
-            total += weight;
-            mean += weight * values[sample];
+        // Sums run over lanes, like those of the kernels.
+        let mut weights = [[0.0; LANES]; 2];
+        let mut values = [[0.0; LANES]; 2];
+        for half in 0..2 {
+            for lane in 0..LANES {
+                let level = levels[half * LANES + lane];
+                let by_difference = self.by_difference[usize::from(level.abs_diff(middle))];
+                weights[half][lane] = self.spatial[half * LANES + lane] * by_difference;
+                values[half][lane] = UNITS * f32::from(level) - MIDDLE;
+            }
         }
+        let total = sum(|half, lane| weights[half][lane]);
         let scale = 1.0 / total;
-        mean *= scale;
-        let mut variance = 0.0;
-        for (sample, value) in values.into_iter().enumerate() {
-            let weight = &mut patch.weights[sample / LANES][sample % LANES];
-            *weight *= scale;
-            let centred = value - mean;
-            patch.centred[sample / LANES][sample % LANES] = *weight * centred;
-            variance += *weight * centred * centred;
+        let mean = scale * sum(|half, lane| weights[half][lane] * values[half][lane]);
+        let mut centred = [[0.0; LANES]; 2];
+        for half in 0..2 {
+            for lane in 0..LANES {
+                weights[half][lane] *= scale;
+                values[half][lane] -= mean;
+                centred[half][lane] = weights[half][lane] * values[half][lane];
+            }
         }
-        patch.inverse_deviation = 1.0 / variance.sqrt();
+        let variance = sum(|half, lane| centred[half][lane] * values[half][lane]);
+        let patch = Patch { weights, centred, inverse_deviation: 1.0 / variance.sqrt() };
         (variance >= MIN_VARIANCE).then_some(patch)
     }
+}
+
+/// The sum over all samples: of each lane, then halves are added until one is left.
+#[inline(always)]
+fn sum(of: impl Fn(usize, usize) -> f32) -> f32 {
+    let mut lanes: [f32; LANES] = std::array::from_fn(|lane| of(0, lane) + of(1, lane));
+    let mut width = LANES / 2;
+    while width > 0 {
+        for lane in 0..width {
+            lanes[lane] += lanes[lane + width];
+        }
+        width /= 2;
+    }
+    lanes[0]
 }

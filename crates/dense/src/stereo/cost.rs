@@ -189,7 +189,8 @@ impl PixelCosts<'_> {
         let best = self.costs.best;
         let limit = limit * best as f32;
         let mut sum = 0.0;
-        for index in &selected[..best] {
+        // First those of the higher costs, which more often end it.
+        for index in selected[..best].iter().rev() {
             sum += self.in_source::<N>(usize::from(*index), plane);
             // The images that are left cannot have costs below zero.
             if sum >= limit {
@@ -222,13 +223,13 @@ impl PixelCosts<'_> {
 /// Inserts a cost and its index among the lowest ones, which are sorted.
 #[inline(always)]
 fn insert(lowest: &mut [f32; BEST], selected: &mut [u8; BEST], cost: f32, index: u8) {
-    for place in 0..BEST {
-        if cost < lowest[place] {
-            lowest[place..].rotate_right(1);
-            selected[place..].rotate_right(1);
-            (lowest[place], selected[place]) = (cost, index);
-            return;
+    let mut place = BEST;
+    while place > 0 && cost < lowest[place - 1] {
+        place -= 1;
+        if place + 1 < BEST {
+            (lowest[place + 1], selected[place + 1]) = (lowest[place], selected[place]);
         }
+        (lowest[place], selected[place]) = (cost, index);
     }
 }
 
