@@ -4,8 +4,8 @@ pub struct FusionOptions {
     /// Smallest number of images that agree on a point, the reference included.
     pub min_views: usize,
     /// Largest distance between a pixel and the reprojection of the surface that another image
-    /// sees there, in pixels. COLMAP's default is 2; with 2 and with 0.5, F1 at
-    /// two footprints is 84.2 and 68.7, 84.7 and 68.8 instead of 84.3 and 68.8 % on two made scenes.
+    /// sees there, in pixels. COLMAP's default is 2; with 2 and with 0.5, F1 at two footprints is
+    /// 84.2 and 68.7, 84.7 and 68.8 % on two made scenes instead of 84.3 and 68.8 %.
     pub max_error_px: f64,
     /// Largest difference of two depths, relative; COLMAP's default.
     pub max_depth_error: f64,

@@ -3,12 +3,12 @@
 use super::constants::{LANES, MIDDLE, MIN_VARIANCE, SAMPLES, UNITS};
 use crate::Grey;
 
-/// The pixels within √10 of the centre but for the five in the middle: 7 pixels wide, and 32 samples
-/// fill the lanes. Chosen on two made scenes (`bench/dense_scene.py` with seed 11 and a street of
-/// `tiepoint synth` with seed 12; the mean over the best four images): with every second pixel
-/// within √17, 9 pixels wide, F1 at two footprints is 79.1 and 63.1 instead of 75.4 and 62.6 %; with
-/// every second pixel of 11 × 11, as in ACMH, 68.1 and 61.0 %. With noise of four grey levels the 7
-/// pixels remain ahead of the 9 (79.0 and 68.8 %, 76.3 and 68.1 %, the best two images).
+/// The pixels within √10 of the centre but for the five in the middle: 7 pixels wide, and the 32
+/// samples fill the lanes. Chosen on two made scenes (`bench/dense_scene.py` with seed 11, and a
+/// street of `tiepoint synth` with seed 12), with the mean over the best four images: F1 at two
+/// footprints is 79.1 and 63.1 %. With every second pixel within √17, 9 pixels wide, it is 75.4 and
+/// 62.6 %; with every second one of 11 × 11, as in ACMH, 68.1 and 61.0 %. With noise of four grey
+/// levels, 7 pixels remain ahead of 9: 79.0 and 68.8 %, 76.3 and 68.1 % (the best two images).
 const OFFSETS: [[i32; 2]; SAMPLES] = offsets();
 /// Standard deviation of the bilateral weights in space, in pixels: the radius of the patch, as in
 /// Schönberger 2016. With 3, 4 and 6 on 9 pixels, F1 is 75.8, 75.4 and 75.0 %.

@@ -10,8 +10,8 @@ use super::sweep::{SweepOptions, sweep};
 use super::view::{MAX_SOURCES, View};
 use crate::plane::Rays;
 
-/// The one sweep on the half level with the geometric term. With two, as in Xu & Tao 2019, F1 at two
-/// footprints is as high to 0.1 %.
+/// The one sweep on the half level with the geometric term. With two, as in Xu & Tao 2019, F1 at
+/// two footprints is as high to 0.1 %.
 const GEOMETRIC_CHANGE_PX: f32 = 0.5;
 const GEOMETRIC_CHANGE_NORMAL: f32 = 0.25;
 /// The one sweep on the full level.

@@ -53,8 +53,8 @@ pub(super) fn check(connection: &Connection) -> rusqlite::Result<Result<(), Stri
     Ok(Ok(()))
 }
 
-/// COLMAP 3 wants the columns `prior_…`, which stay empty, and writes descriptors without a type.
 /// Version `user_version` of the schema: 1000000 · major + 10000 · minor + 100 · patch of COLMAP.
+/// The columns `prior_…` stay empty; COLMAP 3 writes descriptors without a type.
 pub(super) const CREATE: &str = "
 CREATE TABLE rigs (
     rig_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
