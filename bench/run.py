@@ -430,7 +430,8 @@ def table_undistort(runs):
     rows = [head.split(" | ")]
     for run in runs:
         pixels = run["size"][0] * run["size"][1]
-        times = [1e9 * run[key] / pixels for key in ("colmap_s", "tiepoint_s")]
+        # A time is a difference of two, and that of a copy may be noise below zero.
+        times = [max(1e9 * run[key] / pixels, 0) for key in ("colmap_s", "tiepoint_s")]
         images = [run["photo.png"], run["noise.png"]]
         # A camera without distortion is copied.
         is_copied = run["model"] in ("SIMPLE_PINHOLE", "PINHOLE")
