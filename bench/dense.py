@@ -33,7 +33,8 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 import dense_scene
-from program import program_of
+from colmap import umeyama
+from program import program_of, tiepoint
 
 SCENES = {"room": (12, (480, 360)), "street": (12, (480, 360))}
 PHOTOS = {"fountain-P11": 1024, "sceaux": 1024}
@@ -65,14 +66,6 @@ def measured(command):
         wall, peak = done.stderr.strip().splitlines()[-1].split()
         found |= {"wall_s": float(wall), "peak_mib": float(peak) / 1024}
     return found
-
-
-def tiepoint(*words):
-    command = [str(word) for word in (program_of(), *words, "--json")]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode != 0:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout)
 
 
 def cloud_of(path):
@@ -193,21 +186,11 @@ class Surface:
         return {"accuracy": accuracy, "completeness": completeness, "f1": f1}
 
 
-def similarity(source, target):
-    """Scale, R and t with target ≈ s R source + t (Umeyama 1991)."""
-    a, b = source.mean(0), target.mean(0)
-    u, d, vt = np.linalg.svd((target - b).T @ (source - a))
-    sign = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    turn = u @ sign @ vt
-    scale = (np.diag(d) * sign).trace() / ((source - a) ** 2).sum()
-    return scale, turn, b - scale * turn @ a
-
-
 def aligned(cloud, model, centres):
     """The cloud in the frame of the true camera centres."""
     images = [image for image in model.images.values() if image.name in centres]
     source = np.array([image.projection_center() for image in images])
-    scale, turn, shift = similarity(source, np.array([centres[image.name] for image in images]))
+    scale, turn, shift = umeyama(source, np.array([centres[image.name] for image in images]))
     return scale * cloud @ turn.T + shift
 
 

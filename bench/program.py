@@ -1,7 +1,10 @@
-"""What the scripts beside this share: which `tiepoint` they measure, and the angle of a cosine."""
+"""What the scripts beside this share: which `tiepoint` they measure, how they call it, and an
+angle from its cosine."""
 
+import json
 import math
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +18,15 @@ def program_of(arguments=None):
     if not program.exists():
         sys.exit(f"{program} is not there: cargo build --release")
     return program
+
+
+def tiepoint(*words):
+    """Runs the program; what it prints as JSON. A failure ends the script with its sentence."""
+    command = [str(word) for word in (program_of(), *words, "--json")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+    return json.loads(done.stdout)
 
 
 def degrees(cosine):

@@ -24,28 +24,18 @@ import argparse
 import csv
 import json
 import pathlib
-import subprocess
-import sys
 import tempfile
 
 import numpy as np
 import pycolmap
 from colmap import umeyama
-from program import degrees, program_of
+from program import degrees, tiepoint
 
 SIZE = (640, 480)
 READOUT = "16ms"
 RATE_HZ = 5
 STEP = 4
 ITERATIONS = 8
-
-
-def tiepoint(*words):
-    command = [str(word) for word in (program_of(), *words, "--json")]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode != 0:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout)
 
 
 def pose_of(row):

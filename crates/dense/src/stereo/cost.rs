@@ -19,8 +19,8 @@ const GEOMETRIC_LIMIT: f32 = 3.0;
 const BEST: usize = 2;
 
 /// Largest cost of a source image that is selected, that of a depth in `filter`: above, the plane
-/// is wrong and does not tell which images see the surface. With half and
-/// twice of it, F1 at two footprints is 85.3 and 69.0, 82.7 and 68.3 % instead of 84.3 and 68.8 %.
+/// is wrong and does not tell which images see the surface. With half and with twice
+/// of it, F1 at two footprints is 85.3 and 69.0, 82.7 and 68.3 % instead of 84.3 and 68.8 %.
 const MAX_SELECTED_COST: f32 = 0.7;
 
 /// Indices of the source images that see a pixel.
