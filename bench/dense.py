@@ -195,15 +195,24 @@ def aligned(cloud, model, centres):
 
 
 def set_true_poses(folder, views, focal, middle):
-    """Gives the model in a folder the true poses and pinhole, and triangulates its tracks again."""
-    model = pycolmap.Reconstruction(folder)
-    for camera in model.cameras.values():
+    """Gives the model in a folder the true poses and pinhole, and triangulates its tracks again.
+    Each image has a frame of its own, since the extrinsics of an estimated rig are not true."""
+    found = pycolmap.Reconstruction(folder)
+    model = pycolmap.Reconstruction()
+    for camera in found.cameras.values():
         camera.model = pycolmap.CameraModelId.PINHOLE
         camera.params = [focal, focal, *middle]
-    for image in model.images.values():
+        model.add_camera_with_trivial_rig(camera)
+    for number, image in found.images.items():
         turn, shift, _ = views[image.name]
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(turn), shift)
-        image.frame.set_cam_from_world(image.camera_id, pose)
+        points = pycolmap.Point2DList([pycolmap.Point2D(p.xy) for p in image.points2D])
+        copy = pycolmap.Image(
+            name=image.name, camera_id=image.camera_id, image_id=number, points2D=points
+        )
+        model.add_image_with_trivial_frame(copy, pose)
+    for point in found.points3D.values():
+        model.add_point3D(point.xyz, point.track, point.color)
     for number, point in list(model.points3D.items()):
         rows, seen = [], []
         for element in point.track.elements:
