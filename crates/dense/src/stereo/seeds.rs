@@ -1,5 +1,11 @@
 //! Points of the sparse model in an image, and the range of depths around them.
 
+/// How many times nearer than the nearest seed a surface may be: a road below the camera has few
+/// keypoints, since its image changes from frame to frame. F1 at two footprints is 76.8, 80.5, 83.5
+/// and 83.8 % with 1.5, 2, 4 and 8 on a street (seed 12, true poses), 82.9, 82.9, 82.7 and 82.8 %
+/// in a room.
+const NEARER: f32 = 4.0;
+
 /// A point of the sparse model in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seed {
@@ -20,14 +26,14 @@ pub struct InverseDepthRange {
 
 impl InverseDepthRange {
     /// The range of the seeds without the most extreme hundredth on both sides, which may be wrong
-    /// matches, and widened by half, since surfaces lie between and beyond the seeds. `None`
-    /// without seeds.
+    /// matches, and widened by half to the far and by [`NEARER`] to the near side: surfaces lie
+    /// between and beyond the seeds. `None` without seeds.
     pub fn of(seeds: &[Seed]) -> Option<Self> {
         let mut all: Vec<f32> = seeds.iter().map(|seed| seed.inverse_depth).collect();
         all.sort_by(f32::total_cmp);
         let tail = all.len() / 100;
         let (min, max) = (all.get(tail)?, all.get(all.len() - 1 - tail)?);
-        Some(Self { min: min / 1.5, max: max * 1.5 })
+        Some(Self { min: min / 1.5, max: max * NEARER })
     }
 
     #[inline(always)]
