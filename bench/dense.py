@@ -33,7 +33,6 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 import dense_scene
-from colmap import umeyama
 from program import program_of, tiepoint
 
 SCENES = {"room": (12, (480, 360)), "street": (12, (480, 360))}
@@ -186,12 +185,18 @@ class Surface:
         return {"accuracy": accuracy, "completeness": completeness, "f1": f1}
 
 
-def aligned(cloud, model, centres):
-    """The cloud in the frame of the true camera centres."""
-    images = [image for image in model.images.values() if image.name in centres]
-    source = np.array([image.projection_center() for image in images])
-    scale, turn, shift = umeyama(source, np.array([centres[image.name] for image in images]))
-    return scale * cloud @ turn.T + shift
+def aligned(cloud, model, poses):
+    """The cloud in the frame of true poses (camera to world), 3 x 4 each: by their rotations, since
+    centres on a straight line leave the rotation about it free."""
+    images = [image for image in model.images.values() if image.name in poses]
+    turns = [poses[i.name][:, :3] @ i.cam_from_world().rotation.matrix() for i in images]
+    u, _, vt = np.linalg.svd(np.sum(turns, axis=0))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    source = np.array([image.projection_center() for image in images]) @ turn.T
+    target = np.array([poses[image.name][:, 3] for image in images])
+    s, t = source - source.mean(0), target - target.mean(0)
+    scale = (s * t).sum() / (s * s).sum()
+    return scale * (cloud @ turn.T - source.mean(0)) + target.mean(0)
 
 
 def set_true_poses(folder, views, focal, middle):
@@ -293,7 +298,9 @@ def scene_case(name, scratch, options):
     known = ["--intrinsics", f"{focal},{focal},{middle[0]},{middle[1]}"]
     tiepoint("reconstruct", photos, "-o", workspace, *known, "--threads", options.threads)
     surface = Surface(views, focal, middle)
-    centres = {name: -turn.T @ shift for name, (turn, shift, _) in views.items()}
+    true_poses = {
+        name: np.column_stack([turn.T, -turn.T @ shift]) for name, (turn, shift, _) in views.items()
+    }
     cases = []
     for poses in ("ours", "true"):
         if poses == "true":
@@ -301,7 +308,7 @@ def scene_case(name, scratch, options):
         model = pycolmap.Reconstruction(workspace / "sparse/0")
         found, clouds = run_programs(workspace, scratch, options)
         for program, cloud in clouds.items():
-            placed = aligned(cloud, model, centres) if poses == "ours" else cloud
+            placed = aligned(cloud, model, true_poses) if poses == "ours" else cloud
             found[program] |= surface.quality(placed)
         cases.append({"case": name, "poses": poses, "programs": found})
         print(json.dumps(cases[-1]), flush=True)
@@ -342,12 +349,12 @@ def kitti_case(name, scratch, options):
     model = pycolmap.Reconstruction(workspace / "sparse/0")
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
     names = sorted(path.name for path in (photos / "left").iterdir())
-    centres = {f"left/{name}": pose[:, 3] for name, pose in zip(names, poses)}
+    poses = {f"left/{name}": pose for name, pose in zip(names, poses)}
     lidar = cloud_of(folder / "lidar_reference_voxel10cm.ply")
     tree = cKDTree(lidar)
     found, clouds = run_programs(workspace, scratch, options)
     for program, cloud in clouds.items():
-        placed = aligned(cloud, model, centres)
+        placed = aligned(cloud, model, poses)
         distance = tree.query(placed, workers=-1)[0]
         # Cropped to the overlap: what the scan does not cover has no truth.
         inside = distance <= LIDAR_REACH_M

@@ -110,5 +110,7 @@ pub use tiepoint_io as io;
 pub use tiepoint_sfm as sfm;
 pub use undistort::{UndistortFolderOptions, UndistortLayout, Undistorted, undistort};
 pub use video::{DEFAULT_EVERY, OpenedInput, open_input};
-pub use view::{CameraError, ReportModel, ReportSection, Thumbnails, report_html, view};
+pub use view::{
+    CameraError, CloudError, ReportModel, ReportSection, Thumbnails, report_html, view,
+};
 pub use workspace::Workspace;

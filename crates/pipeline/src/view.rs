@@ -72,6 +72,8 @@ pub struct ReportModel<'a> {
     /// Estimated and true camera centres in the world frame, in order of time; empty without ground
     /// truth.
     pub camera_errors: &'a [CameraError],
+    /// The error of the dense cloud along the drive; empty if it is not known.
+    pub cloud_errors: &'a [CloudError],
     /// The dense cloud and depth maps, if there are any.
     pub dense: Option<&'a DenseView>,
     /// The photos of its images, if there are any. Models of the same images share them.
@@ -100,6 +102,15 @@ pub struct CameraError {
     pub estimated_centre: Vector3<f64>,
     /// True centre, in metres.
     pub true_centre: Vector3<f64>,
+}
+
+/// The error of the part of a cloud that a place of the drive is nearest to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CloudError {
+    /// Length of the drive up to this place, in metres.
+    pub path_length_m: f64,
+    /// Mean absolute distance of the points to the reference, in metres.
+    pub mean_m: f64,
 }
 
 #[derive(Serialize)]
@@ -137,6 +148,8 @@ struct Model<'a> {
     covisibility: Matrix,
     rigs: Vec<RigSeries>,
     trajectory: Option<Trajectory>,
+    /// Length of the drive and mean distance of the dense cloud to the reference, in metres.
+    cloud_errors: [Vec<f64>; 2],
     /// Name and seconds of each stage.
     stages: Vec<(&'static str, f64)>,
     dense: Option<Dense<'a>>,
@@ -293,6 +306,7 @@ pub fn view(path: &Path) -> Result<PathBuf, Error> {
         world_from_model: None,
         report: report.as_ref(),
         camera_errors: &[],
+        cloud_errors: &[],
         dense: dense.as_ref(),
         photos: Some(&Thumbnails::of_workspace(path, &model, Thumbnails::MAX_BYTES)),
     };
@@ -369,8 +383,9 @@ fn describe<'a>(
     view_from_world: &Sim3,
     limits: Limits,
 ) -> Model<'a> {
-    let ReportModel { name, model, world_from_model, report, camera_errors, dense, .. } =
+    let ReportModel { name, model, world_from_model, report, camera_errors, cloud_errors, .. } =
         report_model;
+    let dense = report_model.dense;
     let view_from_model = *view_from_world * world_from_model.unwrap_or_else(Sim3::identity);
     // The dense cloud gets three quarters or more.
     let share = if dense.is_some() { limits.points / 4 } else { limits.points };
@@ -405,6 +420,10 @@ fn describe<'a>(
         covisibility: covisibility(model),
         rigs: rigs(model, scale),
         trajectory: trajectory(camera_errors, view_from_world),
+        cloud_errors: [
+            cloud_errors.iter().map(|error| error.path_length_m).collect(),
+            cloud_errors.iter().map(|error| error.mean_m).collect(),
+        ],
         stages: report.map_or_else(Vec::new, stages),
         dense,
         photos: None,

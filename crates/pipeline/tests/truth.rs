@@ -234,6 +234,7 @@ fn report_shows_models_side_by_side_and_escapes_names() {
         world_from_model: Some(Sim3::identity()),
         report: None,
         camera_errors: &camera_errors,
+        cloud_errors: &[],
         dense: None,
         photos: None,
     };

@@ -297,6 +297,7 @@ impl DriveOutcome {
             world_from_model: Some(run.poses.truth_from_model),
             report: Some(&run.report),
             camera_errors: &run.camera_errors,
+            cloud_errors: &[],
             dense: None,
             photos: Some(photos),
         };

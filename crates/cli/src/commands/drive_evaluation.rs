@@ -14,7 +14,7 @@ use tiepoint_pipeline::{
 use tiepoint_synth::Drive;
 
 /// Points farther than this from every camera centre are not compared with the laser scan.
-const MAX_CLOUD_RANGE_M: f64 = 30.0;
+pub(crate) const MAX_CLOUD_RANGE_M: f64 = 30.0;
 
 /// The errors of a model. Lengths are in metres.
 pub(crate) struct DriveEvaluation {

@@ -4,13 +4,14 @@
 //! The vehicle drives a loop whose end overlaps its beginning. Experiment I (`mounting`): one
 //! camera that looks to the front, right, rear and left in turn. Experiment II (`baseline`): two
 //! cameras that look to the right, reconstructed with and without a rig constraint. As in the
-//! paper, the error is the distance of the cloud to a laser scan after registration; a camera that
-//! looks to one side is compared with the scan of that side. Unlike the paper, the cloud is sparse.
-//! The tables also have the distances with the true cameras, and trajectory errors.
+//! paper, the error is the distance of the dense cloud to a laser scan after registration; a camera
+//! that looks to one side is compared with the scan of that side. The tables also have the distances
+//! of the sparse cloud, those with the true cameras, and trajectory errors.
 //!
 //! Each drive and each reconstruction has a folder of its own. Complete ones are not computed
 //! again.
 
+mod dense_cloud;
 mod drive;
 mod run;
 mod side;
@@ -31,12 +32,15 @@ use crate::args::{Experiment, Scenery, rig_name};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress::Progress;
+use dense_cloud::DenseCloud;
 use drive::write;
 use run::{Run, Scan, Task};
 use side::Side;
 
 /// File with the options of the experiment in a folder.
 const RECORD: &str = "experiment.json";
+/// Workspace with the true poses and intrinsics.
+const EXACT: &str = "true";
 /// Camera configurations of Table 3 of the paper, in its order.
 const MOUNTINGS: [(&str, Mounting); 4] = [
     ("Front", Mounting::Front),
@@ -82,6 +86,7 @@ fn mounting(scenery: &Scenery, output: &Output) -> Result<Outcome, Failure> {
             name,
             rig: RigTerm::Off,
             workspace: own.join("off"),
+            exact: own.join(EXACT),
             scenery,
             plan: &plan,
             drive: &drive,
@@ -120,8 +125,10 @@ fn baseline(scenery: &Scenery, rigs: &[RigTerm], output: &Output) -> Result<Outc
             Workspace::open(&first)?.fork(&workspace)?;
         }
         let name = tables::row_of(*rig);
-        let task = Task { name: &name, rig: *rig, workspace, scenery, plan: &plan, drive: &drive };
-        runs.push(task.run(&Side::right(&drive), &scan, &mut progress)?);
+        let exact = folder.join(EXACT);
+        let (rig, plan, drive) = (*rig, &plan, &drive);
+        let task = Task { name: &name, rig, workspace, exact, scenery, plan, drive };
+        runs.push(task.run(&Side::right(drive), &scan, &mut progress)?);
     }
     drop(progress);
     let tables = tables::of_constraints(&runs);
@@ -181,16 +188,20 @@ fn write_results(
         if !photos.last().is_some_and(|(last, _)| std::ptr::eq(*last, *drive)) {
             photos.push((drive, Thumbnails::of_workspace(&run.workspace, &model, max_bytes)));
         }
-        models.push((run, world_from_model, model, errors, report, photos.len() - 1));
+        let of_cloud = run.result.as_ref().and_then(|result| result.dense.as_ref());
+        let of_cloud = of_cloud.map_or_else(Vec::new, DenseCloud::errors);
+        let set = photos.len() - 1;
+        models.push((run, world_from_model, model, (errors, of_cloud), report, set));
     }
     let report_models: Vec<ReportModel> = models
         .iter()
-        .map(|(run, world_from_model, model, camera_errors, report, set)| ReportModel {
+        .map(|(run, world_from_model, model, (camera_errors, of_cloud), report, set)| ReportModel {
             name: &run.name,
             model,
             world_from_model: Some(*world_from_model),
             report: Some(report),
             camera_errors,
+            cloud_errors: of_cloud,
             dense: None,
             photos: Some(&photos[*set].1),
         })

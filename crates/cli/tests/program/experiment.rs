@@ -11,6 +11,8 @@ const SMALL: &str = "--frames 6 --rate 10 --size 160x120 --effects clocks --rig 
 /// Thirty runs (seeds 2 to 16, with and without the constraint) end at 0.003 to 0.076 m, half of
 /// them below 0.01 m. A wrong pose costs decimetres.
 const MAX_ATE_M: f64 = 0.1;
+/// Dense matching of 160 x 120 pixels with the true poses.
+const MAX_EXACT_DISTANCE_M: f64 = 0.1;
 /// Frames four times as far apart: one or two of the 12 images overlap too little to be registered.
 const SPARSE: &str = "--frames 6 --size 160x120 --effects clocks --rig off";
 const REGISTERED_OF_SPARSE: RangeInclusive<u64> = 10..=11;
@@ -33,7 +35,13 @@ fn two_cameras_with_and_without_a_constraint() {
         // The parts make the whole.
         let whole = number("horizontal_m").hypot(number("vertical_m"));
         assert!((whole - number("ate_m")).abs() < 1e-6 * whole, "{cell}");
-        assert!(result["cloud"]["mean_m"].as_f64().unwrap() > 0.0, "{cell}");
+        for cloud in [&result["cloud"], &result["dense"]["distance"]] {
+            assert!(cloud["mean_m"].as_f64().unwrap() > 0.0, "{cell}");
+        }
+        let along = result["dense"]["along"].as_array().unwrap();
+        assert!((2..=6).contains(&along.len()), "{cell}");
+        let exact = result["exact_dense"]["distance"]["mean_m"].as_f64().unwrap();
+        assert!(exact < MAX_EXACT_DISTANCE_M, "{cell}");
         assert!(number("baseline_m") <= number("largest_baseline_m"), "{cell}");
     }
     let page = fs::read_to_string(outcome["page"].as_str().unwrap()).unwrap();
@@ -49,7 +57,8 @@ fn two_cameras_with_and_without_a_constraint() {
     // layout.
     let text = tiepoint_in(dir, &line).done().stdout();
     assert_eq!(files.map(written), before);
-    let mean = format!("{:.3}", cells[0]["result"]["cloud"]["mean_m"].as_f64().unwrap());
+    let mean =
+        format!("{:.3}", cells[0]["result"]["dense"]["distance"]["mean_m"].as_f64().unwrap());
     for part in ["Mean absolute distance [m]", "Std deviation [m]", "Traditional (off)", &mean] {
         assert!(text.contains(part), "no {part} in {text}");
     }

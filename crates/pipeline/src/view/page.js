@@ -112,6 +112,12 @@ function plotsOf(model) {
       lines([path_length, path_length], [horizontal, vertical], 'm driven'),
     );
   }
+  const [places, distances] = model.cloud_errors;
+  if (places.length)
+    add(
+      'Mean distance of the dense cloud to the scan along the drive, in metres',
+      lines([places], [distances], 'm driven', [0]),
+    );
   add(
     'Reprojection errors of the observations; the last bin has all larger ones',
     histogram(model.errors, 'px', false),

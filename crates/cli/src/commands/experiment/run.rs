@@ -6,15 +6,17 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use tiepoint_pipeline::eval::Cloud;
 use tiepoint_pipeline::eval::geometry::Sim3;
 use tiepoint_pipeline::eval::geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use tiepoint_pipeline::sfm::{MapperOptions, Readout, RigTerm};
 use tiepoint_pipeline::{
-    CloudEvaluation, Error, FeatureOptions, MapOptions, MatchOptions, Options, Report, RigCamera,
-    reconstruct,
+    CloudEvaluation, Error, FeatureOptions, InputModel, MapOptions, MatchOptions, Options, Report,
+    RigCamera, Workspace, map, reconstruct,
 };
 use tiepoint_synth::Drive;
 
+use super::dense_cloud::{Comparison, DenseCloud, evaluate_dense};
 use super::drive::{calibration, render_once, write};
 use super::side::Side;
 use crate::args::{Scenery, rig_name};
@@ -36,6 +38,8 @@ pub(super) struct Task<'a> {
     pub(super) name: &'a str,
     pub(super) rig: RigTerm,
     pub(super) workspace: PathBuf,
+    /// Workspace with the true poses and intrinsics, and the matches of `workspace`.
+    pub(super) exact: PathBuf,
     pub(super) scenery: &'a Scenery,
     pub(super) plan: &'a Plan,
     pub(super) drive: &'a Drive,
@@ -67,7 +71,11 @@ pub(super) struct Measurements {
     /// Number of models.
     pub(super) models: usize,
     pub(super) points: usize,
-    /// Distances of the cloud to the scan, as in the paper.
+    /// The dense cloud beside the scan, as in the paper.
+    pub(super) dense: Option<DenseCloud>,
+    /// The dense cloud of the true poses and intrinsics.
+    pub(super) exact_dense: Option<DenseCloud>,
+    /// Distances of the sparse cloud to the scan.
     pub(super) cloud: Option<Distance>,
     /// The same distances for the same tracks, triangulated with the true cameras.
     pub(super) exact_cloud: Option<Distance>,
@@ -184,7 +192,11 @@ impl Task<'_> {
             .and_then(|report| Ok((report, self.evaluate_drive(&self.workspace, side, scan)?)))
         {
             Ok((report, judged)) => {
-                Run { result: Some(Measurements::new(Some(&report), judged?)), ..run }
+                let judged = judged?;
+                let clouds = self.dense_clouds(&judged, side, scan, progress)?;
+                let [dense, exact_dense] = clouds;
+                let measured = Measurements::new(Some(&report), judged);
+                Run { result: Some(Measurements { dense, exact_dense, ..measured }), ..run }
             }
             // These errors are results of the experiment: the images do not suffice.
             Err(
@@ -211,6 +223,51 @@ impl Task<'_> {
         };
         let truth = self.plan.truth();
         evaluate_drive(model, self.drive, &truth, &reference, |point| side.contains(point)).map(Ok)
+    }
+
+    /// The dense clouds of the workspace and of the true poses and intrinsics.
+    fn dense_clouds(
+        &self,
+        judged: &DriveEvaluation,
+        side: &Side,
+        scan: &Scan,
+        progress: &mut Progress,
+    ) -> Result<[Option<DenseCloud>; 2], Failure> {
+        let Some(scan) = Cloud::new(scan.on_side(self.drive, side)?) else {
+            return Ok([None, None]);
+        };
+        let mut comparison = Comparison {
+            scan: &scan,
+            world_from_model: judged.poses.truth_from_model,
+            cameras: &judged.camera_errors,
+            has_true_poses: false,
+            is_compared: &|point| side.contains(point),
+        };
+        let estimated = evaluate_dense(&self.workspace, &comparison, progress)?;
+        match self.reconstruct_exact(progress) {
+            Ok(()) => {}
+            // The matches do not fit the true poses, because the images of a rolling shutter or of
+            // few frames leave too few points.
+            Err(Error::Mapping(_) | Error::InputModel { .. }) => return Ok([estimated, None]),
+            Err(error) => return Err(error.into()),
+        }
+        comparison.world_from_model = Sim3::identity();
+        comparison.has_true_poses = true;
+        Ok([estimated, evaluate_dense(&self.exact, &comparison, progress)?])
+    }
+
+    /// Triangulates the matches with the true poses and intrinsics, which are kept.
+    fn reconstruct_exact(&self, progress: &mut Progress) -> Result<(), Error> {
+        Workspace::open(&self.workspace)?.fork(&self.exact)?;
+        let truth = InputModel { path: self.plan.truth(), fix_existing_frames: true };
+        let seed = self.scenery.seed;
+        let options = MapOptions {
+            mapper: MapperOptions { rig: RigTerm::Off, seed, ..MapperOptions::default() },
+            input_model: Some(truth),
+            ..MapOptions::default()
+        };
+        let mut exact = Workspace::open(&self.exact)?;
+        map(&mut exact, &options, None, &mut |event| progress.watch(event))
     }
 
     fn reconstruct(&self, progress: &mut Progress) -> Result<Report, Error> {
@@ -277,6 +334,8 @@ impl Measurements {
             registered: poses.registered,
             models: report.map_or(1, |report| report.models.len()),
             points: model.num_tracks(),
+            dense: None,
+            exact_dense: None,
             cloud: cloud.map(Distance::from),
             exact_cloud: exact_cloud.map(Distance::from),
             surface_m: surface.and_then(|surface| Some(surface.near?.median)),

@@ -31,7 +31,7 @@ pub(super) fn of_constraints(runs: &[Run]) -> Vec<Table> {
             Some(format!("{:+.2} %", 100.0 * (after / before - 1.0)))
         }
     };
-    let in_distance = change(|measured| Some(measured.cloud?.mean_m));
+    let in_distance = change(|measured| Some(measured.dense.as_ref()?.distance.mean_m));
     let in_ate = change(|measured| Some(measured.ate_m));
     let extrinsics_heading = format!("Baseline of extrinsics (true {BASELINE_M:.3}) [m]");
     let (extrinsics, mean) =
@@ -57,6 +57,9 @@ pub(super) fn row_of(rig: RigTerm) -> String {
     }
 }
 
+/// Heading of the sparse cloud of COLMAP's model.
+const COLMAP: &str = "COLMAP";
+
 /// A heading, and the values below it.
 type Column<'a> = (&'a str, &'a dyn Fn(&Run) -> Option<String>);
 
@@ -73,6 +76,14 @@ fn colmap(of: fn(&Measurements) -> Option<f64>) -> impl Fn(&Run) -> Option<Strin
 /// A table with the columns of the paper, and with COLMAP's if any run has a model of COLMAP.
 /// `row_heading`: heading of the first column.
 fn paper_table(caption: &str, row_heading: &str, runs: &[Run]) -> Table {
+    let (dense_mean, dense_std) = (
+        ours(|measured| Some(measured.dense.as_ref()?.distance.mean_m)),
+        ours(|measured| Some(measured.dense.as_ref()?.distance.std_m)),
+    );
+    let (exact_dense_mean, exact_dense_std) = (
+        ours(|measured| Some(measured.exact_dense.as_ref()?.distance.mean_m)),
+        ours(|measured| Some(measured.exact_dense.as_ref()?.distance.std_m)),
+    );
     let (mean, std) = (
         ours(|measured| Some(measured.cloud?.mean_m)),
         ours(|measured| Some(measured.cloud?.std_m)),
@@ -83,17 +94,21 @@ fn paper_table(caption: &str, row_heading: &str, runs: &[Run]) -> Table {
         colmap(|measured| Some(measured.cloud?.mean_m)),
         colmap(|measured| Some(measured.cloud?.std_m)),
     );
-    let columns: [Column; 6] = [
-        ("Ours", &mean),
-        ("COLMAP", &their_mean),
-        ("True cameras", &exact_mean),
-        ("Ours", &std),
-        ("COLMAP", &their_std),
-        ("True cameras", &exact_std),
+    let columns: [Column; 10] = [
+        ("Dense", &dense_mean),
+        ("true cameras", &exact_dense_mean),
+        ("Sparse", &mean),
+        (COLMAP, &their_mean),
+        ("true cameras", &exact_mean),
+        ("Dense", &dense_std),
+        ("true cameras", &exact_dense_std),
+        ("Sparse", &std),
+        (COLMAP, &their_std),
+        ("true cameras", &exact_std),
     ];
     let has_colmap = has_colmap(runs);
     let columns: Vec<Column> =
-        columns.into_iter().filter(|(name, _)| has_colmap || *name != "COLMAP").collect();
+        columns.into_iter().filter(|(name, _)| has_colmap || *name != COLMAP).collect();
     let mut table = table(caption, "", runs, &columns);
     let mut above = vec![String::new(); columns.len() + 1];
     above[0] = row_heading.to_owned();
@@ -164,13 +179,20 @@ fn table(caption: &str, row_heading: &str, runs: &[Run], columns: &[Column]) -> 
 
 #[cfg(test)]
 mod tests {
+    use super::super::dense_cloud::DenseCloud;
     use super::super::run::Distance;
     use super::*;
+
+    fn of_dense(mean_m: f64, std_m: f64) -> DenseCloud {
+        DenseCloud { distance: Distance { mean_m, std_m }, ..DenseCloud::default() }
+    }
 
     fn run(name: &str, rig: RigTerm, mean_m: f64, std_m: f64) -> Run {
         let result = Measurements {
             registered: 9,
-            cloud: Some(Distance { mean_m, std_m }),
+            dense: Some(of_dense(mean_m, std_m)),
+            exact_dense: Some(of_dense(0.03, 0.04)),
+            cloud: Some(Distance { mean_m: 2.0 * mean_m, std_m: 2.0 * std_m }),
             exact_cloud: Some(Distance { mean_m: 0.01, std_m: 0.02 }),
             ate_m: mean_m / 10.0,
             baseline_m: Some(0.5),
@@ -205,13 +227,13 @@ mod tests {
         });
         let [table, truth] = &of_mountings(&runs)[..] else { panic!("two tables") };
         let expected = "\
-| Camera configuration | Mean absolute distance [m] |  | Std deviation [m] |  |
-|---|---|---|---|---|
-|  | Ours | True cameras | Ours | True cameras |
-| Front | 1.253 | 0.010 | 2.049 | 0.020 |
-| Right | 2.451 | 0.010 | 4.285 | 0.020 |
-| Rear | 1.252 | 0.010 | 2.052 | 0.020 |
-| Left | - | - | - | - |
+| Camera configuration | Mean absolute distance [m] |  |  |  | Std deviation [m] |  |  |  |
+|---|---|---|---|---|---|---|---|---|
+|  | Dense | true cameras | Sparse | true cameras | Dense | true cameras | Sparse | true cameras |
+| Front | 1.253 | 0.030 | 2.506 | 0.010 | 2.049 | 0.040 | 4.098 | 0.020 |
+| Right | 2.451 | 0.030 | 4.902 | 0.010 | 4.285 | 0.040 | 8.570 | 0.020 |
+| Rear | 1.252 | 0.030 | 2.504 | 0.010 | 2.052 | 0.040 | 4.104 | 0.020 |
+| Left | - | - | - | - | - | - | - | - |
 ";
         assert!(table.to_markdown().ends_with(expected), "{}", table.to_markdown());
         let text = truth.to_markdown();
@@ -229,11 +251,11 @@ mod tests {
             .to_vec();
         let [table, truth] = &of_constraints(&runs)[..] else { panic!("two tables") };
         let expected = "\
-| BA | Mean absolute distance [m] |  | Std deviation [m] |  |
-|---|---|---|---|---|
-|  | Ours | True cameras | Ours | True cameras |
-| Traditional (off) | 2.028 | 0.010 | 2.965 | 0.020 |
-| Constrained (paper) | 1.432 | 0.010 | 2.105 | 0.020 |
+| BA | Mean absolute distance [m] |  |  |  | Std deviation [m] |  |  |  |
+|---|---|---|---|---|---|---|---|---|
+|  | Dense | true cameras | Sparse | true cameras | Dense | true cameras | Sparse | true cameras |
+| Traditional (off) | 2.028 | 0.030 | 4.056 | 0.010 | 2.965 | 0.040 | 5.930 | 0.020 |
+| Constrained (paper) | 1.432 | 0.030 | 2.864 | 0.010 | 2.105 | 0.040 | 4.210 | 0.020 |
 ";
         assert!(table.to_markdown().ends_with(expected), "{}", table.to_markdown());
         assert_eq!(truth.head[0].len(), truth.rows[0].1.len() + 1);
@@ -243,15 +265,15 @@ mod tests {
         let [table, with_colmap] = &of_constraints(&both)[..] else { panic!("two tables") };
         let text = table.to_markdown();
         assert!(
-            text.contains("| BA | Mean absolute distance [m] |  |  | Std deviation [m] |  |  |"),
+            text.contains("| BA | Mean absolute distance [m] |  |  |  |  | Std deviation [m] |"),
             "{text}"
         );
         assert!(
-            text.contains("| Traditional (off) | 2.028 | 2.976 | 0.010 | 2.965 | 3.690 | 0.020 |"),
+            text.contains("| Traditional (off) | 2.028 | 0.030 | 4.056 | 5.952 | 0.010 | 2.965 |"),
             "{text}"
         );
         assert!(
-            text.contains("| Constrained (paper) | 1.432 | - | 0.010 | 2.105 | - | 0.020 |"),
+            text.contains("| Constrained (paper) | 1.432 | 0.030 | 2.864 | - | 0.010 | 2.105 |"),
             "{text}"
         );
         assert_eq!(with_colmap.head[0].len(), truth.head[0].len() + 2);
