@@ -6,8 +6,8 @@
     TIEPOINT_DATA=... python bench/dense.py [CASE ...] [--openmvs DensifyPointCloud] \\
         [--seed 1] [--threads 2] [--size PX] [--results RESULTS.json] [--keep FOLDER]
 
-Cases: `room` (bench/dense_scene.py: no planes), `street` (tiepoint synth), fountain-P11, sceaux and
-kitti04. Each reconstructs the photos, then measures `tiepoint dense` with the model's own poses;
+Cases: `room` (bench/dense_scene.py: no planes), `street` (tiepoint synth), fountain-P11, sceaux,
+kitti04, and for time and memory fountain-P11 at 3 megapixels and drives of 100 to 400 images. Each reconstructs the photos, then measures `tiepoint dense` with the model's own poses;
 the first two also with the true poses, whose tracks are triangulated again. OpenMVS gets the
 scene.mvs of the same model, at the same size and with the same threads; without --openmvs it is
 left out.
@@ -38,6 +38,10 @@ from program import program_of, tiepoint
 SCENES = {"room": (12, (480, 360)), "street": (12, (480, 360))}
 PHOTOS = {"fountain-P11": 1024, "sceaux": 1024}
 KITTI_FRAMES = 16
+# Only for time and memory, without OpenMVS: 11 photos of 3 megapixels, and drives.
+LARGE, LARGE_SIDE = "fountain-P11 3 megapixels", 2121
+DRIVES = {f"drive of {count} images": count for count in (100, 200, 400)}
+DRIVE_SIZE = (240, 180)
 FOOTPRINTS = [1, 2, 5]
 # Samples are two pixels apart, so that the nearest one is up to √2 pixels aside.
 SPACING = 2**0.5
@@ -271,7 +275,10 @@ def run_programs(workspace, scratch, options):
 def street(folder, seed, count, size):
     """Photos of a rendered drive; focal length, and views as those of dense_scene."""
     drive = folder.parent / "drive"
-    words = ["--frames", count // 2, "--size", f"{size[0]}x{size[1]}", "--rate", 4, "--length", 60]
+    # Less than 3 m from frame to frame.
+    length = max(60, 2 * count)
+    words = ["--frames", count // 2, "--size", f"{size[0]}x{size[1]}", "--rate", 4]
+    words += ["--length", length]
     tiepoint(
         "synth", "-o", drive, "--mounting", "right", "--route", "open", "--seed", seed, "--depths",
         *words,
@@ -334,6 +341,31 @@ def photo_case(name, scratch, options):
     return [{"case": name, "poses": "ours", "programs": found}]
 
 
+def large_case(name, scratch, options):
+    changed = {"size": LARGE_SIDE, "openmvs": None}
+    options = argparse.Namespace(**{**vars(options), **changed})
+    return [photo_case("fountain-P11", scratch, options)[0] | {"case": name}]
+
+
+def drive_case(name, scratch, options):
+    photos, workspace = scratch / "photos", scratch / "ws"
+    street(photos, options.seed, DRIVES[name], DRIVE_SIZE)
+    words = ["--pairs", "sequential:5", "--threads", options.threads]
+    tiepoint("reconstruct", photos, "-o", workspace, *words)
+    options = argparse.Namespace(**{**vars(options), "openmvs": None})
+    found, _ = run_programs(workspace, scratch, options)
+    print(json.dumps(found), flush=True)
+    return [{"case": name, "poses": "ours", "programs": found}]
+
+
+def case_of(name):
+    if name in SCENES:
+        return scene_case
+    if name in DRIVES:
+        return drive_case
+    return {LARGE: large_case, "kitti04": kitti_case}.get(name, photo_case)
+
+
 def kitti_case(name, scratch, options):
     folder, photos, workspace = data() / name, scratch / "photos", scratch / "ws"
     for side in ("left", "right"):
@@ -375,7 +407,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    cases = [*SCENES, *PHOTOS, "kitti04"]
+    cases = [*SCENES, *PHOTOS, "kitti04", LARGE, *DRIVES]
     parser.add_argument("cases", nargs="*", metavar="CASE", default=cases)
     parser.add_argument("--openmvs", type=pathlib.Path, default=os.environ.get("OPENMVS_DENSIFY"))
     parser.add_argument("--seed", type=int, default=1)
@@ -386,7 +418,7 @@ def main():
     options = parser.parse_args()
     results = []
     for name in options.cases:
-        run = scene_case if name in SCENES else kitti_case if name == "kitti04" else photo_case
+        run = case_of(name)
         with tempfile.TemporaryDirectory() as temporary:
             scratch = options.keep / name if options.keep else pathlib.Path(temporary)
             results += run(name, scratch, options)
